@@ -1,0 +1,49 @@
+# Everything runs in an environment of its own (.venv), made from the Python found here.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+
+.PHONY: help setup scan test lint check-types unit benchmark clean
+
+help:
+	@echo "make scan       set up, then scan a simulated room into scans/room-sim/"
+	@echo "make test       set up, then run every check and every test"
+	@echo "make setup      only make $(VENV)/, with the command $(BIN)/scan"
+	@echo "make benchmark  measure accuracy and speed (minutes)"
+	@echo "make clean      remove $(VENV)/ and caches; scans/ is kept"
+
+setup: $(VENV)/.runtime
+
+scan: setup
+	$(BIN)/scan --config configs/room-sim.yaml --out scans/room-sim --overwrite
+
+test: lint check-types unit
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+
+check-types: $(VENV)/.dev
+	$(BIN)/mypy
+
+unit: $(VENV)/.dev
+	$(BIN)/pytest -n auto --dist loadgroup
+
+benchmark: $(VENV)/.dev
+	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+$(BIN)/pip:
+	tools/make-venv $(PYTHON) $(VENV)
+
+$(VENV)/.runtime: pyproject.toml | $(BIN)/pip
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml | $(BIN)/pip
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@ $(VENV)/.runtime
+
+clean:
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -prune -exec rm -rf {} +

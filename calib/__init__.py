@@ -1,0 +1,1 @@
+"""Geometry of a camera and a projector that look at the corner of a room: arrays in, arrays out."""

@@ -1,0 +1,9 @@
+"""Names for the array types that signatures use; shapes are given in docstrings."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Bools = NDArray[np.bool_]
+Image = NDArray[np.uint8] | NDArray[np.uint16]

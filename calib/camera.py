@@ -1,0 +1,113 @@
+"""One camera model for both devices: a pinhole with square-ish pixels and Brown's lens distortion.
+
+Pixel centres are at integer coordinates (OpenCV); x right, y down, z forward. A projector is a camera whose rays run
+the other way.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Bools, Floats
+
+_NEWTON_STEPS = 30
+_NEWTON_TOLERANCE = 1e-12
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """What one device does to a ray.
+
+    `focal_px` is (f_x, f_y), `principal_point_px` is (x_0, y_0), `distortion` is (k1, k2, p1, p2, k3) in normalised
+    coordinates, in OpenCV's order: x_d = x_n (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms.
+    """
+
+    width: int
+    height: int
+    focal_px: tuple[float, float]
+    principal_point_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not (self.width > 0 and self.height > 0):
+            raise ValueError(f"an image needs a size, found {self.width} × {self.height}")
+        numbers = (*self.focal_px, *self.principal_point_px, *self.distortion)
+        if not np.all(np.isfinite(numbers)):
+            raise ValueError(f"intrinsics must be finite numbers, found {numbers}")
+        if not min(self.focal_px) > 0:
+            raise ValueError(f"focal lengths must be positive, found {self.focal_px}")
+
+    @property
+    def matrix(self) -> Floats:
+        """K, (3, 3)."""
+        (fx, fy), (x0, y0) = self.focal_px, self.principal_point_px
+        return np.array([[fx, 0.0, x0], [0.0, fy, y0], [0.0, 0.0, 1.0]])
+
+    def project(self, points: Floats) -> Floats:
+        """Points (..., 3) in the device's frame → pixels (..., 2); NaN for points not in front of the device."""
+        z = points[..., 2:3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            normalised = np.where(z > 0, points[..., :2] / z, np.nan)
+        pixels: Floats = self.distort(normalised) * np.array(self.focal_px) + np.array(self.principal_point_px)
+        return pixels
+
+    def unproject(self, pixels: Floats) -> Floats:
+        """Pixels (..., 2) → points (..., 3) on their rays at z = 1; NaN where the lens model has no inverse."""
+        distorted = (pixels - np.array(self.principal_point_px)) / np.array(self.focal_px)
+        normalised = self.undistort(distorted)
+        return np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
+
+    def distort(self, normalised: Floats) -> Floats:
+        """Brown (1971), as in OpenCV: ideal (..., 2) → distorted (..., 2), both in normalised coordinates."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = normalised[..., 0], normalised[..., 1]
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return np.stack(
+            [
+                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+            ],
+            axis=-1,
+        )
+
+    def undistort(self, distorted: Floats) -> Floats:
+        """Inverse of `distort` by Newton's method; NaN where it does not converge within the lens's monotonic range."""
+        if not any(self.distortion):
+            return distorted.copy()
+        normalised = distorted.copy()
+        for _ in range(_NEWTON_STEPS):
+            error = self.distort(normalised) - distorted
+            (a, b), (c, d) = self._distortion_jacobian(normalised)
+            determinant = a * d - b * c
+            with np.errstate(divide="ignore", invalid="ignore"):
+                step = np.stack(
+                    [
+                        (d * error[..., 0] - b * error[..., 1]) / determinant,
+                        (a * error[..., 1] - c * error[..., 0]) / determinant,
+                    ],
+                    axis=-1,
+                )
+            normalised = normalised - step
+            if not np.nanmax(np.abs(step), initial=0.0) > _NEWTON_TOLERANCE:
+                break
+        return np.where(self._inverted(normalised, distorted)[..., None], normalised, np.nan)
+
+    def _inverted(self, normalised: Floats, distorted: Floats) -> Bools:
+        with np.errstate(invalid="ignore"):
+            residual = np.abs(self.distort(normalised) - distorted).max(axis=-1)
+            (a, b), (c, d) = self._distortion_jacobian(normalised)
+            inverted: Bools = (residual < 1e-9) & (a * d - b * c > 0) & (a + d > 0)
+        return inverted
+
+    def _distortion_jacobian(self, normalised: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = normalised[..., 0], normalised[..., 1]
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+        cross = slope * x * y + 2 * p1 * x + 2 * p2 * y
+        return (
+            (radial + slope * x * x + 2 * p1 * y + 6 * p2 * x, cross),
+            (cross, radial + slope * y * y + 6 * p1 * y + 2 * p2 * x),
+        )

@@ -1,0 +1,64 @@
+"""Which projector pixel lit which camera pixel."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import Bools, Floats, Ints
+
+NO_FACE = -1
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Corresponding points.
+
+    `camera_px`, `projector_px`: (N, 2). `face`: (N,) labels, `NO_FACE` for points on none of them (the default);
+    0, 1, 2 are the corner's faces. `sigma_px`: (N,) standard deviation of each coordinate of `projector_px`, or None.
+
+    Raises ValueError if shapes differ or a number is not finite.
+    """
+
+    camera_px: Floats
+    projector_px: Floats
+    face: Ints | None = None
+    sigma_px: Floats | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.camera_px)
+        for name, value, shape in (
+            ("camera_px", self.camera_px, (n, 2)),
+            ("projector_px", self.projector_px, (n, 2)),
+            ("face", self.face, (n,)),
+            ("sigma_px", self.sigma_px, (n,)),
+        ):
+            if value is None:
+                continue
+            if value.shape != shape:
+                raise ValueError(f"{name} must have the shape {shape}, found {value.shape}")
+            if not np.all(np.isfinite(value)):
+                raise ValueError(f"{name} must hold finite numbers, found NaN or infinity")
+        if self.sigma_px is not None and np.any(self.sigma_px <= 0):
+            raise ValueError("sigma_px must be positive")
+
+    def __len__(self) -> int:
+        return len(self.camera_px)
+
+    def __getitem__(self, chosen: Bools | Ints | slice) -> "Matches":
+        """The matches at a mask, indices or a slice."""
+        return Matches(
+            self.camera_px[chosen],
+            self.projector_px[chosen],
+            None if self.face is None else self.face[chosen],
+            None if self.sigma_px is None else self.sigma_px[chosen],
+        )
+
+    def with_faces(self, face: Ints) -> "Matches":
+        """The same matches with other face labels (N,)."""
+        return replace(self, face=face)
+
+    def on_face(self, label: int) -> "Matches":
+        """The matches with one face label."""
+        if self.face is None:
+            raise ValueError("these matches have no face labels")
+        return self[self.face == label]

@@ -1,0 +1,152 @@
+"""Matches of a made-up corner, straight from 3-D points: what tests and benchmarks calibrate.
+
+Nothing here is shared with the solver: points are laid on three walls and projected into both devices; the camera
+pixels are then perturbed or not, the projector pixels always are.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.arrays import Floats, Ints
+from calib.calibration import Calibration
+from calib.camera import Intrinsics
+from calib.matches import Matches
+
+
+@dataclass(frozen=True)
+class Corner:
+    """Three walls through `vertex` (3,), both in the camera's frame.
+
+    `legs` (3, 3): unit rows, the directions of the three edges away from the vertex, into the room; wall S is spanned
+    by the other two legs.
+    """
+
+    vertex: Floats
+    legs: Floats
+
+    @property
+    def normals(self) -> Floats:
+        """Unit normals of the walls, (3, 3) rows, pointing into the room."""
+        normals = np.cross(np.roll(self.legs, -1, axis=0), np.roll(self.legs, -2, axis=0))
+        normals *= np.sign(np.sum(normals * self.legs, axis=1))[:, None]
+        unit: Floats = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return unit
+
+
+@dataclass(frozen=True)
+class SyntheticCapture:
+    """Matches and everything that is true of them."""
+
+    matches: Matches
+    calibration: Calibration
+    corner: Corner
+
+
+# The rig of the paper (its section 5.1), at its full camera resolution.
+PAPER_CAMERA = Intrinsics(2448, 2048, (1791.1, 1791.1), (1256.3, 1054.3))
+PAPER_PROJECTOR = Intrinsics(854, 480, (1247.3, 1247.3), (377.1, 234.0))
+
+
+def look_at(eye: Floats, target: Floats, up: Floats, roll: float = 0.0) -> Floats:
+    """Rotation (3, 3) from the world into a device at `eye` that looks at `target`; `roll` in radians."""
+    z = target - eye
+    z = z / np.linalg.norm(z)
+    x = np.cross(z, up)
+    x = x / np.linalg.norm(x)
+    frame = np.stack([x, np.cross(z, x), z])
+    return Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix() @ frame
+
+
+def random_capture(
+    rng: np.random.Generator,
+    *,
+    camera: Intrinsics = PAPER_CAMERA,
+    projector: Intrinsics = PAPER_PROJECTOR,
+    count: int = 50_000,
+    noise_px: float = 0.1,
+    distance: tuple[float, float] = (1.5, 4.0),
+    baseline: tuple[float, float] = (0.3, 0.8),
+    walls_off_deg: float = 0.0,
+    outliers: float = 0.0,
+) -> SyntheticCapture:
+    """A corner seen from a random place in its room, sampled on a jittered grid over the projector's image.
+
+    Lengths in metres; `noise_px` is the standard deviation of each coordinate of the projector pixel; `outliers` is
+    the share of matches that are replaced by random ones (face −1); each wall's direction is turned by a normal angle
+    of `walls_off_deg`. Draws again until each wall holds at least a tenth of the matches.
+    """
+    while True:
+        capture = _one_capture(rng, camera, projector, count, noise_px, distance, baseline, walls_off_deg, outliers)
+        if capture is not None:
+            return capture
+
+
+def _one_capture(
+    rng: np.random.Generator,
+    camera: Intrinsics,
+    projector: Intrinsics,
+    count: int,
+    noise_px: float,
+    distance: tuple[float, float],
+    baseline: tuple[float, float],
+    walls_off_deg: float,
+    outliers: float,
+) -> SyntheticCapture | None:
+    # World: vertex at the origin, room in the positive octant, z up.
+    direction = rng.uniform(0.25, 1.0, 3)
+    camera_eye = rng.uniform(*distance) * direction / np.linalg.norm(direction)
+    aside = np.cross(direction, rng.normal(size=3))
+    projector_eye = camera_eye + rng.uniform(*baseline) * aside / np.linalg.norm(aside)
+    if projector_eye.min() < 0.1 * np.linalg.norm(projector_eye):
+        return None
+    up = np.array([0.0, 0.0, 1.0])
+    spread = 0.05 * np.linalg.norm(camera_eye)
+    world_to_camera = look_at(camera_eye, rng.normal(0, spread, 3), up, rng.normal(0, 0.1))
+    world_to_projector = look_at(projector_eye, rng.normal(0, spread, 3), up, rng.normal(0, 0.1))
+    rotation = world_to_projector @ world_to_camera.T
+    translation = world_to_projector @ (camera_eye - projector_eye)
+
+    legs_world = np.eye(3) + np.radians(walls_off_deg) * np.array(
+        [[0, rng.normal(), 0], [0, 0, rng.normal()], [rng.normal(), 0, 0]]
+    )
+    legs_world /= np.linalg.norm(legs_world, axis=1, keepdims=True)
+    corner = Corner(-world_to_camera @ camera_eye, legs_world @ world_to_camera.T)
+
+    pixels = _jittered_grid(rng, projector, count)
+    points, face = _cast_rays(projector.unproject(pixels) @ rotation, -rotation.T @ translation, corner)
+    camera_px = camera.project(points)
+    with np.errstate(invalid="ignore"):
+        seen = np.all((camera_px >= 0) & (camera_px <= (camera.width - 1, camera.height - 1)), axis=1)
+    camera_px, pixels, face = camera_px[seen], pixels[seen], face[seen]
+    if np.bincount(face, minlength=3).min() < 0.1 * count:
+        return None
+
+    projector_px = pixels + rng.normal(0, noise_px, pixels.shape) if noise_px else pixels
+    wrong = rng.random(len(face)) < outliers
+    projector_px[wrong] = rng.uniform((0, 0), (projector.width, projector.height), (int(wrong.sum()), 2))
+    face = np.where(wrong, -1, face).astype(np.int32)
+    return SyntheticCapture(
+        Matches(camera_px, projector_px, face),
+        Calibration(camera, projector, rotation, translation, unit="m"),
+        corner,
+    )
+
+
+def _jittered_grid(rng: np.random.Generator, device: Intrinsics, count: int) -> Floats:
+    step = np.sqrt(device.width * device.height / count)
+    x, y = np.meshgrid(np.arange(0, device.width - 1, step), np.arange(0, device.height - 1, step))
+    grid = np.stack([x.ravel(), y.ravel()], axis=1)
+    return np.clip(grid + rng.uniform(0, step, grid.shape), 0, (device.width - 1, device.height - 1))
+
+
+def _cast_rays(directions: Floats, origin: Floats, corner: Corner) -> tuple[Floats, Ints]:
+    """First wall hit by each ray (N, 3) from `origin`: points (N, 3) and wall labels (N,)."""
+    heights = corner.normals @ (corner.vertex - origin)
+    with np.errstate(divide="ignore"):
+        lengths = heights / (directions @ corner.normals.T)
+    lengths[~(lengths > 0)] = np.inf
+    face = np.argmin(lengths, axis=1)
+    points = origin + lengths[np.arange(len(face)), face, None] * directions
+    return points, face.astype(np.int32)

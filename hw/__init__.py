@@ -1,0 +1,1 @@
+"""Cameras and projectors, real and simulated: images in, images out."""

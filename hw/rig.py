@@ -1,0 +1,52 @@
+"""The two interfaces that every rig implements, real or simulated, and nothing about patterns."""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from calib.arrays import Image
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One camera image, (H, W) grey or (H, W, 3) in OpenCV's channel order (BGR), 8 or 16 bit."""
+
+    image: Image
+    exposure_us: float | None = None
+    timestamp_ns: int | None = None
+
+
+class Projector(Protocol):
+    """Something that throws images onto the scene."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+
+    def show(self, image: Image) -> None:
+        """Put an (H, W) 8-bit grey image on the scene; returns once it is there.
+
+        Raises ValueError if the image has another size, DeviceError if the device fails.
+        """
+
+
+class Camera(Protocol):
+    """Something that takes images of the scene."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+
+    def grab(self) -> Frame:
+        """Expose and return one frame of what the projector shows now. Raises DeviceError if the device fails."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A projector and a camera that do not move against each other.
+
+    `identity` names the devices for the recording's metadata.
+    """
+
+    projector: Projector
+    camera: Camera
+    identity: dict[str, str] = field(default_factory=dict)

@@ -1,0 +1,1 @@
+"""The application: patterns, capture, decoding, reconstruction, report and the command line."""

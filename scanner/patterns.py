@@ -1,0 +1,109 @@
+"""The patterns that are projected, as immutable values; drawing them; the sequence that suits a projector.
+
+Coordinates are projector pixels, x to the right and y down, pixel centres at integers. What each kind means is a file
+format that other programs depend on (see docs/formats.md).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import ceil, log2
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Floats
+
+Axis = Literal["x", "y"]
+
+
+@dataclass(frozen=True)
+class White:
+    """Everything lit."""
+
+    def brightness(self, x: Floats, y: Floats) -> Floats:
+        """Brightness 0 … 1 at projector coordinates of equal shape."""
+        return np.ones(np.broadcast(x, y).shape)
+
+
+@dataclass(frozen=True)
+class Black:
+    """Nothing lit but the projector's black level."""
+
+    def brightness(self, x: Floats, y: Floats) -> Floats:
+        """Brightness 0 … 1 at projector coordinates of equal shape."""
+        return np.zeros(np.broadcast(x, y).shape)
+
+
+@dataclass(frozen=True)
+class Gray:
+    """One bit of the Gray code of n = floor((coordinate + offset) / cell); bit 0 is the most significant of `bits`."""
+
+    axis: Axis
+    bit: int
+    bits: int
+    cell: int = 1
+    offset: int = 0
+    inverted: bool = False
+
+    def brightness(self, x: Floats, y: Floats) -> Floats:
+        """Brightness 0 … 1 at projector coordinates of equal shape."""
+        coordinate = x if self.axis == "x" else y
+        n = np.floor((coordinate + self.offset) / self.cell).astype(np.int64)
+        bright = ((n ^ (n >> 1)) >> (self.bits - 1 - self.bit)) & 1 == 1
+        return np.where(bright != self.inverted, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A fringe: ½ (1 + cos 2π(coordinate / period + shift)), period in pixels, shift in cycles."""
+
+    axis: Axis
+    period: float
+    shift: float
+
+    def brightness(self, x: Floats, y: Floats) -> Floats:
+        """Brightness 0 … 1 at projector coordinates of equal shape."""
+        coordinate = x if self.axis == "x" else y
+        return 0.5 * (1 + np.cos(2 * np.pi * (coordinate / self.period + self.shift)))
+
+
+Pattern = White | Black | Gray | Phase
+
+
+def draw(pattern: Pattern, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The 8-bit image (height, width) of a pattern for a projector of `size` = (width, height)."""
+    width, height = size
+    x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    return np.rint(255 * pattern.brightness(x, y)).astype(np.uint8)
+
+
+def gray_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) -> Iterator[Gray]:
+    """The bits that tell apart all cells along an axis of `length` pixels, each followed by its inverse."""
+    bits = max(1, ceil(log2(ceil(length / cell))))
+    for bit in range(bits):
+        for inverted in (False, True) if inverses else (False,):
+            yield Gray(axis, bit, bits, cell, inverted=inverted)
+
+
+def phase_sequence(axis: Axis, period: float, shifts: int) -> Iterator[Phase]:
+    """One fringe in `shifts` equal steps over a cycle."""
+    for step in range(shifts):
+        yield Phase(axis, period, step / shifts)
+
+
+def sequence_for(
+    size: tuple[int, int], *, cell: int = 8, inverses: bool = True, period: float = 16.0, shifts: int = 8
+) -> tuple[Pattern, ...]:
+    """White, black, then for each axis Gray code down to `cell` and a fringe of `period` in `shifts` steps.
+
+    A cell of half the period leaves a quarter period of slack on either side of each Gray edge, so that no fringe
+    order hangs on a single edge. `shifts` = 0 leaves the fringe out.
+    """
+    patterns: list[Pattern] = [White(), Black()]
+    axes: tuple[tuple[Axis, int], ...] = (("x", size[0]), ("y", size[1]))
+    for axis, length in axes:
+        patterns += gray_sequence(axis, length, cell, inverses=inverses)
+        if shifts:
+            patterns += phase_sequence(axis, period, shifts)
+    return tuple(patterns)
