@@ -1,9 +1,11 @@
 """Names for the array types that signatures use; shapes are given in docstrings."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
+Ints = NDArray[np.signedinteger[Any]]
 Bools = NDArray[np.bool_]
 Image = NDArray[np.uint8] | NDArray[np.uint16]

@@ -12,27 +12,8 @@ from scipy.spatial.transform import Rotation
 from calib.arrays import Floats, Ints
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
+from calib.corner import Corner
 from calib.matches import Matches
-
-
-@dataclass(frozen=True)
-class Corner:
-    """Three walls through `vertex` (3,), both in the camera's frame.
-
-    `legs` (3, 3): unit rows, the directions of the three edges away from the vertex, into the room; wall S is spanned
-    by the other two legs.
-    """
-
-    vertex: Floats
-    legs: Floats
-
-    @property
-    def normals(self) -> Floats:
-        """Unit normals of the walls, (3, 3) rows, pointing into the room."""
-        normals = np.cross(np.roll(self.legs, -1, axis=0), np.roll(self.legs, -2, axis=0))
-        normals *= np.sign(np.sum(normals * self.legs, axis=1))[:, None]
-        unit: Floats = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        return unit
 
 
 @dataclass(frozen=True)
