@@ -113,6 +113,11 @@ def _by_paper(
     solution = search(objective, _trials(camera_size, _PAPER_TRIALS))
     if solution is None:
         raise _no_corner()
+    low, high = solution.focal_px[1], solution.focal_px[-2]
+    if not low < solution.best_focal_px < high:
+        raise RefusalError(
+            f"The objective has no minimum for camera focal lengths between {low:.0f} and {high:.0f} px.", _MOVE
+        )
     lowest = float(np.min(solution.objective))
     if lowest > _CLOSED_CYCLE * solution.best_focal_px:
         raise RefusalError(

@@ -1,0 +1,142 @@
+"""Matches and a calibration → an organised point cloud: one point for every camera pixel that earned one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Bools, Floats, Image
+from calib.calibration import Calibration
+from calib.matches import Matches
+from calib.triangulation import intersect
+from scanner.agreement import judge
+from scanner.surface import surface
+
+Ints64 = NDArray[np.int64]
+
+_NO_TEXTURE_GREY = 200
+_WHITE_PERCENTILE = 99.9
+
+
+@dataclass(frozen=True)
+class CloudStatistics:
+    """What became of the matches: `matched` is the sum of `kept` and everything that was dropped.
+
+    `outside_image`: off the camera's grid; `behind`: not in front of both devices; `disagreeing`: the rays miss each
+    other by more than `limit_px`; `shared_pixel`: another match of the same camera pixel fitted better; `isolated`: no
+    neighbours on a common surface. `calibration_px` and `decoder_px`: root mean squares of the two parts of the
+    rays' misses, the smooth one and the rest, in projector pixels.
+    """
+
+    matched: int
+    kept: int
+    outside_image: int
+    behind: int
+    disagreeing: int
+    shared_pixel: int
+    isolated: int
+    limit_px: float
+    calibration_px: float
+    decoder_px: float
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points on the camera's pixel grid, in the camera's frame (x right, y down, z forward).
+
+    `points` (H, W, 3) in `unit`, NaN where there is none; `colours` (H, W, 3) RGB; `normals` (H, W, 3), of unit length
+    and facing the camera; `residual_px` (H, W): signed distance of the projector pixel from the camera pixel's epipolar
+    line, also where the point was dropped for it, NaN where there was no match.
+    """
+
+    points: NDArray[np.float32]
+    colours: NDArray[np.uint8]
+    normals: NDArray[np.float32]
+    residual_px: NDArray[np.float32]
+    unit: str
+    statistics: CloudStatistics
+
+    @property
+    def there(self) -> Bools:
+        """Which pixels have a point, (H, W)."""
+        return np.isfinite(self.points[..., 2])
+
+
+def build_cloud(matches: Matches, texture: Image | None, calibration: Calibration) -> Cloud:
+    """Triangulate every match, drop those that cannot be points of a surface, add colours and normals.
+
+    `texture`: the camera's image of the lit scene, (H, W) grey or (H, W, 3) BGR; without it the cloud is grey.
+
+    Raises ValueError if the texture's size is not the camera's.
+    """
+    height, width = calibration.camera.height, calibration.camera.width
+    if texture is not None and texture.shape[:2] != (height, width):
+        found = f"{texture.shape[1]} × {texture.shape[0]}"
+        raise ValueError(f"the texture must have the camera's size {width} × {height}, found {found}")
+    pixel = np.rint(matches.camera_px).astype(np.int64)
+    inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
+    met = intersect(matches, calibration)
+    usable = inside & met.in_front
+    index, residual = (pixel[:, 1] * width + pixel[:, 0])[usable], met.residual_px[usable]
+    agreement = judge(matches.camera_px[usable], met.foot_px[usable], residual, calibration)
+    chosen = _best_per_pixel(index, residual, agreement.agrees)
+
+    points = np.full((height, width, 3), np.nan, dtype=np.float32)
+    points.reshape(-1, 3)[index[chosen]] = met.points[usable][chosen]
+    on_surface = surface(points, float(np.mean(calibration.camera.focal_px)))
+    points[on_surface.isolated] = np.nan
+    on_surface.normals[on_surface.isolated] = np.nan
+    isolated = int(on_surface.isolated.sum())
+    return Cloud(
+        points=points,
+        colours=_colours(texture, np.isfinite(points[..., 2])),
+        normals=on_surface.normals,
+        residual_px=_residual_map(index, residual, (height, width)),
+        unit=calibration.unit,
+        statistics=CloudStatistics(
+            matched=len(matches),
+            kept=len(chosen) - isolated,
+            outside_image=int((~inside).sum()),
+            behind=int((inside & ~met.in_front).sum()),
+            disagreeing=int((~agreement.agrees).sum()),
+            shared_pixel=int(agreement.agrees.sum()) - len(chosen),
+            isolated=isolated,
+            limit_px=agreement.limit_px,
+            calibration_px=_spread(agreement.trend_px[agreement.agrees]),
+            decoder_px=agreement.noise_px,
+        ),
+    )
+
+
+def _best_per_pixel(index: Ints64, residual: Floats, agrees: Bools) -> Ints64:
+    """Which of the matches at pixels `index` (N,) to keep: of those that agree, the best of each pixel."""
+    candidates = np.flatnonzero(agrees)
+    if not len(candidates) or np.bincount(index[candidates]).max() == 1:
+        return candidates
+    order = candidates[np.lexsort((np.abs(residual[candidates]), index[candidates]))]
+    first = np.unique(index[order], return_index=True)[1]
+    return order[first]
+
+
+def _residual_map(index: Ints64, residual: Floats, shape: tuple[int, int]) -> NDArray[np.float32]:
+    grid = np.full(shape[0] * shape[1], np.nan, dtype=np.float32)
+    grid[index] = residual
+    return grid.reshape(shape)
+
+
+def _colours(texture: Image | None, there: Bools) -> NDArray[np.uint8]:
+    """RGB (H, W, 3), black where there is no point; 16-bit images are scaled to their brightest level, glints apart."""
+    if texture is None:
+        bright = np.full(there.shape, _NO_TEXTURE_GREY, dtype=np.uint8)
+    elif texture.dtype == np.uint16:
+        top = max(1.0, float(np.percentile(texture[there], _WHITE_PERCENTILE))) if there.any() else 1.0
+        bright = np.rint(np.minimum(texture * (255.0 / top), 255.0)).astype(np.uint8)
+    else:
+        bright = texture.astype(np.uint8, copy=False)
+    rgb = bright[..., ::-1] if bright.ndim == 3 else np.repeat(bright[..., None], 3, axis=2)
+    return np.where(there[..., None], rgb, np.uint8(0))
+
+
+def _spread(values: Floats) -> float:
+    """Root mean square, 0 for none."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

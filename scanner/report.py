@@ -1,0 +1,65 @@
+"""report.html: one self-contained page that says whether a result can be trusted, and shows why."""
+
+from functools import cache
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+
+from scanner.reporting import sections
+from scanner.reporting.contents import CaptureFacts, ReportInput
+from scanner.reporting.quantities import plain
+from scanner.reporting.verdict import verdict
+
+__all__ = ["CaptureFacts", "ReportInput", "write_report"]
+
+_FILES = {
+    "calibration.yaml": "intrinsics of both devices, and the motion between them",
+    "truth.yaml": "the same for the simulated rig, as it really is",
+    "cloud.ply": "the point cloud with normals and colours, for MeshLab, CloudCompare or Open3D",
+    "matches.npz": "camera and projector pixels of every match, and its face",
+    "capture": "the recording: replay it with scan replay",
+    "scan.log": "what the program did, step by step",
+}
+
+
+def write_report(path: Path, report: ReportInput) -> None:
+    """Write the page. It needs no network and no other file.
+
+    Raises OSError if the file cannot be written.
+    """
+    tables, faces = sections.tables(report), sections.faces(report)
+    page = _template().render(
+        title=report.title,
+        subtitle=sections.subtitle(report.capture),
+        verdict=verdict(report),
+        warnings=report.warnings,
+        notes=report.solution.notes if report.solution else (),
+        method=report.solution.method if report.solution else None,
+        tables=tables,
+        has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),
+        plain=plain,
+        has_truth=report.truth is not None,
+        faces=faces,
+        scene=None if faces else sections.scene(report.decoding),
+        profile=sections.profile(report),
+        views=sections.cloud_views(report),
+        depth=sections.depth(report),
+        misses=sections.misses(report),
+        mask=sections.mask(report.decoding),
+        capture=sections.capture_rows(report),
+        files=[(name, _FILES.get(name, "")) for name in report.files],
+        unit=report.calibration.unit if report.calibration else "",
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("scanner"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html")

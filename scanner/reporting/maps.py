@@ -1,0 +1,236 @@
+"""Maps over the camera's image, as pictures for a web page: faces, depth, residuals, mask reasons."""
+
+import base64
+from dataclasses import dataclass
+
+import cv2
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Bools, Floats, Image
+from calib.camera import Intrinsics
+from calib.corner import Corner
+from calib.matches import Matches
+
+# Okabe & Ito (2008): told apart by every kind of colour vision, and in print.
+ORANGE, SKY_BLUE, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
+BLUE, VERMILION, PURPLE, GREY = (0, 114, 178), (213, 94, 0), (204, 121, 167), (140, 140, 140)
+FACE_COLOURS = (ORANGE, SKY_BLUE, GREEN)
+FACE_NAMES = ("A", "B", "C")
+CATEGORY_COLOURS = (VERMILION, SKY_BLUE, YELLOW, PURPLE, GREEN, ORANGE, BLUE, GREY)
+
+_LONGEST_SIDE = 1000
+_FACE_OPACITY = 0.5
+# Noise compresses badly; this many steps are as many as an eye tells apart in a map of it.
+_RESIDUAL_STEPS = 25
+_EDGE_SAMPLES = 400
+
+Pixels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class _Colours:
+    """A part of one of matplotlib's colour maps; both parts chosen here can be told from a white and a black page."""
+
+    name: str
+    first: float
+    last: float
+
+    def __call__(self, steps: int) -> Floats:
+        """RGBA 0 … 1, (steps, 4)."""
+        return np.asarray(matplotlib.colormaps[self.name](np.linspace(self.first, self.last, steps)))
+
+
+_DEPTHS = _Colours("viridis", 0.12, 0.97)
+_MISSES = _Colours("coolwarm", 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class ColourScale:
+    """A continuous legend: CSS colours from the low to the high end, and what the ends mean."""
+
+    colours: tuple[str, ...]
+    low: str
+    high: str
+    label: str
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """Vector marks over a picture, in the camera's pixels: edge polylines as SVG point lists, and letters."""
+
+    width: int
+    height: int
+    edges: tuple[str, ...]
+    letters: tuple[tuple[str, float, float], ...]
+
+
+def data_uri(picture: Pixels, *, jpeg: bool = False) -> str:
+    """RGB or RGBA (H, W, 3 or 4) as a data URI; `jpeg` for photographs, which must be RGB."""
+    bgr = cv2.cvtColor(picture, cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR)
+    kind, options = ("jpeg", [cv2.IMWRITE_JPEG_QUALITY, 85]) if jpeg else ("png", [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    written, encoded = cv2.imencode(f".{kind}", bgr, options)
+    assert written, "OpenCV encodes PNG and JPEG in every build"
+    return f"data:image/{kind};base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"
+
+
+def css_colour(colour: tuple[int, int, int]) -> str:
+    """#rrggbb."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def photograph(texture: Image) -> Pixels:
+    """The camera's image of the lit scene for the eye: RGB (H, W, 3), reduced, stretched and brightened."""
+    small = _reduced_photograph(texture)
+    white = max(1.0, float(np.percentile(small, 99.5)))
+    shown = 255 * np.clip(small / white, 0, 1) ** (1 / 1.8)
+    rgb = shown[..., ::-1] if shown.ndim == 3 else np.repeat(shown[..., None], 3, axis=2)
+    return _as_pixels(rgb)
+
+
+def _reduced_photograph(texture: Image) -> Floats:
+    small = cv2.resize(texture, _reduced_size(texture.shape[1], texture.shape[0]), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float64)
+
+
+def _reduced_size(width: int, height: int) -> tuple[int, int]:
+    factor = min(1.0, _LONGEST_SIDE / max(width, height))
+    return max(1, round(width * factor)), max(1, round(height * factor))
+
+
+def faces_over(background: Pixels, matches: Matches, camera: tuple[int, int]) -> Pixels:
+    """Faces in colour over a grey `background` (H, W, 3); `camera` is the (width, height) of the matches' image."""
+    height, width = background.shape[:2]
+    grey = np.repeat(background.mean(axis=2, keepdims=True), 3, axis=2)
+    assert matches.face is not None
+    labels = np.full((height, width), -1, dtype=np.int64)
+    scale = np.array([width / camera[0], height / camera[1]])
+    on_face = matches.face >= 0
+    at = np.floor((matches.camera_px[on_face] + 0.5) * scale).astype(np.int64)
+    inside = np.all((at >= 0) & (at < (width, height)), axis=1)
+    labels[at[inside, 1], at[inside, 0]] = matches.face[on_face][inside]
+    picture = grey
+    for face, colour in enumerate(FACE_COLOURS):
+        opacity = _FACE_OPACITY * _closed(labels == face)[..., None]
+        picture = (1 - opacity) * picture + opacity * np.array(colour)
+    return _as_pixels(picture)
+
+
+def _as_pixels(values: Floats) -> Pixels:
+    return np.ascontiguousarray(np.rint(values), dtype=np.uint8)
+
+
+def _closed(mask: Bools) -> Floats:
+    """A mask without the gaps that sparse matches leave."""
+    kernel = np.ones((5, 5), np.uint8)
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, kernel), dtype=np.float64)
+
+
+def face_overlay(
+    matches: Matches, camera_size: tuple[int, int], corner: Corner | None, camera: Intrinsics | None
+) -> Overlay:
+    """The faces' letters, and where the corner's edges should be if the calibration is right."""
+    assert matches.face is not None
+    letters = []
+    for face, name in enumerate(FACE_NAMES):
+        pixels = matches.camera_px[matches.face == face]
+        if len(pixels):
+            x, y = np.median(pixels, axis=0)
+            letters.append((name, float(x), float(y)))
+    edges = []
+    if corner is not None and camera is not None:
+        edges = [_edge(corner.vertex, leg, camera) for leg in _legs_into_faces(corner, matches, camera)]
+    return Overlay(*camera_size, tuple(edge for edge in edges if edge), tuple(letters))
+
+
+def _legs_into_faces(corner: Corner, matches: Matches, camera: Intrinsics) -> Floats:
+    """The legs (3, 3), each turned to the side of the vertex on which its two faces are seen."""
+    assert matches.face is not None
+    along = np.zeros(3)
+    for face, normal in enumerate(corner.normals):
+        pixels = matches.camera_px[matches.face == face]
+        if len(pixels):
+            ray = camera.unproject(np.median(pixels, axis=0))
+            offset = ray * (normal @ corner.vertex) / (normal @ ray) - corner.vertex
+            coordinates = np.linalg.solve(corner.legs.T, offset)
+            along += coordinates / np.linalg.norm(coordinates)
+    legs: Floats = np.where(along < 0, -1.0, 1.0)[:, None] * corner.legs
+    return legs
+
+
+def _edge(vertex: Floats, leg: Floats, camera: Intrinsics) -> str:
+    """One edge from the vertex to the image's border, or as far as the lens model reaches, as SVG points."""
+    reach = float(np.linalg.norm(vertex)) * np.geomspace(1e-3, 1e2, _EDGE_SAMPLES)
+    along = vertex + np.concatenate([[0.0], reach])[:, None] * leg
+    pixels = camera.project(along)
+    with np.errstate(invalid="ignore"):
+        inside = np.all((pixels >= -0.5) & (pixels <= (camera.width - 0.5, camera.height - 0.5)), axis=1)
+    if not inside.any():
+        return ""
+    # Beyond the first way out the distortion's polynomial may bend the line back into the image.
+    first = int(np.argmax(inside))
+    leaves = np.flatnonzero(~inside[first:])
+    visible = pixels[first : first + int(leaves[0]) if len(leaves) else None]
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in visible)
+
+
+def _cropped(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The part of a map (H, W), NaN for nothing, in which there is something, and a margin."""
+    there = np.isfinite(values)
+    if not there.any():
+        return values
+    rows, columns = (np.flatnonzero(there.any(axis=axis)) for axis in (1, 0))
+    margin = max(2, max(values.shape) // 50)
+    top, left = max(0, int(rows[0]) - margin), max(0, int(columns[0]) - margin)
+    return values[top : int(rows[-1]) + margin + 1, left : int(columns[-1]) + margin + 1]
+
+
+def _reduced(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A map (H, W) with NaN for nothing, reduced by averaging what is there."""
+    size = _reduced_size(values.shape[1], values.shape[0])
+    there = np.isfinite(values)
+    weight = cv2.resize(there.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize(np.where(there, values, np.float32(0)), size, interpolation=cv2.INTER_AREA)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(weight > 0, total / weight, np.nan).astype(np.float32)
+
+
+def _painted(values: NDArray[np.float32], low: float, high: float, colours: _Colours, steps: int) -> Pixels:
+    """RGBA, transparent for NaN, of values clipped to low … high in a number of steps."""
+    there = np.isfinite(values)
+    position = np.clip((np.where(there, values, low) - low) / max(high - low, 1e-30), 0, 1)
+    table = _as_pixels(255 * colours(steps))
+    painted = table[np.rint(position * (steps - 1)).astype(np.int64)]
+    painted[~there] = 0
+    return painted
+
+
+def _scale_colours(colours: _Colours) -> tuple[str, ...]:
+    shades = _as_pixels(255 * colours(12))[:, :3]
+    return tuple(css_colour((int(r), int(g), int(b))) for r, g, b in shades)
+
+
+def depth_map(points: NDArray[np.float32], unit: str) -> tuple[Pixels, ColourScale]:
+    """Depth z of a cloud (H, W, 3) in colour, near to far."""
+    depth = _reduced(_cropped(points[..., 2]))
+    low, high = np.nanpercentile(depth, (0.5, 99.5)) if np.isfinite(depth).any() else (0.0, 1.0)
+    name = "baselines" if unit == "baseline" else unit
+    legend = ColourScale(_scale_colours(_DEPTHS), f"{low:.3g} {name}", f"{high:.3g} {name}", "depth")
+    return _painted(depth, float(low), float(high), _DEPTHS, 256), legend
+
+
+def residual_map(residual_px: NDArray[np.float32], limit_px: float) -> tuple[Pixels, ColourScale]:
+    """Signed misses in two colours around white, ± `limit_px`."""
+    legend = ColourScale(_scale_colours(_MISSES), f"−{limit_px:.2g} px", f"+{limit_px:.2g} px", "miss")
+    return _painted(_reduced(_cropped(residual_px)), -limit_px, limit_px, _MISSES, _RESIDUAL_STEPS), legend
+
+
+def category_map(categories: NDArray[np.uint8], colours: dict[int, tuple[int, int, int]]) -> Pixels:
+    """RGBA of an image of numbers (H, W); numbers without a colour are transparent."""
+    table = np.zeros((256, 4), dtype=np.uint8)
+    for number, colour in colours.items():
+        table[number] = (*colour, 255)
+    size = _reduced_size(categories.shape[1], categories.shape[0])
+    painted: Pixels = table[cv2.resize(categories, size, interpolation=cv2.INTER_NEAREST)]
+    return painted

@@ -1,0 +1,303 @@
+"""The report's sections as values that the template only has to lay out."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+
+from calib.arrays import Floats
+from scanner.cloud import Cloud, CloudStatistics
+from scanner.decode import Decoding, MaskReason
+from scanner.patterns import Gray, Pattern, Phase
+from scanner.rendering import render, rig_frusta, standard_views
+from scanner.reporting import maps, plots
+from scanner.reporting.contents import CaptureFacts, ReportInput
+from scanner.reporting.quantities import Quantity, corner_quantities, device_quantities, percent, pose_quantities
+
+_VIEW_SIZE = (960, 640)
+_FRUSTUM_LENGTH = 0.15  # of the scene's depth
+_VIEW_CAPTIONS = {
+    "oblique": "From the side and above, with the camera (blue) and the projector (red).",
+    "top": "From straight above.",
+    "front": "Level, from the front.",
+}
+_CORNER_CAPTIONS = {
+    "oblique": " Walls should be flat.",
+    "top": " Walls should be thin, straight lines that meet at a right angle.",
+    "front": "",
+}
+_REASONS = {
+    MaskReason.KEPT: ("matched", maps.GREEN),
+    MaskReason.DARK: ("no light from the projector", maps.GREY),
+    MaskReason.SATURATED: ("saturated: lower the exposure", maps.VERMILION),
+    MaskReason.UNDECIDED: ("too little contrast to decide a bit", maps.YELLOW),
+    MaskReason.INCONSISTENT: ("codes and fringes contradict each other", maps.PURPLE),
+    MaskReason.OUTSIDE: ("a code that no projector pixel has", maps.SKY_BLUE),
+    MaskReason.ISOLATED: ("at an occlusion edge, or alone", maps.ORANGE),
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image for the page: a data URI, its size in pixels, and what a person sees in it, for those who cannot."""
+
+    uri: str
+    width: int
+    height: int
+    alt: str
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class LegendEntry:
+    """One colour of a legend, as CSS."""
+
+    colour: str
+    label: str
+    share: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Quantities under a heading."""
+
+    heading: str
+    rows: tuple[Quantity, ...]
+
+
+@dataclass(frozen=True)
+class Faces:
+    """The three faces over the white frame, with edges and letters drawn on top."""
+
+    picture: Picture
+    overlay: maps.Overlay
+    legend: tuple[LegendEntry, ...]
+
+
+@dataclass(frozen=True)
+class ScaledMap:
+    """A map with a continuous legend."""
+
+    picture: Picture
+    scale: maps.ColourScale
+
+
+@dataclass(frozen=True)
+class Misses:
+    """How far the two rays of the matches miss each other."""
+
+    map: ScaledMap
+    histogram: Markup
+    statistics: CloudStatistics
+    fates: tuple[LegendEntry, ...]
+
+
+@dataclass(frozen=True)
+class Mask:
+    """Which pixels were matched, and why the others were not."""
+
+    picture: Picture
+    legend: tuple[LegendEntry, ...]
+
+
+def tables(report: ReportInput) -> tuple[Table, ...]:
+    """The calibration's numbers; none for a refusal."""
+    calibration, truth = report.calibration, report.truth
+    if calibration is None:
+        return ()
+    found = [
+        Table("Camera", tuple(device_quantities("camera", calibration, truth))),
+        Table("Projector", tuple(device_quantities("projector", calibration, truth))),
+        Table("Between them", tuple(pose_quantities(calibration, truth))),
+    ]
+    if report.solution is not None:
+        found.append(Table("Corner", tuple(corner_quantities(report.solution.corner, calibration))))
+    return tuple(found)
+
+
+def faces(report: ReportInput) -> Faces | None:
+    """The faces over the white frame; None if none were found."""
+    matches = report.solution.matches if report.solution else report.matches
+    if matches.face is None or not (matches.face >= 0).any():
+        return None
+    width, height = report.capture.camera_size
+    texture = report.decoding.texture if report.decoding else np.full((height, width), 128, dtype=np.uint8)
+    picture = maps.faces_over(maps.photograph(texture), matches, (width, height))
+    overlay = maps.face_overlay(
+        matches,
+        (width, height),
+        report.solution.corner if report.solution else None,
+        report.calibration.camera if report.calibration else None,
+    )
+    counts = [int((matches.face == face).sum()) for face in range(3)]
+    return Faces(
+        _picture(picture, "the camera's image with the faces of the corner in colour", jpeg=True),
+        overlay,
+        tuple(
+            LegendEntry(maps.css_colour(colour), f"face {name}", f"{count:,} matches")
+            for name, colour, count in zip(maps.FACE_NAMES, maps.FACE_COLOURS, counts, strict=True)
+        ),
+    )
+
+
+def scene(decoding: Decoding | None) -> Picture | None:
+    """The camera's image of the lit scene."""
+    if decoding is None:
+        return None
+    return _picture(maps.photograph(decoding.texture), "the camera's image under white light", jpeg=True)
+
+
+def profile(report: ReportInput) -> Markup | None:
+    """The curve over the camera's focal length that was searched."""
+    if report.solution is None:
+        return None
+    return plots.profile_plot(report.solution.profile, report.solution.calibration.camera.focal_px[0])
+
+
+def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
+    """Pictures of the cloud from the side, above and the front."""
+    cloud, calibration = report.cloud, report.calibration
+    if cloud is None or calibration is None or not cloud.there.any():
+        return ()
+    forward = np.array([0.0, 0.0, 1.0])
+    views = standard_views(forward, _up(report))
+    frusta = rig_frusta(calibration, _FRUSTUM_LENGTH * _typical_depth(cloud), maps.BLUE, maps.VERMILION)
+    return tuple(
+        _picture(
+            render(cloud, view, _VIEW_SIZE, [] if name == "front" else frusta),
+            f"the point cloud, {name} view",
+            caption=_VIEW_CAPTIONS[name] + (_CORNER_CAPTIONS[name] if report.solution else ""),
+        )
+        for name, view in views.items()
+    )
+
+
+def _up(report: ReportInput) -> Floats:
+    """The vertical: the edge of the corner that is steepest in the image; the camera's own without a corner."""
+    camera_up = np.array([0.0, -1.0, 0.0])
+    if report.solution is None:
+        return camera_up
+    legs = report.solution.corner.legs
+    steepest = legs[np.argmax(np.abs(legs @ camera_up))]
+    upright: Floats = steepest * np.sign(steepest @ camera_up)
+    return upright
+
+
+def _typical_depth(cloud: Cloud) -> float:
+    return float(np.median(cloud.points[..., 2][cloud.there]))
+
+
+def depth(report: ReportInput) -> ScaledMap | None:
+    """Depth over the camera's image."""
+    if report.cloud is None or not report.cloud.there.any():
+        return None
+    painted, scale = maps.depth_map(report.cloud.points, report.cloud.unit)
+    return ScaledMap(_picture(painted, "depth over the camera's image"), scale)
+
+
+def misses(report: ReportInput) -> Misses | None:
+    """Where and how far the rays of the matches miss each other."""
+    cloud = report.cloud
+    if cloud is None or not np.isfinite(cloud.residual_px).any():
+        return None
+    statistics = cloud.statistics
+    reach = _shown_range(cloud)
+    painted, scale = maps.residual_map(cloud.residual_px, reach)
+    return Misses(
+        ScaledMap(_picture(painted, "misses of the rays over the camera's image"), scale),
+        plots.residual_histogram(cloud.residual_px, statistics.decoder_px, reach),
+        statistics,
+        _fates(statistics),
+    )
+
+
+def _shown_range(cloud: Cloud) -> float:
+    """Half-width of the scale: what all but a hundredth of the points stay within."""
+    kept = np.abs(cloud.residual_px[cloud.there])
+    return float(np.percentile(kept, 99)) if len(kept) and kept.any() else cloud.statistics.limit_px
+
+
+def _fates(statistics: CloudStatistics) -> tuple[LegendEntry, ...]:
+    rows = (
+        ("points in the cloud", statistics.kept),
+        (f"rays miss each other by more than {statistics.limit_px:.2g} px", statistics.disagreeing),
+        ("isolated: no neighbours on the same surface", statistics.isolated),
+        ("behind a device", statistics.behind),
+        ("another match of the same camera pixel is better", statistics.shared_pixel),
+        ("outside of the camera's image", statistics.outside_image),
+    )
+    total = max(1, statistics.matched)
+    return tuple(
+        LegendEntry("", label, f"{count:,} ({percent(count / total)})") for label, count in rows if count or not label
+    )
+
+
+def mask(decoding: Decoding | None) -> Mask | None:
+    """Why pixels have no match, as a map with shares."""
+    if decoding is None:
+        return None
+    counts = np.bincount(decoding.reasons.ravel(), minlength=256)
+    present = [reason for reason in MaskReason if counts[reason]]
+    return Mask(
+        _picture(
+            maps.category_map(decoding.reasons, {int(reason): _REASONS[reason][1] for reason in present}),
+            "the camera's image, coloured by why a pixel has a match or none",
+        ),
+        tuple(
+            LegendEntry(
+                maps.css_colour(_REASONS[reason][1]),
+                _REASONS[reason][0],
+                percent(counts[reason] / decoding.reasons.size),
+            )
+            for reason in present
+        ),
+    )
+
+
+def subtitle(capture: CaptureFacts) -> str:
+    """The capture in one line."""
+    frames = f", {len(capture.patterns)} frames" if capture.patterns else ""
+    (width, height), (columns, rows) = capture.camera_size, capture.projector_size
+    return f"Camera {width} × {height}, projector {columns} × {rows}{frames}."
+
+
+def capture_rows(report: ReportInput) -> tuple[tuple[str, str], ...]:
+    """Facts of the capture, as name and value."""
+    facts = report.capture
+    rows = [
+        ("camera", "{} × {} px".format(*facts.camera_size)),
+        ("projector", "{} × {} px".format(*facts.projector_size)),
+        ("matches", f"{len(report.matches):,} ({percent(report.decoded_share)} of the camera's pixels)"),
+    ]
+    if facts.patterns:
+        rows.append(("frames", f"{len(facts.patterns)}: {describe_patterns(facts.patterns)}"))
+    if facts.exposure_us:
+        rows.append(("exposure", _exposures(facts)))
+    if report.decoding is not None and report.decoding.modulation is not None:
+        share = 100 * report.decoding.modulation
+        rows.append(("focus", f"the finest fringe keeps {share:.0f} % of the light's contrast"))
+    return (*rows, *facts.identity.items())
+
+
+def _exposures(facts: CaptureFacts) -> str:
+    low, high = min(facts.exposure_us) / 1000, max(facts.exposure_us) / 1000
+    return f"{low:.4g} ms" if low == high else f"{low:.4g} to {high:.4g} ms"
+
+
+def describe_patterns(patterns: tuple[Pattern, ...]) -> str:
+    """A sequence in words: what kinds of patterns, and how many of each."""
+    kinds = Counter(_kind(pattern) for pattern in patterns)
+    return ", ".join(f"{count} × {kind}" if count > 1 else kind for kind, count in kinds.items())
+
+
+def _kind(pattern: Pattern) -> str:
+    if isinstance(pattern, Gray):
+        return f"Gray code along {pattern.axis} (cell {pattern.cell} px)"
+    if isinstance(pattern, Phase):
+        return f"fringe along {pattern.axis} (period {pattern.period:g} px)"
+    return type(pattern).__name__.lower()
+
+
+def _picture(pixels: maps.Pixels, alt: str, *, caption: str = "", jpeg: bool = False) -> Picture:
+    return Picture(maps.data_uri(pixels, jpeg=jpeg), pixels.shape[1], pixels.shape[0], alt, caption)
