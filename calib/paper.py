@@ -48,7 +48,7 @@ class Objective:
         """The seven terms E_1 … E_7 (7, 2n) of equation 14."""
         focal = np.concatenate([focal_px, focal_px])
         pro = forward.matrix
-        finite = np.isfinite(pro).all(axis=(1, 2))
+        finite: Bools = np.all(np.isfinite(pro), axis=(1, 2))
         trial = np.where(finite[:, None, None], pro, np.eye(3))
         backward = transfer(self.grams.reversed(), self.projector_image, trial)
         count = len(trial)

@@ -30,7 +30,7 @@ _STEPS = 40
 _DAMPING = 1e-7  # of a normal matrix scaled to unit diagonal
 _LONGEST_STEP = 0.1  # of log f
 _HALVINGS = 4
-_PROFILE_POINTS = 5  # one sigma apart, on either side
+_PROFILE_RANGE = 0.3  # of log f: within it the profile is exact
 _ROBUST_SIGMAS = 3.0
 _SAME_SOLUTION = 0.01  # of log f: minima that converge this close are one
 _LIKELIHOOD_ROUNDS = 4
@@ -367,19 +367,22 @@ def _covariance(information: Floats, free: Bools) -> Floats:
 def _profile(cells: Cells, sweep: list[Fit], best: Fit, prior: Prior, variance: Floats) -> tuple[Floats, Floats]:
     """Focals (n,) and the cost there above the lowest, at the final variances.
 
-    Around the best, everything but the focal is at its best; further off it is as the sweep left it.
+    Around the best, everything but the focal is at its best, found by continuation; further off it is as the sweep
+    left it.
     """
     anchored = prior.with_known(CAMERA.start)
-    sigma = np.sqrt(_covariance(best.information, prior.free)[CAMERA.start, CAMERA.start])
-    near: list[Fit] = []
-    for direction in (-1, 1):
+    middle = float(best.state.camera[0])
+    sigma = float(np.sqrt(_covariance(best.information, prior.free)[CAMERA.start, CAMERA.start]))
+    near = middle * np.exp(sigma * np.array([-5.0, -4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]))
+    swept = np.array([fit.state.camera[0] for fit in sweep])
+    around = swept[np.abs(np.log(swept / middle)) < _PROFILE_RANGE]
+    fits = [evaluate(cells, fit.state, anchored, variance) for fit in sweep if fit.state.camera[0] not in around]
+    trials = np.concatenate([near, around])
+    for side in (np.sort(trials[trials >= middle]), -np.sort(-trials[trials < middle])):
         state = best.state
-        for _ in range(_PROFILE_POINTS):
-            state = _at_focal(state, float(state.camera[0] * np.exp(direction * sigma)))
-            near.append(relax(cells, state, anchored, variance))
-            state = near[-1].state
-    far = [evaluate(cells, fit.state, anchored, variance) for fit in sweep]
-    fits = [evaluate(cells, best.state, anchored, variance), *near, *far]
+        for focal in side:
+            fits.append(relax(cells, _at_focal(state, float(focal)), anchored, variance))
+            state = fits[-1].state
     fits.sort(key=lambda fit: float(fit.state.camera[0]))
     cost = np.array([fit.cost for fit in fits])
     return np.array([fit.state.camera[0] for fit in fits]), cost - cost.min()

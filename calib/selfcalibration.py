@@ -136,7 +136,7 @@ def _by_paper(
         best.rotation[0],
         best.translation[0] / baseline,
     )
-    corner = Corner(best.vertex[0] / baseline, best.normals[0])
+    corner = _towards_the_faces(Corner(best.vertex[0] / baseline, best.normals[0]), calibration.camera, matches)
     return SelfCalibration(
         calibration,
         matches,
@@ -162,12 +162,13 @@ def _by_refinement(cells: Cells, matches: Matches, knowledge: Knowledge) -> Self
         fit.state.translation,
         sigma=_sigmas(refinement),
     )
+    corner = _towards_the_faces(refinement.corner, calibration.camera, matches)
     return SelfCalibration(
         calibration,
         matches,
-        refinement.corner,
+        corner,
         Profile(refinement.profile_focal_px, refinement.profile_cost, "−2 log likelihood above the best"),
-        _reprojection_error(calibration, refinement.corner, matches),
+        _reprojection_error(calibration, corner, matches),
         "refined",
         _notes(refinement, cells.rejected, knowledge.squareness_deg),
     )
@@ -257,19 +258,37 @@ def _signed(values: Floats) -> str:
     return ", ".join(f"{value:+.2f}" for value in values)
 
 
+def _towards_the_faces(corner: Corner, camera: Intrinsics, matches: Matches) -> Corner:
+    """The corner with each leg pointing along the two faces that it bounds, not away from them."""
+    labelled = _labelled(matches)
+    from_vertex = _on_faces(corner, camera, labelled) - corner.vertex
+    # Coordinates along the legs; a point on face S has two, the third being zero.
+    coordinates = np.linalg.solve(corner.legs.T, from_vertex.T)
+    signs = np.sign(np.nanmedian(np.where(np.abs(coordinates) > 1e-9, coordinates, np.nan), axis=1))
+    return Corner(corner.vertex, corner.legs * signs[:, None])
+
+
+def _labelled(matches: Matches) -> Matches:
+    assert matches.face is not None
+    return matches[matches.face >= 0]
+
+
+def _on_faces(corner: Corner, camera: Intrinsics, labelled: Matches) -> Floats:
+    """Where the camera's rays of labelled matches meet their faces, (N, 3) in the camera's frame."""
+    normals = corner.normals[labelled.face]
+    rays = camera.unproject(labelled.camera_px)
+    points: Floats = (normals @ corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
+    return points
+
+
 def _reprojection_error(calibration: Calibration, corner: Corner, matches: Matches) -> float:
     """Root mean square distance in the projector between matches on the faces and their prediction; robust.
 
     A match's camera ray meets its face's plane, and the point is projected. The median length is scaled to the root
     mean square of a 2-D normal deviate, so that outliers do not count.
     """
-    assert matches.face is not None
-    labelled = matches[matches.face >= 0]
-    assert labelled.face is not None
-    normals = corner.normals[labelled.face]
-    rays = calibration.camera.unproject(labelled.camera_px)
-    depth = normals @ corner.vertex / np.sum(normals * rays, axis=1)
-    points = depth[:, None] * rays
+    labelled = _labelled(matches)
+    points = _on_faces(corner, calibration.camera, labelled)
     predicted = calibration.projector.project(points @ calibration.rotation.T + calibration.translation)
     error = np.linalg.norm(predicted - labelled.projector_px, axis=1)
     return float(np.nanmedian(error) * np.sqrt(2) / 1.1774)
