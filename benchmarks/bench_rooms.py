@@ -23,7 +23,7 @@ from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.truth import GroundTruth
 from scanner.decode import Decoder, Decoding
 from scanner.patterns import draw, sequence_for
-from scanner.summary import intrinsic_errors_percent
+from scanner.quantities import intrinsic_errors_percent
 
 METHODS: tuple[tuple[str, Method, float], ...] = (
     ("paper", "paper", 0.0),

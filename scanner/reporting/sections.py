@@ -10,10 +10,10 @@ from calib.arrays import Floats
 from scanner.cloud import Cloud, CloudStatistics
 from scanner.decode import Decoding, MaskReason
 from scanner.patterns import Gray, Pattern, Phase
+from scanner.quantities import Quantity, corner_quantities, device_quantities, percent, pose_quantities
 from scanner.rendering import render, rig_frusta, standard_views
 from scanner.reporting import maps, plots
 from scanner.reporting.contents import CaptureFacts, ReportInput
-from scanner.reporting.quantities import Quantity, corner_quantities, device_quantities, percent, pose_quantities
 
 _VIEW_SIZE = (960, 640)
 _FRUSTUM_LENGTH = 0.15  # of the scene's depth

@@ -8,9 +8,8 @@ import numpy as np
 
 from calib.calibration import Calibration
 from scanner.cloud import CloudStatistics
+from scanner.quantities import intrinsic_errors_percent, percent
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.quantities import percent
-from scanner.summary import intrinsic_errors_percent
 
 Grade = Literal["good", "fair", "refused"]
 

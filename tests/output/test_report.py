@@ -19,7 +19,7 @@ from scanner.decode import Decoding, MaskReason
 from scanner.decoding.noise import NoiseModel
 from scanner.patterns import sequence_for
 from scanner.report import CaptureFacts, ReportInput, write_report
-from scanner.reporting.quantities import Quantity, device_quantities
+from scanner.quantities import Quantity, device_quantities
 from scanner.reporting.sections import describe_patterns, faces, mask
 from scanner.reporting.verdict import verdict
 

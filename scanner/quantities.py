@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.arrays import Floats
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
 from calib.corner import Corner
@@ -160,6 +161,16 @@ def corner_quantities(corner: Corner, calibration: Calibration) -> list[Quantity
         Quantity(f"angle {pair}", float(angle), "°", _sigma(calibration, "corner_angles_deg", index))
         for index, (pair, angle) in enumerate(zip(("B–C", "C–A", "A–B"), corner.angles_deg, strict=True))
     ]
+
+
+def intrinsic_errors_percent(calibration: Calibration, truth: Calibration) -> Floats:
+    """Relative errors of f_c, f_p, x_p and y_p, (4,), in per cent of the truth: those that the paper reports."""
+
+    def four(of: Calibration) -> Floats:
+        return np.array([np.mean(of.camera.focal_px), np.mean(of.projector.focal_px), *of.projector.principal_point_px])
+
+    percent: Floats = 100 * (four(calibration) / four(truth) - 1)
+    return percent
 
 
 def _sigma(calibration: Calibration, key: str, index: int) -> float | None:

@@ -1,0 +1,27 @@
+"""Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means."""
+
+from argparse import ArgumentParser, Namespace
+
+from scanner.commands import options
+from scanner.config import load_config
+from scanner.pattern_file import write_sequence
+from scanner.result import OutputFolder
+from scanner.terminal import Terminal
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments."""
+    options.add_config(parser, required=True)
+    options.add_out(parser)
+    options.add_quiet(parser)
+
+
+def run(args: Namespace) -> None:
+    """Do the work. Raises InputError."""
+    config = load_config(args.config, args.set)
+    patterns = config.sequence.patterns(config.projector_size)
+    terminal = Terminal(quiet=args.quiet)
+    with OutputFolder(args.out) as output, terminal.step("Drawing the patterns"):
+        write_sequence(output.folder, patterns, config.projector_size)
+    width, height = config.projector_size
+    terminal.show(f"{len(patterns)} patterns of {width} × {height} pixels, and sequence.yaml, are in {args.out}")

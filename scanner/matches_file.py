@@ -1,0 +1,82 @@
+"""`matches.npz`: camera and projector pixels that belong together, from this program's decoder or from another one."""
+
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.matches import NO_FACE, Matches
+from scanner.errors import InputError
+
+MATCHES_FILE = "matches.npz"
+
+_REQUIRED = ("camera_px", "projector_px")
+_EXPECTED = {  # what it must be, and numpy's letters for the types that are
+    "camera_px": ("numbers", "fiu"),
+    "projector_px": ("numbers", "fiu"),
+    "face": ("whole numbers", "iu"),
+    "sigma_px": ("numbers", "fiu"),
+}
+
+
+def write_matches(path: Path, matches: Matches) -> None:
+    """Write matches with what is known of them. Raises OSError."""
+    arrays: dict[str, Any] = {"camera_px": matches.camera_px, "projector_px": matches.projector_px}
+    if matches.face is not None:
+        arrays["face"] = matches.face
+    if matches.sigma_px is not None:
+        arrays["sigma_px"] = matches.sigma_px
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def read_matches(path: Path) -> Matches:
+    """Read a matches file, or that of a result folder.
+
+    Raises InputError if it is missing or damaged, holds pickled objects, lacks an array, or has one of a wrong shape
+    or type.
+    """
+    file = path / MATCHES_FILE if path.is_dir() else path
+    arrays = _load(file)
+    for name in _REQUIRED:
+        if name not in arrays:
+            raise InputError(f"{file}: the array '{name}' is missing")
+    for name, array in arrays.items():
+        expected, kinds = _EXPECTED[name]
+        if array.dtype.kind not in kinds:
+            raise InputError(f"{file}: '{name}' must be {expected}, found {array.dtype}")
+    face = arrays.get("face")
+    if face is not None and face.size and face.min() < NO_FACE:
+        raise InputError(f"{file}: 'face' must hold {NO_FACE} for none and labels from 0, found {face.min()}")
+    sigma_px = arrays.get("sigma_px")
+    try:
+        matches = Matches(
+            arrays["camera_px"].astype(np.float64),
+            arrays["projector_px"].astype(np.float64),
+            None if face is None else face.astype(np.int32),
+            None if sigma_px is None else sigma_px.astype(np.float64),
+        )
+    except ValueError as error:
+        raise InputError(f"{file}: {error}") from error
+    if len(matches) == 0:
+        raise InputError(f"{file}: holds no matches")
+    return matches
+
+
+def _load(file: Path) -> dict[str, NDArray[Any]]:
+    if not file.is_file():
+        raise InputError(f"{file}: {'not a file' if file.exists() else 'no such matches file'}")
+    try:
+        if not zipfile.is_zipfile(file):
+            raise InputError(f"{file}: expected an .npz file as numpy.savez writes it, found something else")
+        with np.load(file, allow_pickle=False) as archive:
+            return {name: np.atleast_1d(archive[name]) for name in archive.files if name in _EXPECTED}
+    except ValueError as error:
+        if "allow_pickle" in str(error):
+            raise InputError(f"{file}: holds pickled objects, which are not read: save plain arrays") from error
+        raise InputError(f"{file}: damaged: {error}") from error
+    except (OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(f"{file}: damaged: {error}") from error

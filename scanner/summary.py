@@ -1,0 +1,52 @@
+"""The table at the end of a scan: the calibration, how sure of it we are, and how true it is where that is known."""
+
+import numpy as np
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from calib.calibration import Calibration
+from scanner.quantities import Quantity, device_quantities, intrinsic_errors_percent, plain, pose_quantities
+
+
+def calibration_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
+    """The calibration with its sigmas where known, beside the truth where there is one."""
+    table = Table(title="Calibration", title_justify="left")
+    table.add_column("")
+    for heading in ("value", "sigma", *(("truth", "error") if truth else ())):
+        table.add_column(heading, justify="right")
+    rows = [("camera ", quantity) for quantity in device_quantities("camera", calibration, truth)]
+    rows += [("projector ", quantity) for quantity in device_quantities("projector", calibration, truth)]
+    rows += [("", quantity) for quantity in pose_quantities(calibration, truth) if quantity.name == "baseline"]
+    for device, quantity in rows:
+        cells = [_named(device, quantity), quantity.shown(quantity.value), _sigma_cell(quantity)]
+        table.add_row(*cells, *(_truth_cells(quantity) if truth else ()))
+    return table
+
+
+def _named(device: str, quantity: Quantity) -> str:
+    return f"{device}{quantity.name}" + (f", {quantity.unit}" if quantity.unit else "")
+
+
+def _sigma_cell(quantity: Quantity) -> str:
+    if quantity.sigma is None:
+        return ""
+    return f"± {quantity.shown(quantity.sigma)}" if quantity.sigma else "given"
+
+
+def _truth_cells(quantity: Quantity) -> tuple[str, str]:
+    if quantity.truth is None:
+        return "", ""
+    percent = f" ({plain(quantity.error_percent, 2, signed=True)} %)" if quantity.error_percent is not None else ""
+    return quantity.shown(quantity.truth), quantity.shown(quantity.error, signed=True) + percent
+
+
+def truth_line(calibration: Calibration, truth: Calibration) -> str:
+    """How far the calibration is from the truth, in one line."""
+    percent = np.abs(intrinsic_errors_percent(calibration, truth)).mean()
+    turned = np.degrees(Rotation.from_matrix(calibration.rotation @ truth.rotation.T).magnitude())
+    found, true = calibration.translation, truth.translation
+    aside = np.degrees(np.arctan2(np.linalg.norm(np.cross(found, true)), np.dot(found, true)))
+    return (
+        f"Against the truth: mean absolute error of f_c, f_p, x_p, y_p {percent:.2f} %, "
+        f"rotation {turned:.3f}°, direction of the baseline {aside:.3f}°"
+    )

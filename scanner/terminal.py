@@ -1,0 +1,51 @@
+"""What the operator sees while a scan runs: progress on stderr, the summary on stdout."""
+
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+T = TypeVar("T")
+
+log = logging.getLogger(__name__)
+
+
+class Terminal:
+    """Progress bars where stderr is a terminal (a pipe gets none) and in the log; the summary, unless `quiet`."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._out = Console(highlight=False)
+        self._err = Console(stderr=True)
+
+    def track(self, items: Iterable[T], total: int, what: str) -> Iterator[T]:
+        """Pass `items` on, with a bar that fills up as they go by."""
+        log.info("%s: %d", what, total)
+        with self._progress(BarColumn(), MofNCompleteColumn()) as progress:
+            task = progress.add_task(what, total=total)
+            for item in items:
+                yield item
+                progress.advance(task)
+
+    @contextmanager
+    def step(self, what: str) -> Iterator[None]:
+        """Say what is being done for as long as the block runs."""
+        log.info("%s", what)
+        with self._progress(SpinnerColumn()) as progress:
+            task = progress.add_task(what, total=1)
+            yield
+            progress.advance(task)
+
+    def show(self, *parts: RenderableType) -> None:
+        """Print what a successful command has to say."""
+        if not self._quiet:
+            for part in parts:
+                self._out.print(part, soft_wrap=isinstance(part, str))
+
+    def _progress(self, *columns: BarColumn | MofNCompleteColumn | SpinnerColumn) -> Progress:
+        hidden = self._quiet or not self._err.is_terminal
+        text = TextColumn("{task.description:<28}")
+        return Progress(text, *columns, TimeElapsedColumn(), console=self._err, disable=hidden)

@@ -1,0 +1,131 @@
+"""From what a file says to typed values: one place that turns pydantic's findings into sentences for people."""
+
+from collections.abc import Iterator, Sequence
+from difflib import SequenceMatcher
+from typing import Annotated, Any, TypeVar, cast, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
+
+from scanner.errors import InputError
+
+# Strict, or else `true` would pass for 1 and '5' for 5.
+Whole = Annotated[int, Field(strict=True)]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Flag = Annotated[bool, Field(strict=True)]
+Pair = tuple[Number, Number]
+
+Model = TypeVar("Model", bound=BaseModel)
+_SIMILAR = 0.6
+
+
+class Section(BaseModel):
+    """A part of a configuration: immutable, and a key that it does not know is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Entry(BaseModel):
+    """A part of a data file: immutable; keys that it does not know are left to other readers."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+def validate(model: type[Model], data: object, where: str) -> Model:
+    """Check `data` (as read from YAML) against a model. Raises InputError with a line for every key that is wrong."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        lines = [_explain(details, data, model) for details in error.errors(include_url=False)]
+        raise InputError("\n".join(f"{where}: {line}" for line in dict.fromkeys(lines))) from error
+
+
+def _explain(details: ErrorDetails, data: object, model: type[BaseModel]) -> str:
+    location = _keys_in_file(details["loc"], data, missing=details["type"] == "missing")
+    key, found, context = _dotted(location), details["input"], details.get("ctx", {})
+    match details["type"]:
+        case "extra_forbidden":
+            return f"unknown key '{key}'; {_suggestion(key, model)}"
+        case "missing":
+            return f"'{key}' is missing"
+        case "union_tag_not_found":
+            return f"'{key}.{_tag_key(context)}' is missing"
+        case "union_tag_invalid":
+            return f"'{key}.{_tag_key(context)}' must be one of {context['expected_tags']}, found {context['tag']!r}"
+        case "model_type" | "model_attributes_type" | "dict_type":
+            return f"'{key}' must be a section of 'key: value' lines, found {_shown(found)}"
+        case "value_error" | "assertion_error":
+            message = str(context["error"])
+            return f"'{key}': {message}" if key else message
+        case _:
+            return f"'{key}' {_requirement(details['msg'])}, found {_shown(found)}"
+
+
+def _tag_key(context: dict[str, Any]) -> str:
+    return str(context["discriminator"]).strip("'")
+
+
+def _requirement(message: str) -> str:
+    """Pydantic's 'Input should be greater than 0' → 'must be greater than 0'."""
+    for start in ("Input should", "Value should", "Tuple should", "List should", "String should"):
+        if message.startswith(start):
+            return "must" + message.removeprefix(start)
+    return f"is wrong ({message})"
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "…"
+
+
+def _dotted(location: Sequence[int | str]) -> str:
+    text = ""
+    for item in location:
+        text += f"[{item}]" if isinstance(item, int) else f".{item}"
+    return text.removeprefix(".")
+
+
+def _keys_in_file(location: Sequence[int | str], data: object, *, missing: bool) -> list[int | str]:
+    """Pydantic puts the chosen member of a union into the location; a reader knows only the keys of the file."""
+    kept: list[int | str] = []
+    for item in location:
+        in_list = isinstance(data, list) and isinstance(item, int) and item < len(data)
+        if in_list or (isinstance(data, dict) and item in data):
+            data = cast(dict[int | str, object], data)[item]
+            kept.append(item)
+    return [*kept, location[-1]] if missing else kept
+
+
+def _suggestion(key: str, model: type[BaseModel]) -> str:
+    """The known key most like `key`, by its full path or by its last part; else what is known at that place."""
+    known = list(dict.fromkeys(known_keys(model)))
+    likeness = {candidate: max(_alike(key, candidate), _alike(_leaf(key), _leaf(candidate))) for candidate in known}
+    best = max(known, key=lambda candidate: (likeness[candidate], _alike(key, candidate)))
+    if likeness[best] >= _SIMILAR:
+        return f"did you mean '{best}'?"
+    parent = key.rpartition(".")[0]
+    siblings = [candidate for candidate in known if candidate.rpartition(".")[0] == parent]
+    return f"known here: {', '.join(siblings or known)}"
+
+
+def _alike(a: str, b: str) -> float:
+    return SequenceMatcher(None, a, b).ratio()
+
+
+def _leaf(key: str) -> str:
+    return key.rpartition(".")[2]
+
+
+def known_keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
+    """Every key of a model and of its sections, as dotted paths."""
+    for name, field in model.model_fields.items():
+        yield prefix + name
+        for section in _models_in(field.annotation):
+            yield from known_keys(section, f"{prefix}{name}.")
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models_in(argument)
