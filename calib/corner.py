@@ -14,7 +14,7 @@ from calib.arrays import Floats
 class Corner:
     """Three faces through `vertex` (3,), in the camera's frame.
 
-    `legs` (3, 3): unit rows, directions of the edges; face S is spanned by the other two legs.
+    `legs` (3, 3): unit rows, the directions in which the edges leave the vertex; face S is spanned by the other two.
     """
 
     vertex: Floats

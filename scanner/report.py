@@ -5,9 +5,9 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
+from scanner.quantities import plain
 from scanner.reporting import sections
 from scanner.reporting.contents import CaptureFacts, ReportInput
-from scanner.reporting.quantities import plain
 from scanner.reporting.verdict import verdict
 
 __all__ = ["CaptureFacts", "ReportInput", "write_report"]

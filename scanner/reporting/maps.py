@@ -140,23 +140,8 @@ def face_overlay(
             letters.append((name, float(x), float(y)))
     edges = []
     if corner is not None and camera is not None:
-        edges = [_edge(corner.vertex, leg, camera) for leg in _legs_into_faces(corner, matches, camera)]
+        edges = [_edge(corner.vertex, leg, camera) for leg in corner.legs]
     return Overlay(*camera_size, tuple(edge for edge in edges if edge), tuple(letters))
-
-
-def _legs_into_faces(corner: Corner, matches: Matches, camera: Intrinsics) -> Floats:
-    """The legs (3, 3), each turned to the side of the vertex on which its two faces are seen."""
-    assert matches.face is not None
-    along = np.zeros(3)
-    for face, normal in enumerate(corner.normals):
-        pixels = matches.camera_px[matches.face == face]
-        if len(pixels):
-            ray = camera.unproject(np.median(pixels, axis=0))
-            offset = ray * (normal @ corner.vertex) / (normal @ ray) - corner.vertex
-            coordinates = np.linalg.solve(corner.legs.T, offset)
-            along += coordinates / np.linalg.norm(coordinates)
-    legs: Floats = np.where(along < 0, -1.0, 1.0)[:, None] * corner.legs
-    return legs
 
 
 def _edge(vertex: Floats, leg: Floats, camera: Intrinsics) -> str:

@@ -1,0 +1,16 @@
+"""Array types and matrices of the simulation."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from calib.arrays import Floats
+
+Light = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+
+def sparse_matrix(rows: Indices, columns: Indices, values: Floats, shape: tuple[int, int]) -> sparse.csr_array:
+    """A single-precision matrix from k entries (n, k) in each row (n,) named; entries in the same place add up."""
+    repeated = np.repeat(rows, columns.shape[1])
+    return sparse.csr_array((values.astype(np.float32).ravel(), (repeated, columns.ravel())), shape=shape)

@@ -1,0 +1,135 @@
+"""What each camera pixel sees of the scene, found once by casting rays, as matrices.
+
+A pixel that sees one surface without the projector's light needs one ray. All others get a grid of rays each, so that
+edges, shadows and fringes are averaged over the pixel's area.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage, sparse
+
+from calib.arrays import Bools, Floats, Ints
+from hw.simulated.arrays import Indices, sparse_matrix
+from hw.simulated.device import PlacedDevice
+from hw.simulated.illumination import SPILL_PX, ProjectorLight
+from hw.simulated.mesh import Mesh
+from hw.simulated.picture import PictureOptics
+from hw.simulated.texture import Texture
+
+_CAMERA_VIGNETTING = 0.15
+
+
+@dataclass(frozen=True)
+class Footprints:
+    """Brightness of camera pixels, rows in the pixels' order, is `direct` times the projector's fine image
+    (`PictureOptics.blurred`) plus `indirect` times the irradiance of the mesh's nodes.
+    """
+
+    direct: sparse.csr_array
+    indirect: sparse.csr_array
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What n rays of the camera meet: `surface` (n,), `points` (3, n), `uv` (2, n), and the `gain` (n,) from
+    irradiance there to brightness in the camera.
+    """
+
+    surface: Ints
+    points: Floats
+    uv: Floats
+    gain: Floats
+
+
+@dataclass(frozen=True)
+class FootprintCaster:
+    """Casts the rays of camera pixels, a strip of rows at a time; `samples` × `samples` rays for a detailed pixel.
+
+    `stand_in` (nodes,): the node whose light to use at each node.
+    """
+
+    light: ProjectorLight
+    camera: PlacedDevice
+    texture: Texture
+    picture: PictureOptics
+    mesh: Mesh
+    stand_in: Indices
+    samples: int
+
+    def strip(self, rows: range) -> Footprints:
+        """The footprints of all pixels in some rows."""
+        centres = _pixel_centres(rows, self.camera.optics.width)
+        detailed = np.flatnonzero(self._detailed(rows))
+        offsets = (np.arange(self.samples) + 0.5) / self.samples - 0.5
+        within = np.stack(np.meshgrid(offsets, offsets)).reshape(2, 1, -1)
+        seen = self._see((centres[:, detailed, None] + within).reshape(2, -1))
+        return Footprints(self._direct(detailed, seen, centres.shape[1]), self._indirect(detailed, seen, centres))
+
+    def _detailed(self, rows: range) -> Bools:
+        """Pixels that may see more than one surface or the projector's light, (pixels,), judged by their neighbours."""
+        width = self.camera.optics.width
+        wider = range(rows.start - 1, rows.stop + 1)
+        directions = self.camera.rays(_pixel_centres(wider, width + 2) - [[1.0], [0.0]])
+        t, surface = self.light.scene.cast(self.camera.centre[:, None], directions)
+        pixels, _ = self.light.projector.project(self.camera.centre[:, None] + t * directions)
+        lit = self.light.projector.optics.sees(pixels, SPILL_PX)
+        # One number for surface and light: a pixel among equal, unlit neighbours is plain.
+        kind = np.where(lit, -1, surface).reshape(len(wider), width + 2)
+        lowest, highest = ndimage.minimum_filter(kind, 3), ndimage.maximum_filter(kind, 3)
+        detailed: Bools = ((lowest != highest) | (lowest < 0))[1:-1, 1:-1].ravel()
+        return detailed
+
+    def _see(self, pixels: Floats) -> _Seen:
+        directions = self.camera.rays(pixels)
+        t, surface = self.light.scene.cast(self.camera.centre[:, None], directions)
+        points = self.camera.centre[:, None] + t * directions
+        uv = self.light.scene.surface_coordinates(surface, points)
+        gain = self.texture.albedo(surface, uv) * self.camera.optics.vignetting(pixels, _CAMERA_VIGNETTING)
+        return _Seen(surface, points, uv, gain)
+
+    def _direct(self, pixel: Indices, seen: _Seen, count: int) -> sparse.csr_array:
+        projected, irradiance = self.light.direct(seen.surface, seen.points)
+        lit = np.flatnonzero(irradiance)
+        texels, weights = self.picture.interpolate(projected[:, lit])
+        weights *= (seen.gain[lit] * irradiance[lit] / self.samples**2)[:, None]
+        return sparse_matrix(pixel[lit // self.samples**2], texels, weights, (count, self.picture.fine_count))
+
+    def _indirect(self, detailed: Indices, seen: _Seen, centres: Floats) -> sparse.csr_array:
+        """Pixels that see one surface take the light at their centre, others that of each of their samples."""
+        per_pixel = self.samples**2
+        surface = seen.surface.reshape(-1, per_pixel)
+        mixed = (surface != surface[:, :1]).any(axis=1)
+
+        count = centres.shape[1]
+        single = np.ones(count, np.bool_)
+        single[detailed[mixed]] = False
+        whole = self._see(centres[:, single])
+        gain = np.zeros(count)
+        gain[single] = whole.gain
+        gain[detailed] = seen.gain.reshape(-1, per_pixel).mean(axis=1)
+        nodes, weights = self.mesh.interpolate(whole.surface, whole.uv)
+        weights *= gain[single, None]
+
+        parts = np.flatnonzero(np.repeat(mixed, per_pixel))
+        part_nodes, part_weights = self.mesh.interpolate(seen.surface[parts], seen.uv[:, parts])
+        part_weights *= seen.gain[parts, None] / per_pixel
+        pixels = np.concatenate([np.flatnonzero(single), np.repeat(detailed[mixed], per_pixel)])
+        return sparse_matrix(
+            pixels,
+            self.stand_in[np.concatenate([nodes, part_nodes])],
+            np.concatenate([weights, part_weights]),
+            (count, self.mesh.count),
+        )
+
+
+def samples_per_pixel(camera: PlacedDevice, projector: PlacedDevice) -> int:
+    """Samples across a camera pixel: enough that neighbours are about half a projector pixel apart."""
+    ratio = projector.optics.focal_px / camera.optics.focal_px
+    return int(np.clip(np.ceil(2 * ratio), 2, 8))
+
+
+def _pixel_centres(rows: range, width: int) -> Floats:
+    """All pixels of some rows, (2, pixels)."""
+    x, y = np.meshgrid(np.arange(width), np.arange(rows.start, rows.stop))
+    return np.stack([x.ravel(), y.ravel()]).astype(np.float64)

@@ -1,0 +1,75 @@
+"""What stands in the room: boxes, a cupboard against a wall, a sphere, and perhaps a box in the corner."""
+
+import numpy as np
+
+from calib.arrays import Floats
+from hw.simulated.shapes import Block, Sphere
+
+# Furniture reaches this far into floor, wall or the box below, so that no gap lets light through.
+_EMBEDDED_M = 0.004
+
+
+def draw_furniture(rng: np.random.Generator, sphere_radius_m: float) -> tuple[tuple[Block, ...], Sphere]:
+    """Three cardboard boxes of any heading, two of them stacked; a cupboard; a sphere on the floor or on a box."""
+    large = _standing(rng, rng.uniform((0.25, 0.25, 0.15), (0.45, 0.4, 0.4)), _place(rng, 0.45, 1.1))
+    stacked = _on_top(rng, large, rng.uniform((0.12, 0.12, 0.08), (0.2, 0.2, 0.2)))
+    other = _standing(rng, rng.uniform((0.15, 0.15, 0.1), (0.35, 0.35, 0.5)), _place(rng, 0.35, 1.2))
+    cupboard = _against_wall(rng, rng.uniform((0.6, 0.3, 0.7), (1.2, 0.45, 1.9)), rng.uniform(0.7, 1.4))
+    x, y = _place(rng, 0.3, 0.9)
+    sphere = Sphere(np.array([x, y, sphere_radius_m]), sphere_radius_m)
+    return (large, stacked, other, cupboard), sphere
+
+
+def draw_corner_box(rng: np.random.Generator) -> Block:
+    """A box pushed into the corner, not quite square to the walls."""
+    size = rng.uniform((0.15, 0.15, 0.15), (0.3, 0.3, 0.3))
+    heading = rng.uniform(-0.15, 0.15)
+    reach = 0.5 * (abs(np.cos(heading)) + abs(np.sin(heading))) * size[:2].max()
+    return _box(size, reach + rng.uniform(0.005, 0.03, 2), heading)
+
+
+def overlap(first: Block | Sphere, second: Block | Sphere) -> bool:
+    """Whether two solids share points of a lattice over either."""
+    return bool(first.contains(_lattice(second)).any() or second.contains(_lattice(first)).any())
+
+
+def _place(rng: np.random.Generator, low: float, high: float) -> Floats:
+    return rng.uniform(low, high, 2)
+
+
+def _standing(rng: np.random.Generator, size: Floats, place: Floats) -> Block:
+    return _box(size, place, rng.uniform(0, np.pi))
+
+
+def _on_top(rng: np.random.Generator, below: Block, size: Floats) -> Block:
+    top = below.origin + below.edges.sum(axis=0)
+    middle = below.origin + 0.5 * below.edges.sum(axis=0)
+    return _box(size, middle[:2] + rng.uniform(-0.05, 0.05, 2), rng.uniform(0, np.pi), float(top[2]))
+
+
+def _against_wall(rng: np.random.Generator, size: Floats, start: float) -> Block:
+    """A cupboard with its back in one of the two walls, beginning `start` metres from the corner."""
+    width, depth, height = size
+    if rng.random() < 0.5:
+        return _box(np.array([width, depth, height]), np.array([start + width / 2, depth / 2 - _EMBEDDED_M]), 0.0)
+    return _box(np.array([depth, width, height]), np.array([depth / 2 - _EMBEDDED_M, start + width / 2]), 0.0)
+
+
+def _box(size: Floats, place: Floats, heading: float, floor: float = 0.0) -> Block:
+    """A box of size (along, across, up) whose base is centred at `place` (2,), turned by `heading` radians."""
+    cosine, sine = np.cos(heading), np.sin(heading)
+    turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    edges = turned * (size + np.array([0.0, 0.0, _EMBEDDED_M]))[:, None]
+    origin = np.array([*place, floor - _EMBEDDED_M]) - 0.5 * (edges[0] + edges[1])
+    return Block(origin, edges)
+
+
+def _lattice(solid: Block | Sphere) -> Floats:
+    steps = np.linspace(0.0, 1.0, 9)
+    unit = np.stack(np.meshgrid(steps, steps, steps)).reshape(3, -1)
+    if isinstance(solid, Block):
+        points: Floats = solid.origin[:, None] + solid.edges.T @ unit
+        return points
+    cube = 2 * unit - 1
+    ball: Floats = cube / np.maximum(np.linalg.norm(cube, axis=0), 1.0)
+    return solid.centre[:, None] + solid.radius * ball

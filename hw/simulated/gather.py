@@ -1,0 +1,149 @@
+"""Where the light that falls on a node comes from, found by casting rays from it.
+
+Each node sends rays from all over the area that it stands for, in directions distributed with the cosine to the
+normal, so that every ray carries the same share of the irradiance (the form factor to a surface is the share of rays
+that meet it: Malley's method; Cohen and Wallace, Radiosity and Realistic Image Synthesis, 1993, section 4.3). In a
+closed room the shares sum to one, and so energy is conserved whatever the number of rays.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from calib.arrays import Bools, Floats, Ints
+from hw.simulated.arrays import Indices, Light, sparse_matrix
+from hw.simulated.illumination import ProjectorLight
+from hw.simulated.mesh import Mesh
+from hw.simulated.parallel import in_parallel
+from hw.simulated.picture import PictureOptics
+from hw.simulated.texture import Texture
+
+_BATCH_RAYS = 1 << 15  # small enough for their arrays to stay in cache
+# A ray averages the picture over this many times the width of its own part of the hemisphere. Overlapping footprints
+# keep fringes that should cancel from aliasing; they blur by some ten degrees a kernel that is ninety wide.
+_WIDENING = 3.0
+_LIFT_M = 1e-4  # rays start this far off their surface
+CEILING = 5  # the ceiling's number among the surfaces
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """Linear maps to the irradiance of nodes, rows in the nodes' order.
+
+    `from_picture`: from a picture's pyramid, over one diffuse reflection. `from_nodes`: from the irradiance of the
+    solving nodes, over one reflection. `from_ceiling`: irradiance per unit of radiosity that the ceiling emits, (n,).
+    `exposed` (n,): nodes in the room's air; the rows of others are zero.
+    """
+
+    from_picture: sparse.csr_array
+    from_nodes: sparse.csr_array
+    from_ceiling: Light
+    exposed: Bools
+
+
+@dataclass(frozen=True)
+class Gatherer:
+    """Casts the rays and looks up what they meet."""
+
+    light: ProjectorLight
+    texture: Texture
+    picture: PictureOptics
+    mesh: Mesh
+
+    def gather(self, rays: int, rng: np.random.Generator) -> Gathered:
+        """The light of all nodes of the mesh, with so many rays for each."""
+        charts = (*self.mesh.solving, *self.mesh.creases)
+        surface = np.concatenate([np.full(chart.count, chart.surface, np.int32) for chart in charts])
+        support = np.concatenate([chart.support() for chart in charts])
+        shifts = rng.random((surface.size, 4))
+        batches = np.array_split(np.arange(surface.size), max(1, surface.size * rays // _BATCH_RAYS))
+        parts = in_parallel(lambda nodes: self._batch(surface[nodes], support[nodes], shifts[nodes], rays), batches)
+        return Gathered(
+            sparse.vstack([part.from_picture for part in parts], format="csr"),
+            sparse.vstack([part.from_nodes for part in parts], format="csr"),
+            np.concatenate([part.from_ceiling for part in parts]),
+            np.concatenate([part.exposed for part in parts]),
+        )
+
+    def _batch(self, surface: Ints, support: Floats, shifts: Floats, rays: int) -> Gathered:
+        scene = self.light.scene
+        origins, directions = self._rays(surface, support, shifts, rays)
+        node = np.repeat(np.arange(surface.size), rays)
+        free = np.flatnonzero(scene.is_free(origins))
+        origins, directions, node = origins[:, free], directions[:, free], node[free]
+        per_node = np.bincount(node, minlength=surface.size)
+        # A node counts as exposed if a fair part of its area is, so that its rays are many enough.
+        exposed = per_node > rays / 8
+        share = np.where(exposed, 1 / np.maximum(per_node, 1), 0.0)[node]
+
+        t, met = scene.cast(origins, directions)
+        points = origins + t * directions
+        uv = scene.surface_coordinates(met, points)
+        reflected = share * self.texture.albedo(met, uv)
+
+        nodes, weights = self.mesh.interpolate_solving(met, uv)
+        texels, irradiance = self._direct(met, points, np.pi * t**2 / rays)
+        lit = np.flatnonzero(irradiance)
+        count = surface.size
+        return Gathered(
+            sparse_matrix(
+                node[lit], texels[lit, None], (reflected * irradiance)[lit, None], (count, self.picture.texel_count)
+            ),
+            sparse_matrix(node, nodes, weights * reflected[:, None], (count, self.mesh.solving_count)),
+            np.bincount(node, share * (met == CEILING), count).astype(np.float32),
+            exposed,
+        )
+
+    def _rays(self, surface: Ints, support: Floats, shifts: Floats, rays: int) -> tuple[Floats, Floats]:
+        """Origins and unit directions (3, nodes · rays), node by node."""
+        scene = self.light.scene
+        samples = (shifts[:, None, :] + _low_discrepancy(rays)) % 1.0
+        low, high = support[:, None, 0], support[:, None, 1]
+        uv = (low + samples[..., :2] * (high - low)).reshape(-1, 2).T
+        repeated = np.repeat(surface, rays)
+        origins = np.empty((3, repeated.size))
+        for number in np.unique(surface):
+            here = np.flatnonzero(repeated == number)
+            origins[:, here] = scene.points_on(int(number), uv[:, here])
+        normals = scene.normals(repeated, origins)
+        return origins + _LIFT_M * normals, _cosine_distributed(normals, samples[..., 2:].reshape(-1, 2).T)
+
+    def _direct(self, surface: Ints, points: Floats, area_m2: Floats) -> tuple[Indices, Floats]:
+        """Irradiance (n,) by the picture at points (3, n), and the texels (n,) that average it over areas (n,).
+
+        The areas are those across the rays; slant at either end only makes them larger, within what widening allows.
+        """
+        optics = self.light.projector.optics
+        pixels, irradiance = self.light.direct(surface, points)
+        irradiance[~optics.sees(pixels)] = 0.0
+        texels = np.zeros(irradiance.size, np.int64)
+        lit = np.flatnonzero(irradiance)
+        footprint_px = _WIDENING * optics.focal_px * np.sqrt(area_m2[lit] * irradiance[lit])
+        texels[lit] = self.picture.texels(pixels[:, lit], footprint_px)
+        return texels, irradiance
+
+
+def _cosine_distributed(normals: Floats, uniform: Floats) -> Floats:
+    """Unit directions (3, n) about unit normals (3, n) from uniform numbers (2, n): Malley's method."""
+    steep = np.abs(normals[2]) > 0.9
+    aside = np.where(steep, np.array([[1.0], [0.0], [0.0]]), np.array([[0.0], [0.0], [1.0]]))
+    tangent = np.cross(normals, aside, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=0)
+    radius, angle = np.sqrt(uniform[0]), 2 * np.pi * uniform[1]
+    directions: Floats = (
+        radius * np.cos(angle) * tangent
+        + radius * np.sin(angle) * np.cross(normals, tangent, axis=0)
+        + np.sqrt(1 - uniform[0]) * normals
+    )
+    return directions
+
+
+def _low_discrepancy(count: int) -> Floats:
+    """Evenly spread points, (count, 4) in [0, 1): where in the node's area, and in which direction.
+
+    Directions are a Fibonacci lattice, places the sequence R2 of Roberts (2018) with the root of x³ = x + 1.
+    """
+    plastic, golden = 1.324717957244746, 1.618033988749895
+    k = np.arange(count)
+    return np.stack([k / plastic % 1, k / plastic**2 % 1, (k + 0.5) / count, k / golden % 1], axis=1)

@@ -1,0 +1,41 @@
+"""The projector's light on its way from the lens to a surface."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Floats, Ints
+from hw.simulated.device import PlacedDevice
+from hw.simulated.scene import Scene
+
+_VIGNETTING = 0.25
+# Light of the outermost pixels spills this far beyond the picture's edge by blur.
+SPILL_PX = 2.0
+
+
+@dataclass(frozen=True)
+class ProjectorLight:
+    """Light of a projector in a scene, in units in which a picture of ones lights a screen at 1 m on the axis by 1."""
+
+    scene: Scene
+    projector: PlacedDevice
+
+    def direct(self, surface: Ints, points: Floats) -> tuple[Floats, Floats]:
+        """The projector's pixels (2, n) for points (3, n) on surfaces (n,), and the irradiance (n,) per unit of it.
+
+        It is zero where the surface faces away, lies outside the picture or is in shadow. A projector
+        spreads each pixel's power over the pixel's solid angle, and equal pixels on a plane have solid angles that
+        fall with cos³ of the angle to the axis; hence the irradiance (n · s) / z³, with s the vector to the projector
+        and z the depth along its axis, times vignetting.
+        """
+        pixels, depths = self.projector.project(points)
+        irradiance = np.zeros(points.shape[1])
+        reached = np.flatnonzero(self.projector.optics.sees(pixels, SPILL_PX))
+        points = points[:, reached]
+        facing = np.sum(
+            self.scene.normals(surface[reached], points) * (self.projector.centre[:, None] - points), axis=0
+        )
+        facing[(facing < 0) | self.scene.occluded(points, self.projector.centre)] = 0.0
+        brightness = self.projector.optics.vignetting(pixels[:, reached], _VIGNETTING)
+        irradiance[reached] = brightness * facing / depths[reached] ** 3
+        return pixels, irradiance

@@ -1,0 +1,85 @@
+"""The rig, and the places in the room from which an operator would let it look at the corner."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Floats
+from hw.simulated.device import Optics, PlacedDevice
+
+# The paper's rig (section 5.1), at its full camera resolution.
+_PAPER_CAMERA = Optics(2448, 2048, 1791.1, (1256.3, 1054.3))
+_PAPER_PROJECTOR = Optics(854, 480, 1247.3, (377.1, 234.0))
+_ROLL_DEG = 15.0
+
+
+@dataclass(frozen=True)
+class RigGeometry:
+    """Both devices at the paper's resolution, and X_projector = rotation X_camera + translation."""
+
+    camera: Optics
+    projector: Optics
+    rotation: Floats
+    translation: Floats
+
+    def placed(self, camera_rotation: Floats, camera_centre: Floats) -> tuple[PlacedDevice, PlacedDevice]:
+        """Camera and projector in the room, for the camera's rotation from the world (3, 3) and centre (3,)."""
+        projector_rotation = self.rotation @ camera_rotation
+        projector_centre = camera_centre - projector_rotation.T @ self.translation
+        return (
+            PlacedDevice(self.camera, camera_rotation, camera_centre),
+            PlacedDevice(self.projector, projector_rotation, projector_centre),
+        )
+
+
+def draw_rig(rng: np.random.Generator, distortion: float) -> RigGeometry:
+    """The paper's intrinsics with drawn lenses; 0.3 to 0.6 m apart, converging at a few metres, turned a little.
+
+    Lens terms are those of ordinary machine-vision and projector lenses: up to 4 % in the camera's corners and 0.5 %
+    in the projector's.
+    """
+    bearing = rng.uniform(0, 2 * np.pi)
+    centre = np.array([np.cos(bearing), np.sin(bearing), rng.uniform(-0.4, 0.4)])
+    centre *= rng.uniform(0.3, 0.6) / np.linalg.norm(centre)
+    target = np.array([0.0, 0.0, rng.uniform(2.2, 3.2)]) + rng.uniform(-0.05, 0.05, 3)
+    rotation = _look_at(centre, target, np.array([0.0, -1.0, 0.0]), rng.uniform(-8, 8))
+    camera_k1, camera_k2 = distortion * rng.uniform((-0.06, -0.005), (-0.01, 0.01))
+    projector_k1, projector_k2 = distortion * rng.uniform((-0.03, -0.01), (0.01, 0.01))
+    return RigGeometry(
+        _with_lens(_PAPER_CAMERA, _PAPER_CAMERA.width, _PAPER_CAMERA.height, camera_k1, camera_k2),
+        _with_lens(_PAPER_PROJECTOR, _PAPER_PROJECTOR.width, _PAPER_PROJECTOR.height, projector_k1, projector_k2),
+        rotation,
+        -rotation @ centre,
+    )
+
+
+def draw_camera_pose(rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """A camera's rotation from the world (3, 3) and centre (3,): on a tripod, looking down into the corner."""
+    distance, azimuth, elevation = rng.uniform((2.0, 27.0, 25.0), (3.4, 63.0, 43.0))
+    azimuth, elevation = np.radians([azimuth, elevation])
+    centre = distance * np.array(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )
+    target = rng.uniform(-0.1, 0.35, 3)
+    return _look_at(centre, target, np.array([0.0, 0.0, 1.0]), rng.uniform(-_ROLL_DEG, _ROLL_DEG)), centre
+
+
+def resized(optics: Optics, width: int, height: int) -> Optics:
+    """The same optics with an image of another size; focal length and principal point go with its width."""
+    return _with_lens(optics, width, height, optics.k1, optics.k2)
+
+
+def _with_lens(optics: Optics, width: int, height: int, k1: float, k2: float) -> Optics:
+    scale = width / optics.width
+    x0, y0 = optics.principal_point_px
+    return Optics(width, height, scale * optics.focal_px, (scale * x0, scale * y0), float(k1), float(k2))
+
+
+def _look_at(centre: Floats, target: Floats, up: Floats, roll_deg: float) -> Floats:
+    """Rotation (3, 3) into the frame (x right, y down, z forward) of a device at `centre` that looks at `target`."""
+    forward = (target - centre) / np.linalg.norm(target - centre)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    cosine, sine = np.cos(np.radians(roll_deg)), np.sin(np.radians(roll_deg))
+    return np.stack([cosine * right + sine * down, cosine * down - sine * right, forward])

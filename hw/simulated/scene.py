@@ -1,0 +1,163 @@
+"""Everything that can be seen: the room from inside, the furniture from outside."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+
+from calib.arrays import Bools, Floats, Ints
+from hw.simulated.shapes import Block, Sphere
+
+# Rays from a surface start this far off it, in units of the ray's length: beyond rounding, below anything visible.
+_CLEARANCE = 1e-6
+
+
+class Label(IntEnum):
+    """What a surface is part of; the first three are the faces of the corner."""
+
+    WALL_X = 0
+    WALL_Y = 1
+    FLOOR = 2
+    SURROUNDINGS = 3
+    FURNITURE = 4
+    SPHERE = 5
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A closed room, the blocks that stand in it, and perhaps a sphere.
+
+    Surfaces are numbered: the room's faces 0 … 5 (0, 1, 2 meet in the corner; 3, 4 are the walls opposite, 5 the
+    ceiling), then six faces for each block in turn, then the sphere.
+
+    Each surface has coordinates (u, v) in metres: on face k of a block along the edges k + 1 and k + 2 (cyclically),
+    on the sphere along the equator and along the meridians.
+    """
+
+    room: Block
+    blocks: tuple[Block, ...] = ()
+    sphere: Sphere | None = None
+
+    @property
+    def surface_count(self) -> int:
+        """How many surfaces there are."""
+        return 6 + 6 * len(self.blocks) + (self.sphere is not None)
+
+    @property
+    def sphere_surface(self) -> int:
+        """The sphere's number; no surface's if there is none."""
+        return 6 + 6 * len(self.blocks)
+
+    @cached_property
+    def labels(self) -> Ints:
+        """The `Label` of each surface."""
+        labels = [Label.WALL_X, Label.WALL_Y, Label.FLOOR] + 3 * [Label.SURROUNDINGS]
+        labels += 6 * len(self.blocks) * [Label.FURNITURE] + (self.sphere is not None) * [Label.SPHERE]
+        return np.array(labels, np.int32)
+
+    @cached_property
+    def sizes(self) -> Floats:
+        """Extent of each surface along u and v in metres, (surfaces, 2)."""
+        sizes = [block.lengths[_in_face(face)] for block in (self.room, *self.blocks) for face in range(6)]
+        if self.sphere is not None:
+            sizes.append(self.sphere.radius * np.array([2 * np.pi, np.pi]))
+        return np.array(sizes)
+
+    def cast(self, origins: Floats, directions: Floats) -> tuple[Floats, Ints]:
+        """First surface that each ray (3, n) from inside the room meets: t (n,) and the surface's number (n,)."""
+        t, surface = self.room.leave(origins, directions)
+        for i, block in enumerate(self.blocks):
+            t_block, face = block.enter(origins, directions)
+            nearer = np.flatnonzero(t_block < t)
+            t[nearer] = t_block[nearer]
+            surface[nearer] = face[nearer] + 6 * (i + 1)
+        if self.sphere is not None:
+            t_sphere = self.sphere.enter(origins, directions)
+            nearer = np.flatnonzero(t_sphere < t)
+            t[nearer] = t_sphere[nearer]
+            surface[nearer] = self.sphere_surface
+        return t, surface
+
+    def occluded(self, points: Floats, eye: Floats) -> Bools:
+        """Whether furniture hides points (3, n) from an eye (3,), (n,). The room is convex and hides nothing."""
+        directions = eye[:, None] - points
+        hidden = np.zeros(points.shape[1], np.bool_)
+        for solid in (*self.blocks, self.sphere):
+            if solid is not None:
+                hidden |= solid.obstructs(points, directions, _CLEARANCE, 1.0)
+        return hidden
+
+    def is_free(self, points: Floats) -> Bools:
+        """Whether points (3, n) are in the room's air, (n,)."""
+        free = self.room.contains(points)
+        for solid in (*self.blocks, self.sphere):
+            if solid is not None:
+                free &= ~solid.contains(points)
+        return free
+
+    def normals(self, surface: Ints, points: Floats) -> Floats:
+        """Unit normals (3, n) that point into the air, at points (3, n) on surfaces (n,)."""
+        normals = self._face_normals[:, surface]
+        if self.sphere is not None:
+            on = np.flatnonzero(surface == self.sphere_surface)
+            normals[:, on] = (points[:, on] - self.sphere.centre[:, None]) / self.sphere.radius
+        return normals
+
+    def surface_coordinates(self, surface: Ints, points: Floats) -> Floats:
+        """(u, v) in metres, (2, n), of points (3, n) on surfaces (n,)."""
+        frames, offsets = self._frames
+        uv = offsets[:, surface]
+        for axis in range(3):
+            uv += frames[:, axis, surface] * points[axis]
+        if self.sphere is not None:
+            on = np.flatnonzero(surface == self.sphere_surface)
+            x, y, z = points[:, on] - self.sphere.centre[:, None]
+            latitude = np.arcsin((z / self.sphere.radius).clip(-1.0, 1.0))
+            uv[:, on] = self.sphere.radius * np.stack([np.arctan2(y, x) + np.pi, latitude + np.pi / 2])
+        return uv
+
+    def points_on(self, surface: int, uv: Floats) -> Floats:
+        """Points (3, n) of one surface at (u, v) (2, n): the inverse of `surface_coordinates`."""
+        if surface == self.sphere_surface and self.sphere is not None:
+            longitude, latitude = uv[0] / self.sphere.radius - np.pi, uv[1] / self.sphere.radius - np.pi / 2
+            across = np.cos(latitude)
+            unit = np.stack([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)])
+            return self.sphere.centre[:, None] + self.sphere.radius * unit
+        block = (self.room, *self.blocks)[surface // 6]
+        face = surface % 6
+        first, second = _in_face(face)
+        start = block.origin + (block.edges[face - 3] if face >= 3 else 0.0)
+        u, v = uv
+        points: Floats = (
+            start[:, None]
+            + block.edges[first][:, None] * (u / block.lengths[first])
+            + block.edges[second][:, None] * (v / block.lengths[second])
+        )
+        return points
+
+    @cached_property
+    def _face_normals(self) -> Floats:
+        """(3, surfaces); of no meaning for the sphere."""
+        normals = [-self.room.outward_normals] + [block.outward_normals for block in self.blocks]
+        if self.sphere is not None:
+            normals.append(np.zeros((1, 3)))
+        return np.concatenate(normals).T.copy()
+
+    @cached_property
+    def _frames(self) -> tuple[Floats, Floats]:
+        """uv = frames · point + offsets: (2, 3, surfaces) and (2, surfaces)."""
+        frames = np.zeros((2, 3, self.surface_count))
+        offsets = np.zeros((2, self.surface_count))
+        for i, block in enumerate((self.room, *self.blocks)):
+            for face in range(6):
+                axes = _in_face(face)
+                frame = block.inverse[axes] * block.lengths[axes, None]
+                frames[:, :, 6 * i + face] = frame
+                offsets[:, 6 * i + face] = -frame @ block.origin
+        return frames, offsets
+
+
+def _in_face(face: int) -> list[int]:
+    """The two edges of a block that span a face."""
+    return [(face + 1) % 3, (face + 2) % 3]

@@ -1,0 +1,59 @@
+"""The camera behind its lens: exposure, noise, digits."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calib.arrays import Image
+from hw.settings import SimulatedRigSettings
+from hw.simulated.arrays import Light
+
+# Electrons per microsecond for a brightness of one, chosen so that white needs some tens of milliseconds.
+_ELECTRONS_PER_US = 2.0
+_WHITE_LEVEL = 0.85
+_WHITE_PERCENTILE = 99.5
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What turns brightness into digits; shot noise is normal with the variance of Poisson's distribution."""
+
+    blur_px: float
+    exposure_us: float
+    bit_depth: int
+    full_well_electrons: float
+    read_noise_electrons: float
+
+    def electrons(self, brightness: Light) -> Light:
+        """Expected electrons (H, W) for the brightness (H, W) of the pixels, through the camera's lens."""
+        return self._through_lens(brightness) * np.float32(_ELECTRONS_PER_US * self.exposure_us)
+
+    def read(self, electrons: Light, rng: np.random.Generator) -> Image:
+        """One noisy image (H, W) for expected electrons (H, W): 8 bit, or 16 bit for more than 8 bits."""
+        highest = 2**self.bit_depth - 1
+        noise = rng.standard_normal(electrons.shape, dtype=np.float32)
+        noise *= np.sqrt(electrons + np.float32(self.read_noise_electrons**2))
+        noise += electrons
+        noise *= np.float32(highest / self.full_well_electrons)
+        np.rint(noise, out=noise)
+        digits = np.clip(noise, 0, highest, out=noise)
+        return digits.astype(np.uint8) if self.bit_depth == 8 else digits.astype(np.uint16)
+
+    def _through_lens(self, brightness: Light) -> Light:
+        if self.blur_px == 0:
+            return brightness
+        return np.asarray(cv2.GaussianBlur(brightness, (0, 0), self.blur_px), np.float32)
+
+
+def build_sensor(settings: SimulatedRigSettings, white: Light) -> Sensor:
+    """A sensor whose exposure time, unless it is set, suits the brightness (H, W) that a white picture gives."""
+    bright = float(np.percentile(white, _WHITE_PERCENTILE))
+    suitable_us = _WHITE_LEVEL * settings.full_well_electrons / (_ELECTRONS_PER_US * bright)
+    return Sensor(
+        settings.camera_blur_px,
+        suitable_us if settings.exposure_us is None else settings.exposure_us,
+        settings.bit_depth,
+        settings.full_well_electrons,
+        settings.read_noise_electrons,
+    )

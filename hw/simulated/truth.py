@@ -1,0 +1,69 @@
+"""What is true of a simulated room, for tests and for the summary; the devices do not tell."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Floats, Ints
+from calib.calibration import Calibration
+from calib.camera import Intrinsics
+from hw.simulated.device import Optics
+from hw.simulated.illumination import ProjectorLight
+from hw.simulated.renderer import Renderer
+from hw.simulated.room import Room
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """Per camera pixel, at its centre.
+
+    `projector_px` (H, W, 2): the projector pixel that lights it directly, NaN where none does (shadow, outside of the
+    picture). `points_m` (H, W, 3): the surface point in the camera's frame. `label` (H, W): the `Label` of the surface.
+    `direct_share` (H, W): the direct part of the light under a white picture.
+    """
+
+    projector_px: Floats
+    points_m: Floats
+    label: Ints
+    direct_share: Floats
+
+
+def true_calibration(room: Room) -> Calibration:
+    """The calibration of a room's rig, in metres."""
+    rotation = room.projector.rotation @ room.camera.rotation.T
+    translation = room.projector.rotation @ (room.camera.centre - room.projector.centre)
+    return Calibration(
+        _intrinsics(room.camera.optics), _intrinsics(room.projector.optics), rotation, translation, unit="m"
+    )
+
+
+def true_view(room: Room, renderer: Renderer) -> GroundTruth:
+    """Cast a ray through the centre of every pixel."""
+    optics = room.camera.optics
+    x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
+    directions = room.camera.rays(np.stack([x.ravel(), y.ravel()]))
+    t, surface = room.scene.cast(room.camera.centre[:, None], directions)
+    along = t * directions
+    points = room.camera.centre[:, None] + along
+    pixels, irradiance = ProjectorLight(room.scene, room.projector).direct(surface, points)
+    lit = (irradiance > 0) & room.projector.optics.sees(pixels)
+
+    light = np.ones((renderer.picture.height, renderer.picture.width), np.float32)
+    direct = renderer.direct(light).astype(np.float64)
+    shape = (optics.height, optics.width)
+    return GroundTruth(
+        np.where(lit, pixels, np.nan).T.reshape(*shape, 2),
+        (room.camera.rotation @ along).T.reshape(*shape, 3),
+        room.scene.labels[surface].reshape(shape),
+        direct / (direct + renderer.indirect(light) + renderer.ambient),
+    )
+
+
+def _intrinsics(optics: Optics) -> Intrinsics:
+    return Intrinsics(
+        optics.width,
+        optics.height,
+        (optics.focal_px, optics.focal_px),
+        optics.principal_point_px,
+        (optics.k1, optics.k2, 0.0, 0.0, 0.0),
+    )

@@ -1,0 +1,92 @@
+"""What an operator looks at when choosing where to put the rig: how well both devices see the corner."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Floats
+from hw.simulated.device import PlacedDevice
+from hw.simulated.illumination import ProjectorLight
+from hw.simulated.scene import Label, Scene
+
+_CAMERA_STEP_PX = 34  # at the paper's 2448 × 2048
+_PROJECTOR_STEP_PX = 20  # at the paper's 854 × 480
+
+
+@dataclass(frozen=True)
+class View:
+    """Figures of one view of the corner.
+
+    `label_shares` (6,): shares of the camera's directly lit pixels by `Label`. `lit_share`: of the camera's pixels.
+    `picture_in_frame`: share of the projector's rays that land within the camera's image, hidden there or not.
+    `baseline_out_of_face`: the smallest sine of the angle between the baseline and a face. `forward`: cosine between
+    baseline and camera axis, without sign. `grazing`: the smallest sine at which a device's ray to the vertex meets a
+    face. `clearance_m`: the smallest distance of a device from a face. `vertex_hidden`: furniture hides the vertex from
+    the camera. `sphere_lit`: share of the sphere's pixels in the camera that have direct light, NaN without a sphere.
+    """
+
+    label_shares: Floats
+    lit_share: float
+    picture_in_frame: float
+    baseline_out_of_face: float
+    forward: float
+    grazing: float
+    clearance_m: float
+    vertex_hidden: bool
+    sphere_lit: float
+
+    def is_sensible(self, smallest_face: float) -> bool:
+        """Whether an operator's guide would recommend it.
+
+        Each face has at least the share `smallest_face` of the lit pixels and is seen at 17° or more; the picture falls
+        into the frame; the baseline is 11° or more out of each face and rather across than along the camera's axis.
+        """
+        return (
+            float(self.label_shares[:3].min()) >= smallest_face
+            and self.lit_share >= 0.06
+            and self.picture_in_frame >= 0.985
+            and self.baseline_out_of_face >= 0.2
+            and self.forward <= 0.5
+            and self.grazing >= 0.3
+            and self.clearance_m >= 0.6
+        )
+
+
+def look(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> View:
+    """Cast a coarse grid of rays from both devices."""
+    directions = camera.rays(_grid(camera, _CAMERA_STEP_PX))
+    t, surface = scene.cast(camera.centre[:, None], directions)
+    points = camera.centre[:, None] + t * directions
+    _, irradiance = ProjectorLight(scene, projector).direct(surface, points)
+    lit = irradiance > 0
+    label = scene.labels[surface]
+    shares = np.bincount(label[lit], minlength=len(Label)) / max(int(lit.sum()), 1)
+
+    thrown = projector.rays(_grid(projector, _PROJECTOR_STEP_PX))
+    t, _ = scene.cast(projector.centre[:, None], thrown)
+    landed, _ = camera.project(projector.centre[:, None] + t * thrown)
+
+    normals = scene.normals(np.arange(3, dtype=np.int32), np.zeros((3, 3)))
+    centres = np.stack([camera.centre, projector.centre], axis=1)
+    heights = normals.T @ centres
+    baseline = projector.centre - camera.centre
+    baseline = baseline / np.linalg.norm(baseline)
+    of_sphere = label == Label.SPHERE
+    return View(
+        label_shares=shares,
+        lit_share=float(lit.mean()),
+        picture_in_frame=float(camera.optics.sees(landed).mean()),
+        baseline_out_of_face=float(np.abs(normals.T @ baseline).min()),
+        forward=float(abs(camera.rotation[2] @ baseline)),
+        grazing=float((heights / np.linalg.norm(centres, axis=0)).min()),
+        clearance_m=float(heights.min()),
+        vertex_hidden=bool(scene.occluded(np.zeros((3, 1)), camera.centre)[0]),
+        sphere_lit=float(lit[of_sphere].mean()) if of_sphere.any() else float("nan"),
+    )
+
+
+def _grid(device: PlacedDevice, step_px: int) -> Floats:
+    x, y = np.meshgrid(
+        np.arange(step_px // 2, device.optics.width, step_px), np.arange(step_px // 2, device.optics.height, step_px)
+    )
+    return np.stack([x.ravel(), y.ravel()]).astype(np.float64)

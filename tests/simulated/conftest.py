@@ -1,0 +1,14 @@
+"""One small simulated room that all tests here look at; making it takes seconds."""
+
+import pytest
+
+from hw.settings import SimulatedRigSettings
+from hw.simulated.simulation import SimulatedRoom
+
+CAMERA_SIZE = (306, 256)
+PROJECTOR_SIZE = (214, 120)
+
+
+@pytest.fixture(scope="session")
+def room() -> SimulatedRoom:
+    return SimulatedRoom(SimulatedRigSettings(seed=0), CAMERA_SIZE, PROJECTOR_SIZE)
