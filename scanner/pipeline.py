@@ -104,8 +104,7 @@ def reconstruct(
         with terminal.step("Triangulating"):
             texture = found.decoding.texture if found.decoding else None
             found.cloud = build_cloud(found.matches, texture, found.calibration)
-        if found.solution is None:
-            if found.solution:
+        if found.solution:
             refuse_misfit(found.cloud.statistics)
         else:
             refuse_foreign(found.cloud.statistics, found.facts.projector_size)

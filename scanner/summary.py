@@ -11,20 +11,21 @@ from scanner.quantities import Quantity, device_quantities, intrinsic_errors_per
 def calibration_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
     """The calibration with its sigmas where known, beside the truth where there is one."""
     table = Table(title="Calibration", title_justify="left")
-    table.add_column("")
+    table.add_column("", no_wrap=True)
     for heading in ("value", "sigma", *(("truth", "error") if truth else ())):
-        table.add_column(heading, justify="right")
-    rows = [("camera ", quantity) for quantity in device_quantities("camera", calibration, truth)]
-    rows += [("projector ", quantity) for quantity in device_quantities("projector", calibration, truth)]
-    rows += [("", quantity) for quantity in pose_quantities(calibration, truth) if quantity.name == "baseline"]
-    for device, quantity in rows:
-        cells = [_named(device, quantity), quantity.shown(quantity.value), _sigma_cell(quantity)]
-        table.add_row(*cells, *(_truth_cells(quantity) if truth else ()))
+        table.add_column(heading, justify="right", no_wrap=True)
+    for heading, quantities in (
+        ("Camera", device_quantities("camera", calibration, truth)),
+        ("Projector", device_quantities("projector", calibration, truth)),
+        ("Between them", [quantity for quantity in pose_quantities(calibration, truth) if quantity.name == "baseline"]),
+    ):
+        table.add_row(heading, style="bold")
+        for quantity in quantities:
+            name = f"  {quantity.name}" + (f", {quantity.unit}" if quantity.unit else "")
+            cells = [name, quantity.shown(quantity.value), _sigma_cell(quantity)]
+            table.add_row(*cells, *(_truth_cells(quantity) if truth else ()))
+        table.add_section()
     return table
-
-
-def _named(device: str, quantity: Quantity) -> str:
-    return f"{device}{quantity.name}" + (f", {quantity.unit}" if quantity.unit else "")
 
 
 def _sigma_cell(quantity: Quantity) -> str:

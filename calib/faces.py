@@ -1,0 +1,190 @@
+"""Dense matches → planar faces, and which three of them form the corner. No calibration, no masks."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calib.arrays import Bools, Floats, Ints
+from calib.homography import homogeneous
+from calib.matches import NO_FACE, Matches
+from calib.planes import NO_PLANE
+from calib.refusal import RefusalError
+from calib.segmentation import Segments, segment
+from calib.surfels import Surfels, make_surfels
+from calib.triples import Triple, corner_triples
+
+_SEED = 20240
+_FEWEST_MATCHES = 1500
+_FEWEST_SURFELS = 60
+_NOTABLE_PX = 0.3
+# Errors of neighbouring surfels are alike, so this is worth some five times as much.
+_MOST_DIRECTION_SIGMA_DEG = 0.2
+_GATE = 3.7  # a 2-D normal error of more sigmas than that: 1 in 940
+# A match that two planes explain is given to neither unless one is e^4.5 times as likely.
+_CLEARER_BY = 9.0
+_CHUNK = 1 << 17
+
+
+@dataclass(frozen=True)
+class Plane:
+    """`homography` (3, 3): camera → projector, for pixels from which the estimated lens distortion has been removed;
+    `matches`: how many lie on it; `face`: 0, 1 or 2 if it is a face of the corner.
+    """
+
+    homography: Floats
+    matches: int
+    face: int | None
+
+
+@dataclass(frozen=True)
+class Faces:
+    """`matches`: labelled 0, 1, 2 on the corner's faces (0 the largest) and −1 elsewhere. `planes`: every plane found,
+    largest first. `plane` (N,): which of these each match lies on, −1 for none.
+    """
+
+    matches: Matches
+    planes: tuple[Plane, ...]
+    plane: Ints
+
+
+def find_faces(matches: Matches, camera_size: tuple[int, int], projector_size: tuple[int, int]) -> Faces:
+    """Segment matches (N) into planes and choose the three that form a cuboid corner; sizes are (width, height).
+
+    Raises RefusalError if there are fewer than three planes or no three of them can be a corner.
+    """
+    if len(matches) < _FEWEST_MATCHES:
+        raise RefusalError(
+            f"Only {len(matches)} matches: too few to find planes in (at least {_FEWEST_MATCHES} are needed).",
+            "Check that camera and projector see the same part of the room, light and exposure; or label the faces.",
+        )
+    rng = np.random.default_rng(_SEED)
+    surfels = make_surfels(matches, camera_size, rng)
+    if len(surfels) < _FEWEST_SURFELS:
+        raise RefusalError(
+            "The matches are not smooth: neighbouring camera pixels are matched to scattered projector pixels.",
+            "Check focus, exposure, and that the frames belong to the patterns they are listed with.",
+        )
+    segments = segment(surfels, camera_size, projector_size, rng)
+    if len(segments.planes) < 3:
+        raise _too_few(segments)
+    triples = corner_triples(segments, surfels.camera_px)
+    certain = [triple for triple in triples if triple.direction_sigma_deg < _MOST_DIRECTION_SIGMA_DEG]
+    if not certain:
+        raise _no_corner(segments, triples)
+    return _faces(matches, segments, _label_matches(matches, surfels, segments), certain[0].planes)
+
+
+def _too_few(segments: Segments) -> RefusalError:
+    share, uneven = np.mean(segments.label >= 0), _unevenness(segments)
+    if len(segments.planes) == 0:
+        return RefusalError(
+            f"No plane was found in the matches{uneven}.",
+            "Capture the corner of a room with little in front of it.",
+        )
+    if len(segments.planes) == 1:
+        return RefusalError(
+            f"Only one plane was found, with {share:.0%} of the matches{uneven}: a flat wall, or a projector that "
+            "stands where the camera stands.",
+            "Turn to the corner of a room so that two walls and the floor or ceiling are lit, "
+            "and keep camera and projector apart.",
+        )
+    return RefusalError(
+        f"Only two planes were found, with {share:.0%} of the matches{uneven}; a corner has three.",
+        "Tilt the rig so that the floor or ceiling is lit as well as both walls, each over a good part of the picture.",
+    )
+
+
+def _no_corner(segments: Segments, triples: list[Triple]) -> RefusalError:
+    advice = "Capture the corner of a room, or three faces of a box, with all three faces large in the picture."
+    found, uneven = f"{len(segments.planes)} planes were found", _unevenness(segments)
+    if not triples:
+        return RefusalError(f"{found}{uneven}, but no three of them are perpendicular to each other.", advice)
+    sigma = min(triple.direction_sigma_deg for triple in triples)
+    return RefusalError(
+        f"{found}{uneven}; three could be perpendicular, but are too small or too uneven to tell (by {sigma:.1f}°).",
+        advice,
+    )
+
+
+def _unevenness(segments: Segments) -> str:
+    if segments.model_px < _NOTABLE_PX:
+        return ""
+    return f" (the surfaces are uneven, or the decoding is: by about {segments.model_px:.1f} projector pixels)"
+
+
+def _label_matches(matches: Matches, surfels: Surfels, segments: Segments) -> Ints:
+    """The plane of each match, (N,): a plane of its surfel or of a neighbouring one, that it fits within the noise."""
+    view, homographies = segments.view, segments.view.homography(segments.planes)
+    nearby = _nearby(surfels, segments.label, len(homographies))
+    sigma = _cell_sigma(surfels)
+    scale = 1.0 if matches.sigma_px is None else float(np.median(surfels.sigma_px) / np.median(matches.sigma_px))
+    plane = np.full(len(matches), NO_PLANE, np.int32)
+    for start in range(0, len(matches), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        camera_px = matches.camera_px[part]
+        cell = surfels.grid.cell(camera_px)
+        x, u = homogeneous(view.camera.ideal(camera_px)), view.projector.ideal(matches.projector_px[part])
+        spread = sigma[cell] if matches.sigma_px is None else scale * matches.sigma_px[part]
+        limit = (spread**2 + segments.model_px**2) / view.projector.unit_px**2
+        best, second = np.full(len(x), np.inf), np.full(len(x), np.inf)
+        for index, homography in enumerate(homographies):
+            near = np.flatnonzero(nearby[index, cell])
+            predicted = x[near] @ homography.T
+            error = np.sum((predicted[:, :2] / predicted[:, 2:] - u[near]) ** 2, axis=1) / limit[near]
+            better = error < best[near]
+            second[near] = np.where(better, best[near], np.minimum(second[near], error))
+            best[near[better]] = error[better]
+            plane[start + near[better]] = index
+        plane[part][(best > _GATE**2) | (second < best + _CLEARER_BY)] = NO_PLANE
+    return plane
+
+
+def _nearby(surfels: Surfels, label: Ints, planes: int) -> Bools:
+    """For each plane and cell, (n, cells): whether a surfel in the cell or beside it lies on the plane."""
+    grid = surfels.grid
+    image = np.zeros((planes, grid.rows * grid.columns), np.uint8)
+    on_plane = label >= 0
+    image[label[on_plane], surfels.cell[on_plane]] = 1
+    dilated = [cv2.dilate(one.reshape(grid.rows, grid.columns), np.ones((3, 3), np.uint8)).ravel() for one in image]
+    nearby: Bools = np.stack(dilated) > 0
+    return nearby
+
+
+def _cell_sigma(surfels: Surfels) -> Floats:
+    """Scatter of a match in each cell, in pixels; the usual one where a cell has no surfel of its own."""
+    usual = np.median(surfels.sigma_px)
+    sigma = np.full(surfels.grid.rows * surfels.grid.columns, usual)
+    # A cell that straddles an edge looks noisier than it is.
+    sigma[surfels.cell] = np.minimum(surfels.sigma_px, 3 * usual)
+    return sigma
+
+
+def _faces(matches: Matches, segments: Segments, plane: Ints, corner: tuple[int, int, int]) -> Faces:
+    view, planes = segments.view, segments.planes
+    counts = np.bincount(plane[plane >= 0], minlength=len(planes))
+    order = np.argsort(-counts, kind="stable")
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order))
+    faces = [int(index) for index in order if index in corner]
+    face_of = np.full(len(planes) + 1, NO_FACE, np.int32)  # the last entry is for NO_PLANE
+    face_of[faces] = (0, 1, 2)
+    to_camera, to_projector = _pixel_scale(view.camera.size_px), _pixel_scale(view.projector.size_px)
+    listed = []
+    for index in order:
+        homography = np.linalg.inv(to_projector) @ view.homography(planes[index]) @ to_camera
+        face = int(face_of[index])
+        listed.append(
+            Plane(homography / np.linalg.norm(homography), int(counts[index]), None if face == NO_FACE else face)
+        )
+    return Faces(
+        matches.with_faces(face_of[plane]),
+        tuple(listed),
+        np.where(plane >= 0, rank[plane], NO_PLANE).astype(np.int32),
+    )
+
+
+def _pixel_scale(size_px: tuple[int, int]) -> Floats:
+    """Pixels → the coordinates of calib.two_view, (3, 3)."""
+    width, height = size_px
+    return np.array([[2 / width, 0, -(width - 1) / width], [0, 2 / width, -(height - 1) / width], [0, 0, 1.0]])

@@ -1,0 +1,216 @@
+"""The stream's frames → matches: which projector pixel lit each camera pixel, and how sure of it we are.
+
+Each frame is folded in as it arrives; what is kept of it are a few running images and a thin sample. No threshold has
+to be chosen: noise, saturation and tolerances are measured from the capture.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from operator import itemgetter
+from typing import Any, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Image
+from calib.matches import Matches
+from scanner.decoding.accumulate import Accumulators
+from scanner.decoding.advice import warnings_of
+from scanner.decoding.calibrate import calibrated_decoders, modulation
+from scanner.decoding.cells import average_cells
+from scanner.decoding.checks_of_codes import check_codes
+from scanner.decoding.checks_of_frames import check_frames
+from scanner.decoding.checks_of_maps import check_fringes, check_maps
+from scanner.decoding.continuity import isolated
+from scanner.decoding.coordinate import AxisDecoder, Coordinate, MaskReason, Signals
+from scanner.decoding.noise import NoiseModel, measure_noise, needs_neighbours
+from scanner.decoding.plan import AxisPlan, SequencePlan, plan_sequence
+from scanner.decoding.sample import Sample
+from scanner.decoding.saturation import saturation_level
+from scanner.errors import InputError
+from scanner.patterns import Pattern
+
+__all__ = ["Decoder", "Decoding", "MaskReason"]
+
+_STRIP_ROWS = 64
+_DEPTHS = (np.uint8, np.uint16)
+
+
+@dataclass(frozen=True)
+class Decoding:
+    """What a capture says.
+
+    `matches` with `sigma_px`, one per decoded camera pixel; where no fringe refines either axis one per projector cell,
+    at the centre of the camera pixels that see it. `texture`: the scene fully lit, (H, W) or (H, W, 3), as the camera
+    gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
+    `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
+    `warnings`: sentences for the operator.
+    """
+
+    matches: Matches
+    texture: Image
+    reasons: NDArray[np.uint8]
+    noise: NoiseModel
+    modulation: float | None
+    warnings: tuple[str, ...]
+
+
+class Decoder:
+    """Takes the frames of a sequence that is known in advance, one by one, and decodes them at the end.
+
+    Raises InputError if the patterns do not determine both coordinates of a projector of (width, height) pixels.
+    """
+
+    def __init__(self, patterns: Sequence[Pattern], projector_size: tuple[int, int]) -> None:
+        self._plan = plan_sequence(patterns, projector_size)
+        self._count = 0
+        self._held: tuple[Accumulators, Sample] | None = None
+        self._texture: Image | None = None
+
+    def add(self, image: Image) -> None:
+        """Fold in the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit.
+
+        Raises InputError if it is one frame too many, or not of the size and type of the others.
+        """
+        self._check_form(image)
+        grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
+        if self._held is None:
+            shape = grey.shape[0], grey.shape[1]
+            self._held = Accumulators(self._plan, grey), Sample(shape, neighbours=needs_neighbours(self._plan))
+        accumulators, sample = self._held
+        accumulators.add(self._count, grey)
+        sample.add(grey)
+        self._note_texture(image)
+        self._count += 1
+
+    def finish(self) -> Decoding:
+        """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""
+        if self._count < len(self._plan.patterns):
+            raise InputError(
+                f"the sequence has {len(self._plan.patterns)} frames, found {self._count}; the first that is missing: "
+                f"{self._plan.name(self._count)}"
+            )
+        if self._held is None or self._texture is None:
+            raise RuntimeError("this decoder has finished already")
+        held, self._held = self._held, None
+        measured = _measure(*held)
+        # The running images are as large as the matches, and have served.
+        del held
+        matches, reasons = _match(self._plan, measured)
+        check_maps(self._plan, measured.x, measured.y, reasons)
+        warnings = tuple(warnings_of(reasons, measured.modulation))
+        return Decoding(matches, self._texture, reasons, measured.noise, measured.modulation, warnings)
+
+    def _check_form(self, image: Image) -> None:
+        if self._count == len(self._plan.patterns):
+            raise InputError(f"the sequence has {self._count} frames, found one more")
+        name = self._plan.name(self._count)
+        if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or image.dtype not in _DEPTHS:
+            raise InputError(
+                f"{name}: expected a grey or BGR image of 8 or 16 bits, found shape {image.shape} of {image.dtype}"
+            )
+        if self._texture is not None and (image.shape, image.dtype) != (self._texture.shape, self._texture.dtype):
+            raise InputError(
+                f"{name}: expected an image like those before it, {_form(self._texture)}, found {_form(image)}"
+            )
+
+    def _note_texture(self, image: Image) -> None:
+        """Keep the white frame or, if there is none, the brightest that each pixel was."""
+        if self._texture is None or self._count == self._plan.white:
+            self._texture = image.copy()
+        elif self._plan.white is None:
+            cv2.max(self._texture, image, dst=self._texture)
+
+
+def _form(image: Image) -> str:
+    colour = "BGR" if image.ndim == 3 else "grey"
+    return f"{image.shape[1]} × {image.shape[0]} {colour}, {8 * image.itemsize} bits"
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Both coordinates of every pixel, and what was found out on the way; `brightest` (H, W) grey."""
+
+    x: Coordinate
+    y: Coordinate
+    brightest: Image
+    noise: NoiseModel
+    modulation: float | None
+
+
+def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
+    """Check the frames, learn noise and tolerances from the sample, decode every pixel. Raises InputError."""
+    plan = accumulators.plan
+    accumulators.finish()
+    saturation = saturation_level(accumulators.peak)
+    noise = measure_noise(plan, sample, saturation)
+    check_frames(plan, sample.levels, noise, saturation)
+    check_codes(plan, accumulators.codes, noise, accumulators.middle)
+
+    thin = _signals(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
+    decoders = calibrated_decoders(plan, noise, saturation, thin)
+    for decoder, signals in zip(decoders, thin, strict=True):
+        check_fringes(plan, decoder, signals)
+    x, y = _decode_in_strips(accumulators, decoders)
+    return _Measured(x, y, accumulators.brightest, noise, modulation(decoders, thin))
+
+
+def _signals(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArray[Any]]) -> tuple[Signals, Signals]:
+    """The accumulated signals of x and y at some pixels; `select` takes these from an (H, W) image, as a 2-D array."""
+
+    def of_axis(axis: AxisPlan) -> Signals:
+        codes = [fold for fold in accumulators.codes if fold.code in axis.codes]
+        fringes = [fold for fold in accumulators.fringes if fold.fringe in axis.fringes]
+        return Signals(
+            [select(fold.words) for fold in codes],
+            [select(fold.least) for fold in codes],
+            [select(fold.contrast) for fold in codes],
+            [(select(fold.cosine), select(fold.sine)) for fold in fringes],
+            select(accumulators.middle),
+            select(accumulators.peak),
+        )
+
+    return of_axis(accumulators.plan.x), of_axis(accumulators.plan.y)
+
+
+def _decode_in_strips(
+    accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]
+) -> tuple[Coordinate, Coordinate]:
+    """Both coordinates of all pixels; strip by strip, so that what lies between stays in the processor's cache."""
+    height, width = accumulators.middle.shape
+    x, y = Coordinate.empty((height, width)), Coordinate.empty((height, width))
+    for start in range(0, height, _STRIP_ROWS):
+        rows = slice(start, start + _STRIP_ROWS)
+        signals = _signals(accumulators, itemgetter(rows))
+        for decoder, part, whole in zip(decoders, signals, (x, y), strict=True):
+            whole.put(rows, decoder.decode(part))
+    return x, y
+
+
+def _match(plan: SequencePlan, measured: _Measured) -> tuple[Matches, NDArray[np.uint8]]:
+    """The matches, and for all pixels (H, W) the reason why they have none."""
+    x, y = measured.x, measured.y
+    # The first of two reasons is the smaller number; KEPT, which is 0, becomes the largest in between.
+    reasons = np.minimum(x.reason - np.uint8(1), y.reason - np.uint8(1)) + np.uint8(1)
+    kept = reasons == MaskReason.KEPT
+    if not plan.fringes:
+        variance = np.float32(0.5) * (x.variance + y.variance)
+        cells = average_cells(kept, x.value, y.value, variance, measured.brightest)
+        reasons[cells.rejected] = MaskReason.ISOLATED
+        return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
+    steps = tuple(0.0 if axis.fringes else axis.cell for axis in plan.axes)
+    reasons[isolated(kept, (x, y), steps)] = MaskReason.ISOLATED
+    return _pixel_matches(np.flatnonzero(reasons == MaskReason.KEPT), x, y), reasons
+
+
+def _pixel_matches(pixels: NDArray[np.int64], x: Coordinate, y: Coordinate) -> Matches:
+    """The matches of some pixels, given by their flat indices."""
+    camera_px, projector_px = np.empty((len(pixels), 2)), np.empty((len(pixels), 2))
+    np.divmod(pixels, x.value.shape[1], out=(camera_px[:, 1], camera_px[:, 0]), casting="unsafe")
+    variance = np.zeros(len(pixels))
+    for column, coordinate in enumerate((x, y)):
+        projector_px[:, column] = coordinate.value.reshape(-1)[pixels]
+        variance += coordinate.variance.reshape(-1)[pixels]
+    variance /= 2
+    return Matches(camera_px, projector_px, sigma_px=np.sqrt(variance, out=variance))

@@ -1,0 +1,159 @@
+"""Frames folded into full-size images as they arrive, so that memory does not grow with their number.
+
+A Gray bit is one compare of two frames. A fringe is two weighted sums. Only Gray bits without an inverse wait, as they
+came, for the frames that give their threshold.
+"""
+
+from functools import cached_property
+from typing import Any, cast
+
+import cv2
+import numpy as np
+
+from calib.arrays import Image
+from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.plan import Fringe, GrayCode, SequencePlan
+
+
+class GrayFold:
+    """The code word of each pixel, with how far its bits were from their thresholds.
+
+    `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels.
+    """
+
+    def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
+        self.code = code
+        self.contrast: Image = np.zeros(shape, dtype)
+        self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
+        planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
+        self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
+
+    def fold(self, bit: int, bright: Image, dark: Image, *, half: bool = False) -> None:
+        """Set a bit where `bright` is brighter than `dark`; `half` if one of them is the threshold between two."""
+        place, position = divmod(self.code.bits - 1 - bit, 8)
+        is_set = cast(Image, cv2.compare(bright, dark, cv2.CMP_GT))
+        np.bitwise_and(is_set, np.uint8(1 << position), out=is_set)
+        np.bitwise_or(self._planes[place], is_set, out=self._planes[place])
+        difference = cast(Image, cv2.absdiff(bright, dark))
+        if half:
+            difference = cast(Image, cv2.add(difference, difference))
+        np.maximum(self.contrast, difference, out=self.contrast)
+        np.minimum(self.least, difference, out=self.least)
+
+    @cached_property
+    def words(self) -> Words:
+        """(H, W): bit 0 of the code in place bits − 1, as in the pattern; once all frames are in."""
+        if len(self._planes) == 1:
+            return self._planes[0]
+        merged = cast(Words, cv2.merge(self._planes))
+        words: Words = merged.view("<u2" if len(self._planes) == 2 else "<u4")[..., 0]
+        return words
+
+
+class FringeFold:
+    """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts."""
+
+    def __init__(self, fringe: Fringe, shape: tuple[int, int]) -> None:
+        self.fringe = fringe
+        self.cosine: Floats32 = np.zeros(shape, np.float32)
+        self.sine: Floats32 = np.zeros(shape, np.float32)
+
+    def fold(self, step: int, frame: Image) -> None:
+        """Add the frame of one shift."""
+        for component, weight in zip((self.cosine, self.sine), self.fringe.weights[1:, step], strict=True):
+            cv2.addWeighted(component, 1, frame, float(weight), 0, dst=component, dtype=cv2.CV_32F)
+
+
+class Accumulators:
+    """All that is kept at full size of the frames seen so far.
+
+    `brightest` (H, W): the white frame or, without one, the maximum over all frames.
+    """
+
+    def __init__(self, plan: SequencePlan, first: Image) -> None:
+        self.plan = plan
+        shape = first.shape[0], first.shape[1]
+        self.codes = [GrayFold(code, shape, first.dtype) for code in plan.codes]
+        self.fringes = [FringeFold(fringe, shape) for fringe in plan.fringes]
+        self.brightest: Image = np.zeros_like(first)
+        self._white: Image | None = None
+        self._black: Image | None = None
+        self._fringe_peak: Image | None = np.zeros_like(first) if plan.fringes else None
+        self._darkest: Image | None = first.copy() if _needs_midrange(plan) else None
+        self._threshold: Image | None = None
+        self._waiting: dict[int, Image] = {}
+        self._pairs = {
+            frame: (fold, bit, pair) for fold in self.codes for bit, pair in fold.code.pairs.items() for frame in pair
+        }
+        self._alone = {frame: (fold, bit) for fold in self.codes for bit, frame in fold.code.unpaired.items()}
+        self._steps = {frame: (fold, step) for fold in self.fringes for step, frame in enumerate(fold.fringe.frames)}
+
+    def add(self, index: int, grey: Image) -> None:
+        """Fold in frame `index`, (H, W); what is kept of it is a copy."""
+        if index in self._steps:
+            fold, step = self._steps[index]
+            fold.fold(step, grey)
+            np.maximum(self.peak, grey, out=self.peak)
+        elif index in self._pairs:
+            self._add_of_pair(index, grey)
+        elif index in self._alone:
+            self._waiting[index] = grey.copy()
+        elif index == self.plan.white:
+            self._white = self.brightest = grey.copy()
+        else:
+            self._black = grey.copy()
+        if self.plan.white is None:
+            np.maximum(self.brightest, grey, out=self.brightest)
+        if self._darkest is not None:
+            np.minimum(self._darkest, grey, out=self._darkest)
+        self._fold_alone()
+
+    def finish(self) -> None:
+        """Fold in what waited for the whole sequence to give its threshold."""
+        if self._darkest is not None:
+            self._threshold = _mean(self.brightest, self._darkest)
+        self._fold_alone()
+
+    @property
+    def peak(self) -> Image:
+        """(H, W): the largest grey levels among the fringes, or among all frames where there are no fringes."""
+        return self.brightest if self._fringe_peak is None else self._fringe_peak
+
+    @cached_property
+    def middle(self) -> Image:
+        """(H, W): grey level half-way between lit and unlit, once all frames are in."""
+        return self.brightest // 2 if self._black is None else _mean(self.brightest, self._black)
+
+    def _add_of_pair(self, index: int, grey: Image) -> None:
+        fold, bit, (normal, inverse) = self._pairs[index]
+        other = self._waiting.pop(inverse if index == normal else normal, None)
+        if other is None:
+            self._waiting[index] = grey.copy()
+            return
+        bright, dark = (grey, other) if index == normal else (other, grey)
+        fold.fold(bit, bright, dark)
+        if self._alone and self._threshold is None:
+            self._threshold = _mean(bright, dark)
+
+    def _fold_alone(self) -> None:
+        """Fold in the bits without an inverse as soon as there is a threshold for them."""
+        if not self._alone:
+            return
+        if self._threshold is None and self._white is not None and self._black is not None:
+            self._threshold = _mean(self._white, self._black)
+        if self._threshold is None:
+            return
+        for index in [index for index in self._waiting if index in self._alone]:
+            fold, bit = self._alone[index]
+            frame = self._waiting.pop(index)
+            bright, dark = (self._threshold, frame) if bit in fold.code.inverse else (frame, self._threshold)
+            fold.fold(bit, bright, dark, half=True)
+
+
+def _needs_midrange(plan: SequencePlan) -> bool:
+    """Whether nothing but the extremes over all frames tells where a bit's threshold is."""
+    return any(code.unpaired for code in plan.codes) and not plan.complements
+
+
+def _mean(first: Image, second: Image) -> Image:
+    return cast(Image, cv2.addWeighted(first, 0.5, second, 0.5, 0))

@@ -1,0 +1,10 @@
+"""Names for the array types of the decoder, which works in single precision; shapes are given in docstrings."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats32 = NDArray[np.float32]
+Words = NDArray[np.unsignedinteger[Any]]
+Reasons = NDArray[np.uint8]

@@ -1,0 +1,135 @@
+"""Does each frame of a Gray code show the bit that the capture says?
+
+Exchanged bits decode to numbers like any others. But between neighbouring cells a Gray code changes in one bit only:
+where camera pixels next to each other differ in a single bit, their cells must be next to each other.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from calib.arrays import Bools, Image, Ints
+from scanner.decoding.accumulate import GrayFold
+from scanner.decoding.arrays import Words
+from scanner.decoding.codes import cell_numbers
+from scanner.decoding.noise import NoiseModel
+from scanner.decoding.plan import GrayCode, SequencePlan
+from scanner.errors import InputError
+
+# Along this many rows and columns of the image pixels at most so far apart are compared.
+_LINES = 192
+_FARTHEST_PX = 16
+_CERTAIN_SIGMAS = 3.0
+_LEAST_DIFFERENCE = 5.0
+_FEWEST_CHANGES = 30
+# Occlusion edges and undersampled stripes leave well over this share of a bit's changes between neighbours; if another
+# bit of the word is wrong, it is a half at most.
+_LEAST_ADJACENT = 0.65
+# An exchange of bits is the cause if undoing it leaves no more than this share of the contradictions.
+_REPAIRED = 0.3
+
+
+@dataclass(frozen=True)
+class _Changes:
+    """Pairs of pixels whose code words differ in a single bit: their words (C,), and which bit (C,)."""
+
+    before: Words
+    after: Words
+    bit: Ints
+
+    def __getitem__(self, chosen: Bools) -> "_Changes":
+        return _Changes(self.before[chosen], self.after[chosen], self.bit[chosen])
+
+    def adjacent(self) -> Bools:
+        """Whether the two cells are next to each other, as they must be."""
+        before, after = cell_numbers(self.before), cell_numbers(self.after)
+        step: Words = np.maximum(before, after) - np.minimum(before, after)
+        adjacent: Bools = step == 1
+        return adjacent
+
+    def repaired(self, bits: int, exchange: tuple[int, int]) -> "_Changes":
+        """The same with two bits exchanged, or with one inverted if both are the same."""
+        first, second = (np.uint32(bits - 1 - bit) for bit in exchange)
+
+        def repair(words: Words) -> Words:
+            differ = np.uint32(1) if first == second else (words >> first ^ words >> second) & np.uint32(1)
+            return words ^ (differ << first | differ << second)
+
+        return _Changes(repair(self.before), repair(self.after), self.bit)
+
+
+def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel, middle: Image) -> None:
+    """Raise InputError if the bits of a Gray code do not follow each other as they must.
+
+    `middle` (H, W): grey level half-way between lit and unlit.
+    """
+    for fold in folds:
+        changes = _changes(fold, noise, middle)
+        wrong = changes[~changes.adjacent()]
+        if len(wrong.bit) < _FEWEST_CHANGES:
+            continue
+        _require_unrepairable(plan, fold.code, changes, len(wrong.bit))
+        bits = [bit for bit in range(fold.code.bits) if _is_unrelated(changes.bit == bit, wrong, bit)]
+        if bits:
+            # Whether two cells are neighbours depends on the changing bit and on all finer ones.
+            suspects = [frame for bit in range(min(bits), fold.code.bits) for frame in _frames_of(fold.code, bit)]
+            raise InputError(
+                f"in the Gray code along {fold.code.axis}, cells that differ in bit {', '.join(map(str, bits))} only "
+                f"are not neighbours, as they must be; was a frame exchanged with another? {plan.names(suspects)}"
+            )
+
+
+def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> _Changes:
+    """Single-bit changes along some rows and columns of the image, between certain pixels."""
+    pairs = []
+    for transposed in (False, True):
+        words, least, level = (image.T if transposed else image for image in (fold.words, fold.least, middle))
+        lines = np.unique(np.linspace(0, len(words) - 1, _LINES).astype(np.int64))
+        difference_sigma = np.sqrt(2) * noise.sigma(level[lines])
+        certain = least[lines] > np.maximum(_LEAST_DIFFERENCE, _CERTAIN_SIGMAS * difference_sigma)
+        pairs.append(_neighbours(words[lines], certain))
+    before, after = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    change = before ^ after
+    single = (change != 0) & (change & (change - np.uint32(1)) == 0)
+    place = np.rint(np.log2(change[single])).astype(np.int64)
+    return _Changes(before[single], after[single], fold.code.bits - 1 - place)
+
+
+def _neighbours(words: Words, certain: Bools) -> tuple[Words, Words]:
+    """Words of certain pixels that follow each other along the rows of an image."""
+    position = np.flatnonzero(certain)
+    near = (np.diff(position) <= _FARTHEST_PX) & (np.diff(position // words.shape[1]) == 0)
+    certain_words = words[certain].astype(np.uint32)
+    return certain_words[:-1][near], certain_words[1:][near]
+
+
+def _require_unrepairable(plan: SequencePlan, code: GrayCode, changes: _Changes, wrong: int) -> None:
+    exchanges = [*combinations(range(code.bits), 2), *((bit, bit) for bit in range(code.bits))]
+    left = [np.count_nonzero(~changes.repaired(code.bits, exchange).adjacent()) for exchange in exchanges]
+    if min(left) > _REPAIRED * wrong:
+        return
+    first, second = exchanges[int(np.argmin(left))]
+    names = plan.names([*_frames_of(code, first), *_frames_of(code, second)])
+    if first == second:
+        raise InputError(f"the code along {code.axis} makes sense only with the opposite of bit {first}; see {names}")
+    raise InputError(
+        f"the code along {code.axis} makes sense only with bits {first} and {second} exchanged; see {names}"
+    )
+
+
+def _is_unrelated(of_bit: Bools, wrong: _Changes, bit: int) -> bool:
+    """Whether a bit changes in many places, too rarely between neighbours.
+
+    A single pair of cells that meet along an occlusion edge may differ in one bit by chance.
+    """
+    chosen = wrong[wrong.bit == bit]
+    if len(chosen.bit) < max(_FEWEST_CHANGES, (1 - _LEAST_ADJACENT) * np.count_nonzero(of_bit)):
+        return False
+    _, counts = np.unique(np.minimum(chosen.before, chosen.after), return_counts=True)
+    return bool(counts.max() < len(chosen.bit) / 2)
+
+
+def _frames_of(code: GrayCode, bit: int) -> list[int]:
+    return [frames[bit] for frames in (code.normal, code.inverse) if bit in frames]

@@ -1,0 +1,148 @@
+"""Does each frame show what the capture says? Checked on a sample of all frames, before anything is decoded.
+
+Light adds up: white is the brightest of all frames and black the darkest, a pattern and its inverse make white plus
+black, and a fringe's mean over its shifts is the same grey everywhere. This holds under any interreflection and any
+brightness curve of the projector. Frames that were exchanged, doubled or taken from elsewhere break it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Bools
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.noise import NoiseModel
+from scanner.decoding.plan import Fringe, SequencePlan
+from scanner.errors import InputError
+
+# The swing of a lit pixel between all frames: in standard deviations of a difference of two, and in grey levels.
+_SEEN = 8.0
+_WELL_SEEN = 20.0
+_LEAST_SWING = 2.0
+_FEWEST_LIT = 20
+_ENOUGH_LIT = 500
+# Exchanged frames may pass for noise; it is at most this share of the light.
+_MOST_NOISE = 0.05
+# An exchanged frame is wrong by the whole swing wherever its pattern differs; a bent camera curve by less than half.
+_WRONG = 0.5
+_WRONG_SHARE = 0.05
+# N times the spread of a fringe's mean over N shifts, in amplitudes: about 1 if one of the N frames is another pattern;
+# 0.1 to 0.2 from harmonics.
+_WRONG_MEAN = 0.5
+# How far the amplitude and shift of a frame may be from its pattern's, as a distance between phasors of length 1.
+_WRONG_SHIFT = 0.4
+# The power of a fringe that its fit leaves over: a gamma of 2.2 makes 0.05, exchanged opposite or next shifts 0.5.
+_UNEXPLAINED = 0.25
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """The pixels of the sample that are lit: `levels` (frames, P), `swing` and noise `sigma` (P,)."""
+
+    levels: Floats32
+    swing: Floats32
+    sigma: Floats32
+
+
+def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> None:
+    """Raise InputError naming the frames of the sample `levels` (frames, P) that contradict the sequence."""
+    high, low = levels.max(axis=0), levels.min(axis=0)
+    swing = high - low
+    sigma = np.minimum(noise.sigma((high + low) / 2), np.float32(_MOST_NOISE * np.quantile(swing, 0.99)))
+    lit = _well_lit(swing, sigma, high >= saturation)
+    shown = _Shown(levels[:, lit], swing[lit], sigma[lit])
+    found = [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown), *_shifts(plan, shown)]
+    if found:
+        raise InputError("the frames do not show what the capture says: " + "; ".join(found))
+
+
+def _well_lit(swing: Floats32, sigma: Floats32, saturated: Bools) -> Bools:
+    """The pixels that the patterns light up; of many, the best."""
+    sigmas = swing / (np.float32(np.sqrt(2)) * np.maximum(sigma, np.float32(1e-6)))
+    seen = (sigmas > _SEEN) & (swing > _LEAST_SWING)
+    if np.count_nonzero(seen) < _FEWEST_LIT:
+        raise InputError(
+            f"the frames do not change with the patterns: half the pixels vary by {np.median(swing):.1f} grey levels "
+            "at most; "
+            "is the projector on, the lens uncapped, the exposure long enough?"
+        )
+    lit: Bools = seen & ~saturated
+    if np.count_nonzero(lit) < _FEWEST_LIT:
+        raise InputError("the frames are overexposed: all lit pixels reach the largest value; shorten the exposure")
+    well_lit = lit & (sigmas > _WELL_SEEN)
+    return well_lit if np.count_nonzero(well_lit) >= _ENOUGH_LIT else lit
+
+
+def _extremes(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
+    for frame, side, word in ((plan.white, 1, "darker"), (plan.black, -1, "brighter")):
+        if frame is None:
+            continue
+        others = side * np.delete(shown.levels, frame, axis=0)
+        excess = (others - side * shown.levels[frame]) / shown.swing
+        wrong = np.mean(excess.max(axis=0) > _WRONG)
+        if wrong > _WRONG_SHARE:
+            suspect = int(np.argmax(np.mean(excess > _WRONG, axis=1)))
+            suspect += suspect >= frame
+            yield (
+                f"{plan.name(frame)} is {word} than others at {wrong:.0%} of the lit pixels, above all than "
+                f"{plan.name(suspect)}"
+            )
+
+
+def _complements(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
+    pairs = plan.complements
+    if len(pairs) < 2:
+        return
+    sums = np.stack([shown.levels[a] + shown.levels[b] for a, b in pairs])
+    wrong = np.mean(np.abs(sums - np.median(sums, axis=0)) > _WRONG * shown.swing, axis=1)
+    if wrong.max() > _WRONG_SHARE:
+        suspects = [frame for pair, share in zip(pairs, wrong, strict=True) for frame in pair if share > _WRONG_SHARE]
+        yield (
+            f"pattern and inverse do not complement each other at {wrong.max():.0%} of the lit pixels, in "
+            f"{plan.names(suspects)}"
+        )
+
+
+def _means(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
+    even = [fringe for fringe in plan.fringes if fringe.equal_steps]
+    if not even:
+        return
+    means = [np.mean(shown.levels[list(fringe.frames)], axis=0) for fringe in even]
+    reference = np.median(means, axis=0) if len(even) > 1 else shown.levels.min(axis=0)
+    for fringe, mean in zip(even, means, strict=True):
+        steps = len(fringe.shifts)
+        _, cosine, sine = _components(fringe, shown)
+        amplitude = float(np.median(np.hypot(cosine, sine) / shown.swing))
+        spread = _robust_sigma((mean - reference) / shown.swing)
+        noise = float(np.median(shown.sigma / shown.swing)) / np.sqrt(steps)
+        if steps * np.sqrt(max(spread**2 - noise**2, 0.0)) > _WRONG_MEAN * amplitude:
+            yield f"the mean of {plan.names(fringe.frames)} is no even grey, as it is for a fringe in equal steps"
+
+
+def _shifts(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
+    """Measure amplitude and shift of each frame against the fringe that all of them make together."""
+    for fringe in plan.fringes:
+        offset, cosine, sine = _components(fringe, shown)
+        swings = shown.levels[list(fringe.frames)] - offset
+        angles = 2 * np.pi * np.array(fringe.shifts)
+        phasors = np.stack([np.cos(angles), -np.sin(angles)])
+        unexplained = swings - phasors.T.astype(np.float32) @ np.stack([cosine, sine])
+        if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):
+            yield f"{plan.names(fringe.frames)} make no fringe together"
+            continue
+        found = np.linalg.lstsq(np.stack([cosine, sine], axis=1), swings.T)[0]
+        wrong = np.linalg.norm(found - phasors, axis=0) > _WRONG_SHIFT
+        if wrong.any():
+            suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
+            yield f"{plan.names(suspects)} have another shift or period than their patterns"
+
+
+def _components(fringe: Fringe, shown: _Shown) -> tuple[Floats32, Floats32, Floats32]:
+    frames = shown.levels[list(fringe.frames)]
+    offset, cosine, sine = np.tensordot(fringe.weights.astype(np.float32), frames, axes=1)
+    return offset, cosine, sine
+
+
+def _robust_sigma(values: Floats32) -> float:
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))

@@ -1,0 +1,122 @@
+"""Does each frame show what the capture says? Checked on fringes and coordinates, where the light alone cannot tell.
+
+Fringes that run backwards decode like any others. But fringes must follow the Gray code and each other, and camera and
+projector see the same side of a surface, so that the map between them is never mirrored.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from calib.arrays import Bools
+from scanner.decoding.arrays import Reasons
+from scanner.decoding.calibrate import sample_orders
+from scanner.decoding.codes import interval_of
+from scanner.decoding.coordinate import AxisDecoder, Coordinate, MaskReason, Signals
+from scanner.decoding.plan import AxisPlan, SequencePlan
+from scanner.decoding.unwrap import widest_tolerances
+from scanner.errors import InputError
+
+_FEWEST_PIXELS = 100
+# The mean cosine of the phase that a Gray cell leaves; cells that leave less say too little about the phase.
+_INFORMATIVE = 0.3
+# Periods that have nothing to do with each other are a quarter cycle apart in the median; a rippled phase 0.06.
+_UNRELATED_CYCLES = 0.1
+_MOST_BAD = 0.6
+_STRIDE = 2
+
+
+def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> None:
+    """Raise InputError if the fringes of an axis follow neither its Gray code nor each other; on a sample."""
+    axis = decoder.plan
+    if not axis.fringes:
+        return
+    interval = interval_of(axis, signals.words)
+    lit = decoder.well_lit(signals) & ~interval.outside & ~interval.contradictory
+    if np.count_nonzero(lit) < _FEWEST_PIXELS:
+        return
+    for fringe, position in zip(axis.fringes, decoder.positions(signals), strict=True):
+        expected = float(np.sinc(axis.cell / fringe.period))
+        found = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
+        if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and found < expected / 2:
+            raise InputError(
+                f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were some "
+                f"of these frames exchanged{_or_code(plan, axis)}?"
+            )
+    orders, _ = sample_orders(replace(decoder, tolerances=widest_tolerances(axis)), signals)
+    for (longer, shorter), distance in zip(pairwise(axis.fringes), orders.distances(), strict=True):
+        apart = float(np.median(distance))
+        if apart > _UNRELATED_CYCLES * shorter.period:
+            raise InputError(
+                f"along {axis.axis} the fringes of period {longer.period:g} and {shorter.period:g} px contradict each "
+                f"other by {apart:.1f} px; were some of their frames exchanged{_or_code(plan, axis)}? "
+                f"{plan.names([*longer.frames, *shorter.frames])}"
+            )
+
+
+def check_maps(plan: SequencePlan, x: Coordinate, y: Coordinate, reasons: Reasons) -> None:
+    """Raise InputError if most of what is lit contradicts itself, or if the map to the projector is mirrored.
+
+    `reasons` (H, W): after all masks.
+    """
+    kept = reasons == MaskReason.KEPT
+    for axis, coordinate in zip(plan.axes, (x, y), strict=True):
+        _check_share(plan, axis, coordinate, int(np.count_nonzero(kept)))
+    mirrored = _mirrored_axis(plan, x, y, kept)
+    if mirrored is not None:
+        frames = [frame for fringe in mirrored.fringes for frame in fringe.frames] or mirrored.frames
+        raise InputError(
+            f"the {mirrored.axis} coordinate runs backwards, as if seen in a mirror. Were frames exchanged, perhaps "
+            f"{plan.names(frames)}{_or_code(plan, mirrored)}? Or does the projector mirror its image, as for rear "
+            "projection? Then switch that off"
+        )
+
+
+def _check_share(plan: SequencePlan, axis: AxisPlan, coordinate: Coordinate, kept: int) -> None:
+    for reason, what in (
+        (MaskReason.INCONSISTENT, "the frames contradict each other"),
+        (MaskReason.OUTSIDE, f"the codes are outside the projector's 0 … {axis.length - 1}"),
+    ):
+        bad = int(np.count_nonzero(coordinate.reason == reason))
+        if bad > _FEWEST_PIXELS and bad > _MOST_BAD * (bad + kept):
+            raise InputError(
+                f"along {axis.axis} {what} at {bad / (bad + kept):.0%} of the lit pixels; were frames exchanged, or is "
+                f"the projector's size wrong? {plan.names(axis.frames)}"
+            )
+
+
+def _mirrored_axis(plan: SequencePlan, x: Coordinate, y: Coordinate, kept: Bools) -> AxisPlan | None:
+    """The axis that runs backwards, if the map from camera to projector pixels changes orientation at most pixels.
+
+    From pixel to pixel the fringes are seen to run, from cell to cell the codes.
+    """
+    for reach in sorted({max(_reaches(axis, kept.shape)[i] for axis in plan.axes) for i in (0, 1)}):
+        if 2 * reach >= min(kept.shape):
+            continue
+        near, far, inner = np.s_[: -2 * reach : _STRIDE], np.s_[2 * reach :: _STRIDE], np.s_[reach:-reach:_STRIDE]
+        left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
+        whole = kept[left] & kept[right] & kept[above] & kept[below]
+        if np.count_nonzero(whole) < _FEWEST_PIXELS:
+            continue
+        x_u, y_u = ((c.value[right] - c.value[left])[whole] for c in (x, y))
+        x_v, y_v = ((c.value[below] - c.value[above])[whole] for c in (x, y))
+        if np.mean(x_u * y_v < x_v * y_u) > 0.5:
+            # Devices stand roughly upright: the axis that is against the camera's own is the one that runs backwards.
+            return plan.x if np.median(x_u) < 0 or np.median(y_v) > 0 else plan.y
+    return None
+
+
+def _reaches(axis: AxisPlan, shape: tuple[int, ...]) -> tuple[int, int]:
+    """How many camera pixels apart a coordinate surely changes by more than its steps, and by more than a cell."""
+    per_pixel = max(shape) / axis.length
+    cell = 2 * axis.cell if axis.codes else 1.0
+    return max(1, round(per_pixel * (1.0 if axis.fringes else cell))), max(1, round(per_pixel * cell))
+
+
+def _or_code(plan: SequencePlan, axis: AxisPlan) -> str:
+    """Names the frames of the Gray code as further suspects."""
+    frames = [frame for code in axis.codes for frame in code.frames]
+    if not frames or not axis.fringes:
+        return ""
+    return f", or frames of the Gray code (between {plan.name(min(frames))} and {plan.name(max(frames))})"

@@ -1,0 +1,194 @@
+"""One projector coordinate from what was accumulated: code words, fringe components → coordinate, variance, reason."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from math import pi, sqrt
+from typing import cast
+
+import cv2
+import numpy as np
+
+from calib.arrays import Bools, Image
+from scanner.decoding.arrays import Floats32, Reasons, Words
+from scanner.decoding.codes import Interval, interval_of
+from scanner.decoding.noise import NoiseModel
+from scanner.decoding.plan import AxisPlan, Fringe
+from scanner.decoding.response import TABLE_LENGTH
+from scanner.decoding.unwrap import Orders, Tolerances, Wrapped, unwrap
+
+# A signal counts from five standard deviations on: an unlit pixel passes by chance once in three million times.
+_SEEN = 5.0
+# One-sided 93 %. A bit this weak lies at the edge of its stripe, where a wrong one costs a single cell.
+_CERTAIN_BIT = 1.5
+# Smaller differences are rounding, compression and stray light, whatever the noise.
+_LEAST_DIFFERENCE = 5.0
+# How far beyond the projector's pixels noise may carry a coordinate.
+_EDGE_PX = 0.5
+
+
+class MaskReason(IntEnum):
+    """Why a camera pixel has no match."""
+
+    KEPT = 0
+    DARK = 1
+    """The patterns change its brightness by no more than noise would."""
+    SATURATED = 2
+    """A fringe reached the camera's largest value."""
+    UNDECIDED = 3
+    """A bit of the Gray code is within the noise of its threshold, and no fringe helps."""
+    INCONSISTENT = 4
+    """Gray codes and fringes contradict each other, or allow two answers."""
+    OUTSIDE = 5
+    """The code is that of no projector pixel."""
+    ISOLATED = 6
+    """It does not continue the surface that its neighbours see: an edge of surface or light, or a lone error."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What was accumulated for one axis at some pixels; all arrays of one 2-D shape.
+
+    Per code `words`, `least` and `contrast` as in `GrayFold`; per fringe its two components, longest period first.
+    `middle`: grey level half-way between lit and unlit. `peak`: largest grey level among the fringes.
+    """
+
+    words: list[Words]
+    least: list[Image]
+    contrast: list[Image]
+    fringes: list[tuple[Floats32, Floats32]]
+    middle: Image
+    peak: Image
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """`value` in projector pixels with its `variance`, and the `reason` not to use it; arrays of one shape."""
+
+    value: Floats32
+    variance: Floats32
+    reason: Reasons
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> "Coordinate":
+        """Room for the coordinates of (H, W) pixels."""
+        return cls(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.uint8))
+
+    def put(self, rows: slice, part: "Coordinate") -> None:
+        """Fill in some rows."""
+        self.value[rows], self.variance[rows], self.reason[rows] = part.value, part.variance, part.reason
+
+
+@dataclass(frozen=True)
+class AxisDecoder:
+    """Turns signals into one coordinate.
+
+    `ripple`: per fringe, what to add to its phase (a table over a cycle), or None. `systematic`: standard deviation, in
+    cycles, of what may be left of it.
+    """
+
+    plan: AxisPlan
+    noise: NoiseModel
+    saturation: float
+    ripple: tuple[Floats32 | None, ...]
+    tolerances: Tolerances
+    systematic: float = 0.0
+
+    def decode(self, signals: Signals) -> Coordinate:
+        """The coordinate at every pixel of the signals."""
+        interval = interval_of(self.plan, signals.words)
+        decode = self._from_fringes if self.plan.fringes else self._from_codes
+        coordinate = decode(signals, interval)
+        reason = coordinate.reason
+        reason[(reason == MaskReason.KEPT) & interval.contradictory] = MaskReason.INCONSISTENT
+        reason[((reason == MaskReason.KEPT) | (reason == MaskReason.INCONSISTENT)) & interval.outside] = (
+            MaskReason.OUTSIDE
+        )
+        return coordinate
+
+    def well_lit(self, signals: Signals) -> Bools:
+        """Where every fringe is seen and none is saturated."""
+        return ~(self._dark(self.fringe_variances(signals)) | (signals.peak >= self.saturation))
+
+    def positions(self, signals: Signals) -> list[Floats32]:
+        """Per fringe, the position within its period in projector pixels."""
+        found = []
+        for fringe, ripple, components in zip(self.plan.fringes, self.ripple, signals.fringes, strict=True):
+            phase = cast(Floats32, cv2.phase(*components))
+            if ripple is not None:
+                phase += ripple[(phase * np.float32(TABLE_LENGTH / (2 * pi))).astype(np.int32) % TABLE_LENGTH]
+            phase *= np.float32(fringe.period / (2 * pi))
+            found.append(phase)
+        return found
+
+    def orders(self, signals: Signals, interval: Interval, variances: list[Floats32]) -> Orders:
+        """The fringe orders at every pixel, certain or not."""
+        wrapped = [Wrapped(*pair) for pair in zip(self.positions(signals), variances, strict=True)]
+        return unwrap(self.plan, interval, wrapped, self.tolerances)
+
+    def fringe_variances(self, signals: Signals) -> list[Floats32]:
+        """Per fringe, the variance of its coordinate.
+
+        σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal shifts.
+        """
+        level_variance = self.noise.variance(signals.middle)
+        variances = []
+        for fringe, (cosine, sine) in zip(self.plan.fringes, signals.fringes, strict=True):
+            power = cosine * cosine
+            power += sine * sine
+            np.maximum(power, np.float32(1e-6), out=power)
+            np.divide(level_variance, power, out=power)
+            power *= np.float32((fringe.period / (2 * pi) * fringe.noise_gain) ** 2)
+            variances.append(power)
+        return variances
+
+    def _dark(self, variances: list[Floats32]) -> Bools:
+        dark: Bools = np.zeros(variances[0].shape, np.bool_)
+        for fringe, variance in zip(self.plan.fringes, variances, strict=True):
+            dark |= variance > _largest_variance(fringe, with_gray=bool(self.plan.codes))
+        return dark
+
+    def _from_fringes(self, signals: Signals, interval: Interval) -> Coordinate:
+        variances = self.fringe_variances(signals)
+        orders = self.orders(signals, interval, variances)
+        dark = self._dark(variances)
+        for fringe, variance in zip(self.plan.fringes, variances, strict=True):
+            variance += np.float32((self.systematic * fringe.period) ** 2)
+        value, variance = _weighted_mean(orders.coordinates, variances)
+        reason = np.zeros(value.shape, np.uint8)
+        reason[(value < -0.5 - _EDGE_PX) | (value > self.plan.length - 0.5 + _EDGE_PX)] = MaskReason.OUTSIDE
+        reason[~(orders.agree & orders.unique)] = MaskReason.INCONSISTENT
+        reason[signals.peak >= self.saturation] = MaskReason.SATURATED
+        reason[dark] = MaskReason.DARK
+        return Coordinate(value, variance, reason)
+
+    def _from_codes(self, signals: Signals, interval: Interval) -> Coordinate:
+        difference_sigma = np.float32(sqrt(2)) * self.noise.sigma(signals.middle)
+        least_certain = np.maximum(np.float32(_LEAST_DIFFERENCE), np.float32(_CERTAIN_BIT) * difference_sigma)
+        least_seen = np.maximum(np.float32(2 * _LEAST_DIFFERENCE), np.float32(_SEEN) * difference_sigma)
+        reason = np.zeros(signals.middle.shape, np.uint8)
+        for least, contrast in zip(signals.least, signals.contrast, strict=True):
+            reason[(least <= least_certain) & (reason == MaskReason.KEPT)] = MaskReason.UNDECIDED
+            reason[contrast <= least_seen] = MaskReason.DARK
+        # Evenly spread over the cell: (2 · half)² / 12.
+        return Coordinate(interval.centre, np.float32(1 / 3) * interval.half * interval.half, reason)
+
+
+def _largest_variance(fringe: Fringe, *, with_gray: bool) -> float:
+    """The variance of a fringe that is just seen.
+
+    Where a Gray code goes with it, its single bits must be seen too: they have √2 of a frame's noise, and a contrast of
+    twice the fringe's amplitude.
+    """
+    needed = max(_SEEN, _SEEN / sqrt(2) / fringe.noise_gain) if with_gray else _SEEN
+    return (fringe.period / (2 * pi) / needed) ** 2
+
+
+def _weighted_mean(coordinates: list[Floats32], variances: list[Floats32]) -> tuple[Floats32, Floats32]:
+    if len(coordinates) == 1:
+        return coordinates[0], variances[0]
+    weighted, weights = np.zeros_like(coordinates[0]), np.zeros_like(coordinates[0])
+    for coordinate, variance in zip(coordinates, variances, strict=True):
+        weight = np.reciprocal(variance)
+        weights += weight
+        weighted += weight * coordinate
+    return weighted / weights, np.reciprocal(weights)
