@@ -167,6 +167,7 @@ def _signals(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArra
             [select(fold.least) for fold in codes],
             [select(fold.contrast) for fold in codes],
             [(select(fold.cosine), select(fold.sine)) for fold in fringes],
+            select(accumulators.brightest),
             select(accumulators.middle),
             select(accumulators.peak),
         )

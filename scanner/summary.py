@@ -12,7 +12,7 @@ def calibration_table(calibration: Calibration, truth: Calibration | None = None
     """The calibration with its sigmas where known, beside the truth where there is one."""
     table = Table(title="Calibration", title_justify="left")
     table.add_column("", no_wrap=True)
-    for heading in ("value", "sigma", *(("truth", "error") if truth else ())):
+    for heading in ("value", "sigma", *(("truth", "error", "%") if truth else ())):
         table.add_column(heading, justify="right", no_wrap=True)
     for heading, quantities in (
         ("Camera", device_quantities("camera", calibration, truth)),
@@ -34,11 +34,13 @@ def _sigma_cell(quantity: Quantity) -> str:
     return f"± {quantity.shown(quantity.sigma)}" if quantity.sigma else "given"
 
 
-def _truth_cells(quantity: Quantity) -> tuple[str, str]:
-    if quantity.truth is None:
-        return "", ""
-    percent = f" ({plain(quantity.error_percent, 2, signed=True)} %)" if quantity.error_percent is not None else ""
-    return quantity.shown(quantity.truth), quantity.shown(quantity.error, signed=True) + percent
+def _truth_cells(quantity: Quantity) -> tuple[str, str, str]:
+    percent = quantity.error_percent
+    return (
+        quantity.shown(quantity.truth),
+        quantity.shown(quantity.error, signed=True),
+        "" if percent is None else plain(percent, 2, signed=True),
+    )
 
 
 def truth_line(calibration: Calibration, truth: Calibration) -> str:

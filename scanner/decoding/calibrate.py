@@ -1,7 +1,8 @@
 """The decoders of both axes, with everything that a sample of the capture tells about its fringes."""
 
 from collections import defaultdict
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import sqrt
 from typing import cast
@@ -17,6 +18,9 @@ from scanner.decoding.plan import AxisPlan, Fringe, SequencePlan
 from scanner.decoding.response import can_ripple, straightening
 from scanner.decoding.unwrap import GAUSSIAN_MEDIAN, Orders, measured_tolerances, widest_tolerances
 
+# Over fewer cycles the phases of a scene need not be evenly spread.
+_ENOUGH_CYCLES = 8.0
+
 
 def calibrated_decoders(
     plan: SequencePlan, noise: NoiseModel, saturation: float, signals: tuple[Signals, Signals]
@@ -26,7 +30,7 @@ def calibrated_decoders(
         AxisDecoder(axis, noise, saturation, (None,) * len(axis.fringes), widest_tolerances(axis)) for axis in plan.axes
     ]
     plain = [_with_tolerances(decoder, part) for decoder, part in zip(raw, signals, strict=True)]
-    ripples = _ripples(raw, signals)
+    ripples = _ripples(plain, signals)
     straightened = [
         _with_tolerances(replace(decoder, ripple=tuple(ripples.get(fringe) for fringe in decoder.plan.fringes)), part)
         for decoder, part in zip(raw, signals, strict=True)
@@ -73,20 +77,48 @@ def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:
     )
 
 
+@dataclass(frozen=True)
+class _Phases:
+    """Raw phases (P,) of a fringe, radians, and over how many of its cycles the pixels are spread."""
+
+    fringe: Fringe
+    phases: Floats32
+    cycles: float
+
+
 def _ripples(decoders: list[AxisDecoder], signals: tuple[Signals, Signals]) -> dict[Fringe, Floats32]:
-    """Per fringe, what straightens its phase; fringes with the same shifts are bent alike and measured together."""
-    groups: dict[tuple[int, float], list[tuple[Fringe, Floats32]]] = defaultdict(list)
+    """Per fringe, what straightens its phase.
+
+    Fringes with the same shifts and period are bent alike on both axes and are measured together. Where the pixels see
+    too few cycles of a period, the next shorter one lends its table.
+    """
+    groups: dict[tuple[int, float], list[_Phases]] = defaultdict(list)
     for decoder, part in zip(decoders, signals, strict=True):
-        for fringe, components in zip(decoder.plan.fringes, part.fringes, strict=True):
-            if can_ripple(fringe):
-                steps = len(fringe.shifts)
-                phases = cast(Floats32, cv2.phase(*components))[decoder.well_lit(part)]
-                groups[steps, round(fringe.shifts[0] * steps % 1, 6) % 1].append((fringe, phases))
+        for seen in _phases(decoder, part):
+            steps = len(seen.fringe.shifts)
+            groups[steps, round(seen.fringe.shifts[0] * steps % 1, 6) % 1].append(seen)
     found = {}
     for group in groups.values():
-        table = straightening(group[0][0], [phases for _, phases in group])
-        found.update({fringe: table for fringe, _ in group if table is not None})
+        table = None
+        for period in sorted({seen.fringe.period for seen in group}):
+            alike = [seen for seen in group if seen.fringe.period == period]
+            if sum(seen.cycles for seen in alike) >= _ENOUGH_CYCLES:
+                table = straightening(alike[0].fringe, [seen.phases for seen in alike])
+            if table is not None:
+                found.update({seen.fringe: table for seen in alike})
     return found
+
+
+def _phases(decoder: AxisDecoder, signals: Signals) -> Iterator[_Phases]:
+    if not decoder.plan.fringes:
+        return
+    # Which pixels saturate would depend on their phase, if it were judged by the fringes themselves.
+    lit = decoder.well_lit(signals) & (signals.brightest < decoder.saturation)
+    orders, _ = sample_orders(decoder, signals)
+    for fringe, components, coordinate in zip(decoder.plan.fringes, signals.fringes, orders.coordinates, strict=True):
+        if can_ripple(fringe) and len(coordinate):
+            first, last = np.quantile(coordinate, (0.02, 0.98))
+            yield _Phases(fringe, cast(Floats32, cv2.phase(*components))[lit], float(last - first) / fringe.period)
 
 
 def _systematic(plan: AxisPlan, orders: Orders, variances: list[Floats32]) -> float:

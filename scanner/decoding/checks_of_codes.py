@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.arrays import Bools, Image, Ints
 from scanner.decoding.accumulate import GrayFold
@@ -24,6 +25,9 @@ _FARTHEST_PX = 16
 _CERTAIN_SIGMAS = 3.0
 _LEAST_DIFFERENCE = 5.0
 _FEWEST_CHANGES = 30
+# Where the camera samples the cells, nearly all changes are in a single bit; across stripes finer than its pixels they
+# are not, and say nothing.
+_MOSTLY_SINGLE = 0.8
 # Occlusion edges and undersampled stripes leave well over this share of a bit's changes between neighbours; if another
 # bit of the word is wrong, it is a half at most.
 _LEAST_ADJACENT = 0.65
@@ -83,25 +87,26 @@ def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel
 
 def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> _Changes:
     """Single-bit changes along some rows and columns of the image, between certain pixels."""
-    pairs = []
+    before, after = np.empty(0, np.uint32), np.empty(0, np.uint32)
     for transposed in (False, True):
         words, least, level = (image.T if transposed else image for image in (fold.words, fold.least, middle))
         lines = np.unique(np.linspace(0, len(words) - 1, _LINES).astype(np.int64))
         difference_sigma = np.sqrt(2) * noise.sigma(level[lines])
         certain = least[lines] > np.maximum(_LEAST_DIFFERENCE, _CERTAIN_SIGMAS * difference_sigma)
-        pairs.append(_neighbours(words[lines], certain))
-    before, after = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    change = before ^ after
-    single = (change != 0) & (change & (change - np.uint32(1)) == 0)
-    place = np.rint(np.log2(change[single])).astype(np.int64)
-    return _Changes(before[single], after[single], fold.code.bits - 1 - place)
+        one, next_one = _neighbours(words[lines], certain)
+        change = one ^ next_one
+        single = (change != 0) & (change & (change - np.uint32(1)) == 0)
+        if np.count_nonzero(single) >= _MOSTLY_SINGLE * np.count_nonzero(change):
+            before, after = np.append(before, one[single]), np.append(after, next_one[single])
+    place = np.rint(np.log2(before ^ after)).astype(np.int64)
+    return _Changes(before, after, fold.code.bits - 1 - place)
 
 
-def _neighbours(words: Words, certain: Bools) -> tuple[Words, Words]:
+def _neighbours(words: Words, certain: Bools) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Words of certain pixels that follow each other along the rows of an image."""
     position = np.flatnonzero(certain)
     near = (np.diff(position) <= _FARTHEST_PX) & (np.diff(position // words.shape[1]) == 0)
-    certain_words = words[certain].astype(np.uint32)
+    certain_words: NDArray[np.uint32] = words[certain].astype(np.uint32)
     return certain_words[:-1][near], certain_words[1:][near]
 
 

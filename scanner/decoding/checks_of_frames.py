@@ -22,8 +22,6 @@ _WELL_SEEN = 20.0
 _LEAST_SWING = 2.0
 _FEWEST_LIT = 20
 _ENOUGH_LIT = 500
-# Exchanged frames may pass for noise; it is at most this share of the light.
-_MOST_NOISE = 0.05
 # An exchanged frame is wrong by the whole swing wherever its pattern differs; a bent camera curve by less than half.
 _WRONG = 0.5
 _WRONG_SHARE = 0.05
@@ -32,6 +30,8 @@ _WRONG_SHARE = 0.05
 _WRONG_MEAN = 0.5
 # How far the amplitude and shift of a frame may be from its pattern's, as a distance between phasors of length 1.
 _WRONG_SHIFT = 0.4
+# With a view of less than about half a cycle shifts cannot be told from amplitudes.
+_MOST_UNEVEN = 4.0
 # The power of a fringe that its fit leaves over: a gamma of 2.2 makes 0.05, exchanged opposite or next shifts 0.5.
 _UNEXPLAINED = 0.25
 
@@ -49,7 +49,7 @@ def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, satura
     """Raise InputError naming the frames of the sample `levels` (frames, P) that contradict the sequence."""
     high, low = levels.max(axis=0), levels.min(axis=0)
     swing = high - low
-    sigma = np.minimum(noise.sigma((high + low) / 2), np.float32(_MOST_NOISE * np.quantile(swing, 0.99)))
+    sigma = noise.sigma((high + low) / 2)
     lit = _well_lit(swing, sigma, high >= saturation)
     shown = _Shown(levels[:, lit], swing[lit], sigma[lit])
     found = [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown), *_shifts(plan, shown)]
@@ -131,9 +131,9 @@ def _shifts(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
         if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):
             yield f"{plan.names(fringe.frames)} make no fringe together"
             continue
-        found = np.linalg.lstsq(np.stack([cosine, sine], axis=1), swings.T)[0]
+        found, _, _, singular = np.linalg.lstsq(np.stack([cosine, sine], axis=1), swings.T)
         wrong = np.linalg.norm(found - phasors, axis=0) > _WRONG_SHIFT
-        if wrong.any():
+        if wrong.any() and singular[0] < _MOST_UNEVEN * singular[1]:
             suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
             yield f"{plan.names(suspects)} have another shift or period than their patterns"
 

@@ -50,8 +50,9 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
         if apart > _UNRELATED_CYCLES * shorter.period:
             raise InputError(
                 f"along {axis.axis} the fringes of period {longer.period:g} and {shorter.period:g} px contradict each "
-                f"other by {apart:.1f} px; were some of their frames exchanged{_or_code(plan, axis)}? "
-                f"{plan.names([*longer.frames, *shorter.frames])}"
+                f"other by {apart:.1f} px: {plan.names([*longer.frames, *shorter.frames])}. Were some of these "
+                f"exchanged{_or_code(plan, axis)}? Or do the projector's gamma or interreflection bend the fringes so "
+                "much that more shifts or shorter periods are needed?"
             )
 
 

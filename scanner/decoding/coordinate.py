@@ -49,13 +49,14 @@ class Signals:
     """What was accumulated for one axis at some pixels; all arrays of one 2-D shape.
 
     Per code `words`, `least` and `contrast` as in `GrayFold`; per fringe its two components, longest period first.
-    `middle`: grey level half-way between lit and unlit. `peak`: largest grey level among the fringes.
+    `brightest`, `middle`: grey level when lit, and half-way between lit and unlit. `peak`: largest among the fringes.
     """
 
     words: list[Words]
     least: list[Image]
     contrast: list[Image]
     fringes: list[tuple[Floats32, Floats32]]
+    brightest: Image
     middle: Image
     peak: Image
 

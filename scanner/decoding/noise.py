@@ -1,8 +1,8 @@
 """The camera's noise, measured from the frames of the capture itself.
 
 Some combinations of frames show the same light twice: every pattern plus its inverse, white plus black, the mean of
-every fringe over its shifts. Their differences are noise. Where a sequence has none of them, the curvature of the
-image along its rows is used, whose median the edges of the scene do not move (after Immerkær, CVIU 64, 1996).
+every fringe over its shifts. Their differences are noise. Where a sequence has few of them, the curvature of the
+frames along their rows is used as well; edges of the scene do not move its median (after Immerkær, CVIU 64, 1996).
 """
 
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ _QUANTISATION = 1 / 12
 _BINS = 10
 _FEWEST_IN_BIN = 100
 _QUIET = 0.1
+_ENOUGH_REPEATS = 3
 _SEED = 7
 
 
@@ -42,8 +43,11 @@ class NoiseModel:
 
 
 def needs_neighbours(plan: SequencePlan) -> bool:
-    """Whether a sequence shows no light twice, so that noise must be seen between neighbouring pixels."""
-    return len(plan.complements) < 2 and len(plan.fringes) < 2
+    """Whether a sequence shows too little light twice, so that noise must be seen between neighbouring pixels too.
+
+    With a single repeat one exchanged frame would pass for noise.
+    """
+    return max(0, len(plan.complements) - 1) + max(0, len(plan.fringes) - 1) < _ENOUGH_REPEATS
 
 
 def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> NoiseModel:
@@ -52,12 +56,11 @@ def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> Nois
     unsaturated = levels.max(axis=0) < saturation
     if not unsaturated.any():
         return NoiseModel(_QUANTISATION, 0.0)
+    repeats = _repeats(plan, levels[:, unsaturated])
     curvature = sample.curvature
-    if curvature is None:
-        repeats = _repeats(plan, levels[:, unsaturated])
-    else:
+    if curvature is not None:
         rows = zip(levels[:, unsaturated], curvature[:, unsaturated], strict=True)
-        repeats = [(level, bend / np.float32(np.sqrt(6))) for level, bend in rows]
+        repeats += [(level, bend / np.float32(np.sqrt(6))) for level, bend in rows]
     return _fit(*_variance_by_level(repeats))
 
 

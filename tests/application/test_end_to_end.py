@@ -69,7 +69,7 @@ def test_a_replay_finds_the_same(scanned: Scanned, tmp_path: Path, capsys: pytes
     assert np.allclose(replayed.camera.focal_px, live.camera.focal_px, rtol=1e-9)
     assert open_capture(out / "capture").patterns == open_capture(scanned.result / "capture").patterns
     summary = capsys.readouterr().out
-    for words in ("Calibration", "camera f, px", "matches", "points in the cloud", str(out)):
+    for words in ("Calibration", "focal length, px", "matches", "points in the cloud", str(out)):
         assert words in summary
     assert "truth" not in summary
 

@@ -59,7 +59,7 @@ def test_the_table_shows_values_and_sigmas() -> None:
 
 def test_the_table_shows_the_truth_beside_it() -> None:
     text = printed(FOUND, TRUTH)
-    for words in ("truth", "895.0", "+9.0 (+1.00 %)", "1250.0", "−25.0 (−2.00 %)", "+4.0 (+1.00 %)"):
+    for words in ("truth", "895.0", "+9.0", "+1.00", "1250.0", "−25.0", "−2.00", "+4.0"):
         assert words in text
 
 

@@ -99,6 +99,14 @@ def test_walls_off_square_are_inside_the_sigma() -> None:
     assert 0.05 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 
+@pytest.mark.parametrize("method", ["paper", "refined"])
+def test_legs_leave_the_vertex_along_the_faces(method: Method) -> None:
+    capture = random_capture(np.random.default_rng(9), noise_px=0.02, distance=(1.5, 2.0))
+    found = _calibrate(capture, method).corner
+    assert np.sum(found.legs * capture.corner.legs, axis=1).min() > 0.999
+    assert np.sum(found.normals * capture.corner.normals, axis=1).min() > 0.999
+
+
 def test_residual_is_the_noise() -> None:
     capture = random_capture(np.random.default_rng(4), noise_px=0.1)
     # Two coordinates of 0.1 px each.
