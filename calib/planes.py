@@ -12,7 +12,7 @@ from calib.two_view import TwoView
 NO_PLANE = -1
 _SEEDS = 80
 _GROWTH_STEPS = 6
-_GATE = 3.5
+_GATE, _GATE_3D = 3.5, 4.5  # in sigmas: for one number, and for the length of three
 _MOST_PLANES = 16
 _PATCHES = (3, 5)  # cells along the side of the patch that a seed starts from; the larger if it is one plane
 _FEWEST_IN_PATCH = 6
@@ -97,10 +97,10 @@ def find_planes(surfels: Surfels, evidence: Evidence, rng: np.random.Generator) 
         free[left[inlier]] = False
     if not planes:
         return np.empty((0, 3)), np.full(len(surfels), NO_PLANE, np.int32)
-    return assign(surfels, evidence, np.stack(planes))
+    return _assign(surfels, evidence, np.stack(planes))
 
 
-def assign(surfels: Surfels, evidence: Evidence, planes: Floats) -> tuple[Floats, Ints]:
+def _assign(surfels: Surfels, evidence: Evidence, planes: Floats) -> tuple[Floats, Ints]:
     """Give each surfel to the plane that fits it best, drop planes and places with too few; as `find_planes`."""
     fewest = max(_FEWEST_SURFELS, round(_LEAST_SHARE * len(surfels)))
     while True:
@@ -138,8 +138,7 @@ def covariances(evidence: Evidence, label: Ints, planes: int) -> Floats:
     """Covariance of each of so many planes, (n, 3, 3), from the surfels on it."""
     x = evidence.x / evidence.sigma[:, None]
     information = [x[label == plane].T @ x[label == plane] for plane in range(planes)]
-    covariance: Floats = np.linalg.inv(np.reshape(information, (planes, 3, 3)))
-    return covariance
+    return _inverses(np.reshape(information, (planes, 3, 3)))
 
 
 def spill(evidence: Evidence, planes: Floats, label: Ints) -> float:
@@ -151,22 +150,23 @@ def spill(evidence: Evidence, planes: Floats, label: Ints) -> float:
     if len(planes) == 0:
         return np.inf
     largest = np.argsort(-np.bincount(label[label >= 0], minlength=len(planes)), kind="stable")[:3]
-    close = 0
-    for plane in largest:
-        error = np.abs(evidence.value - evidence.x @ planes[plane]) / evidence.sigma
-        close += np.count_nonzero((error < _CLOSE) & (label != plane))
-    return close / max(1, np.count_nonzero(np.isin(label, largest)))
+    error = np.abs(evidence.value - planes[largest] @ evidence.x.T) / evidence.sigma
+    close = int(np.count_nonzero((error < _CLOSE) & (label != largest[:, None])))
+    return close / max(1, int(np.count_nonzero(np.isin(label, largest))))
 
 
 def _errors(evidence: Evidence, planes: Floats) -> Floats:
     """How far each surfel is from each plane, (n, M): the sum of squares of its three numbers over the gate's."""
     value = (evidence.value - planes @ evidence.x.T) / evidence.sigma
-    slope = (evidence.slope.T[:, None] - np.einsum("mai,ni->anm", evidence.dx, planes)) / evidence.slope_sigma.T[
-        :, None
-    ]
-    # 3.5 σ in three dimensions
-    errors: Floats = (value**2 + np.sum(slope**2, axis=0)) / (_GATE + 1) ** 2
+    slope = (evidence.slope - np.einsum("mai,ni->nma", evidence.dx, planes)) / evidence.slope_sigma
+    errors: Floats = (value**2 + np.sum(slope**2, axis=2)) / _GATE_3D**2
     return errors
+
+
+def _inverses(normal: Floats) -> Floats:
+    """Inverses of normal matrices (n, 3, 3); large instead of infinite along what surfels in one line leave open."""
+    ridge = 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    return np.linalg.inv(normal + ridge)
 
 
 def _local_planes(surfels: Surfels, evidence: Evidence) -> tuple[Floats, Floats, Bools]:
@@ -190,7 +190,7 @@ def _local_planes(surfels: Surfels, evidence: Evidence) -> tuple[Floats, Floats,
         normal, count = sums[:, :16].reshape(-1, 4, 4), sums[:, 16]
         enough = np.flatnonzero(count >= _FEWEST_IN_PATCH)
         normal, count = normal[enough], count[enough]
-        inverse = np.linalg.inv(normal[:, :3, :3])
+        inverse = _inverses(normal[:, :3, :3])
         plane = np.einsum("mij,mj->mi", inverse, normal[:, :3, 3])
         chi2 = normal[:, 3, 3] - np.sum(plane * normal[:, :3, 3], axis=1)
         good = chi2 < _GATE * (count - 3)
@@ -211,7 +211,7 @@ def _grow(evidence: Evidence, planes: Floats, covariance: Floats) -> tuple[Float
         normal = (weight.T @ products).reshape(-1, 3, 3)
         enough = weight.sum(axis=0) >= 6
         planes, covariance, normal, weight = planes[enough], covariance[enough], normal[enough], weight[:, enough]
-        covariance = np.linalg.inv(normal)
+        covariance = _inverses(normal)
         planes = np.einsum("sij,sj->si", covariance, weight.T @ (x * value[:, None]))
     if len(planes) == 0:
         return np.zeros(3), np.zeros(len(value), np.bool_)

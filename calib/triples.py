@@ -47,8 +47,10 @@ class Triple:
 
 
 def corner_triples(segments: Segments, camera_px: Floats) -> list[Triple]:
-    """All triples of the planes that can be a corner, best first; `camera_px` (M, 2): the surfels. Preferred are planes with many surfels, and a triple
-    whose calibration makes other planes parallel or perpendicular to each other, too: furniture mostly is.
+    """All triples of the planes that can be a corner, best first; `camera_px` (M, 2): the surfels.
+
+    Preferred are planes with many surfels, and a triple whose calibration makes other planes parallel or perpendicular
+    to each other, too: furniture mostly is.
     """
     view, planes, label = segments.view, segments.planes, segments.label
     x = _sample(view, planes, label, camera_px)

@@ -13,7 +13,7 @@ from calib.arrays import Bools, Floats, Ints
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
 from calib.matches import Matches
-from calib.synthetic import look_at
+from calib.synthetic import look_at as rotation_to
 
 SPHERE = 1000
 OUTLIER = -1
@@ -172,57 +172,75 @@ def place_rig(
     aside = np.cross(target - eye, rng.normal(0, 0.5, 3) + up)
     projector_eye = eye + baseline * _unit(aside)
     spread = 0.04 * np.linalg.norm(eye - target)
-    world_to_camera = look_at(eye, target + rng.normal(0, spread, 3), up, rng.normal(0, 0.15))
-    world_to_projector = look_at(projector_eye, target + rng.normal(0, spread, 3), up, rng.normal(0, 0.15))
+    world_to_camera = rotation_to(eye, target + rng.normal(0, spread, 3), up, rng.normal(0, 0.15))
+    world_to_projector = rotation_to(projector_eye, target + rng.normal(0, spread, 3), up, rng.normal(0, 0.15))
     calibration = Calibration(
         *devices, world_to_projector @ world_to_camera.T, world_to_projector @ (eye - projector_eye), unit="m"
     )
     return calibration, (world_to_camera.T, eye)
 
 
-def furnished_room(rng: np.random.Generator, *, scale: float = 1.0, noise_px: float | None = None) -> Scene:
-    """A room's corner with parallel and yawed boxes, often a sphere, now and then a hidden vertex."""
+def furnished_room(rng: np.random.Generator, *, scale: float = 1.0, hidden_vertex: bool | None = None) -> Scene:
+    """A room's corner with parallel and yawed boxes, often a sphere, now and then a hidden vertex; noise 0.03–0.3 px."""
     while True:
         devices = paper_rig(rng.uniform(-0.1, 0.05), rng.uniform(-0.1, 0.05), scale)
-        direction = rng.uniform(0.35, 1.0, 3)
-        eye = rng.uniform(1.8, 4.0) * _unit(direction)
-        target = rng.uniform(0.0, 0.25, 3) * np.linalg.norm(eye)
-        calibration, pose = place_rig(rng, devices, eye, target, rng.uniform(0.25, 0.6))
-        room = Room(_furniture(rng, np.linalg.norm(eye)), _ball(rng, eye) if rng.random() < 0.6 else None)
+        eye = rng.uniform(1.8, 4.0) * _unit(rng.uniform(0.35, 1.0, 3))
+        reach = float(np.linalg.norm(eye))
+        calibration, pose = place_rig(rng, devices, eye, reach * rng.uniform(0.0, 0.25, 3), rng.uniform(0.25, 0.6))
+        hidden = rng.random() < 0.3 if hidden_vertex is None else hidden_vertex
         scene = render(
             rng,
-            room,
+            Room(furniture(rng, reach, hidden), ball(rng, reach) if rng.random() < 0.6 else None),
             calibration,
             pose,
-            noise_px=float(np.exp(rng.uniform(np.log(0.03), np.log(0.3)))) if noise_px is None else noise_px,
+            noise_px=float(np.exp(rng.uniform(np.log(0.03), np.log(0.3)))),
             outliers=rng.uniform(0, 0.05),
             crease_px=rng.uniform(0, 0.3),
             with_sigma=bool(rng.random() < 0.5),
         )
-        if _usable(scene, (0, 1, 2), 0.04):
+        if len(scene.surface) > 20_000 * scale**2 and all(np.mean(scene.surface == wall) > 0.04 for wall in range(3)):
             return scene
 
 
-def _furniture(rng: np.random.Generator, reach: float) -> tuple[Box, ...]:
+def furniture(rng: np.random.Generator, reach: float, hides_vertex: bool) -> tuple[Box, ...]:
+    """One to four boxes on the floor, half of them turned, some against a wall; and one in the corner or not."""
     boxes = []
     for _ in range(rng.integers(1, 5)):
         size = reach * rng.uniform(0.06, 0.22, 3)
         yaw = rng.uniform(-0.6, 0.6) if rng.random() < 0.5 else 0.0
         place = reach * rng.uniform(0.02, 0.4, 2)
-        if rng.random() < 0.4:  # against a wall
+        if rng.random() < 0.4:
             place[rng.integers(2)] = 0.0
-        reach_xy = size[:2] / 2 if yaw == 0 else np.full(2, np.hypot(*size[:2]) / 2)
-        boxes.append(Box(np.array([*(place + reach_xy), size[2] / 2]), size, yaw))
-    if rng.random() < 0.3:  # hides the vertex
+        half = size[:2] / 2 if yaw == 0 else np.full(2, np.hypot(*size[:2]) / 2)
+        boxes.append(Box(np.array([*(place + half), size[2] / 2]), size, yaw))
+    if hides_vertex:
         size = reach * rng.uniform(0.1, 0.2, 3)
         boxes.append(Box(size / 2 + 1e-3, size))
     return tuple(boxes)
 
 
-def _ball(rng: np.random.Generator, eye: Floats) -> tuple[Floats, float]:
-    reach = float(np.linalg.norm(eye))
+def ball(rng: np.random.Generator, reach: float) -> tuple[Floats, float]:
+    """A sphere on the floor: centre and radius."""
     radius = reach * rng.uniform(0.03, 0.1)
     return np.array([*(reach * rng.uniform(0.05, 0.35, 2) + radius), radius]), radius
+
+
+def plain_room(
+    rng: np.random.Generator,
+    walls: tuple[bool, bool, bool] = (True, True, True),
+    *,
+    boxes: tuple[Box, ...] = (),
+    sphere: tuple[Floats, float] | None = None,
+    look_at: tuple[float, float, float] = (0.1, 0.1, 0.1),
+    baseline: float = 0.4,
+    lens_k1: float = -0.05,
+    scale: float = 0.5,
+) -> Scene:
+    """Some of the three walls, seen from 2.5 m towards `look_at` (metres), with 0.1 px of noise and 2 % outliers."""
+    devices = paper_rig(lens_k1, lens_k1, scale)
+    eye = 2.5 * _unit(np.array([1.0, 0.8, 0.7]))
+    calibration, pose = place_rig(rng, devices, eye, np.array(look_at), baseline)
+    return render(rng, Room(boxes, sphere, walls), calibration, pose, noise_px=0.1, outliers=0.02, crease_px=0.1)
 
 
 def box_on_table(rng: np.random.Generator, *, scale: float = 1.0, noise_px: float = 0.1) -> Scene:
@@ -243,6 +261,38 @@ def box_on_table(rng: np.random.Generator, *, scale: float = 1.0, noise_px: floa
             return scene
 
 
-def _usable(scene: Scene, surfaces: tuple[int, ...], share: float) -> bool:
-    n = len(scene.surface)
-    return n > 20_000 and all(np.count_nonzero(scene.surface == s) > share * n for s in surfaces)
+@dataclass(frozen=True)
+class Score:
+    """`surfaces`: the true surface of faces 0, 1, 2 (that of most of their matches); `wrong`: share of the labelled
+    matches that are on another; `labelled` (3,): share of each surface's matches that got its label; `off_square_deg`:
+    how far from perpendicular the three surfaces really are.
+    """
+
+    surfaces: tuple[int, int, int]
+    wrong: float
+    labelled: Floats
+    off_square_deg: float
+
+
+def score(scene: Scene, face: Ints) -> Score:
+    """Compare labels (N,) with the truth, whatever the order of the faces."""
+    surfaces, wrong, labelled = [], 0, []
+    for label in range(3):
+        values, counts = np.unique(scene.surface[face == label], return_counts=True)
+        surface = int(values[np.argmax(counts)])
+        surfaces.append(surface)
+        wrong += int(counts.sum() - counts.max())
+        labelled.append(float(np.mean(face[scene.surface == surface] == label)))
+    normals = np.stack([_normal(scene.room, surface) for surface in surfaces])
+    off = np.degrees(np.arcsin(np.clip(np.abs(normals @ normals.T - np.eye(3)).max(), 0, 1)))
+    a, b, c = surfaces
+    return Score((a, b, c), wrong / np.count_nonzero(face >= 0), np.array(labelled), float(off))
+
+
+def _normal(room: Room, surface: int) -> Floats:
+    if surface < 3:
+        return np.eye(3)[surface]
+    if surface == SPHERE:
+        return np.full(3, 3**-0.5)
+    box = room.boxes[(surface - 3) // 6]
+    return Rotation.from_euler("z", box.yaw).as_matrix()[:, (surface - 3) % 6 // 2]
