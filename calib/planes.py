@@ -137,8 +137,10 @@ def without_uneven(evidence: Evidence, planes: Floats, label: Ints) -> tuple[Flo
 def covariances(evidence: Evidence, label: Ints, planes: int) -> Floats:
     """Covariance of each of so many planes, (n, 3, 3), from the surfels on it."""
     x = evidence.x / evidence.sigma[:, None]
-    information = [x[label == plane].T @ x[label == plane] for plane in range(planes)]
-    return _inverses(np.reshape(information, (planes, 3, 3)))
+    information = np.zeros((planes, 3, 3))
+    for plane in range(planes):
+        information[plane] = x[label == plane].T @ x[label == plane]
+    return _inverses(information)
 
 
 def spill(evidence: Evidence, planes: Floats, label: Ints) -> float:
@@ -166,7 +168,8 @@ def _errors(evidence: Evidence, planes: Floats) -> Floats:
 def _inverses(normal: Floats) -> Floats:
     """Inverses of normal matrices (n, 3, 3); large instead of infinite along what surfels in one line leave open."""
     ridge = 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    return np.linalg.inv(normal + ridge)
+    inverse: Floats = np.linalg.inv(normal + ridge)
+    return inverse
 
 
 def _local_planes(surfels: Surfels, evidence: Evidence) -> tuple[Floats, Floats, Bools]:

@@ -1,6 +1,7 @@
 """The table at the end of a scan: the calibration, how sure of it we are, and how true it is where that is known."""
 
 import numpy as np
+from rich import box
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
@@ -10,7 +11,7 @@ from scanner.quantities import Quantity, device_quantities, intrinsic_errors_per
 
 def calibration_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
     """The calibration with its sigmas where known, beside the truth where there is one."""
-    table = Table(title="Calibration", title_justify="left")
+    table = Table(title="Calibration", title_justify="left", box=box.SIMPLE, pad_edge=False, collapse_padding=True)
     table.add_column("", no_wrap=True)
     for heading in ("value", "sigma", *(("truth", "error", "%") if truth else ())):
         table.add_column(heading, justify="right", no_wrap=True)

@@ -30,8 +30,8 @@ _WRONG_SHARE = 0.05
 _WRONG_MEAN = 0.5
 # How far the amplitude and shift of a frame may be from its pattern's, as a distance between phasors of length 1.
 _WRONG_SHIFT = 0.4
-# With a view of less than about half a cycle shifts cannot be told from amplitudes.
-_MOST_UNEVEN = 4.0
+# In a view of less than a third of a cycle shifts cannot be told from amplitudes: ratio of the singular values.
+_MOST_UNEVEN = 2.0
 # The power of a fringe that its fit leaves over: a gamma of 2.2 makes 0.05, exchanged opposite or next shifts 0.5.
 _UNEXPLAINED = 0.25
 
@@ -63,9 +63,9 @@ def _well_lit(swing: Floats32, sigma: Floats32, saturated: Bools) -> Bools:
     seen = (sigmas > _SEEN) & (swing > _LEAST_SWING)
     if np.count_nonzero(seen) < _FEWEST_LIT:
         raise InputError(
-            f"the frames do not change with the patterns: half the pixels vary by {np.median(swing):.1f} grey levels "
-            "at most; "
-            "is the projector on, the lens uncapped, the exposure long enough?"
+            f"no pixel changes clearly with the patterns: half of them vary by at most {np.median(swing):.1f} grey levels "
+            f"over the capture, where noise is {np.median(sigma):.1f}; is the projector on, the lens uncapped, the "
+            "exposure long enough?"
         )
     lit: Bools = seen & ~saturated
     if np.count_nonzero(lit) < _FEWEST_LIT:

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.arrays import Bools
-from scanner.decoding.arrays import Reasons
+from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.calibrate import sample_orders
 from scanner.decoding.codes import interval_of
 from scanner.decoding.coordinate import AxisDecoder, Coordinate, MaskReason, Signals
@@ -25,6 +25,8 @@ _INFORMATIVE = 0.3
 _UNRELATED_CYCLES = 0.1
 _MOST_BAD = 0.6
 _STRIDE = 2
+_LINES = 192
+_FARTHEST_PX = 16
 
 
 def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> None:
@@ -64,6 +66,8 @@ def check_maps(plan: SequencePlan, x: Coordinate, y: Coordinate, reasons: Reason
     kept = reasons == MaskReason.KEPT
     for axis, coordinate in zip(plan.axes, (x, y), strict=True):
         _check_share(plan, axis, coordinate, int(np.count_nonzero(kept)))
+        if axis.codes and axis.fringes:
+            _check_direction(plan, axis, coordinate.value, kept)
     mirrored = _mirrored_axis(plan, x, y, kept)
     if mirrored is not None:
         frames = [frame for fringe in mirrored.fringes for frame in fringe.frames] or mirrored.frames
@@ -87,32 +91,47 @@ def _check_share(plan: SequencePlan, axis: AxisPlan, coordinate: Coordinate, kep
             )
 
 
+def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: Bools) -> None:
+    """Fringes that fill a Gray cell agree with a code that runs backwards; but then each cell's edge is a jump."""
+    jumps = total = 0
+    for image, there in ((value, kept), (value.T, kept.T)):
+        lines = np.unique(np.linspace(0, len(image) - 1, _LINES).astype(np.int64))
+        position = np.flatnonzero(there[lines])
+        near = (np.diff(position) <= _FARTHEST_PX) & (np.diff(position // image.shape[1]) == 0)
+        along = image[lines][there[lines]]
+        step = np.abs(np.diff(along))[near]
+        crosses = np.diff(np.floor((along + 0.5 + axis.codes[0].offset) / axis.cell))[near] != 0
+        jumps += int(np.count_nonzero(step[crosses] > axis.cell))
+        total += int(np.count_nonzero(crosses))
+    if total >= _FEWEST_PIXELS and jumps > total / 2:
+        raise InputError(
+            f"the Gray code along {axis.axis} runs against its fringes; were frames of it exchanged, perhaps with their "
+            f"inverses? {plan.names(axis.frames)}"
+        )
+
+
 def _mirrored_axis(plan: SequencePlan, x: Coordinate, y: Coordinate, kept: Bools) -> AxisPlan | None:
-    """The axis that runs backwards, if the map from camera to projector pixels changes orientation at most pixels.
-
-    From pixel to pixel the fringes are seen to run, from cell to cell the codes.
-    """
-    for reach in sorted({max(_reaches(axis, kept.shape)[i] for axis in plan.axes) for i in (0, 1)}):
-        if 2 * reach >= min(kept.shape):
-            continue
-        near, far, inner = np.s_[: -2 * reach : _STRIDE], np.s_[2 * reach :: _STRIDE], np.s_[reach:-reach:_STRIDE]
-        left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
-        whole = kept[left] & kept[right] & kept[above] & kept[below]
-        if np.count_nonzero(whole) < _FEWEST_PIXELS:
-            continue
-        x_u, y_u = ((c.value[right] - c.value[left])[whole] for c in (x, y))
-        x_v, y_v = ((c.value[below] - c.value[above])[whole] for c in (x, y))
-        if np.mean(x_u * y_v < x_v * y_u) > 0.5:
-            # Devices stand roughly upright: the axis that is against the camera's own is the one that runs backwards.
-            return plan.x if np.median(x_u) < 0 or np.median(y_v) > 0 else plan.y
-    return None
+    """The axis that runs backwards, if the map from camera to projector pixels changes orientation at most pixels."""
+    reach = max(_reach(axis, kept.shape) for axis in plan.axes)
+    if 2 * reach >= min(kept.shape):
+        return None
+    near, far, inner = np.s_[: -2 * reach : _STRIDE], np.s_[2 * reach :: _STRIDE], np.s_[reach:-reach:_STRIDE]
+    left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
+    whole = kept[left] & kept[right] & kept[above] & kept[below]
+    if np.count_nonzero(whole) < _FEWEST_PIXELS:
+        return None
+    x_u, y_u = ((c.value[right] - c.value[left])[whole] for c in (x, y))
+    x_v, y_v = ((c.value[below] - c.value[above])[whole] for c in (x, y))
+    if np.mean(x_u * y_v < x_v * y_u) <= 0.5:
+        return None
+    # Devices stand roughly upright: the axis that is against the camera's own is the one that runs backwards.
+    return plan.x if np.median(x_u) < 0 or np.median(y_v) > 0 else plan.y
 
 
-def _reaches(axis: AxisPlan, shape: tuple[int, ...]) -> tuple[int, int]:
-    """How many camera pixels apart a coordinate surely changes by more than its steps, and by more than a cell."""
-    per_pixel = max(shape) / axis.length
-    cell = 2 * axis.cell if axis.codes else 1.0
-    return max(1, round(per_pixel * (1.0 if axis.fringes else cell))), max(1, round(per_pixel * cell))
+def _reach(axis: AxisPlan, shape: tuple[int, ...]) -> int:
+    """How many camera pixels apart a coordinate surely changes by more than its steps."""
+    step = 1.0 if axis.fringes else 2 * axis.cell
+    return max(1, round(step * max(shape) / axis.length))
 
 
 def _or_code(plan: SequencePlan, axis: AxisPlan) -> str:

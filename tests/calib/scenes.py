@@ -181,7 +181,10 @@ def place_rig(
 
 
 def furnished_room(rng: np.random.Generator, *, scale: float = 1.0, hidden_vertex: bool | None = None) -> Scene:
-    """A room's corner with parallel and yawed boxes, often a sphere, now and then a hidden vertex; noise 0.03–0.3 px."""
+    """A room's corner with parallel and yawed boxes and often a sphere, matches with 0.03 to 0.3 px of noise.
+
+    `hidden_vertex`: whether a box stands in the corner; None leaves it to chance.
+    """
     while True:
         devices = paper_rig(rng.uniform(-0.1, 0.05), rng.uniform(-0.1, 0.05), scale)
         eye = rng.uniform(1.8, 4.0) * _unit(rng.uniform(0.35, 1.0, 3))
