@@ -17,6 +17,7 @@ from calib.triples import Triple, corner_triples
 _SEED = 20240
 _FEWEST_MATCHES = 1500
 _FEWEST_SURFELS = 60
+_LEAST_SMOOTH = 0.1
 _NOTABLE_PX = 0.3
 # Errors of neighbouring surfels are alike, so this is worth some five times as much.
 _MOST_DIRECTION_SIGMA_DEG = 0.2
@@ -60,7 +61,7 @@ def find_faces(matches: Matches, camera_size: tuple[int, int], projector_size: t
         )
     rng = np.random.default_rng(_SEED)
     surfels = make_surfels(matches, camera_size, rng)
-    if len(surfels) < _FEWEST_SURFELS:
+    if len(surfels) < max(_FEWEST_SURFELS, _LEAST_SMOOTH * surfels.tried):
         raise RefusalError(
             "The matches are not smooth: neighbouring camera pixels are matched to scattered projector pixels.",
             "Check focus, exposure, and that the frames belong to the patterns they are listed with.",

@@ -183,13 +183,8 @@ def _local_planes(surfels: Surfels, evidence: Evidence) -> tuple[Floats, Floats,
     planes, covariance = np.zeros((len(surfels), 3)), np.zeros((len(surfels), 3, 3))
     usable = np.zeros(len(surfels), np.bool_)
     for side in _PATCHES:
-        sums = np.stack(
-            [
-                cv2.boxFilter(image[..., i], -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
-                for i in range(17)
-            ],
-            axis=-1,
-        ).reshape(-1, 17)[surfels.cell]
+        filtered = cv2.boxFilter(image, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        sums = filtered.astype(np.float64).reshape(-1, 17)[surfels.cell]
         normal, count = sums[:, :16].reshape(-1, 4, 4), sums[:, 16]
         enough = np.flatnonzero(count >= _FEWEST_IN_PATCH)
         normal, count = normal[enough], count[enough]

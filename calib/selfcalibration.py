@@ -144,7 +144,10 @@ def _by_paper(
         Profile(solution.focal_px, solution.objective, "objective E (px)"),
         _reprojection_error(calibration, corner, matches),
         "paper",
-        ("The paper's method gives no uncertainty; 'method: refined' does.",),
+        (
+            "The paper's method knows neither lens distortion nor uncertainty: in simulated rooms it errs by 0.2 to "
+            "16 %. It is there for comparison; 'method: refined' is the one to use.",
+        ),
     )
 
 

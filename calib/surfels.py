@@ -18,7 +18,8 @@ _FEWEST_PER_CELL = 8
 _MOST_CELLS = 9000
 _TRIALS = 10
 _FEWEST_INLIERS = 0.6
-_MOST_SCATTER = 1.2
+# How much noisier than usual a cell may be, and what is never too noisy.
+_MOST_SCATTER, _ALLOWED_SCATTER_PX = 8.0, 0.1
 _ROBUST_SIGMA = 1.4826  # of a normal distribution, times the median absolute deviation
 
 
@@ -44,7 +45,8 @@ class Surfels:
     """Around `camera_px` (M, 2), projector = `projector_px` (M, 2) + `jacobian` (M, 2, 2) · (camera − `camera_px`).
 
     `cell` (M,): where on `grid`. `sigma_px` (M,): scatter of a match about the map, in projector pixels. `spread`
-    (M, 2, 2): Σ (camera − mean)(camera − mean)ᵀ over the matches behind a surfel, `count` (M,) of them.
+    (M, 2, 2): Σ (camera − mean)(camera − mean)ᵀ over the matches behind a surfel, `count` (M,) of them. `tried`: how
+    many cells had enough matches.
     """
 
     grid: Grid
@@ -55,6 +57,7 @@ class Surfels:
     sigma_px: Floats
     spread: Floats
     count: Ints
+    tried: int
 
     def __len__(self) -> int:
         return len(self.cell)
@@ -85,7 +88,9 @@ def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.
     good &= np.linalg.eigvalsh(spread)[:, 0] > count * (grid.side_px / 12) ** 2
     # Matches that scatter more than the cell is wide in the projector are not neighbours there.
     span = np.einsum("mij,mjk,mik->m", jacobian, spread, jacobian) / (2 * np.maximum(count, 1))
-    good &= scatter < _MOST_SCATTER**2 * span
+    good &= scatter < span
+    # Nor does a cell that straddles an edge have one affine map.
+    good &= scatter < _MOST_SCATTER**2 * np.median(scatter) + _ALLOWED_SCATTER_PX**2
     return Surfels(
         grid,
         cell[good],
@@ -95,6 +100,7 @@ def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.
         np.sqrt(scatter[good]),
         spread[good],
         count[good].astype(np.int32),
+        len(cell),
     )
 
 

@@ -104,10 +104,10 @@ def reconstruct(
         with terminal.step("Triangulating"):
             texture = found.decoding.texture if found.decoding else None
             found.cloud = build_cloud(found.matches, texture, found.calibration)
-        if found.solution:
-            refuse_misfit(found.cloud.statistics)
-        else:
+        if not found.solution:
             refuse_foreign(found.cloud.statistics, found.facts.projector_size)
+        elif found.solution.method == "refined":  # the paper's method leaves out lenses, so a misfit is to be expected
+            refuse_misfit(found.cloud.statistics)
     except RefusalError as refusal:
         save(found, folder, refusal)
         raise

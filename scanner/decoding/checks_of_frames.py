@@ -63,9 +63,9 @@ def _well_lit(swing: Floats32, sigma: Floats32, saturated: Bools) -> Bools:
     seen = (sigmas > _SEEN) & (swing > _LEAST_SWING)
     if np.count_nonzero(seen) < _FEWEST_LIT:
         raise InputError(
-            f"no pixel changes clearly with the patterns: half of them vary by at most {np.median(swing):.1f} grey levels "
-            f"over the capture, where noise is {np.median(sigma):.1f}; is the projector on, the lens uncapped, the "
-            "exposure long enough?"
+            f"no pixel changes clearly with the patterns: half of them vary by at most {np.median(swing):.1f} grey "
+            f"levels over the capture, where noise is {np.median(sigma):.1f}; is the projector on, the lens uncapped, "
+            "the exposure long enough?"
         )
     lit: Bools = seen & ~saturated
     if np.count_nonzero(lit) < _FEWEST_LIT:

@@ -105,8 +105,8 @@ def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: 
         total += int(np.count_nonzero(crosses))
     if total >= _FEWEST_PIXELS and jumps > total / 2:
         raise InputError(
-            f"the Gray code along {axis.axis} runs against its fringes; were frames of it exchanged, perhaps with their "
-            f"inverses? {plan.names(axis.frames)}"
+            f"the Gray code along {axis.axis} runs against its fringes; were frames of it exchanged, perhaps with "
+            f"their inverses? {plan.names(axis.frames)}"
         )
 
 

@@ -90,7 +90,7 @@ def _variance_by_level(repeats: list[tuple[Floats32, Floats32]]) -> tuple[list[f
         if np.count_nonzero(chosen) >= _FEWEST_IN_BIN:
             where.append(float(np.mean(level[chosen])))
             found = [_robust_variance(difference[chosen]) for _, difference in repeats]
-            variances.append(float(np.quantile(found, _QUIET)))
+            variances.append(float(np.quantile(found, _QUIET, method="lower")))
     return where, variances
 
 
