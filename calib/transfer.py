@@ -34,7 +34,7 @@ def image_of_corner(grams: FaceGrams) -> CornerImage:
     """The corner's image in the first device of `grams`, in pixels."""
     scaled = FaceGrams(grams.to_projector, grams.to_camera, np.eye(3), np.eye(3))
     image = corner_image(scaled.homographies())
-    vertex: Floats = np.linalg.solve(grams.camera_scale, image.vertex)
+    vertex = np.asarray(np.linalg.solve(grams.camera_scale, image.vertex), np.float64)
     lines = image.lines @ grams.camera_scale
     lines /= np.linalg.norm(lines, axis=1, keepdims=True)
     return CornerImage(vertex, lines)
@@ -45,7 +45,7 @@ def transfer(grams: FaceGrams, image: CornerImage, matrices: Floats) -> Transfer
 
     The first n results belong to one solution of the corner, the others to its mirror (concave and convex).
     """
-    inverses: Floats = np.linalg.inv(matrices)
+    inverses = np.asarray(np.linalg.inv(matrices), np.float64)
     normals, rays = corner_planes(image, inverses)
     count = 2 * len(matrices)
     normals = normals.reshape(count, 3, 3)

@@ -1,4 +1,4 @@
-"""Frames that do not show what the capture says: an error that names them, or coordinates that are right all the same."""
+"""Frames that do not show what the capture says: an error that names them, or coordinates that are right anyway."""
 
 import numpy as np
 import pytest
