@@ -19,7 +19,7 @@ _FEWEST_MATCHES = 1500
 _FEWEST_SURFELS = 60
 _LEAST_SMOOTH = 0.1
 _NOTABLE_PX = 0.3
-# Errors of neighbouring surfels are alike, so this is worth some five times as much.
+# Stated as if surfels erred independently; errors of neighbours are alike, so the true one is several times larger.
 _MOST_DIRECTION_SIGMA_DEG = 0.2
 _GATE = 3.7  # a 2-D normal error of more sigmas than that: 1 in 940
 # A match that two planes explain is given to neither unless one is e^4.5 times as likely.
@@ -111,7 +111,7 @@ def _no_corner(segments: Segments, triples: list[Triple]) -> RefusalError:
 def _unevenness(segments: Segments) -> str:
     if segments.model_px < _NOTABLE_PX:
         return ""
-    return f" (the surfaces are uneven, or the decoding is: by about {segments.model_px:.1f} projector pixels)"
+    return f" (surfaces or decoding deviate from planes by some {segments.model_px:.1f} projector pixels)"
 
 
 def _label_matches(matches: Matches, surfels: Surfels, segments: Segments) -> Ints:
