@@ -4,9 +4,9 @@ python benchmarks/bench_decode.py [--width 2448 --height 2048] [--projector 1920
 """
 
 import argparse
-import resource
 import statistics
 import time
+import tracemalloc
 from collections.abc import Callable
 
 import cv2
@@ -59,12 +59,19 @@ def decode(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: li
     return middle - start, time.perf_counter() - middle, len(matches)
 
 
+def peak_memory_mb(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: list[Image]) -> float:
+    """Of the arrays of a run of its own, above the frames; the matches are most of it."""
+    tracemalloc.start()
+    decode(patterns, projector, frames)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / 1e6
+
+
 def measure(size: tuple[int, int], projector: tuple[int, int], repeat: int) -> tuple[str, ...]:
     patterns = sequence_for(projector)
     frames = render(patterns, projector, size)
-    before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     runs = [decode(patterns, projector, frames) for _ in range(repeat)]
-    after_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     copying = statistics.median(timed(lambda: [frame.copy() for frame in frames]) for _ in range(repeat))
     adding = statistics.median(run[0] for run in runs)
     finishing = statistics.median(run[1] for run in runs)
@@ -76,7 +83,7 @@ def measure(size: tuple[int, int], projector: tuple[int, int], repeat: int) -> t
         f"{1e3 * finishing:.0f}",
         f"{(adding + finishing) / copying:.1f}",
         f"{runs[0][2] / (size[0] * size[1]):.0%}",
-        f"{after_mb - before_mb:.0f}",
+        f"{peak_memory_mb(patterns, projector, frames):.0f}",
     )
 
 

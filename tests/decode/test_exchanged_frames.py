@@ -1,4 +1,4 @@
-"""Frames that do not show what the capture says: an error that names them, or no harm; never a plausible wrong answer."""
+"""Frames that do not show what the capture says: an error that names them, or no harm; never a wrong answer."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from scanner.decode import Decoder
 from scanner.errors import InputError
 from scanner.patterns import Black, Gray, Pattern, White, gray_sequence, sequence_for
 
-SCENE = Scene(camera=(240, 180), indirect=0.3)
+SCENE = Scene(camera=(200, 150), indirect=0.3)
 SIZE = SCENE.projector
 STANDARD = sequence_for(SIZE)
 THREE_SHIFTS = sequence_for(SIZE, shifts=3, inverses=False)[2:]
@@ -120,7 +120,7 @@ def swapped(pattern: Pattern) -> Pattern:
     return replace(pattern, axis="y" if pattern.axis == "x" else "x")
 
 
-@pytest.mark.parametrize("number", [0, 5, 17, 30])
+@pytest.mark.parametrize("number", [5, 8, 17, 30])
 def test_a_frame_of_another_scene(number: int) -> None:
     frames = SCENE.frames(STANDARD)
     frames[number] = replace(SCENE, turn_deg=90.0, zoom=0.5).frame(STANDARD[number], number)
@@ -135,9 +135,9 @@ def test_a_frame_twice_in_place_of_another() -> None:
 
 def test_nothing_but_darkness() -> None:
     rng = np.random.default_rng(0)
-    frames = [np.clip(rng.normal(6, 1.5, (180, 240)).round(), 0, 255).astype(np.uint8) for _ in STANDARD]
+    frames = [np.clip(rng.normal(6, 1.5, (150, 200)).round(), 0, 255).astype(np.uint8) for _ in STANDARD]
     assert "no pixel changes clearly" in outcome(STANDARD, frames)
-    assert "no pixel changes clearly" in outcome(STANDARD, [np.full((180, 240), 7, np.uint8) for _ in STANDARD])
+    assert "no pixel changes clearly" in outcome(STANDARD, [np.full((150, 200), 7, np.uint8) for _ in STANDARD])
 
 
 def test_nothing_but_glare() -> None:
@@ -163,13 +163,13 @@ def test_one_frame_too_many() -> None:
     ("frame", "said"),
     [
         (
-            np.zeros((180, 239), np.uint8),
-            r"frame 4 \(gray x bit 4\): expected .* 240 × 180 grey, 8 bits, found 239 × 180",
+            np.zeros((150, 199), np.uint8),
+            r"frame 4 \(gray x bit 4\): expected .* 200 × 150 grey, 8 bits, found 199 × 150",
         ),
-        (np.zeros((180, 240), np.uint16), "found 240 × 180 grey, 16 bits"),
-        (np.zeros((180, 240, 3), np.uint8), "found 240 × 180 BGR, 8 bits"),
-        (np.zeros((180, 240, 4), np.uint8), "expected a grey or BGR image"),
-        (np.zeros((180, 240), np.float32), "expected a grey or BGR image of 8 or 16 bits"),
+        (np.zeros((150, 200), np.uint16), "found 200 × 150 grey, 16 bits"),
+        (np.zeros((150, 200, 3), np.uint8), "found 200 × 150 BGR, 8 bits"),
+        (np.zeros((150, 200, 4), np.uint8), "expected a grey or BGR image"),
+        (np.zeros((150, 200), np.float32), "expected a grey or BGR image of 8 or 16 bits"),
     ],
 )
 def test_a_frame_of_another_form(frame: Image, said: str) -> None:

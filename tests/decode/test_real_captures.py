@@ -1,57 +1,126 @@
-"""Captures made with real cameras and projectors, against what an independent decoder measured on them."""
+"""The captures of other people with real devices; what their README states was measured by an independent decoder."""
 
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from calib.arrays import Image
 from calib.triangulation import intersect
 from scanner.calibration_file import read_calibration
-from scanner.decode import Decoder, Decoding
+from scanner.decode import Decoder, Decoding, MaskReason
+from scanner.errors import InputError
+from scanner.patterns import Pattern
 from scanner.recording import open_capture
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
+SHELL = "sltk-scan0020"
+OBJECTS = ("phase-shifting-object1", "phase-shifting-object2")
+pytestmark = pytest.mark.skipif(not DATA.exists(), reason="the real captures in shared/data are not there")
 
-pytestmark = [
-    pytest.mark.skipif(not DATA.is_dir(), reason=f"the real captures are not there: {DATA}"),
-    pytest.mark.xdist_group("real-captures"),
-]
+Frames = tuple[tuple[Pattern, ...], tuple[Image, ...], tuple[int, int]]
 
 
-def decoded(name: str) -> Decoding:
+@lru_cache(maxsize=1)
+def read(name: str) -> Frames:
     stream = open_capture(DATA / name).stream()
-    decoder = Decoder(stream.patterns, stream.projector_size)
-    for _, frame in stream.frames:
-        decoder.add(frame.image)
+    return stream.patterns, tuple(frame.image for _, frame in stream.frames), stream.projector_size
+
+
+def decode(name: str, part: tuple[slice, slice] = np.s_[:, :], exchange: tuple[int, int] = (0, 0)) -> Decoding:
+    patterns, images, projector_size = read(name)
+    frames = list(images)
+    i, j = exchange
+    frames[i], frames[j] = frames[j], frames[i]
+    decoder = Decoder(patterns, projector_size)
+    for frame in frames:
+        decoder.add(np.ascontiguousarray(frame[part]))
     return decoder.finish()
 
 
-def test_gray_code_of_a_shell() -> None:
-    matches = decoded("sltk-scan0020").matches
-    # 104,763 different projector pixels by the independent decoder.
-    assert 100_000 < len(matches) < 110_000
-    calibration = read_calibration(DATA / "sltk-scan0020" / "calibration.yaml")
-    met = intersect(matches, calibration)
-    assert met.in_front.mean() > 0.999
-    assert 0.1 < np.median(np.abs(met.residual_px)) < 0.34
-    header, body = (DATA / "sltk-scan0020" / "reference.ply").read_bytes().split(b"end_header\n", 1)
-    layout = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
-    reference = np.frombuffer(body, layout)["xyz"].astype(np.float64) * [1, -1, -1]
-    assert f"element vertex {len(reference)}".encode() in header
-    distance = cKDTree(reference).query(met.points[met.in_front])[0]
-    assert 0.001 < np.median(distance) < 0.02
-    assert 0.1 < np.percentile(distance, 95) < 0.45
+def test_the_shell_is_decoded_as_well_as_by_an_independent_decoder() -> None:
+    decoding = decode(SHELL)
+    valid = np.count_nonzero(decoding.reasons == MaskReason.KEPT)
+    assert 155_000 < valid < 165_000, "156,935 there"
+    assert 103_000 < len(decoding.matches) < 108_000, "104,763 there"
+    low, high = decoding.matches.projector_px.min(axis=0), decoding.matches.projector_px.max(axis=0)
+    assert np.all(low >= 0)
+    assert np.all(high <= (1279, 719))
+    assert np.all(high >= (1270, 715))
 
 
-@pytest.mark.parametrize(("name", "fewest", "limit_px"), [("object1", 1_300_000, 2.3), ("object2", 1_300_000, 2.4)])
-def test_fringes_of_two_periods_with_a_bent_cosine(name: str, fewest: int, limit_px: float) -> None:
-    matches = decoded(f"phase-shifting-{name}").matches
-    assert fewest < len(matches) < 1_600_000
-    part = np.random.default_rng(0).permutation(len(matches))[:20_000]
-    camera, projector = matches.camera_px[part], matches.projector_px[part]
-    fundamental, _ = cv2.findFundamentalMat(camera, projector, cv2.FM_LMEDS)
-    lines = np.concatenate([camera, np.ones((len(camera), 1))], axis=1) @ fundamental.T
-    distance = np.abs(np.sum(lines[:, :2] * projector, axis=1) + lines[:, 2]) / np.linalg.norm(lines[:, :2], axis=1)
-    assert 0.2 < np.median(distance) < limit_px
+def test_the_shell_lies_on_its_reference() -> None:
+    calibration = read_calibration(DATA / SHELL / "calibration.yaml")
+    matches = decode(SHELL).matches
+    found = intersect(matches, calibration)
+    assert 0.2 < np.median(np.abs(found.residual_px)) < 0.34, "0.32 there"
+    assert np.mean(np.abs(found.residual_px) < 3) > 0.985
+    assert np.all(found.in_front)
+    distance, _ = cKDTree(found.points).query(reference())
+    assert 0.001 < np.median(distance) < 0.02, "0.012 there"
+    assert np.quantile(distance, 0.95) < 0.4, "0.38 there, the spacing of the reference"
+
+
+def reference() -> NDArray[np.float64]:
+    content = (DATA / SHELL / "reference.ply").read_bytes()
+    body = content[content.index(b"end_header\n") + len(b"end_header\n") :]
+    points = np.frombuffer(body, dtype=[("at", "<f4", 3), ("colour", "u1", 3)])["at"].astype(np.float64)
+    return points * (1, -1, -1)
+
+
+@pytest.mark.parametrize(("name", "residual_px"), [(OBJECTS[0], 1.35), (OBJECTS[1], 0.98)])
+def test_the_objects_are_decoded_in_spite_of_their_gamma(name: str, residual_px: float) -> None:
+    """The README's residuals with the brightness curve measured and inverted first; here nobody measures it."""
+    decoding = decode(name)
+    assert 1_300_000 < len(decoding.matches) < 1_500_000
+    distance = epipolar_distance_px(decoding)
+    assert 0.3 < np.median(distance) < residual_px
+    assert np.mean(distance > 20) < 0.01
+
+
+def epipolar_distance_px(decoding: Decoding) -> NDArray[np.float64]:
+    """From the best fundamental matrix, in projector pixels."""
+    camera, projector = decoding.matches.camera_px, decoding.matches.projector_px
+    some = np.random.default_rng(0).choice(len(camera), 20_000, replace=False)
+    matrix, _ = cv2.findFundamentalMat(camera[some], projector[some], cv2.USAC_MAGSAC, 3.0, 0.999, 10_000)
+    lines = np.column_stack([camera, np.ones(len(camera))]) @ matrix.T
+    along = np.abs(np.sum(lines[:, :2] * projector, axis=1) + lines[:, 2])
+    return along / np.hypot(lines[:, 0], lines[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("name", "part", "seed"),
+    [
+        (SHELL, np.s_[400:1400, 200:1100], 1),
+        (OBJECTS[0], np.s_[200:800, 400:1300], 2),
+        (OBJECTS[1], np.s_[200:800, 300:1200], 3),
+    ],
+    ids=[SHELL, *OBJECTS],
+)
+def test_exchanged_frames_are_named_or_do_no_harm(name: str, part: tuple[slice, slice], seed: int) -> None:
+    right = decode(name, part)
+    rng = np.random.default_rng(seed)
+    for _ in range(12):
+        i, j = (int(k) for k in rng.choice(len(read(name)[0]), 2, replace=False))
+        try:
+            found = decode(name, part, (i, j))
+        except InputError as error:
+            assert f"frame {i} " in str(error) or f"frame {j} " in str(error)  # noqa: PT017
+            continue
+        assert np.mean(distance_px(right, found) > 2) < 0.01
+
+
+def distance_px(right: Decoding, found: Decoding) -> NDArray[np.float64]:
+    """Of the matches that both have, by their camera pixels."""
+    both = []
+    for decoding in (right, found):
+        coordinates = np.full((*decoding.reasons.shape, 2), np.nan)
+        column, row = np.rint(decoding.matches.camera_px).astype(int).T
+        coordinates[row, column] = decoding.matches.projector_px
+        both.append(coordinates)
+    distance = np.abs(both[0] - both[1]).max(axis=2)
+    return distance[np.isfinite(distance)]

@@ -1,0 +1,116 @@
+"""The parts of the decoder that have a truth of their own."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from scanner.decoding.codes import Interval, cell_numbers, interval_of
+from scanner.decoding.plan import AxisPlan, Fringe, plan_sequence, repeat_length
+from scanner.decoding.response import TABLE_LENGTH, straightening
+from scanner.decoding.saturation import saturation_level
+from scanner.decoding.unwrap import Tolerances, Wrapped, unwrap
+from scanner.patterns import Gray, gray_sequence, phase_sequence
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_cell_number_is_what_the_pattern_says(n: int) -> None:
+    assert cell_numbers(np.array([n ^ n >> 1], np.uint32))[0] == n
+
+
+@given(cell=st.integers(1, 40), offset=st.integers(0, 100), length=st.integers(50, 700))
+def test_the_interval_of_a_word_holds_the_pixel_that_shows_it(cell: int, offset: int, length: int) -> None:
+    bits = int((length - 1 + offset) // cell).bit_length() or 1
+    code = tuple(Gray("x", bit, bits, cell, offset) for bit in range(bits))
+    plan = plan_sequence((*code, *gray_sequence("y", 8, 1)), (length, 8)).x
+    x = np.arange(length, dtype=np.float64)
+    word = sum((p.brightness(x, x) > 0.5).astype(np.uint32) << (bits - 1 - p.bit) for p in code)
+    interval = interval_of(plan, [np.atleast_2d(word).astype(np.uint32)])
+    assert np.all(np.abs(x - interval.centre) <= interval.half - 0.5 + 1e-3)
+    assert not interval.outside.any()
+    assert np.all(interval.half <= cell / 2)
+
+
+@given(
+    shifts=st.lists(st.floats(-2, 2), min_size=3, max_size=9),
+    phase=st.floats(0, 6.28),
+    offset=st.floats(0, 200),
+)
+def test_the_weights_recover_a_fringe_from_any_shifts(shifts: list[float], phase: float, offset: float) -> None:
+    fringe = Fringe("x", 16.0, tuple(shifts), tuple(range(len(shifts))))
+    assume(np.linalg.matrix_rank(fringe.weights, tol=1e-3) == 3)
+    levels = offset + 50 * np.cos(phase + 2 * np.pi * np.array(shifts))
+    assert np.allclose(fringe.weights @ levels, [offset, 50 * np.cos(phase), 50 * np.sin(phase)], atol=1e-6)
+
+
+@pytest.mark.parametrize("steps", [3, 4, 8, 16])
+def test_the_noise_of_equal_shifts_is_that_of_the_books(steps: int) -> None:
+    fringe = Fringe("x", 16.0, tuple(k / steps for k in range(steps)), tuple(range(steps)))
+    assert fringe.noise_gain == pytest.approx(np.sqrt(2 / steps))
+
+
+def axis(length: int, *periods: float) -> AxisPlan:
+    return AxisPlan("x", length, (), tuple(Fringe("x", period, (0.0, 1 / 3, 2 / 3), (0, 1, 2)) for period in periods))
+
+
+@given(st.floats(0, 1279), st.integers(0, 2**32 - 1))
+def test_beating_fringes_are_unwrapped_over_the_whole_axis(x: float, seed: int) -> None:
+    plan = axis(1280, 21.0, 20.0, 19.0)
+    noise = np.random.default_rng(seed).normal(0, 0.05, 3)
+    wrapped = [
+        Wrapped(np.full((1, 1), (x + e) % f.period, np.float32), np.full((1, 1), 0.0025, np.float32))
+        for f, e in zip(plan.fringes, noise, strict=True)
+    ]
+    middle = np.full((1, 1), 639.5, np.float32)
+    nowhere = np.zeros((1, 1), np.bool_)
+    interval = Interval(middle, middle + 0.5, nowhere, nowhere)
+    orders = unwrap(plan, interval, wrapped, Tolerances(1.0, (0.05, 0.05)))
+    assert orders.agree.all()
+    assert abs(orders.coordinates[-1][0, 0] - x) < 0.4
+
+
+def test_after_how_many_pixels_fringes_look_alike() -> None:
+    assert repeat_length([100, 100 / 1.5], 1920) == pytest.approx(200)
+    assert repeat_length([16], 854) == 16
+    assert repeat_length([1920], 1920) == np.inf
+    assert repeat_length([21, 20, 19], 1280) == np.inf
+
+
+@pytest.mark.parametrize(("steps", "gamma"), [(3, 1.6), (3, 2.2), (4, 1.6), (4, 3.0)])
+def test_a_bent_phase_is_straightened(steps: int, gamma: float) -> None:
+    fringe = Fringe("x", 16.0, tuple(0.1 + k / steps for k in range(steps)), tuple(range(steps)))
+    truth = np.random.default_rng(1).uniform(0, 2 * np.pi, 40_000)
+    light = (0.5 + 0.5 * np.cos(truth + 2 * np.pi * np.array(fringe.shifts)[:, None])) ** gamma
+    _, cosine, sine = fringe.weights @ light
+    measured = np.mod(np.arctan2(sine, cosine), 2 * np.pi).astype(np.float32)
+    table = straightening(fringe, [measured])
+    assert table is not None
+    straight = measured + table[(measured * TABLE_LENGTH / (2 * np.pi)).astype(int) % TABLE_LENGTH]
+    before, after = (np.std(np.angle(np.exp(1j * (phase - truth)))) for phase in (measured, straight))
+    assert 0 < after < before / 5
+    assert after < 0.01
+
+
+def test_a_straight_phase_is_left_alone() -> None:
+    fringe = Fringe("x", 16.0, (0.0, 1 / 3, 2 / 3), (0, 1, 2))
+    measured = np.random.default_rng(1).uniform(0, 2 * np.pi, 20_000).astype(np.float32)
+    assert straightening(fringe, [measured]) is None
+
+
+@pytest.mark.parametrize(
+    ("peak", "level"),
+    [(1023, 1023), (4095, 4095), (65535, 65535), (65520, 65520), (4000, np.inf), (900, np.inf)],
+)
+def test_the_saturation_of_16_bit_images(peak: int, level: float) -> None:
+    assert saturation_level(np.array([[3, peak]], np.uint16)) == level
+
+
+def test_the_saturation_of_8_bit_images() -> None:
+    assert saturation_level(np.array([[3, 9]], np.uint8)) == 254
+
+
+def test_every_frame_is_planned_once() -> None:
+    patterns = [*gray_sequence("x", 300, 8), *phase_sequence("x", 16, 5), *gray_sequence("y", 200, 8, inverses=False)]
+    plan = plan_sequence(patterns, (300, 200))
+    assert sorted([*plan.x.frames, *plan.y.frames]) == list(range(len(patterns)))
+    assert len(plan.complements) == 6
