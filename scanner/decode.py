@@ -28,12 +28,12 @@ from scanner.decoding.noise import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.plan import AxisPlan, SequencePlan, plan_sequence
 from scanner.decoding.sample import Sample
 from scanner.decoding.saturation import saturation_level
+from scanner.decoding.strips import in_strips
 from scanner.errors import InputError
 from scanner.patterns import Pattern
 
 __all__ = ["Decoder", "Decoding", "MaskReason"]
 
-_STRIP_ROWS = 64
 _DEPTHS = (np.uint8, np.uint16)
 
 
@@ -152,7 +152,7 @@ def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     decoders = calibrated_decoders(plan, noise, saturation, thin)
     for decoder, signals in zip(decoders, thin, strict=True):
         check_fringes(plan, decoder, signals)
-    x, y = _decode_in_strips(accumulators, decoders)
+    x, y = _coordinates(accumulators, decoders)
     return _Measured(x, y, accumulators.brightest, noise, modulation(decoders, thin))
 
 
@@ -175,17 +175,19 @@ def _signals(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArra
     return of_axis(accumulators.plan.x), of_axis(accumulators.plan.y)
 
 
-def _decode_in_strips(
+def _coordinates(
     accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]
 ) -> tuple[Coordinate, Coordinate]:
-    """Both coordinates of all pixels; strip by strip, so that what lies between stays in the processor's cache."""
+    """Both coordinates of all pixels."""
     height, width = accumulators.middle.shape
     x, y = Coordinate.empty((height, width)), Coordinate.empty((height, width))
-    for start in range(0, height, _STRIP_ROWS):
-        rows = slice(start, start + _STRIP_ROWS)
+
+    def decode(rows: slice) -> None:
         signals = _signals(accumulators, itemgetter(rows))
         for decoder, part, whole in zip(decoders, signals, (x, y), strict=True):
             whole.put(rows, decoder.decode(part))
+
+    in_strips(height, decode)
     return x, y
 
 

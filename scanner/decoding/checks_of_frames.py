@@ -22,6 +22,7 @@ _WELL_SEEN = 20.0
 _LEAST_SWING = 2.0
 _FEWEST_LIT = 20
 _ENOUGH_LIT = 500
+_MOST_LIT = 8000
 # An exchanged frame is wrong by the whole swing wherever its pattern differs; a bent camera curve by less than half.
 _WRONG = 0.5
 _WRONG_SHARE = 0.05
@@ -50,7 +51,8 @@ def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, satura
     high, low = levels.max(axis=0), levels.min(axis=0)
     swing = high - low
     sigma = noise.sigma((high + low) / 2)
-    lit = _well_lit(swing, sigma, high >= saturation)
+    lit = np.flatnonzero(_well_lit(swing, sigma, high >= saturation))
+    lit = lit[:: max(1, len(lit) // _MOST_LIT)]
     shown = _Shown(levels[:, lit], swing[lit], sigma[lit])
     found = [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown), *_shifts(plan, shown)]
     if found:
@@ -131,9 +133,12 @@ def _shifts(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
         if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):
             yield f"{plan.names(fringe.frames)} make no fringe together"
             continue
-        found, _, _, singular = np.linalg.lstsq(np.stack([cosine, sine], axis=1), swings.T)
-        wrong = np.linalg.norm(found - phasors, axis=0) > _WRONG_SHIFT
-        if wrong.any() and singular[0] < _MOST_UNEVEN * singular[1]:
+        components = np.stack([cosine, sine]).astype(np.float64)
+        gram = components @ components.T
+        if np.linalg.cond(gram) > _MOST_UNEVEN**2:
+            continue
+        wrong = np.linalg.norm(np.linalg.solve(gram, components @ swings.T) - phasors, axis=0) > _WRONG_SHIFT
+        if wrong.any():
             suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
             yield f"{plan.names(suspects)} have another shift or period than their patterns"
 

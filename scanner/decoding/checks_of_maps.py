@@ -24,8 +24,8 @@ _INFORMATIVE = 0.3
 # Periods that have nothing to do with each other are a quarter cycle apart in the median; a rippled phase 0.06.
 _UNRELATED_CYCLES = 0.1
 _MOST_BAD = 0.6
-_STRIDE = 2
-_LINES = 192
+_STRIDE = 3
+_LINES = 96
 _FARTHEST_PX = 16
 
 
@@ -93,6 +93,7 @@ def _check_share(plan: SequencePlan, axis: AxisPlan, coordinate: Coordinate, kep
 
 def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: Bools) -> None:
     """Fringes that fill a Gray cell agree with a code that runs backwards; but then each cell's edge is a jump."""
+    code = min(axis.codes, key=lambda code: code.cell)
     jumps = total = 0
     for image, there in ((value, kept), (value.T, kept.T)):
         lines = np.unique(np.linspace(0, len(image) - 1, _LINES).astype(np.int64))
@@ -100,8 +101,8 @@ def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: 
         near = (np.diff(position) <= _FARTHEST_PX) & (np.diff(position // image.shape[1]) == 0)
         along = image[lines][there[lines]]
         step = np.abs(np.diff(along))[near]
-        crosses = np.diff(np.floor((along + 0.5 + axis.codes[0].offset) / axis.cell))[near] != 0
-        jumps += int(np.count_nonzero(step[crosses] > axis.cell))
+        crosses = np.diff(np.floor((along + 0.5 + code.offset) / code.cell))[near] != 0
+        jumps += int(np.count_nonzero(step[crosses] > code.cell))
         total += int(np.count_nonzero(crosses))
     if total >= _FEWEST_PIXELS and jumps > total / 2:
         raise InputError(

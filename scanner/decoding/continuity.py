@@ -12,6 +12,7 @@ import numpy as np
 from calib.arrays import Bools
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.coordinate import Coordinate
+from scanner.decoding.strips import in_strips
 
 _SIGMAS = 5.0
 # A surface may bend by this much of its slope, and this many projector pixels, from one camera pixel to the next.
@@ -20,7 +21,6 @@ _BEND_PX = 1.0
 _SMALLEST_PATCH = 24
 # Where the amplitude halves from one pixel to the next, the lens shifts the coordinate by up to half a pixel.
 _FAINTER = 2.0
-_STRIP_ROWS = 128
 
 
 def isolated(kept: Bools, coordinates: tuple[Coordinate, ...], cells: tuple[float, ...]) -> Bools:
@@ -29,18 +29,21 @@ def isolated(kept: Bools, coordinates: tuple[Coordinate, ...], cells: tuple[floa
     `cells`: per axis, the steps in which its coordinate comes; 0 for one with fringes.
     """
     broken = np.zeros(kept.shape, np.bool_)
-    for start in range(0, len(kept), _STRIP_ROWS):
-        above = min(start, 1)
-        rows = slice(start - above, start + _STRIP_ROWS + 1)
-        inner = slice(above, above + _STRIP_ROWS)
+
+    def find_breaks(rows: slice) -> None:
+        above, below = min(rows.start, 1), min(len(kept) - rows.stop, 1)
+        wider = slice(rows.start - above, rows.stop + below)
+        inner = slice(above, above + rows.stop - rows.start)
         for coordinate, cell in zip(coordinates, cells, strict=True):
-            value = np.where(kept[rows], coordinate.value[rows], np.float32(np.nan))
-            variance = coordinate.variance[rows]
+            value = np.where(kept[wider], coordinate.value[wider], np.float32(np.nan))
+            variance = coordinate.variance[wider]
             slack = np.full_like(variance, 2 * cell) if cell else np.float32(_SIGMAS * sqrt(6)) * np.sqrt(variance)
             breaks = _bends(value, slack)
             if not cell:
                 breaks |= _is_faint(variance)
-            broken[start : start + _STRIP_ROWS] |= breaks[inner]
+            broken[rows] |= breaks[inner]
+
+    in_strips(len(kept), find_breaks)
     _, patches, stats, _ = cv2.connectedComponentsWithStats((kept & ~broken).astype(np.uint8), connectivity=4)
     is_large = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST_PATCH
     is_large[0] = False

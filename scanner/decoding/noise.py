@@ -83,21 +83,21 @@ def _variance_by_level(repeats: list[tuple[Floats32, Floats32]]) -> tuple[list[f
     are as fine as its pixels.
     """
     level = np.median([level for level, _ in repeats], axis=0)
+    # Dither: the median of small whole numbers would jump between multiples of one.
+    dither = np.random.default_rng(_SEED).uniform(-0.25, 0.25, len(level)).astype(np.float32)
     bins = np.floor(level / (level.max() + 1e-6) * _BINS).astype(np.int64)
     where, variances = [], []
     for number in range(_BINS):
         chosen = bins == number
         if np.count_nonzero(chosen) >= _FEWEST_IN_BIN:
             where.append(float(np.mean(level[chosen])))
-            found = [_robust_variance(difference[chosen]) for _, difference in repeats]
+            found = [_robust_variance((difference + dither)[chosen]) for _, difference in repeats]
             variances.append(float(np.quantile(found, _QUIET, method="lower")))
     return where, variances
 
 
 def _robust_variance(values: Floats32) -> float:
-    # Dither: the median of small whole numbers would jump between multiples of one.
-    dithered = values + np.random.default_rng(_SEED).uniform(-0.25, 0.25, len(values))
-    return float(1.4826 * np.median(np.abs(dithered - np.median(dithered)))) ** 2
+    return float(1.4826 * np.median(np.abs(values - np.median(values)))) ** 2
 
 
 def _fit(where: list[float], variances: list[float]) -> NoiseModel:

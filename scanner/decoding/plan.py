@@ -15,7 +15,7 @@ from calib.arrays import Floats
 from scanner.errors import InputError
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
 
-MAX_BITS = 32
+_MAX_BITS = 32
 _MOST_NAMED = 12
 # Two fringe orders can be told apart if some period sees them at least this fraction of itself apart.
 _DISTINCT_CYCLES = 0.05
@@ -51,11 +51,6 @@ class GrayCode:
     def frames(self) -> list[int]:
         """All frames, in order."""
         return sorted([*self.normal.values(), *self.inverse.values()])
-
-    @property
-    def first_centre(self) -> float:
-        """Centre of cell 0: it covers the pixels −offset … cell − 1 − offset."""
-        return (self.cell - 1) / 2 - self.offset
 
 
 @dataclass(frozen=True)
@@ -210,8 +205,8 @@ def _gray_codes(axis: Axis, length: int, index: Mapping[Pattern, int]) -> list[G
 def _constant_bits(axis: Axis, length: int, key: tuple[int, int, int], shown: set[int]) -> int:
     """The value of the bits that were not shown, which must be the same on all pixels of the axis."""
     bits, cell, offset = key
-    if bits > MAX_BITS:
-        raise InputError(f"a Gray code of {bits} bits along {axis}; at most {MAX_BITS} are read")
+    if bits > _MAX_BITS:
+        raise InputError(f"a Gray code of {bits} bits along {axis}; at most {_MAX_BITS} are read")
     if not all(0 <= bit < bits for bit in shown):
         raise InputError(f"bits of a Gray code along {axis} must be 0 … {bits - 1}, found {sorted(shown)}")
     n = (np.arange(length) + offset) // cell

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from calib.arrays import Image
 from scanner.decoding.arrays import Floats32
 
-MOST_PIXELS = 32768
+_MOST_PIXELS = 32768
 _STEP = 2
 _SEED = 20_240_229
 
@@ -23,8 +23,8 @@ class Sample:
         margin = _STEP if neighbours and width > 2 * _STEP else 0
         inner = width - 2 * margin
         chosen = np.arange(height * inner)
-        if len(chosen) > MOST_PIXELS:
-            chosen = np.sort(np.random.default_rng(_SEED).choice(len(chosen), MOST_PIXELS, replace=False))
+        if len(chosen) > _MOST_PIXELS:
+            chosen = np.sort(np.random.default_rng(_SEED).choice(len(chosen), _MOST_PIXELS, replace=False))
         row, column = np.divmod(chosen, inner)
         self.pixels: NDArray[np.int64] = row * width + column + margin
         self._margin = margin

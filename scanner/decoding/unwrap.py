@@ -19,7 +19,7 @@ from scanner.decoding.codes import Interval
 from scanner.decoding.plan import AxisPlan
 
 # Disagreements of more than this many standard deviations contradict.
-LIMIT = 5.0
+_LIMIT = 5.0
 # An order is unique if the next best is this much worse: 9 is a likelihood ratio of about 100.
 _CLEAR_MARGIN = 9.0
 # The median of |x| for a normal distribution of standard deviation 1.
@@ -76,7 +76,7 @@ def widest_tolerances(plan: AxisPlan) -> Tolerances:
     longest = plan.fringes[0].period
     slack = (longest - plan.cell) / 2 if longest > plan.cell else 0.0
     interval = max(0.9 * slack, 0.1 * plan.cell) if plan.codes else 0.02 * plan.length
-    return Tolerances(interval / LIMIT, tuple(fringe.period / 2 / LIMIT for fringe in plan.fringes[1:]))
+    return Tolerances(interval / _LIMIT, tuple(fringe.period / 2 / _LIMIT for fringe in plan.fringes[1:]))
 
 
 def measured_tolerances(plan: AxisPlan, orders: Orders, variances: Sequence[Floats32]) -> Tolerances:
@@ -104,7 +104,7 @@ def measured_tolerances(plan: AxisPlan, orders: Orders, variances: Sequence[Floa
 def unwrap(plan: AxisPlan, interval: Interval, wrapped: Sequence[Wrapped], tolerances: Tolerances) -> Orders:
     """The orders of the fringes of an axis, `wrapped` from the longest period to the shortest."""
     longest = np.float32(plan.fringes[0].period)
-    reach = interval.half + np.float32(LIMIT * tolerances.interval_px)
+    reach = interval.half + np.float32(_LIMIT * tolerances.interval_px)
     first = wrapped[0].position
     lowest = first + np.ceil((interval.centre - reach - first) / longest) * longest
     best, best_cost, excess = _follow(plan, interval, lowest, wrapped, tolerances)
@@ -138,5 +138,5 @@ def _follow(
 def _cost(distance: Floats32, variance: Floats32, tolerance: float) -> Floats32:
     ratio = distance * distance
     ratio /= variance + np.float32(tolerance * tolerance)
-    ratio[ratio > LIMIT * LIMIT] = np.inf
+    ratio[ratio > _LIMIT * _LIMIT] = np.inf
     return ratio

@@ -38,7 +38,7 @@ def test_the_interval_of_a_word_holds_the_pixel_that_shows_it(cell: int, offset:
 )
 def test_the_weights_recover_a_fringe_from_any_shifts(shifts: list[float], phase: float, offset: float) -> None:
     fringe = Fringe("x", 16.0, tuple(shifts), tuple(range(len(shifts))))
-    assume(np.linalg.matrix_rank(fringe.weights, tol=1e-3) == 3)
+    assume(fringe.noise_gain < 3 and np.linalg.matrix_rank(fringe.weights, tol=1e-3) == 3)
     levels = offset + 50 * np.cos(phase + 2 * np.pi * np.array(shifts))
     assert np.allclose(fringe.weights @ levels, [offset, 50 * np.cos(phase), 50 * np.sin(phase)], atol=1e-6)
 
