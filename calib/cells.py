@@ -21,6 +21,9 @@ from calib.homography import (
 )
 from calib.matches import Matches
 
+# The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).
+MEDIAN_LENGTH = 1.1774
+
 _CELLS_PER_FACE = 400
 _FIRST_PASS = 20_000
 _SPARSE = 0.2
@@ -127,8 +130,7 @@ def _averaged(face: Matches, homography: Floats) -> _FaceCells:
     cells, first, index, count = np.unique(cell, return_index=True, return_inverse=True, return_counts=True)
     deviation = residual - _medians(residual, index, count)[index]
     size = np.linalg.norm(deviation, axis=1)
-    # The median length of a 2-D normal deviate is 1.1774 sigma.
-    limit = _OUTLIER_SIGMAS * max(float(np.median(size)) / 1.1774, 1e-9)
+    limit = _OUTLIER_SIGMAS * max(float(np.median(size)) / MEDIAN_LENGTH, 1e-9)
     kept = size <= limit
 
     weight = np.bincount(index[kept], minlength=len(cells))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Bools, Floats
-from calib.cells import Cells
+from calib.cells import MEDIAN_LENGTH, Cells
 from calib.corner import Corner
 from calib.model import CAMERA, PER_CAPTURE, PROJECTOR, SHARED, SQUARENESS, Pose, State, predict
 from calib.paper import Objective
@@ -328,8 +328,7 @@ def _systematic(residual: Floats, sigma_px: Floats) -> float:
     for _ in range(50):
         middle = (low + high) / 2
         size = np.linalg.norm(residual, axis=1) / np.sqrt(sigma_px**2 + middle**2)
-        # The median length of a 2-D normal deviate is 1.1774.
-        low, high = (middle, high) if np.median(size) > 1.1774 else (low, middle)
+        low, high = (middle, high) if np.median(size) > MEDIAN_LENGTH else (low, middle)
     return high if high > 1e-3 * float(np.median(sigma_px)) else 0.0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from calib.arrays import Floats
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
-from calib.cells import Cells, into_cells
+from calib.cells import MEDIAN_LENGTH, Cells, into_cells
 from calib.corner import Corner
 from calib.homography import TooFewMatchesError
 from calib.matches import Matches
@@ -136,13 +136,13 @@ def _by_paper(
         best.rotation[0],
         best.translation[0] / baseline,
     )
-    corner = _towards_the_faces(Corner(best.vertex[0] / baseline, best.normals[0]), calibration.camera, matches)
+    corner, residual_px = _before_the_matches(Corner(best.vertex[0] / baseline, best.normals[0]), calibration, matches)
     return SelfCalibration(
         calibration,
         matches,
         corner,
         Profile(solution.focal_px, solution.objective, "objective E (px)"),
-        _reprojection_error(calibration, corner, matches),
+        residual_px,
         "paper",
         (
             "The paper's method knows neither lens distortion nor uncertainty: in simulated rooms it errs by 0.2 to "
@@ -165,13 +165,13 @@ def _by_refinement(cells: Cells, matches: Matches, knowledge: Knowledge) -> Self
         fit.state.translation,
         sigma=_sigmas(refinement),
     )
-    corner = _towards_the_faces(refinement.corner, calibration.camera, matches)
+    corner, residual_px = _before_the_matches(refinement.corner, calibration, matches)
     return SelfCalibration(
         calibration,
         matches,
         corner,
         Profile(refinement.profile_focal_px, refinement.profile_cost, "−2 log likelihood above the best"),
-        _reprojection_error(calibration, corner, matches),
+        residual_px,
         "refined",
         _notes(refinement, cells.rejected, knowledge.squareness_deg),
     )
@@ -261,19 +261,12 @@ def _signed(values: Floats) -> str:
     return ", ".join(f"{value:+.2f}" for value in values)
 
 
-def _towards_the_faces(corner: Corner, camera: Intrinsics, matches: Matches) -> Corner:
-    """The corner with each leg pointing along the two faces that it bounds, not away from them."""
-    labelled = _labelled(matches)
-    from_vertex = _on_faces(corner, camera, labelled) - corner.vertex
-    # Coordinates along the legs; a point on face S has two, the third being zero.
-    coordinates = np.linalg.solve(corner.legs.T, from_vertex.T)
-    signs = np.sign(np.nanmedian(np.where(np.abs(coordinates) > 1e-9, coordinates, np.nan), axis=1))
-    return Corner(corner.vertex, corner.legs * signs[:, None])
-
-
-def _labelled(matches: Matches) -> Matches:
+def _before_the_matches(corner: Corner, calibration: Calibration, matches: Matches) -> tuple[Corner, float]:
+    """The corner with its legs pointing along its faces, and the reprojection error of the matches on them."""
     assert matches.face is not None
-    return matches[matches.face >= 0]
+    labelled = matches[matches.face >= 0]
+    points = _on_faces(corner, calibration.camera, labelled)
+    return _towards(corner, points), _reprojection_error(calibration, points, labelled)
 
 
 def _on_faces(corner: Corner, camera: Intrinsics, labelled: Matches) -> Floats:
@@ -284,14 +277,19 @@ def _on_faces(corner: Corner, camera: Intrinsics, labelled: Matches) -> Floats:
     return points
 
 
-def _reprojection_error(calibration: Calibration, corner: Corner, matches: Matches) -> float:
-    """Root mean square distance in the projector between matches on the faces and their prediction; robust.
+def _towards(corner: Corner, points: Floats) -> Corner:
+    """The corner with each leg on the side of the vertex on which the points (N, 3) of its faces are."""
+    # Coordinates along the legs; a point on face S has two, the third being zero.
+    coordinates = np.linalg.solve(corner.legs.T, (points - corner.vertex).T)
+    signs = np.sign(np.nanmedian(np.where(np.abs(coordinates) > 1e-9, coordinates, np.nan), axis=1))
+    return Corner(corner.vertex, corner.legs * signs[:, None])
 
-    A match's camera ray meets its face's plane, and the point is projected. The median length is scaled to the root
-    mean square of a 2-D normal deviate, so that outliers do not count.
+
+def _reprojection_error(calibration: Calibration, points: Floats, labelled: Matches) -> float:
+    """Root mean square distance in the projector between matches and their points (N, 3); robust.
+
+    The median length is scaled to the root mean square of a 2-D normal deviate, so that outliers do not count.
     """
-    labelled = _labelled(matches)
-    points = _on_faces(corner, calibration.camera, labelled)
     predicted = calibration.projector.project(points @ calibration.rotation.T + calibration.translation)
     error = np.linalg.norm(predicted - labelled.projector_px, axis=1)
-    return float(np.nanmedian(error) * np.sqrt(2) / 1.1774)
+    return float(np.nanmedian(error) * np.sqrt(2) / MEDIAN_LENGTH)

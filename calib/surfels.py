@@ -20,7 +20,6 @@ _TRIALS = 10
 _FEWEST_INLIERS = 0.6
 # How much noisier than usual a cell may be, and what is never too noisy.
 _MOST_SCATTER, _ALLOWED_SCATTER_PX = 8.0, 0.1
-_ROBUST_SIGMA = 1.4826  # of a normal distribution, times the median absolute deviation
 
 
 @dataclass(frozen=True)
