@@ -1,12 +1,15 @@
-"""Many matches on a face → few equivalent ones, so that the refinement costs the same for 10⁴ and 10⁷ matches.
+"""Many matches on a plane → few equivalent ones, so that the refinement costs the same for 10⁴ and 10⁷ matches.
 
-Within a cell of some twenty camera pixels what a face's homography does not explain (lens distortion, decoding errors)
-is as good as constant, so the mean deviation from the homography, put back at the cell's mean, carries everything that
-the cell's matches say; its scatter says how well.
+Over a cell of some tens of camera pixels the mean deviation from the plane's homography carries everything that the
+cell's matches say. What a lens does beyond the homography is curved within a cell; a polynomial that follows it keeps
+the mean from being biased by that.
 """
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from calib.arrays import Bools, Floats, Ints
@@ -24,95 +27,234 @@ from calib.matches import Matches
 # The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).
 MEDIAN_LENGTH = 1.1774
 
-_CELLS_PER_FACE = 400
-_FIRST_PASS = 20_000
+_CELLS_PER_PLANE = 400
+_SAMPLE = 20_000
+_SMALL_SAMPLE = 1_000
+_CHUNK = 1 << 15
+_DEGREE = 4
+_TERMS = (_DEGREE + 1) * (_DEGREE + 2) // 2
+_CONIC = 6
 _SPARSE = 0.2
 _OUTLIER_SIGMAS = 4.0
+_CUTS = 4
 
 
 @dataclass(frozen=True)
 class Cells:
     """Means of matches over cells of the camera image.
 
-    `camera_px`, `projector_px`: (M, 2). `face`, `column`, `row`: (M,) the face and the place in that face's raster of
-    cells. `sigma_px`: (M,) standard error of each coordinate of `projector_px` if matches err independently.
-    `noise_px`: scatter of a single match. `rejected`: share of matches that were left out as outliers.
+    `camera_px`, `projector_px`: (M, 2). `plane`, `column`, `row`: (M,) the label of the matches, and the place in that
+    plane's raster of cells. `sigma_px`: (M,) standard error of each coordinate of `projector_px` if matches err
+    independently; `coarseness`: (M,) the stated sigma of the cell's matches over that of a typical match, 1 if none is
+    stated. `noise_px`: scatter of a typical match. `rejected`: share of matches that were left out as outliers.
     """
 
     camera_px: Floats
     projector_px: Floats
-    face: Ints
+    plane: Ints
     column: Ints
     row: Ints
     sigma_px: Floats
+    coarseness: Floats
     noise_px: float
     rejected: float
 
     def __len__(self) -> int:
-        return len(self.face)
+        return len(self.plane)
 
     def as_matches(self) -> Matches:
-        """The means as matches."""
-        return Matches(self.camera_px, self.projector_px, self.face, self.sigma_px)
+        """The means on the faces as matches."""
+        return Matches(self.camera_px, self.projector_px, np.where(self.plane < len(FACES), self.plane, -1))
 
     def __getitem__(self, chosen: Bools | slice) -> "Cells":
         """The cells at a mask or slice."""
         return Cells(
             self.camera_px[chosen],
             self.projector_px[chosen],
-            self.face[chosen],
+            self.plane[chosen],
             self.column[chosen],
             self.row[chosen],
             self.sigma_px[chosen],
+            self.coarseness[chosen],
             self.noise_px,
             self.rejected,
         )
 
 
 @dataclass(frozen=True)
-class _FaceCells:
+class _Raster:
+    """Square cells of `side` pixels from `low` (2,); `columns` × `rows` of them."""
+
+    low: Floats
+    side: float
+    columns: int
+    rows: int
+
+    def number(self, camera_px: Floats) -> Ints:
+        """Number of the cell (N,) of each pixel (N, 2)."""
+        place = ((camera_px - self.low) / self.side).astype(np.int32)
+        number: Ints = place[:, 1] * np.int32(self.columns) + place[:, 0]
+        return number
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """What is expected of a match on a plane: a homography and, in `coefficients` (_TERMS, 2), a polynomial on top.
+
+    `scale`: the normalisation of camera pixels. `sigma`: scatter of the sample around it, for weight 1.
+    """
+
+    homography: Floats
+    scale: Floats
+    coefficients: Floats
+    sigma: float
+
+    def straight(self, camera_px: Floats) -> Floats:
+        """The homography's part, (N, 2)."""
+        return dehomogenise(homogeneous(camera_px) @ self.homography.T)
+
+    def curved(self, camera_px: Floats) -> Floats:
+        """The polynomial's part, (N, 2)."""
+        curved: Floats = _monomials(camera_px, self.scale) @ self.coefficients
+        return curved
+
+
+def into_cells(matches: Matches, labels: Sequence[int] = FACES) -> Cells:
+    """Average the matches with each label over cells, without those that deviate from the others around them.
+
+    Raises TooFewMatchesError if a label has fewer than four.
+    """
+    parts = [matches.on_face(label) for label in labels]
+    for label, part in zip(labels, parts, strict=True):
+        if len(part) < 4:
+            raise TooFewMatchesError(f"face {label} has {len(part)} matches; a homography needs at least four")
+    typical = 1.0 if matches.sigma_px is None else float(np.median(np.concatenate([p.sigma_px for p in parts])))
+    with ThreadPoolExecutor() as pool:
+        means = list(pool.map(lambda label, part: _plane_cells(label, part, typical), labels, parts))
+    squares, freedom = (sum(mean.scatter[i] for mean in means) for i in (0, 1))
+    noise = max(float(np.sqrt(squares / max(freedom, 1.0))), 1e-6)
+    kept = sum(mean.kept for mean in means)
+    return Cells(
+        np.concatenate([mean.camera_px for mean in means]),
+        np.concatenate([mean.projector_px for mean in means]),
+        np.concatenate([mean.plane for mean in means]),
+        np.concatenate([mean.column for mean in means]),
+        np.concatenate([mean.row for mean in means]),
+        noise / np.sqrt(np.concatenate([mean.weight for mean in means])),
+        np.concatenate([mean.coarseness for mean in means]),
+        noise,
+        1.0 - kept / sum(len(part) for part in parts),
+    )
+
+
+@dataclass(frozen=True)
+class _Means:
+    """Of one plane, by cells (M,); `scatter`: sum of squared deviations of both coordinates, degrees of freedom."""
+
     camera_px: Floats
     projector_px: Floats
+    plane: Ints
     column: Ints
     row: Ints
-    count: Ints
-    deviation: Floats
-    kept: Bools
-    homography: Floats
+    weight: Floats
+    coarseness: Floats
+    scatter: tuple[float, float]
+    kept: int
 
 
-def into_cells(matches: Matches) -> Cells:
-    """Average the matches of the faces 0, 1, 2 over cells, leaving out those that deviate from their cell's median.
-
-    Raises TooFewMatchesError if a face has fewer than four.
-    """
-    faces = [_face_cells(matches.on_face(label)) for label in FACES]
-    kept = np.concatenate([face.kept for face in faces])
-    deviation = np.concatenate([face.deviation for face in faces])[kept]
-    freedom = max(1, len(deviation) - sum(len(face.count) for face in faces))
-    noise = float(np.sqrt(np.sum(deviation**2) / (2 * freedom)))
-    count = np.concatenate([face.count for face in faces])
-    return Cells(
-        np.concatenate([face.camera_px for face in faces]),
-        np.concatenate([face.projector_px for face in faces]),
-        np.repeat(np.array(FACES, np.int32), [len(face.count) for face in faces]),
-        np.concatenate([face.column for face in faces]),
-        np.concatenate([face.row for face in faces]),
-        np.maximum(noise, 1e-6) / np.sqrt(count),
-        noise,
-        float(1 - kept.mean()),
+def _plane_cells(label: int, part: Matches, typical_sigma_px: float) -> _Means:
+    sample = part[:: max(1, len(part) // _SAMPLE)]
+    reference = _reference(sample, typical_sigma_px)
+    raster = _raster(part.camera_px)
+    sums = np.zeros((8, raster.columns * raster.rows))
+    for start in range(0, len(part), _CHUNK):
+        sums += _sums(part[slice(start, start + _CHUNK)], reference, raster, typical_sigma_px)
+    count, weight = sums[0], sums[1]
+    # A cell far emptier than the one that a typical match is in holds stray labels, not a piece of the plane.
+    full = np.sort(count[count > 0])
+    typical = full[np.searchsorted(np.cumsum(full), full.sum() / 2)]
+    filled = np.flatnonzero(count >= max(1.0, _SPARSE * typical))
+    count, weight = count[filled], weight[filled]
+    camera_px = (sums[2:4, filled] / weight).T
+    offset = (sums[4:6, filled] / weight).T
+    return _Means(
+        camera_px,
+        reference.straight(camera_px) + offset - _bias(sample, reference, raster)[filled],
+        np.full(len(filled), label, np.int32),
+        (filled % raster.columns).astype(np.int32),
+        (filled // raster.columns).astype(np.int32),
+        weight,
+        np.sqrt(count / weight),
+        (float(sums[6, filled].sum()), max(2.0 * count.sum() - 2 * _TERMS, 1.0)),
+        int(count.sum()),
     )
 
 
-def _face_cells(face: Matches) -> _FaceCells:
-    """Two passes: wrong matches spoil a homography through all of them, but not one through the cells' means."""
-    if len(face) < 4:
-        raise TooFewMatchesError(f"a face has {len(face)} matches; a homography needs at least four")
-    first = face[:: max(1, len(face) // _FIRST_PASS)]
-    rough = _averaged(first, _homography(first.camera_px, first.projector_px))
-    return _averaged(
-        face, _homography(rough.camera_px, rough.projector_px) if len(rough.count) >= 4 else rough.homography
-    )
+def _sums(part: Matches, reference: _Reference, raster: _Raster, typical_sigma_px: float) -> Floats:
+    """By cells: number, weight, weighted sums of pixels (2) and of offsets from the homography (2), squares; (8, n)."""
+    offset = part.projector_px - reference.straight(part.camera_px)
+    deviation = offset - reference.curved(part.camera_px)
+    weight = np.ones(len(part)) if part.sigma_px is None else (typical_sigma_px / part.sigma_px) ** 2
+    square = weight * np.sum(deviation**2, axis=1)
+    kept = square <= (_OUTLIER_SIGMAS * reference.sigma) ** 2
+    cell, weight = raster.number(part.camera_px)[kept], weight[kept]
+    size = raster.columns * raster.rows
+
+    def by_cell(values: Floats) -> Floats:
+        return np.bincount(cell, values, minlength=size)
+
+    camera_px, offset = part.camera_px[kept], offset[kept]
+    rows = [np.bincount(cell, minlength=size).astype(np.float64), by_cell(weight)]
+    rows += [by_cell(weight * values) for values in (*camera_px.T, *offset.T)]
+    rows += [by_cell(square[kept]), np.zeros(size)]
+    return np.stack(rows)
+
+
+def _bias(sample: Matches, reference: _Reference, raster: _Raster) -> Floats:
+    """By how much the polynomial's mean over a cell's matches exceeds its value at their mean, (cells, 2)."""
+    cell, size = raster.number(sample.camera_px), raster.columns * raster.rows
+    count = np.maximum(np.bincount(cell, minlength=size), 1)[:, None]
+
+    def mean(values: Floats) -> Floats:
+        return np.stack([np.bincount(cell, column, minlength=size) for column in values.T], axis=1) / count
+
+    return mean(reference.curved(sample.camera_px)) - reference.curved(mean(sample.camera_px))
+
+
+def _reference(sample: Matches, typical_sigma_px: float) -> _Reference:
+    """Homography and polynomial through a plane's matches, whatever a minority of them says."""
+    weight = np.ones(len(sample)) if sample.sigma_px is None else (typical_sigma_px / sample.sigma_px) ** 2
+    inside = _near_a_homography(sample)
+    homography = _homography(sample.camera_px[inside], sample.projector_px[inside])
+    offset = sample.projector_px - dehomogenise(homogeneous(sample.camera_px) @ homography.T)
+    scale = normalisation(sample.camera_px)
+    monomials = _monomials(sample.camera_px, scale)
+    if inside.sum() < 3 * _TERMS:
+        monomials[:, _CONIC:] = 0.0  # too few matches for more
+    for _ in range(_CUTS):
+        root = np.sqrt(weight[inside])[:, None]
+        coefficients: Floats = np.linalg.lstsq(monomials[inside] * root, offset[inside] * root, rcond=1e-10)[0].astype(
+            np.float64
+        )
+        size = np.linalg.norm(offset - monomials @ coefficients, axis=1) * np.sqrt(weight)
+        # A polynomial through few matches follows them; its freedom is given back.
+        freedom = max(1.0 - np.count_nonzero(monomials.any(axis=0)) / max(inside.sum(), 1), 0.1)
+        sigma = max(float(np.median(size[inside])) / MEDIAN_LENGTH / np.sqrt(freedom), 1e-9)
+        inside = size <= _OUTLIER_SIGMAS * sigma
+    return _Reference(homography, scale, coefficients, sigma)
+
+
+def _near_a_homography(sample: Matches) -> Bools:
+    """Matches (N,) that one homography explains as well as it does most (least median of squares)."""
+    every = np.ones(len(sample), bool)
+    few = sample[:: max(1, len(sample) // _SMALL_SAMPLE)]
+    homography, _ = cv2.findHomography(few.camera_px, few.projector_px, cv2.LMEDS) if len(few) > 4 else (None, None)
+    if homography is None:
+        return every
+    mapped = dehomogenise(homogeneous(sample.camera_px) @ np.asarray(homography, np.float64).T)
+    size = np.linalg.norm(sample.projector_px - mapped, axis=1)
+    near: Bools = size <= 2 * _OUTLIER_SIGMAS * np.median(size) / MEDIAN_LENGTH
+    return near
 
 
 def _homography(camera_px: Floats, projector_px: Floats) -> Floats:
@@ -124,54 +266,23 @@ def _homography(camera_px: Floats, projector_px: Floats) -> Floats:
     return homography
 
 
-def _averaged(face: Matches, homography: Floats) -> _FaceCells:
-    residual = face.projector_px - dehomogenise(homogeneous(face.camera_px) @ homography.T)
-    column, row, cell = _raster(face.camera_px)
-    cells, first, index, count = np.unique(cell, return_index=True, return_inverse=True, return_counts=True)
-    deviation = residual - _medians(residual, index, count)[index]
-    size = np.linalg.norm(deviation, axis=1)
-    limit = _OUTLIER_SIGMAS * max(float(np.median(size)) / MEDIAN_LENGTH, 1e-9)
-    kept = size <= limit
-
-    weight = np.bincount(index[kept], minlength=len(cells))
-    # A cell far emptier than the one that a typical match is in holds stray labels, not a piece of the face.
-    filled = weight >= max(1.0, _SPARSE * float(np.median(count[index])))
-    kept &= filled[index]
-
-    def mean(values: Floats) -> Floats:
-        sums = [np.bincount(index[kept], values[kept, axis], minlength=len(cells)) for axis in (0, 1)]
-        means: Floats = np.stack(sums, axis=1)[filled] / weight[filled, None]
-        return means
-
-    centre, offset = mean(face.camera_px), mean(residual)
-    place = np.cumsum(filled) - 1
-    return _FaceCells(
-        centre,
-        dehomogenise(homogeneous(centre) @ homography.T) + offset,
-        column[first][filled],
-        row[first][filled],
-        weight[filled],
-        np.linalg.norm(residual - offset[place[index]], axis=1),
-        kept,
-        homography,
-    )
+def _monomials(camera_px: Floats, scale: Floats) -> Floats:
+    """All monomials up to _DEGREE, lowest first, of normalised pixels: (N, 2) → (N, _TERMS)."""
+    x, y = scale[0, 0] * camera_px.T + scale[:2, 2:]
+    columns = np.empty((_TERMS, len(camera_px)))
+    columns[0] = 1.0
+    last, place = columns[:1], 1
+    for degree in range(1, _DEGREE + 1):
+        here = columns[place : place + degree + 1]
+        np.multiply(last, x, out=here[:-1])
+        np.multiply(last[-1], y, out=here[-1])
+        last, place = here, place + degree + 1
+    return columns.T
 
 
-def _raster(camera_px: Floats) -> tuple[Ints, Ints, Ints]:
-    """Column, row and number of the square cell that each match (N, 2) falls into."""
+def _raster(camera_px: Floats) -> _Raster:
     low, high = camera_px.min(axis=0), camera_px.max(axis=0)
     # The share of the bounding box that a face fills is unknown; half is typical of a corner's faces.
-    side = max(1.0, float(np.sqrt(np.prod(np.maximum(high - low, 1.0)) / (2 * _CELLS_PER_FACE))))
-    place = np.floor((camera_px - low) / side).astype(np.int32)
-    columns = int(place[:, 0].max()) + 1
-    return place[:, 0], place[:, 1], place[:, 1] * columns + place[:, 0]
-
-
-def _medians(values: Floats, index: Ints, count: Ints) -> Floats:
-    """Median of each coordinate of `values` (N, 2) over each group of `index` (N,); `count` is the groups' sizes."""
-    middle = np.cumsum(count) - (count + 1) // 2
-    medians = []
-    for axis in (0, 1):
-        order = np.lexsort((values[:, axis], index))
-        medians.append(values[order[middle], axis])
-    return np.stack(medians, axis=1)
+    side = max(1.0, float(np.sqrt(np.prod(np.maximum(high - low, 1.0)) / (2 * _CELLS_PER_PLANE))))
+    columns, rows = (int(extent // side) + 1 for extent in high - low)
+    return _Raster(low, side, columns, rows)

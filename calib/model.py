@@ -1,43 +1,69 @@
-"""The true parameters of a rig before a corner, what they predict of each match, and the exact derivatives.
+"""The true parameters of a rig before corners, what they predict of each match, and the exact derivatives.
 
-A camera pixel is unprojected, its ray meets the plane of its face, and the point is projected into the projector.
+A camera pixel is unprojected, its ray meets the plane that it is on, and the point is projected into the projector.
 Lengths are in baselines: |translation| = 1. Both lenses have two radial terms.
 
-Columns of the Jacobian, and of every step: camera log f, x_0, y_0, k1, k2; the same for the projector; rotation (3);
-direction of the translation (2); the corner's three angles off square; then, for each capture, the corner's rotation
-(3) and its vertex (3, as a share of its distance).
+Columns of every step, gradient and Hessian: camera log f, x_0, y_0, k1, k2; the same for the projector; rotation (3);
+direction of the translation (2); three angles off square for each corner; then, for each capture, the corner's rotation
+(3), its vertex (3, as a share of its distance), and for each further plane two tilts and its height.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib import lens
 from calib.arrays import Floats, Ints
+from calib.homography import FACES
 
 CAMERA, PROJECTOR = slice(0, 5), slice(5, 10)
-ROTATION, TRANSLATION, SQUARENESS = slice(10, 13), slice(13, 15), slice(15, 18)
-SHARED = 18
-PER_CAPTURE = 6
+ROTATION, TRANSLATION = slice(10, 13), slice(13, 15)
+SHARED = 15
+PER_CORNER, PER_POSE, PER_PLANE = 3, 6, 3
 
 # (face, face) of each angle: angle 0 is between the faces 1 and 2, and so on round.
 _PAIRS = ((1, 2), (2, 0), (0, 1))
-_UNDISTORT_STEPS = 12
+
+
+@dataclass(frozen=True)
+class FurtherPlane:
+    """A plane that is parallel or perpendicular to a face, roughly.
+
+    `axes` (3, 3): unit rows in the coordinates of the corner's frame, the plane's normal and two directions to tilt
+    it towards; `tilt` (2,) small; `height`: how far the corner's vertex is behind the plane, in baselines.
+    """
+
+    axes: Floats
+    tilt: Floats
+    height: float
+    tilt_sigma: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the corner is in one capture: `frame` (3, 3), unit rows along the legs; `vertex` (3,); camera's frame."""
+    """Where a corner is in one capture: `frame` (3, 3), unit rows along the legs; `vertex` (3,); camera's frame.
+
+    `corner` says which of the state's corners it is. `planes` are seen beside its three faces.
+    """
 
     frame: Floats
     vertex: Floats
+    corner: int = 0
+    planes: tuple[FurtherPlane, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return PER_POSE + PER_PLANE * len(self.planes)
 
 
 @dataclass(frozen=True)
 class State:
     """`camera`, `projector`: (5,) f, x_0, y_0, k1, k2. `rotation` (3, 3), `translation` (3,) of unit length.
 
-    `off_square` (3,): angles in radians by which the faces (B, C), (C, A), (A, B) are off square.
+    `off_square` (G, 3): for each corner the angles in radians by which the faces (B, C), (C, A), (A, B) are off square.
     """
 
     camera: Floats
@@ -50,15 +76,32 @@ class State:
     @property
     def size(self) -> int:
         """Number of columns."""
-        return SHARED + PER_CAPTURE * len(self.poses)
+        return self._starts[-1]
+
+    @cached_property
+    def _starts(self) -> tuple[int, ...]:
+        """First column of each pose, and the column behind the last."""
+        starts = [SHARED + PER_CORNER * len(self.off_square)]
+        for pose in self.poses:
+            starts.append(starts[-1] + pose.size)
+        return tuple(starts)
+
+    def angle_columns(self, corner: int) -> slice:
+        """Columns of a corner's angles."""
+        return slice(SHARED + PER_CORNER * corner, SHARED + PER_CORNER * (corner + 1))
+
+    def pose_columns(self, capture: int) -> slice:
+        """Columns of a capture's pose and further planes."""
+        return slice(self._starts[capture], self._starts[capture + 1])
+
+    def columns(self, capture: int) -> Ints:
+        """The columns that a capture depends on, in the order of `predict`'s Jacobian."""
+        places = np.arange(self.size, dtype=np.int32)
+        parts = slice(0, SHARED), self.angle_columns(self.poses[capture].corner), self.pose_columns(capture)
+        return np.concatenate([places[part] for part in parts])
 
     def moved(self, step: Floats) -> "State":
         """The state after a step (size,) in the columns' coordinates."""
-        poses = []
-        for i, pose in enumerate(self.poses):
-            part = step[SHARED + PER_CAPTURE * i :][:PER_CAPTURE]
-            turned = pose.frame @ Rotation.from_rotvec(part[:3]).as_matrix().T
-            poses.append(Pose(turned, pose.vertex + part[3:] * np.linalg.norm(pose.vertex)))
         translation = self.translation + tangent_basis(self.translation) @ step[TRANSLATION]
         return replace(
             self,
@@ -66,22 +109,27 @@ class State:
             projector=_moved_device(self.projector, step[PROJECTOR]),
             rotation=Rotation.from_rotvec(step[ROTATION]).as_matrix() @ self.rotation,
             translation=translation / np.linalg.norm(translation),
-            off_square=self.off_square + step[SQUARENESS],
-            poses=tuple(poses),
+            off_square=self.off_square + step[SHARED : self._starts[0]].reshape(-1, PER_CORNER),
+            poses=tuple(_moved_pose(pose, step[self.pose_columns(i)]) for i, pose in enumerate(self.poses)),
         )
 
     def additive(self) -> Floats:
-        """The columns that have a prior, as numbers that a step adds to, (size,): zero for rotations and the like."""
+        """The columns that may have a prior, as numbers that a step adds to, (size,); zero for rotations and such."""
         values = np.zeros(self.size)
         for columns, device in ((CAMERA, self.camera), (PROJECTOR, self.projector)):
             values[columns] = np.concatenate([[np.log(device[0])], device[1:]])
-        values[SQUARENESS] = self.off_square
+        values[SHARED : self._starts[0]] = self.off_square.ravel()
+        for i, pose in enumerate(self.poses):
+            for j, plane in enumerate(pose.planes):
+                start = self._starts[i] + PER_POSE + PER_PLANE * j
+                values[start : start + 2] = plane.tilt
         return values
 
     def normals(self, capture: int = 0) -> Floats:
         """Unit normals of the faces in the camera's frame, (3, 3) rows."""
-        mixing = _mixing(self.off_square)
-        unit: Floats = mixing / np.linalg.norm(mixing, axis=1, keepdims=True) @ self.poses[capture].frame
+        pose = self.poses[capture]
+        mixing = _mixing(self.off_square[pose.corner])
+        unit: Floats = mixing / np.linalg.norm(mixing, axis=1, keepdims=True) @ pose.frame
         return unit
 
     def legs(self, capture: int = 0) -> Floats:
@@ -99,49 +147,92 @@ def tangent_basis(direction: Floats) -> Floats:
     return basis
 
 
-def predict(state: State, camera_px: Floats, face: Ints, capture: int = 0) -> tuple[Floats, Floats, Floats]:
-    """Where matches at camera pixels (N, 2) on faces (N,) fall in the projector, with derivatives.
+def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> tuple[Floats, Floats, Floats]:
+    """Where matches at camera pixels (N, 2) on planes (N,) of a capture fall in the projector, with derivatives.
 
-    Returns projector pixels (N, 2), the Jacobian (N, 2, size), and depths (N, 2) in both devices (not positive where
-    the prediction means nothing).
+    Planes 0, 1, 2 are the corner's faces, 3 and up the pose's further planes. Returns projector pixels (N, 2), the
+    Jacobian (N, 2, columns) by `state.columns(capture)`, and depths (N, 2) in both devices (not positive where the
+    prediction means nothing).
     """
-    rays, rays_by_camera = _unproject(state.camera, camera_px)
-    normals, normals_by_angles = state.normals(capture)[face], _normals_by_angles(state, capture)[face]
-    vertex = state.poses[capture].vertex
+    pose = state.poses[capture]
+    rays, rays_by_camera = lens.unproject(state.camera, camera_px)
+    every_normal, every_height = _planes(state, capture)
+    normals, heights = every_normal[plane], every_height[plane]
     facing = np.sum(normals * rays, axis=1)
-    depth = np.sum(normals * vertex, axis=1) / facing
+    depth = (np.sum(normals * pose.vertex, axis=1) + heights) / facing
     points = depth[:, None] * rays
 
-    # d(point) = depth (dr − r n·dr / n·r) + r / (n·r) (dn·(vertex − point) + n·dvertex)
-    to_vertex = vertex - points
+    # d(point) = depth (dr − r n·dr / n·r) + r / (n·r) (dn·(vertex − point) + n·dvertex + dheight)
+    to_vertex = pose.vertex - points
     along = rays / facing[:, None]
     by_camera = depth[:, None, None] * (
         rays_by_camera - along[:, :, None] * np.einsum("ni,nij->nj", normals, rays_by_camera)[:, None, :]
     )
-    by_angles = along[:, :, None] * np.einsum("nai,ni->na", normals_by_angles, to_vertex)[:, None, :]
-    by_frame = along[:, :, None] * np.cross(normals, to_vertex)[:, None, :]
-    by_vertex = along[:, :, None] * (normals * np.linalg.norm(vertex))[:, None, :]
 
     turned = points @ state.rotation.T
     moved = turned + state.translation
-    pixels, by_moved, by_projector = _project(state.projector, moved)
+    pixels, by_moved, by_projector = lens.project(state.projector, moved)
 
     by_point = by_moved @ state.rotation
-    jacobian = np.zeros((len(face), 2, state.size))
+    by_depth = np.einsum("nij,nj->ni", by_point, along)
+    jacobian = np.zeros((len(plane), 2, SHARED + PER_CORNER + pose.size))
     jacobian[:, :, CAMERA] = by_point @ by_camera
     jacobian[:, :, PROJECTOR] = by_projector
     # d(R X) = ω × R X, so each row g of by_moved gives g · (ω × RX) = ω · (RX × g).
     jacobian[:, :, ROTATION] = np.cross(turned[:, None, :], by_moved)
     jacobian[:, :, TRANSLATION] = by_moved @ tangent_basis(state.translation)
-    jacobian[:, :, SQUARENESS] = by_point @ by_angles
-    start = SHARED + PER_CAPTURE * capture
-    jacobian[:, :, start : start + 3] = by_point @ by_frame
-    jacobian[:, :, start + 3 : start + 6] = by_point @ by_vertex
+    on_plane = np.concatenate(
+        [
+            np.einsum("nai,ni->na", _normals_by_angles(state, capture)[plane], to_vertex),
+            np.cross(normals, to_vertex),
+            normals * np.linalg.norm(pose.vertex),
+            *_by_further_planes(pose, plane, to_vertex),
+        ],
+        axis=1,
+    )
+    jacobian[:, :, SHARED:] = by_depth[:, :, None] * on_plane[:, None, :]
     return pixels, jacobian, np.stack([depth, moved[:, 2]], axis=1)
+
+
+def _planes(state: State, capture: int) -> tuple[Floats, Floats]:
+    """Unit normals (P, 3) of faces and further planes in the camera's frame, and their heights (P,)."""
+    pose = state.poses[capture]
+    further = [_tilted(plane) / np.linalg.norm(_tilted(plane)) @ pose.frame for plane in pose.planes]
+    normals = np.concatenate([state.normals(capture), np.reshape(further, (-1, 3))])
+    return normals, np.array([0.0] * len(FACES) + [plane.height for plane in pose.planes])
+
+
+def _tilted(plane: FurtherPlane) -> Floats:
+    tilted: Floats = plane.axes[0] + plane.tilt @ plane.axes[1:]
+    return tilted
+
+
+def _by_further_planes(pose: Pose, plane: Ints, to_vertex: Floats) -> list[Floats]:
+    """For each further plane (N, 3): how n·(vertex − point) + height changes with its tilts and its height."""
+    changes = []
+    for i, further in enumerate(pose.planes):
+        tilted = _tilted(further)
+        length = np.linalg.norm(tilted)
+        unit = tilted / length
+        by_tilt = (further.axes[1:] - np.outer(further.axes[1:] @ unit, unit)) / length @ pose.frame
+        change = np.concatenate([to_vertex @ by_tilt.T, np.ones((len(plane), 1))], axis=1)
+        changes.append(np.where((plane == len(FACES) + i)[:, None], change, 0.0))
+    return changes
 
 
 def _moved_device(device: Floats, step: Floats) -> Floats:
     return np.concatenate([[device[0] * np.exp(step[0])], device[1:] + step[1:]])
+
+
+def _moved_pose(pose: Pose, step: Floats) -> Pose:
+    turned = pose.frame @ Rotation.from_rotvec(step[:3]).as_matrix().T
+    planes = tuple(
+        replace(plane, tilt=plane.tilt + part[:2], height=plane.height + float(part[2]))
+        for plane, part in zip(pose.planes, step[PER_POSE:].reshape(-1, PER_PLANE), strict=True)
+    )
+    return replace(
+        pose, frame=turned, vertex=pose.vertex + step[3:PER_POSE] * np.linalg.norm(pose.vertex), planes=planes
+    )
 
 
 def _mixing(off_square: Floats) -> Floats:
@@ -153,77 +244,16 @@ def _mixing(off_square: Floats) -> Floats:
 
 
 def _normals_by_angles(state: State, capture: int) -> Floats:
-    """Derivatives (3 faces, 3 angles, 3) of the unit normals by the angles off square."""
-    mixing = _mixing(state.off_square)
+    """Derivatives (P, 3 angles, 3) of the unit normals by the angles off square; zero for further planes."""
+    pose = state.poses[capture]
+    mixing = _mixing(state.off_square[pose.corner])
     lengths = np.linalg.norm(mixing, axis=1)
     unit = mixing / lengths[:, None]
-    derivatives = np.zeros((3, 3, 3))
+    derivatives = np.zeros((len(FACES) + len(pose.planes), 3, 3))
     for angle, pair in enumerate(_PAIRS):
         for i, j in (pair, pair[::-1]):
             change = np.zeros(3)
             change[j] = 0.5
             derivatives[i, angle] = (change - unit[i] * (unit[i] @ change)) / lengths[i]
-    turned: Floats = derivatives @ state.poses[capture].frame
+    turned: Floats = derivatives @ pose.frame
     return turned
-
-
-def _unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
-    """Rays (N, 3) at z = 1 and their derivatives (N, 3, 5) by log f, x_0, y_0, k1, k2."""
-    focal, centre, k = device[0], device[1:3], device[3:]
-    distorted = (pixels - centre) / focal
-    ideal = distorted * _inverse_radius_ratio(np.linalg.norm(distorted, axis=1), k)[:, None]
-    _, slope, by_k = _radial(ideal, k)
-    change = np.zeros((len(pixels), 2, 5))
-    change[:, :, 0] = -distorted
-    change[:, 0, 1] = change[:, 1, 2] = -1 / focal
-    change[:, :, 3:] = -by_k
-    derivatives = np.zeros((len(pixels), 3, 5))
-    derivatives[:, :2] = _inverse_2x2(slope) @ change
-    return np.concatenate([ideal, np.ones((len(ideal), 1))], axis=1), derivatives
-
-
-def _project(device: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Pixels (N, 2), their derivatives (N, 2, 3) by the point and (N, 2, 5) by log f, x_0, y_0, k1, k2."""
-    focal, centre, k = device[0], device[1:3], device[3:]
-    ideal = points[:, :2] / points[:, 2:]
-    distorted, slope, by_k = _radial(ideal, k)
-    by_point = np.zeros((len(points), 2, 3))
-    by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0
-    by_point[:, :, 2] = -ideal
-    by_point /= points[:, 2, None, None]
-    by_device = np.zeros((len(points), 2, 5))
-    by_device[:, :, 0] = focal * distorted
-    by_device[:, 0, 1] = by_device[:, 1, 2] = 1.0
-    by_device[:, :, 3:] = focal * by_k
-    return focal * distorted + centre, focal * slope @ by_point, by_device
-
-
-def _inverse_radius_ratio(distorted: Floats, k: Floats) -> Floats:
-    """r / r_d (N,) for distorted radii (N,), by Newton's method on r (1 + k1 r² + k2 r⁴) = r_d."""
-    ideal = distorted.copy()
-    for _ in range(_UNDISTORT_STEPS):
-        r2 = ideal**2
-        step = (ideal * (1 + r2 * (k[0] + r2 * k[1])) - distorted) / (1 + r2 * (3 * k[0] + 5 * r2 * k[1]))
-        ideal = ideal - step
-        if np.abs(step).max(initial=0.0) < 1e-13:
-            break
-    return np.where(distorted > 0, ideal / np.where(distorted > 0, distorted, 1.0), 1.0)
-
-
-def _inverse_2x2(matrices: Floats) -> Floats:
-    """Inverses of (N, 2, 2)."""
-    a, b, c, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1]
-    adjugate = np.stack([d, -b, -c, a], axis=1).reshape(-1, 2, 2)
-    inverse: Floats = adjugate / (a * d - b * c)[:, None, None]
-    return inverse
-
-
-def _radial(ideal: Floats, k: Floats) -> tuple[Floats, Floats, Floats]:
-    """x (1 + k1 r² + k2 r⁴) of (N, 2), its Jacobian (N, 2, 2) by x and (N, 2, 2) by k1, k2."""
-    r2 = np.sum(ideal**2, axis=1)
-    factor = 1 + r2 * (k[0] + r2 * k[1])
-    slope = 2 * (k[0] + 2 * k[1] * r2)
-    jacobian = slope[:, None, None] * ideal[:, :, None] * ideal[:, None, :]
-    jacobian[:, 0, 0] += factor
-    jacobian[:, 1, 1] += factor
-    return ideal * factor[:, None], jacobian, ideal[:, :, None] * np.stack([r2, r2**2], axis=1)[:, None, :]

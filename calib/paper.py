@@ -38,11 +38,16 @@ class Objective:
 
         Infinite where there is no solution or points would lie behind a device.
         """
-        forward = transfer(self.grams, self.camera_image, intrinsic_matrices(focal_px, self.principal_point_px))
+        forward, in_front = self.forward(focal_px)
         terms = self.terms(focal_px, forward)
         total: Floats = np.sum(terms, axis=0)
-        total[~np.isfinite(total) | ~self.in_front(forward, focal_px)] = np.inf
+        total[~np.isfinite(total) | ~in_front] = np.inf
         return total.reshape(2, len(focal_px)), forward
+
+    def forward(self, focal_px: Floats) -> tuple[Transfer, Bools]:
+        """Focals (n,) → the 2n transfers to the projector, and which put the sample in front of both devices (2n,)."""
+        forward = transfer(self.grams, self.camera_image, intrinsic_matrices(focal_px, self.principal_point_px))
+        return forward, self.in_front(forward, focal_px)
 
     def terms(self, focal_px: Floats, forward: Transfer) -> Floats:
         """The seven terms E_1 … E_7 (7, 2n) of equation 14."""

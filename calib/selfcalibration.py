@@ -1,21 +1,27 @@
 """Matches on three faces → a calibration with its uncertainty, or a refusal with a reason."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from calib.arrays import Floats
+from calib.before_matches import before_the_matches
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
-from calib.cells import MEDIAN_LENGTH, Cells, into_cells
+from calib.cells import into_cells
 from calib.corner import Corner
 from calib.homography import TooFewMatchesError
+from calib.likelihood import Knowledge
 from calib.matches import Matches
-from calib.model import CAMERA, PROJECTOR, ROTATION, SQUARENESS, TRANSLATION
 from calib.paper import Objective, objective_for, search
-from calib.refine import Fit, Knowledge, Refinement, refine
+from calib.refine import refine
 from calib.refusal import RefusalError
+from calib.remarks import notes_on
+from calib.same_corner import is_anticlockwise, reflected
+from calib.trust import MOVE, no_corner, refuse_untrustworthy
+from calib.uncertainty import Uncertainty, calibration_of, sigmas_by_name, uncertainty_of
 
 Method = Literal["refined", "paper"]
 
@@ -23,13 +29,7 @@ Method = Literal["refined", "paper"]
 _SHORTEST, _LONGEST = 0.3, 4.0
 _PAPER_TRIALS, _SWEEP_TRIALS = 400, 36
 
-_USEFUL_SIGMA = 0.2  # of a focal length
-_CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
-_TENSION_SIGMAS = 4.0
-_PLAUSIBLE_FOCAL = (0.2, 10.0)  # in projector widths
 _CLOSED_CYCLE = 0.1  # paper's objective, in camera focals
-
-_MOVE = "Move the rig so that all three faces are seen large and at different slants by both devices, and scan again."
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,8 @@ class SelfCalibration:
     """A calibration found from the corner alone, in units of the baseline (|t| = 1).
 
     `matches` are labelled with their faces, `corner` is in the camera's frame, `residual_px` is the root mean square
-    reprojection error of a match in the projector, `notes` are things that a person should know.
+    reprojection error of a match in the projector, `notes` are things that a person should know. `uncertainty` is None
+    for a method that knows none.
     """
 
     calibration: Calibration
@@ -64,6 +65,7 @@ class SelfCalibration:
     residual_px: float
     method: Method
     notes: tuple[str, ...] = ()
+    uncertainty: Uncertainty | None = None
 
 
 def self_calibrate(
@@ -83,25 +85,47 @@ def self_calibrate(
 
     Raises RefusalError where no trustworthy answer can be had.
     """
-    try:
-        if method == "paper":
+    if method == "paper":
+        try:
             return _by_paper(objective_for(matches, principal_point.px), matches, camera_size, projector_size)
-        knowledge = Knowledge(camera_size, projector_size, principal_point.px, principal_point.sigma_px, squareness_deg)
-        return _by_refinement(into_cells(matches), matches, knowledge)
+        except TooFewMatchesError as error:
+            raise _too_few(error) from error
+    (found,) = self_calibrate_jointly(
+        [matches], camera_size, projector_size, principal_point=principal_point, squareness_deg=squareness_deg
+    )
+    return found
+
+
+def self_calibrate_jointly(
+    captures: Sequence[Matches],
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+    *,
+    principal_point: PrincipalPoint,
+    squareness_deg: float = 0.3,
+    same: bool = True,
+) -> tuple[SelfCalibration, ...]:
+    """Calibrate one unchanged rig from several captures, by maximum likelihood; one result for each, all of one rig.
+
+    `same`: the captures show one corner, so they share its angles; tested, and dropped with a note where the matches
+    refute it. The faces of all results are then numbered alike, so that their corners are one frame.
+
+    Raises RefusalError where no trustworthy answer can be had.
+    """
+    knowledge = Knowledge(camera_size, projector_size, principal_point.px, principal_point.sigma_px, squareness_deg)
+    try:
+        return _by_refinement(captures, knowledge, same=same)
     except TooFewMatchesError as error:
-        raise RefusalError(f"The corner's faces hold too few matches: {error}.", _MOVE) from error
+        raise _too_few(error) from error
+
+
+def _too_few(error: TooFewMatchesError) -> RefusalError:
+    return RefusalError(f"The corner's faces hold too few matches: {error}.", MOVE)
 
 
 def _trials(camera_size: tuple[int, int], count: int) -> Floats:
     trials: Floats = np.geomspace(_SHORTEST * max(camera_size), _LONGEST * max(camera_size), count)
     return trials
-
-
-def _no_corner() -> RefusalError:
-    return RefusalError(
-        "These three faces are not the picture of a square corner for any focal length of the camera.",
-        "A face may be wrong, or pass through one of the devices. " + _MOVE,
-    )
 
 
 def _by_paper(
@@ -112,16 +136,16 @@ def _by_paper(
 ) -> SelfCalibration:
     solution = search(objective, _trials(camera_size, _PAPER_TRIALS))
     if solution is None:
-        raise _no_corner()
+        raise no_corner([into_cells(matches)])
     low, high = solution.focal_px[1], solution.focal_px[-2]
     if not low < solution.best_focal_px < high:
         raise RefusalError(
-            f"The objective has no minimum for camera focal lengths between {low:.0f} and {high:.0f} px.", _MOVE
+            f"The objective has no minimum for camera focal lengths between {low:.0f} and {high:.0f} px.", MOVE
         )
     lowest = float(np.min(solution.objective))
     if lowest > _CLOSED_CYCLE * solution.best_focal_px:
         raise RefusalError(
-            f"The transfer between the devices does not close: the objective's minimum is {lowest:.0f} px.", _MOVE
+            f"The transfer between the devices does not close: the objective's minimum is {lowest:.0f} px.", MOVE
         )
     best = solution.best
     baseline = float(np.linalg.norm(best.translation[0]))
@@ -136,7 +160,7 @@ def _by_paper(
         best.rotation[0],
         best.translation[0] / baseline,
     )
-    corner, residual_px = _before_the_matches(Corner(best.vertex[0] / baseline, best.normals[0]), calibration, matches)
+    corner, residual_px = before_the_matches(Corner(best.vertex[0] / baseline, best.normals[0]), calibration, matches)
     return SelfCalibration(
         calibration,
         matches,
@@ -151,145 +175,45 @@ def _by_paper(
     )
 
 
-def _by_refinement(cells: Cells, matches: Matches, knowledge: Knowledge) -> SelfCalibration:
-    objective = objective_for(cells.as_matches(), knowledge.principal_point_px)
-    refinement = refine(cells, objective, _trials(knowledge.camera_size, _SWEEP_TRIALS), knowledge)
+def _by_refinement(captures: Sequence[Matches], knowledge: Knowledge, *, same: bool) -> tuple[SelfCalibration, ...]:
+    cells = [into_cells(matches) for matches in captures]
+    objectives = [objective_for(each.as_matches(), knowledge.principal_point_px) for each in cells]
+    if len(captures) > 1:
+        turned = [is_anticlockwise(each, objective) for each, objective in zip(cells, objectives, strict=True)]
+        cells = [reflected(each) if turn else each for each, turn in zip(cells, turned, strict=True)]
+        objectives = [objective_for(each.as_matches(), knowledge.principal_point_px) for each in cells]
+    refinement = refine(cells, objectives, _trials(knowledge.camera_size, _SWEEP_TRIALS), knowledge, same=same)
     if refinement is None:
-        raise _no_corner()
-    _refuse_untrustworthy(refinement, knowledge)
+        raise no_corner(cells)
+    refuse_untrustworthy(refinement, knowledge)
     fit = refinement.fit
-    calibration = Calibration(
-        _intrinsics(knowledge.camera_size, fit.state.camera),
-        _intrinsics(knowledge.projector_size, fit.state.projector),
-        fit.state.rotation,
-        fit.state.translation,
-        sigma=_sigmas(refinement),
+    calibration = calibration_of(
+        fit.state,
+        knowledge.camera_size,
+        knowledge.projector_size,
+        sigmas_by_name(fit.state, refinement.covariance),
     )
-    corner, residual_px = _before_the_matches(refinement.corner, calibration, matches)
-    return SelfCalibration(
-        calibration,
-        matches,
-        corner,
-        Profile(refinement.profile_focal_px, refinement.profile_cost, "−2 log likelihood above the best"),
-        residual_px,
-        "refined",
-        _notes(refinement, cells.rejected, knowledge.squareness_deg),
-    )
-
-
-def _intrinsics(size: tuple[int, int], device: Floats) -> Intrinsics:
-    focal, x0, y0, k1, k2 = (float(value) for value in device)
-    return Intrinsics(*size, (focal, focal), (x0, y0), (k1, k2, 0.0, 0.0, 0.0))
-
-
-def _sigmas(refinement: Refinement) -> dict[str, float | tuple[float, ...]]:
-    """Standard deviations by their names in a calibration file; angles in degrees."""
-    state = refinement.fit.state
-    sigma = np.sqrt(np.diag(refinement.covariance))
-    sigmas: dict[str, float | tuple[float, ...]] = {}
-    for name, device, columns in (("camera", state.camera, CAMERA), ("projector", state.projector, PROJECTOR)):
-        focal, x0, y0, k1, k2 = (float(value) for value in sigma[columns])
-        sigmas[f"{name}_focal_px"] = float(device[0]) * focal
-        sigmas[f"{name}_principal_point_px"] = (x0, y0)
-        sigmas[f"{name}_distortion"] = (k1, k2)
-    sigmas["rotation_deg"] = tuple(float(value) for value in np.degrees(sigma[ROTATION]))
-    sigmas["translation_direction_deg"] = float(np.degrees(np.hypot(*sigma[TRANSLATION])))
-    sigmas["corner_angles_deg"] = tuple(float(value) for value in np.degrees(sigma[SQUARENESS]))
-    return sigmas
-
-
-def _refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
-    fit = refinement.fit
-    sigma = np.sqrt(np.diag(refinement.covariance))
-    relative = {"camera": float(sigma[CAMERA.start]), "projector": float(sigma[PROJECTOR.start])}
-    for device, value in relative.items():
-        if not value < _USEFUL_SIGMA:
-            raise RefusalError(
-                f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %.",
-                _MOVE + " A principal point that is known, or a corner that is known to be square, also helps.",
-            )
-    _refuse_ambiguous(fit, refinement.others, relative["camera"])
-    field = float(fit.state.projector[0]) / knowledge.projector_size[0]
-    if not _PLAUSIBLE_FOCAL[0] < field < _PLAUSIBLE_FOCAL[1]:
-        raise RefusalError(
-            f"The solution has a projector whose focal length is {field:.2g} times its width, which no projector has.",
-            "The faces may not be square to each other, or frames and patterns do not belong together. " + _MOVE,
+    notes = notes_on(refinement, knowledge)
+    profile = Profile(refinement.profile_focal_px, refinement.profile_cost, "−2 log likelihood above the best")
+    results = []
+    for i, matches in enumerate(captures):
+        if len(captures) > 1:
+            shift = refinement.sameness.shifts[i] if refinement.sameness else 0
+            matches = _renumbered(matches, reflect=turned[i], shift=shift)
+        corner, residual_px = before_the_matches(refinement.corner(i), calibration, matches)
+        uncertainty = uncertainty_of(
+            fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px
         )
-    off = np.degrees(fit.state.off_square)
-    if np.linalg.norm(off) > _TENSION_SIGMAS * knowledge.squareness_deg > 0:
-        raise RefusalError(
-            f"The faces are not square to each other: they seem to be off by {_signed(off)} degrees, where "
-            f"{knowledge.squareness_deg:g} was expected.",
-            "Choose another corner, or give a larger corner.squareness_deg.",
+        results.append(
+            SelfCalibration(calibration, matches, corner, profile, residual_px, "refined", notes, uncertainty)
         )
+    return tuple(results)
 
 
-def _refuse_ambiguous(best: Fit, others: tuple[Fit, ...], relative_sigma: float) -> None:
-    for other in others:
-        apart = abs(np.log(other.state.camera[0] / best.state.camera[0]))
-        if other.cost - best.cost < _CLEARLY_WORSE and apart > 2 * relative_sigma:
-            raise RefusalError(
-                f"Ambiguous: a camera focal length of {best.state.camera[0]:.0f} px and one of "
-                f"{other.state.camera[0]:.0f} px explain this capture almost equally well.",
-                "Capture the same corner again from another place with the rig unchanged.",
-            )
-
-
-def _notes(refinement: Refinement, rejected: float, squareness_deg: float) -> tuple[str, ...]:
-    notes = []
-    if squareness_deg == 0:
-        notes.append(
-            "The corner was taken as exactly square: 0.1 degrees off would move the focals by 1 to 3 %, "
-            "which the sigmas do not contain."
-        )
-    else:
-        notes.append(
-            f"The faces were allowed to be off square by {squareness_deg:g} degrees (1 sigma); they seem to be off by "
-            f"{_signed(np.degrees(refinement.fit.state.off_square))} degrees."
-        )
-    if refinement.systematic_px > 0:
-        notes.append(
-            f"Beyond independent noise, {refinement.systematic_px:.3f} px stay unexplained in the mean of a cell of "
-            f"matches, alike in neighbouring ones; the sigmas contain it (× {np.sqrt(refinement.inflation):.1f})."
-        )
-    if rejected > 0.01:
-        notes.append(f"{100 * rejected:.1f} % of the matches on the faces were left out as outliers.")
-    return tuple(notes)
-
-
-def _signed(values: Floats) -> str:
-    return ", ".join(f"{value:+.2f}" for value in values)
-
-
-def _before_the_matches(corner: Corner, calibration: Calibration, matches: Matches) -> tuple[Corner, float]:
-    """The corner with its legs pointing along its faces, and the reprojection error of the matches on them."""
-    assert matches.face is not None
-    labelled = matches[matches.face >= 0]
-    points = _on_faces(corner, calibration.camera, labelled)
-    return _towards(corner, points), _reprojection_error(calibration, points, labelled)
-
-
-def _on_faces(corner: Corner, camera: Intrinsics, labelled: Matches) -> Floats:
-    """Where the camera's rays of labelled matches meet their faces, (N, 3) in the camera's frame."""
-    normals = corner.normals[labelled.face]
-    rays = camera.unproject(labelled.camera_px)
-    points: Floats = (normals @ corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
-    return points
-
-
-def _towards(corner: Corner, points: Floats) -> Corner:
-    """The corner with each leg on the side of the vertex on which the points (N, 3) of its faces are."""
-    # Coordinates along the legs; a point on face S has two, the third being zero.
-    coordinates = np.linalg.solve(corner.legs.T, (points - corner.vertex).T)
-    signs = np.sign(np.nanmedian(np.where(np.abs(coordinates) > 1e-9, coordinates, np.nan), axis=1))
-    return Corner(corner.vertex, corner.legs * signs[:, None])
-
-
-def _reprojection_error(calibration: Calibration, points: Floats, labelled: Matches) -> float:
-    """Root mean square distance in the projector between matches and their points (N, 3); robust.
-
-    The median length is scaled to the root mean square of a 2-D normal deviate, so that outliers do not count.
-    """
-    predicted = calibration.projector.project(points @ calibration.rotation.T + calibration.translation)
-    error = np.linalg.norm(predicted - labelled.projector_px, axis=1)
-    return float(np.nanmedian(error) * np.sqrt(2) / MEDIAN_LENGTH)
+def _renumbered(matches: Matches, *, reflect: bool, shift: int) -> Matches:
+    """Face labels as the refinement numbered them on."""
+    face = matches.face
+    assert face is not None
+    if reflect:
+        face = np.where(face > 0, 3 - face, face)
+    return matches.with_faces(np.where(face >= 0, (face + shift) % 3, face).astype(np.int32))

@@ -4,7 +4,8 @@ Nothing here is shared with the solver: points are laid on three walls and proje
 pixels are then perturbed or not, the projector pixels always are.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -40,59 +41,91 @@ def look_at(eye: Floats, target: Floats, up: Floats, roll: float = 0.0) -> Float
     return Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix() @ frame
 
 
-def random_capture(
-    rng: np.random.Generator,
-    *,
-    camera: Intrinsics = PAPER_CAMERA,
-    projector: Intrinsics = PAPER_PROJECTOR,
-    count: int = 50_000,
-    noise_px: float = 0.1,
-    distance: tuple[float, float] = (1.5, 4.0),
-    baseline: tuple[float, float] = (0.3, 0.8),
-    walls_off_deg: float = 0.0,
-    outliers: float = 0.0,
-) -> SyntheticCapture:
+@dataclass(frozen=True)
+class CaptureOptions:
+    """What is drawn: lengths in metres; `roll` standard deviation of each device's roll in radians.
+
+    `noise_px` is the standard deviation of each coordinate of the projector pixel; `outliers` the share of matches that
+    are replaced by random ones (face −1); each wall's direction is turned by a normal angle of `walls_off_deg`.
+    """
+
+    camera: Intrinsics = PAPER_CAMERA
+    projector: Intrinsics = PAPER_PROJECTOR
+    count: int = 50_000
+    noise_px: float = 0.1
+    distance: tuple[float, float] = (1.5, 4.0)
+    baseline: tuple[float, float] = (0.3, 0.8)
+    roll: float = 0.1
+    walls_off_deg: float = 0.0
+    outliers: float = 0.0
+
+
+def random_capture(rng: np.random.Generator, options: CaptureOptions | None = None, **changes: Any) -> SyntheticCapture:
     """A corner seen from a random place in its room, sampled on a jittered grid over the projector's image.
 
-    Lengths in metres; `noise_px` is the standard deviation of each coordinate of the projector pixel; `outliers` is
-    the share of matches that are replaced by random ones (face −1); each wall's direction is turned by a normal angle
-    of `walls_off_deg`. Draws again until each wall holds at least a tenth of the matches.
+    Draws again until each wall holds at least a tenth of the matches. `changes`: options by name.
     """
-    while True:
-        capture = _one_capture(rng, camera, projector, count, noise_px, distance, baseline, walls_off_deg, outliers)
-        if capture is not None:
-            return capture
+    (capture,) = random_captures(rng, 1, options, **changes)
+    return capture
+
+
+def random_captures(
+    rng: np.random.Generator, number: int, options: CaptureOptions | None = None, *, same: bool = True, **changes: Any
+) -> list[SyntheticCapture]:
+    """Captures by one rig of one corner from random places, or of different corners; faces in a random order each."""
+    options = replace(options or CaptureOptions(), **changes)
+    legs, rig = _random_legs(rng, options.walls_off_deg), None
+    captures: list[SyntheticCapture] = []
+    while len(captures) < number:
+        capture = _one_capture(rng, options, legs, rig)
+        if capture is None:
+            continue
+        rig = capture.calibration
+        captures.append(capture if number == 1 else _in_another_order(capture, rng.permutation(3)))
+        legs = legs if same else _random_legs(rng, options.walls_off_deg)
+    return captures
+
+
+def _random_legs(rng: np.random.Generator, walls_off_deg: float) -> Floats:
+    legs = np.eye(3) + np.radians(walls_off_deg) * np.array(
+        [[0, rng.normal(), 0], [0, 0, rng.normal()], [rng.normal(), 0, 0]]
+    )
+    unit: Floats = legs / np.linalg.norm(legs, axis=1, keepdims=True)
+    return unit
+
+
+def _in_another_order(capture: SyntheticCapture, order: Ints) -> SyntheticCapture:
+    """The same capture, face s numbered order[s]."""
+    face = capture.matches.face
+    assert face is not None
+    legs = np.empty((3, 3))
+    legs[order] = capture.corner.legs
+    renumbered = np.where(face >= 0, order[face], face).astype(np.int32)
+    return replace(capture, matches=capture.matches.with_faces(renumbered), corner=Corner(capture.corner.vertex, legs))
 
 
 def _one_capture(
-    rng: np.random.Generator,
-    camera: Intrinsics,
-    projector: Intrinsics,
-    count: int,
-    noise_px: float,
-    distance: tuple[float, float],
-    baseline: tuple[float, float],
-    walls_off_deg: float,
-    outliers: float,
+    rng: np.random.Generator, options: CaptureOptions, legs_world: Floats, rig: Calibration | None
 ) -> SyntheticCapture | None:
+    camera, projector, count = options.camera, options.projector, options.count
     # World: vertex at the origin, room in the positive octant, z up.
     direction = rng.uniform(0.25, 1.0, 3)
-    camera_eye = rng.uniform(*distance) * direction / np.linalg.norm(direction)
-    aside = np.cross(direction, rng.normal(size=3))
-    projector_eye = camera_eye + rng.uniform(*baseline) * aside / np.linalg.norm(aside)
-    if projector_eye.min() < 0.1 * np.linalg.norm(projector_eye):
-        return None
+    camera_eye = rng.uniform(*options.distance) * direction / np.linalg.norm(direction)
     up = np.array([0.0, 0.0, 1.0])
     spread = 0.05 * np.linalg.norm(camera_eye)
-    world_to_camera = look_at(camera_eye, rng.normal(0, spread, 3), up, rng.normal(0, 0.1))
-    world_to_projector = look_at(projector_eye, rng.normal(0, spread, 3), up, rng.normal(0, 0.1))
-    rotation = world_to_projector @ world_to_camera.T
-    translation = world_to_projector @ (camera_eye - projector_eye)
+    world_to_camera = look_at(camera_eye, rng.normal(0, spread, 3), up, rng.normal(0, options.roll))
+    if rig is None:
+        aside = np.cross(direction, rng.normal(size=3))
+        projector_eye = camera_eye + rng.uniform(*options.baseline) * aside / np.linalg.norm(aside)
+        world_to_projector = look_at(projector_eye, rng.normal(0, spread, 3), up, rng.normal(0, options.roll))
+        rotation = world_to_projector @ world_to_camera.T
+        translation = world_to_projector @ (camera_eye - projector_eye)
+    else:
+        rotation, translation = rig.rotation, rig.translation
+        projector_eye = camera_eye - world_to_camera.T @ rotation.T @ translation
+    if projector_eye.min() < 0.1 * np.linalg.norm(projector_eye):
+        return None
 
-    legs_world = np.eye(3) + np.radians(walls_off_deg) * np.array(
-        [[0, rng.normal(), 0], [0, 0, rng.normal()], [rng.normal(), 0, 0]]
-    )
-    legs_world /= np.linalg.norm(legs_world, axis=1, keepdims=True)
     corner = Corner(-world_to_camera @ camera_eye, legs_world @ world_to_camera.T)
 
     pixels = _jittered_grid(rng, projector, count)
@@ -104,8 +137,8 @@ def _one_capture(
     if np.bincount(face, minlength=3).min() < 0.1 * count:
         return None
 
-    projector_px = pixels + rng.normal(0, noise_px, pixels.shape) if noise_px else pixels
-    wrong = rng.random(len(face)) < outliers
+    projector_px = pixels + rng.normal(0, options.noise_px, pixels.shape) if options.noise_px else pixels
+    wrong = rng.random(len(face)) < options.outliers
     projector_px[wrong] = rng.uniform((0, 0), (projector.width, projector.height), (int(wrong.sum()), 2))
     face = np.where(wrong, -1, face).astype(np.int32)
     return SyntheticCapture(

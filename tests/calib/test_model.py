@@ -24,7 +24,7 @@ def _true_state(capture: SyntheticCapture) -> State:
         _device(calibration.projector),
         calibration.rotation,
         calibration.translation / calibration.baseline,
-        np.zeros(3),
+        np.zeros((1, 3)),
         (pose,),
     )
 
@@ -40,7 +40,7 @@ def test_the_true_state_predicts_the_matches() -> None:
 def test_derivatives_are_exact() -> None:
     rng = np.random.default_rng(2)
     capture = random_capture(rng, camera=CAMERA, projector=PROJECTOR, count=500)
-    state = replace(_true_state(capture), off_square=np.radians([0.4, -0.2, 0.7]))
+    state = replace(_true_state(capture), off_square=np.radians([[0.4, -0.2, 0.7]]))
     _, jacobian, _ = predict(state, capture.matches.camera_px, capture.matches.face)
     for column in range(state.size):
         step = np.zeros(state.size)
@@ -54,7 +54,7 @@ def test_derivatives_are_exact() -> None:
 
 def test_angles_off_square_are_angles_between_the_faces() -> None:
     rng = np.random.default_rng(3)
-    state = replace(_true_state(random_capture(rng, count=500)), off_square=np.radians([0.5, -0.3, 0.2]))
+    state = replace(_true_state(random_capture(rng, count=500)), off_square=np.radians([[0.5, -0.3, 0.2]]))
     normals = state.normals()
     between = [np.degrees(np.arcsin(normals[i] @ normals[j])) for i, j in ((1, 2), (2, 0), (0, 1))]
     assert np.allclose(between, [0.5, -0.3, 0.2], atol=0.005)

@@ -1,0 +1,88 @@
+"""The nearest minimum of the cost: down the valley along the camera's focal length, everything else on its floor."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.arrays import Floats
+from calib.cells import Cells
+from calib.likelihood import Fit, Prior, evaluate
+from calib.model import CAMERA, State
+
+CONVERGED = 1e-4
+_STEPS = 40
+_DAMPING = 1e-7  # of a normal matrix scaled to unit diagonal
+_LONGEST_STEP = 0.1  # of log f
+_HALVINGS = 4
+
+
+def minimise(
+    captures: Sequence[Cells], state: State, prior: Prior, variances: Sequence[Floats], ceiling: float = np.inf
+) -> Fit:
+    """The nearest minimum, down the profile along the camera's focal length.
+
+    Given up where the cost would stay above `ceiling`.
+
+    The valley is curved: a joint step soon leaves it, and the many small ones that stay in it look like convergence.
+    So after each joint Newton step everything but the focal is relaxed back to the valley's floor, along which the
+    cost is nearly a parabola.
+    """
+    anchored = prior.with_known(CAMERA.start)
+    fit = relax(captures, state, anchored, variances)
+    for _ in range(_STEPS):
+        step, decrement = _newton(fit, prior, 0.0)
+        if not np.isfinite(fit.cost) or decrement < CONVERGED or fit.cost - decrement > ceiling:
+            break
+        step *= min(1.0, _LONGEST_STEP / max(abs(step[CAMERA.start]), 1e-12))
+        for _ in range(_HALVINGS):
+            trial = relax(captures, fit.state.moved(step), anchored, variances)
+            if trial.cost <= fit.cost:
+                break
+            step /= 4
+        else:
+            break
+        fit = trial
+    return fit
+
+
+def relax(
+    captures: Sequence[Cells],
+    state: State,
+    prior: Prior,
+    variances: Sequence[Floats],
+    tolerance: float = CONVERGED,
+    steps: int = _STEPS,
+) -> Fit:
+    """Levenberg–Marquardt over the free columns of the prior.
+
+    Ends when Newton's decrement, the cost that a full step promises to gain, falls below `tolerance`, or that share
+    of a hundredth of the cost.
+    """
+    damping = _DAMPING
+    fit = evaluate(captures, state, prior, variances)
+    for _ in range(steps):
+        step, decrement = _newton(fit, prior, damping)
+        if not np.isfinite(fit.cost) or decrement < tolerance * (1 + 0.01 * fit.cost):
+            break
+        trial = evaluate(captures, fit.state.moved(step), prior, variances)
+        if trial.cost <= fit.cost:
+            fit = trial
+            damping = max(damping / 30, 1e-14)
+        elif damping > 1e4:
+            break
+        else:
+            damping = 30 * damping
+    return fit
+
+
+def _newton(fit: Fit, prior: Prior, damping: float) -> tuple[Floats, float]:
+    """The damped Gauss–Newton step (size,) over the free columns, and the gain that the undamped one promises."""
+    free = np.flatnonzero(prior.free)
+    normal = fit.information[np.ix_(free, free)]
+    scale = np.sqrt(np.diag(normal)) + 1e-12
+    values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+    values = np.maximum(values, 1e-14)
+    downhill = vectors.T @ (fit.gradient[free] / scale)
+    step = np.zeros(len(prior.mean))
+    step[free] = -(vectors @ (downhill / (values + damping))) / scale
+    return step, float(np.sum(downhill**2 / values))

@@ -1,0 +1,118 @@
+"""How well a state explains all captures, with derivatives; and what is known before the matches are seen.
+
+The cost is Σ |r_i|² / v_i + Σ ((p − prior) / σ_prior)², r_i being the deviation of a cell of matches in projector
+pixels and v_i the variance of each of its coordinates; Huber's loss beyond three sigmas.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Bools, Floats
+from calib.cells import Cells
+from calib.model import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
+
+ROBUST_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Gaussian prior on the additive columns of the model: `mean`, `sigma` (size,); 0 = known, infinity = unknown."""
+
+    mean: Floats
+    sigma: Floats
+
+    @property
+    def free(self) -> Bools:
+        """Columns that are estimated, (size,)."""
+        return self.sigma > 0
+
+    def deviation(self, state: State) -> Floats:
+        """(value − mean) / σ of each column, (size,); zero where the prior says nothing."""
+        informative = self.free & np.isfinite(self.sigma)
+        scale = np.where(informative, self.sigma, 1.0)
+        return np.where(informative, (state.additive() - self.mean) / scale, 0.0)
+
+    def precision(self) -> Floats:
+        """1 / σ² of the free columns, 0 elsewhere, (size,)."""
+        return np.where(self.free, 1.0 / np.where(self.free, self.sigma, 1.0) ** 2, 0.0)
+
+    def with_known(self, column: int) -> "Prior":
+        """The same with one column held fixed."""
+        sigma = self.sigma.copy()
+        sigma[column] = 0.0
+        return Prior(self.mean, sigma)
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What is known before the matches are seen: image sizes (width, height), the camera's principal point with its
+    standard deviation (0: exactly known), and how square corners are (standard deviation of the angles; 0: exactly).
+    """
+
+    camera_size: tuple[int, int]
+    projector_size: tuple[int, int]
+    principal_point_px: tuple[float, float]
+    principal_point_sigma_px: float
+    squareness_deg: float
+
+    def prior(self, layout: State) -> Prior:
+        """As a prior on the columns of states like `layout`.
+
+        Beside what is known of this rig, what holds for any lens that is sold: focals of one image width within a
+        factor of two, a projector's principal point within half an image height of the centre, k1 within 0.1 and k2
+        within 0.03 of zero (1 sigma each). A capture that determines the focals to a few per cent does not feel it.
+        """
+        mean, sigma = np.zeros(layout.size), np.full(layout.size, np.inf)
+        for device, (width, height) in ((CAMERA, self.camera_size), (PROJECTOR, self.projector_size)):
+            mean[device] = [np.log(1.2 * width), (width - 1) / 2, (height - 1) / 2, 0.0, 0.0]
+            sigma[device] = [0.7, height / 2, height / 2, 0.1, 0.03]
+        centre = slice(CAMERA.start + 1, CAMERA.start + 3)
+        mean[centre], sigma[centre] = self.principal_point_px, self.principal_point_sigma_px
+        sigma[SHARED : layout.pose_columns(0).start] = np.radians(self.squareness_deg)
+        for i, pose in enumerate(layout.poses):
+            tilts = sigma[layout.pose_columns(i)][PER_POSE:].reshape(-1, PER_PLANE)
+            for row, plane in zip(tilts, pose.planes, strict=True):
+                row[:2] = plane.tilt_sigma
+        return Prior(mean, sigma)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A state, its `cost`, the captures' `residuals` (M, 2) in projector px, half the cost's `gradient` and Hessian."""
+
+    state: State
+    cost: float
+    residuals: tuple[Floats, ...]
+    gradient: Floats
+    information: Floats
+
+
+def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: Sequence[Floats]) -> Fit:
+    """The cost of a state with its derivatives; infinite where points fall behind a device.
+
+    `variances`: (M,) for each capture, of each coordinate of each cell.
+    """
+    deviation, precision = prior.deviation(state), prior.precision()
+    cost = float(np.sum(deviation**2))
+    gradient, information = deviation * np.sqrt(precision), np.diag(precision)
+    residuals = []
+    for i, (cells, variance) in enumerate(zip(captures, variances, strict=True)):
+        with np.errstate(all="ignore"):
+            predicted, jacobian, depths = predict(state, cells.camera_px, cells.plane, i)
+        residual = predicted - cells.projector_px
+        residuals.append(residual)
+        if not (np.isfinite(jacobian).all() and np.all(depths > 0)):
+            cost = np.inf
+            continue
+        size = np.linalg.norm(residual, axis=1) / np.sqrt(variance)
+        robust = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(size, 1e-12))
+        flat = jacobian.reshape(-1, jacobian.shape[2])
+        weighted = flat * np.repeat(robust / variance, 2)[:, None]
+        # Huber's loss: the square up to the threshold, linear beyond it.
+        cost += float(np.sum(np.where(size <= ROBUST_SIGMAS, size**2, 2 * ROBUST_SIGMAS * size - ROBUST_SIGMAS**2)))
+        columns = state.columns(i)
+        gradient[columns] += weighted.T @ residual.ravel()
+        information[np.ix_(columns, columns)] += flat.T @ weighted
+    return Fit(state, cost, tuple(residuals), gradient, information)

@@ -1,0 +1,165 @@
+"""Several captures of one corner share its angles, whatever order their faces were found in.
+
+Each capture's faces are numbered clockwise around the vertex; which of the three comes first is then all that is open
+between captures. It is found from the angles themselves, and that they are shared at all is tested by what sharing
+costs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.arrays import Floats
+from calib.before_matches import leg_signs
+from calib.cells import Cells
+from calib.descent import minimise
+from calib.homography import FACES
+from calib.lens import unproject
+from calib.likelihood import Fit, Knowledge
+from calib.model import PER_CORNER, State
+from calib.paper import Objective
+from calib.refusal import RefusalError
+
+_MOST_CAPTURES = 8
+_CLOSER_LOOKS = 9
+_SIGNIFICANT = 0.999
+
+
+@dataclass(frozen=True)
+class Sameness:
+    """Whether captures show one corner.
+
+    `same`: the verdict. `shifts`: for each capture, the number of its face s is (s + shift) mod 3 in the others' order.
+    `cost`: by how much the cost rises when the angles are shared; `limit`: what it may. `lead`: by how much the next
+    best order of the faces costs more; small where the corner is too square to tell.
+    """
+
+    same: bool
+    shifts: tuple[int, ...]
+    cost: float
+    limit: float
+    lead: float
+
+
+def tie(
+    captures: Sequence[Cells], thinned: Sequence[Cells], fits: list[Fit], knowledge: Knowledge
+) -> tuple[Sequence[Cells], list[Fit], Sameness | None]:
+    """Captures relabelled alike, fits with one shared corner, best first, and how well that explains the matches.
+
+    `fits`: of the thinned captures, each with a corner of its own, best first. Where sharing is refuted, captures and
+    fits come back as they were. With exactly square corners there is nothing to share, nor to be told.
+    """
+    if knowledge.squareness_deg == 0:
+        return captures, fits, None
+    if len(captures) > _MOST_CAPTURES:
+        raise RefusalError(
+            f"{len(captures)} captures of one corner were given; at most {_MOST_CAPTURES} can be put in order.",
+            "Calibrate from fewer of them, or say corner.same: false.",
+        )
+    fits = [_oriented(thinned, fit) for fit in fits]
+    variances = [np.full(len(r), max(float(np.mean(r**2)), 1e-12)) for r in fits[0].residuals]
+    trials: list[tuple[Fit, tuple[int, ...]]] = []
+    for fit in fits:
+        for shifts in _promising(fit, knowledge):
+            relabelled = [relabel(cells, shift) for cells, shift in zip(thinned, shifts, strict=True)]
+            state = _shared(fit.state, shifts)
+            trials.append((minimise(relabelled, state, knowledge.prior(state), variances), shifts))
+    trials.sort(key=lambda trial: trial[0].cost)
+    best, shifts = trials[0]
+    apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), variances)
+    limit = float(chi2.ppf(_SIGNIFICANT, PER_CORNER * (len(captures) - 1)))
+    lead = min((fit.cost for fit, other in trials if other != shifts), default=np.inf) - best.cost
+    sameness = Sameness(best.cost - apart.cost < limit, shifts, best.cost - apart.cost, limit, lead)
+    if not sameness.same:
+        return captures, fits, sameness
+    in_order = [relabel(cells, shift) for cells, shift in zip(captures, shifts, strict=True)]
+    return in_order, [fit for fit, other in trials if other == shifts], sameness
+
+
+def relabel(cells: Cells, shift: int) -> Cells:
+    """The same cells, faces numbered on by `shift`."""
+    return replace(cells, plane=np.where(cells.plane < len(FACES), (cells.plane + shift) % 3, cells.plane))
+
+
+def is_anticlockwise(cells: Cells, objective: Objective) -> bool:
+    """Whether the faces 0, 1, 2 follow each other anticlockwise around the vertex in the camera's image."""
+    vertex = objective.camera_image.vertex
+    around = [cells.camera_px[cells.plane == face].mean(axis=0) * vertex[2] - vertex[:2] for face in FACES]
+    angles = np.array([np.arctan2(y, x) for x, y in around])
+    # y points down, so angles grow clockwise.
+    return bool((angles[1] - angles[0]) % (2 * np.pi) > (angles[2] - angles[0]) % (2 * np.pi))
+
+
+def reflected(cells: Cells) -> Cells:
+    """The same cells, the faces 1 and 2 exchanged."""
+    return replace(cells, plane=np.where((cells.plane == 1) | (cells.plane == 2), 3 - cells.plane, cells.plane))
+
+
+def _oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
+    """The same fit, every leg pointing along its faces: only then do angles mean the same in all captures."""
+    state = fit.state
+    flips = np.ones(state.size)
+    off_square, poses = state.off_square.copy(), []
+    for i, (cells, pose) in enumerate(zip(captures, state.poses, strict=True)):
+        on_faces = cells.plane < len(FACES)
+        normals = state.normals(i)[cells.plane[on_faces]]
+        rays, _ = unproject(state.camera, cells.camera_px[on_faces])
+        points = (normals @ pose.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
+        signs = leg_signs(state.legs(i), pose.vertex, points)
+        # Turning one leg round turns the signs of both angles that its face has with the others.
+        turned = np.prod(signs) * signs
+        off_square[pose.corner] *= turned
+        flips[state.angle_columns(pose.corner)] = turned
+        poses.append(replace(pose, frame=pose.frame * signs[:, None]))
+    state = replace(state, off_square=off_square, poses=tuple(poses))
+    return replace(
+        fit, state=state, gradient=fit.gradient * flips, information=fit.information * np.outer(flips, flips)
+    )
+
+
+def _promising(fit: Fit, knowledge: Knowledge) -> list[tuple[int, ...]]:
+    """Orders of the faces, at most `_CLOSER_LOOKS`, that agree best with the angles of each capture alone.
+
+    Holding the angles equal costs dᵀ (D Σ Dᵀ)⁻¹ d, d = D a being their differences and Σ the covariance of the angles a
+    without the prior.
+    """
+    count = len(fit.state.poses)
+    free = knowledge.prior(fit.state).free
+    scale = np.sqrt(np.diag(fit.information)[free])
+    covariance = np.zeros_like(fit.information)
+    covariance[np.ix_(free, free)] = np.linalg.pinv(
+        fit.information[np.ix_(free, free)] / np.outer(scale, scale), hermitian=True
+    ) / np.outer(scale, scale)
+    angles = slice(fit.state.angle_columns(0).start, fit.state.angle_columns(count - 1).stop)
+    covariance = covariance[angles, angles]
+    orders = [(0, *later) for later in product(range(3), repeat=count - 1)]
+
+    def cost(shifts: tuple[int, ...]) -> float:
+        differences = _differences(shifts)
+        apart = differences @ fit.state.off_square.ravel()
+        return float(apart @ np.linalg.pinv(differences @ covariance @ differences.T, hermitian=True) @ apart)
+
+    return sorted(orders, key=cost)[:_CLOSER_LOOKS]
+
+
+def _differences(shifts: tuple[int, ...]) -> Floats:
+    """D (3 (C − 1), 3 C): the angles of each capture but the first, in the first's order, minus those of the first."""
+    differences = np.zeros((3 * (len(shifts) - 1), 3 * len(shifts)))
+    for i, shift in enumerate(shifts[1:]):
+        rows = slice(3 * i, 3 * i + 3)
+        differences[rows, :3] = -np.eye(3)
+        differences[rows, 3 * (i + 1) : 3 * (i + 2)] = np.roll(np.eye(3), shift, axis=0)
+    return differences
+
+
+def _shared(state: State, shifts: tuple[int, ...]) -> State:
+    """A state whose captures show one corner, with the mean of their angles."""
+    angles = [np.roll(off, shift) for off, shift in zip(state.off_square, shifts, strict=True)]
+    poses = tuple(
+        replace(pose, frame=np.roll(pose.frame, shift, axis=0), corner=0)
+        for pose, shift in zip(state.poses, shifts, strict=True)
+    )
+    return replace(state, off_square=np.mean(angles, axis=0)[None], poses=poses)

@@ -1,0 +1,125 @@
+"""The camera's focal length swept over its whole range: at each trial the best fit of everything else.
+
+Seen along the focal length the likelihood has several minima: a twin whose focals are a quarter too long can fit almost
+as well. At each trial the paper's transfer gives a start, so that no minimum depends on a guess.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.arrays import Floats
+from calib.cells import Cells
+from calib.descent import relax
+from calib.likelihood import Fit, Knowledge, evaluate
+from calib.model import CAMERA, PROJECTOR, Pose, State
+from calib.paper import Objective
+from calib.transfer import Transfer
+
+SWEEP_CELLS = 300
+HOPELESS = 4.0  # minima with this many times the lowest cost are not followed
+_SIGMA_PX = 0.05  # what a decoder typically leaves unexplained; the measured value takes its place afterwards
+_TOLERANCE, _STEPS = 1.0, 10
+
+
+def sweep_one(cells: Cells, objective: Objective, focal_px: Floats, knowledge: Knowledge) -> list[Fit | None]:
+    """The best fit of one capture with the focal held at each trial (n,); None where there is none.
+
+    Two starts for each: the paper's transfer, which may lie on another branch, and the fit at the trial before.
+    """
+    transfers, in_front = objective.forward(focal_px)
+    usable = in_front & np.isfinite(transfers.matrix).all(axis=(1, 2))
+    fits: list[Fit | None] = []
+    last: State | None = None
+    for trial, focal in enumerate(focal_px):
+        starts = [
+            _start(transfers, i, float(focal), objective.principal_point_px)
+            for i in (trial, len(focal_px) + trial)
+            if usable[i]
+        ]
+        fit = _best([cells], starts, last, float(focal), knowledge)
+        last = fit.state if fit else last
+        fits.append(fit)
+    return fits
+
+
+def sweep_jointly(
+    captures: Sequence[Cells], alone: Sequence[Sequence[Fit | None]], focal_px: Floats, knowledge: Knowledge
+) -> list[Fit | None]:
+    """The best joint fit at each trial (n,) from the fits of each capture alone; None where there is none.
+
+    Together captures never fit better than each alone, so trials that are hopeless already without the bond of the
+    common rig are left out.
+    """
+    fits: list[Fit | None] = [None] * len(focal_px)
+    bounds = np.array([sum(fit.cost if fit else np.inf for fit in trial) for trial in zip(*alone, strict=True)])
+    lowest, count = np.inf, sum(len(cells) for cells in captures)
+    for trial in np.argsort(bounds):
+        if not bounds[trial] < HOPELESS * (lowest + count):
+            break
+        states = [fit.state for fits_alone in alone if (fit := fits_alone[trial])]
+        solved = [i for i, fit in enumerate(fits) if fit]
+        nearest = fits[min(solved, key=lambda i: abs(i - trial))] if solved else None
+        starts = [_combined(shared, states) for shared in states]
+        fit = _best(captures, starts, nearest.state if nearest else None, float(focal_px[trial]), knowledge)
+        fits[trial] = fit
+        lowest = min(lowest, fit.cost if fit else np.inf)
+    return fits
+
+
+def minima(sweep: Sequence[Fit | None]) -> list[Fit]:
+    """Local minima of a sweep along the focal length, ends included, best first, without the hopeless ones."""
+    fits = [fit for fit in sweep if fit]
+    costs = np.array([np.inf, *(fit.cost for fit in fits), np.inf])
+    low = [fit for i, fit in enumerate(fits) if costs[i + 1] <= costs[i] and costs[i + 1] <= costs[i + 2]]
+    low.sort(key=_cost)
+    count = sum(len(residual) for residual in low[0].residuals) if low else 0
+    return [fit for fit in low if fit.cost <= HOPELESS * (low[0].cost + count)]
+
+
+def at_focal(state: State, focal: float) -> State:
+    """A state moved to another camera focal, the projector's in proportion."""
+    step = np.zeros(state.size)
+    step[CAMERA.start] = step[PROJECTOR.start] = np.log(focal / state.camera[0])
+    return state.moved(step)
+
+
+def _best(
+    captures: Sequence[Cells], starts: list[State], last: State | None, focal: float, knowledge: Knowledge
+) -> Fit | None:
+    """The better of the fits, with the focal held, from the most promising start and from the fit at another trial."""
+    tried = starts + ([at_focal(last, focal)] if last else [])
+    if not tried:
+        return None
+    prior = knowledge.prior(tried[0]).with_known(CAMERA.start)
+    variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
+    fits = [evaluate(captures, state, prior, variances) for state in tried]
+    chosen = sorted(fits[: len(starts)], key=_cost)[:1] + fits[len(starts) :]
+    relaxed = [relax(captures, fit.state, prior, variances, _TOLERANCE, _STEPS) for fit in chosen]
+    best = min(relaxed, key=_cost)
+    return best if np.isfinite(best.cost) else None
+
+
+def _cost(fit: Fit) -> float:
+    return fit.cost
+
+
+def _start(transfers: Transfer, i: int, focal: float, principal_point_px: tuple[float, float]) -> State:
+    """The paper's solution number i as a state: no lens terms, exactly square."""
+    baseline = np.linalg.norm(transfers.translation[i])
+    matrix = transfers.matrix[i]
+    return State(
+        np.array([focal, *principal_point_px, 0.0, 0.0]),
+        np.array([np.sqrt(matrix[0, 0] * matrix[1, 1]), matrix[0, 2], matrix[1, 2], 0.0, 0.0]),
+        transfers.rotation[i],
+        transfers.translation[i] / baseline,
+        np.zeros((1, 3)),
+        (Pose(transfers.normals[i], transfers.vertex[i] / baseline),),
+    )
+
+
+def _combined(shared: State, alone: Sequence[State]) -> State:
+    """All captures, each with its own corner, before the rig of one of them."""
+    poses = tuple(replace(state.poses[0], corner=i) for i, state in enumerate(alone))
+    return replace(shared, off_square=np.concatenate([state.off_square for state in alone]), poses=poses)
