@@ -93,7 +93,7 @@ class _Raster:
     def number(self, camera_px: Floats) -> Ints:
         """Number of the cell (N,) of each pixel (N, 2)."""
         place = ((camera_px - self.low) / self.side).astype(np.int32)
-        number: Ints = place[:, 1] * np.int32(self.columns) + place[:, 0]
+        number: Ints = np.asarray(place[:, 1] * self.columns + place[:, 0], np.int32)
         return number
 
 
@@ -201,7 +201,7 @@ def _sums(part: Matches, reference: _Reference, raster: _Raster, typical_sigma_p
     size = raster.columns * raster.rows
 
     def by_cell(values: Floats) -> Floats:
-        return np.bincount(cell, values, minlength=size)
+        return np.asarray(np.bincount(cell, values, minlength=size), np.float64)
 
     camera_px, offset = part.camera_px[kept], offset[kept]
     rows = [np.bincount(cell, minlength=size).astype(np.float64), by_cell(weight)]

@@ -12,7 +12,7 @@ from calib.planes import NO_PLANE
 from calib.refusal import RefusalError
 from calib.segmentation import Segments, segment
 from calib.surfels import Surfels, make_surfels
-from calib.triples import Triple, corner_triples
+from calib.triples import Triple, corner_triples, outermost
 
 _SEED = 20240
 _FEWEST_MATCHES = 1500
@@ -73,7 +73,7 @@ def find_faces(matches: Matches, camera_size: tuple[int, int], projector_size: t
     certain = [triple for triple in triples if triple.direction_sigma_deg < _MOST_DIRECTION_SIGMA_DEG]
     if not certain:
         raise _no_corner(segments, triples)
-    return _faces(matches, segments, _label_matches(matches, surfels, segments), certain[0].planes)
+    return _faces(matches, segments, _label_matches(matches, surfels, segments), outermost(certain, segments).planes)
 
 
 def _too_few(segments: Segments) -> RefusalError:

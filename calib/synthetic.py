@@ -47,6 +47,9 @@ class CaptureOptions:
 
     `noise_px` is the standard deviation of each coordinate of the projector pixel; `outliers` the share of matches that
     are replaced by random ones (face −1); each wall's direction is turned by a normal angle of `walls_off_deg`.
+    `slants`: ranges of the direction from the vertex to the camera along the three legs. `forward`: angle in radians
+    between the baseline and the line to the vertex, across it if None. `least_share`: of the matches on each wall.
+    `parallel_m`: the third wall is instead parallel to the first, that far in front of it.
     """
 
     camera: Intrinsics = PAPER_CAMERA
@@ -58,25 +61,41 @@ class CaptureOptions:
     roll: float = 0.1
     walls_off_deg: float = 0.0
     outliers: float = 0.0
+    slants: tuple[tuple[float, float], ...] = ((0.25, 1.0),) * 3
+    forward: float | None = None
+    least_share: float = 0.1
+    parallel_m: float | None = None
 
 
-def random_capture(rng: np.random.Generator, options: CaptureOptions | None = None, **changes: Any) -> SyntheticCapture:
+def random_capture(
+    rng: np.random.Generator, options: CaptureOptions | None = None, *, attempts: int = 1000, **changes: Any
+) -> SyntheticCapture:
     """A corner seen from a random place in its room, sampled on a jittered grid over the projector's image.
 
-    Draws again until each wall holds at least a tenth of the matches. `changes`: options by name.
+    Draws again until each wall holds its least share of the matches; ValueError after `attempts`. `changes`: options
+    by name.
     """
-    (capture,) = random_captures(rng, 1, options, **changes)
+    (capture,) = random_captures(rng, 1, options, attempts=attempts, **changes)
     return capture
 
 
 def random_captures(
-    rng: np.random.Generator, number: int, options: CaptureOptions | None = None, *, same: bool = True, **changes: Any
+    rng: np.random.Generator,
+    number: int,
+    options: CaptureOptions | None = None,
+    *,
+    same: bool = True,
+    attempts: int = 1000,
+    **changes: Any,
 ) -> list[SyntheticCapture]:
     """Captures by one rig of one corner from random places, or of different corners; faces in a random order each."""
     options = replace(options or CaptureOptions(), **changes)
     legs, rig = _random_legs(rng, options.walls_off_deg), None
     captures: list[SyntheticCapture] = []
     while len(captures) < number:
+        attempts -= 1
+        if attempts < 0:
+            raise ValueError("no view of the corner that both devices see")
         capture = _one_capture(rng, options, legs, rig)
         if capture is None:
             continue
@@ -109,32 +128,39 @@ def _one_capture(
 ) -> SyntheticCapture | None:
     camera, projector, count = options.camera, options.projector, options.count
     # World: vertex at the origin, room in the positive octant, z up.
-    direction = rng.uniform(0.25, 1.0, 3)
+    direction = rng.uniform(*np.transpose(options.slants))
     camera_eye = rng.uniform(*options.distance) * direction / np.linalg.norm(direction)
     up = np.array([0.0, 0.0, 1.0])
     spread = 0.05 * np.linalg.norm(camera_eye)
     world_to_camera = look_at(camera_eye, rng.normal(0, spread, 3), up, rng.normal(0, options.roll))
     if rig is None:
         aside = np.cross(direction, rng.normal(size=3))
-        projector_eye = camera_eye + rng.uniform(*options.baseline) * aside / np.linalg.norm(aside)
+        aside /= np.linalg.norm(aside)
+        if options.forward is not None:
+            ahead = direction / np.linalg.norm(direction) * rng.choice([-1.0, 1.0])
+            aside = np.cos(options.forward) * ahead + np.sin(options.forward) * aside
+        projector_eye = camera_eye + rng.uniform(*options.baseline) * aside
         world_to_projector = look_at(projector_eye, rng.normal(0, spread, 3), up, rng.normal(0, options.roll))
         rotation = world_to_projector @ world_to_camera.T
         translation = world_to_projector @ (camera_eye - projector_eye)
     else:
         rotation, translation = rig.rotation, rig.translation
         projector_eye = camera_eye - world_to_camera.T @ rotation.T @ translation
-    if projector_eye.min() < 0.1 * np.linalg.norm(projector_eye):
+    if np.any(projector_eye < 0.4 * np.transpose(options.slants)[0] * np.linalg.norm(projector_eye)):
         return None
 
     corner = Corner(-world_to_camera @ camera_eye, legs_world @ world_to_camera.T)
 
     pixels = _jittered_grid(rng, projector, count)
-    points, face = _cast_rays(projector.unproject(pixels) @ rotation, -rotation.T @ translation, corner)
+    normals, heights = corner.normals, corner.normals @ corner.vertex
+    if options.parallel_m is not None:
+        normals, heights = normals[[0, 1, 0]], heights[[0, 1, 0]] + np.array([0.0, 0.0, options.parallel_m])
+    points, face = _cast_rays(projector.unproject(pixels) @ rotation, -rotation.T @ translation, normals, heights)
     camera_px = camera.project(points)
     with np.errstate(invalid="ignore"):
         seen = np.all((camera_px >= 0) & (camera_px <= (camera.width - 1, camera.height - 1)), axis=1)
     camera_px, pixels, face = camera_px[seen], pixels[seen], face[seen]
-    if np.bincount(face, minlength=3).min() < 0.1 * count:
+    if np.bincount(face, minlength=3).min() < max(options.least_share * count, 4):
         return None
 
     projector_px = pixels + rng.normal(0, options.noise_px, pixels.shape) if options.noise_px else pixels
@@ -155,11 +181,10 @@ def _jittered_grid(rng: np.random.Generator, device: Intrinsics, count: int) -> 
     return np.clip(grid + rng.uniform(0, step, grid.shape), 0, (device.width - 1, device.height - 1))
 
 
-def _cast_rays(directions: Floats, origin: Floats, corner: Corner) -> tuple[Floats, Ints]:
-    """First wall hit by each ray (N, 3) from `origin`: points (N, 3) and wall labels (N,)."""
-    heights = corner.normals @ (corner.vertex - origin)
+def _cast_rays(directions: Floats, origin: Floats, normals: Floats, heights: Floats) -> tuple[Floats, Ints]:
+    """First wall n · X = height hit by each ray (N, 3) from `origin`: points (N, 3) and wall labels (N,)."""
     with np.errstate(divide="ignore"):
-        lengths = heights / (directions @ corner.normals.T)
+        lengths = (heights - normals @ origin) / (directions @ normals.T)
     lengths[~(lengths > 0)] = np.inf
     face = np.argmin(lengths, axis=1)
     points = origin + lengths[np.arange(len(face)), face, None] * directions

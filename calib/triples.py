@@ -31,19 +31,23 @@ _LOG_FOCAL, _LOG_FOCAL_SIGMA = np.log(2.2), 0.8
 # A projector whose pixels come out further from square than this was not looking at a corner.
 _MOST_OFF_SQUARE = 0.03
 _LEAST_IN_FRONT = 0.98
+_PARALLEL_DEG = 2.0
+_LEAST_OF_NEARER = 0.25
 
 
 @dataclass(frozen=True)
 class Triple:
     """`planes`: indices of three planes; `off_square`: how far from square the projector's pixels come out (the root
     of the sum of squares of log-aspect and skew); `direction_sigma_deg`: how well the directions of the three are
-    known, the worst of them; `score`: the larger the better.
+    known, the worst of them; `score`: the larger the better. `inverse` (n, 3): unit normal over distance of every plane
+    from the camera, up to a common scale, if these three are a corner.
     """
 
     planes: tuple[int, int, int]
     off_square: float
     direction_sigma_deg: float
     score: float
+    inverse: Floats
 
 
 def corner_triples(segments: Segments, camera_px: Floats) -> list[Triple]:
@@ -61,8 +65,34 @@ def corner_triples(segments: Segments, camera_px: Floats) -> list[Triple]:
         fit = _best_fit(view, planes[index], [x[i] for i in index], planes[share > _REGULAR_SHARE])
         if fit is not None and fit.off_square < _MOST_OFF_SQUARE:
             sigma = max(_direction_sigma_deg(fit, planes[i], segments.covariance[i]) for i in index)
-            found.append(Triple(chosen, fit.off_square, sigma, fit.likelihood + float(np.sum(np.log(share[index])))))
+            inverse = (planes - fit.at_infinity) * np.array([fit.focal, fit.focal, 1.0])
+            score = fit.likelihood + float(np.sum(np.log(share[index])))
+            found.append(Triple(chosen, fit.off_square, sigma, score, inverse))
     return sorted(found, key=lambda triple: -triple.score)
+
+
+def outermost(triples: list[Triple], segments: Segments) -> Triple:
+    """The best triple (the first), or one with planes parallel to its own but farther from the camera.
+
+    A room has one outermost corner, but many that the fronts of cupboards and the sides of boxes form with its walls:
+    captures from different places then agree on the corner. A farther plane counts if it is not much smaller.
+    """
+    best = triples[0]
+    size = np.bincount(segments.label[segments.label >= 0], minlength=len(segments.planes))
+    inverse_distance = np.linalg.norm(best.inverse, axis=1)
+    unit = best.inverse / inverse_distance[:, None]
+
+    def stands_for(other: int, own: int) -> bool:
+        parallel = unit[other] @ unit[own] > np.cos(np.radians(_PARALLEL_DEG))
+        farther = inverse_distance[other] <= inverse_distance[own]
+        return bool(parallel and farther and size[other] >= _LEAST_OF_NEARER * size[own])
+
+    standing_for = [
+        triple
+        for triple in triples
+        if all(any(stands_for(other, own) for other in triple.planes) for own in best.planes)
+    ]
+    return min(standing_for, key=lambda triple: float(np.prod(inverse_distance[list(triple.planes)])))
 
 
 def _sample(view: TwoView, planes: Floats, label: Ints, camera_px: Floats) -> list[Floats]:

@@ -1,0 +1,272 @@
+"""Does the calibration know when it is right? Random views, ordinary and degenerate, over the whole range of rigs.
+
+    python benchmarks/bench_views.py --views 500 --seed 0
+
+A view is accepted with its sigmas or refused with a reason. Counted are the accepted ones of which a focal or the
+projector's principal point is wrong by more than 5 sigma, and the refused ones whose focals the Cramér–Rao bound would
+put within 1 %. Synthetic matches, no images; corner 1.5 to 6 m away, baseline 0.15 to 0.8 m, any roll, focals of 0.5 to
+3 widths, projector shifted by up to half its height, noise 0.03 to 0.5 px, 300 to 100,000 matches.
+"""
+
+import argparse
+import time
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.calibration import Calibration
+from calib.camera import Intrinsics
+from calib.likelihood import Knowledge, evaluate
+from calib.cells import Cells
+from calib.matches import Matches
+from calib.model import CAMERA, PROJECTOR, Pose, State
+from calib.refine import covariance_of
+from calib.refusal import RefusalError
+from calib.selfcalibration import PrincipalPoint, self_calibrate
+from calib.synthetic import CaptureOptions, SyntheticCapture, random_capture
+
+CAMERA_SIZE, PROJECTOR_SIZE = (2448, 2048), (854, 480)
+WRONG_SIGMAS, USEFUL_SIGMA = 5.0, 0.01
+_BOUND_SAMPLE = 3000
+
+
+@dataclass(frozen=True)
+class View:
+    """A capture, and what the program is told about it; `impossible` where no calibration can be right by design."""
+
+    kind: str
+    capture: SyntheticCapture
+    principal_point: PrincipalPoint
+    squareness_deg: float
+    noise_px: float
+    impossible: bool = False
+
+
+def random_options(rng: np.random.Generator) -> CaptureOptions:
+    """A rig and a room from the whole range."""
+    width, height = CAMERA_SIZE
+    camera_centre = ((width - 1) / 2 + 0.02 * width * rng.normal(), (height - 1) / 2 + 0.02 * width * rng.normal())
+    shift = rng.uniform(-0.5, 0.5) * PROJECTOR_SIZE[1]
+    projector_centre = (426.5 + rng.normal(0, 10), 239.5 + shift)
+    # A wide projector before a long lens lights what the camera cannot see: the fields of view go together.
+    field = np.exp(rng.uniform(np.log(0.5), np.log(3.0)))
+    other = np.clip(field * np.exp(rng.uniform(-0.5, 0.5)), 0.5, 3.0)
+    strength = rng.choice([0.0, 0.02, 0.06]) * min(1.0, field) ** 2
+    return CaptureOptions(
+        camera=Intrinsics(*CAMERA_SIZE, (field * width,) * 2, camera_centre, (-strength, 0.0, 0.0, 0.0, 0.0)),
+        projector=Intrinsics(
+            *PROJECTOR_SIZE, (other * PROJECTOR_SIZE[0],) * 2, projector_centre, (-strength / 2, 0.0, 0.0, 0.0, 0.0)
+        ),
+        count=int(np.exp(rng.uniform(np.log(300), np.log(100_000)))),
+        noise_px=float(np.exp(rng.uniform(np.log(0.03), np.log(0.5)))),
+        distance=(1.5, 6.0),
+        baseline=(0.15, 0.8),
+        roll=float(rng.choice([0.1, 1.5])),
+        walls_off_deg=float(rng.choice([0.0, 0.3])),
+        least_share=0.06,
+    )
+
+
+def _drawn(rng: np.random.Generator, kind: str) -> tuple[CaptureOptions, SyntheticCapture]:
+    """Rigs are drawn until one sees the corner with both devices."""
+    while True:
+        options = _changed(rng, kind, random_options(rng))
+        for _ in range(20):
+            try:
+                return options, random_capture(rng, options, attempts=1)
+            except ValueError:
+                continue
+
+
+def _changed(rng: np.random.Generator, kind: str, options: CaptureOptions) -> CaptureOptions:
+    axis = rng.integers(3)
+    if kind == "face seen at a slant":
+        slants = [(0.25, 1.0)] * 3
+        slants[axis] = (0.01, 0.12)
+        return replace(options, slants=tuple(slants), least_share=0.005)
+    if kind == "small face":
+        return replace(options, least_share=0.001, distance=(4.0, 6.0), baseline=(0.15, 0.4))
+    if kind == "forward":
+        return replace(options, forward=float(rng.uniform(0.0, 0.15)))
+    if kind == "short baseline":
+        return replace(options, baseline=(0.01, 0.08))
+    if kind == "walls at 83°":
+        return replace(options, walls_off_deg=7.0)
+    if kind == "parallel faces":
+        return replace(options, parallel_m=float(rng.uniform(0.2, 0.8)), least_share=0.03)
+    return options
+
+
+def random_view(rng: np.random.Generator, kind: str) -> View:
+    options, capture = _drawn(rng, kind)
+    known = bool(rng.random() < 0.6)
+    centre = ((CAMERA_SIZE[0] - 1) / 2, (CAMERA_SIZE[1] - 1) / 2)
+    point = PrincipalPoint(options.camera.principal_point_px, 0.0) if known else PrincipalPoint(centre, 73.0)
+    matches = capture.matches
+    face = matches.face
+    assert face is not None
+    if kind == "one plane":
+        matches = _split(matches.on_face(int(np.bincount(face).argmax())), (0, 1, 2))
+    elif kind == "two planes":
+        first, second = np.argsort(-np.bincount(face, minlength=3))[:2]
+        halves, rest = _split(matches.on_face(int(first)), (0, 1)), matches.on_face(int(second))
+        matches = _joined(halves, rest.with_faces(np.full(len(rest), 2, np.int32)))
+    return View(
+        kind,
+        replace(capture, matches=matches),
+        point,
+        0.3 if options.walls_off_deg else 0.0,
+        options.noise_px,
+        kind in ("one plane", "two planes", "walls at 83°", "parallel faces"),
+    )
+
+
+def _split(plane: Matches, labels: tuple[int, ...]) -> Matches:
+    """One plane in strips that are called different faces."""
+    x = plane.camera_px[:, 0]
+    inner = np.quantile(x, np.linspace(0, 1, len(labels) + 1)[1:-1])
+    return plane.with_faces(np.array(labels, np.int32)[np.digitize(x, inner)])
+
+
+def _joined(a: Matches, b: Matches) -> Matches:
+    assert a.face is not None
+    assert b.face is not None
+    return Matches(
+        np.concatenate([a.camera_px, b.camera_px]),
+        np.concatenate([a.projector_px, b.projector_px]),
+        np.concatenate([a.face, b.face]),
+    )
+
+
+def bound(view: View) -> float:
+    """The larger of the focals' relative sigmas by the Cramér–Rao bound, at the truth, with the true lens order."""
+    capture = view.capture
+    calibration, matches = capture.calibration, capture.matches[capture.matches.face >= 0]
+    sample = matches[:: max(1, len(matches) // _BOUND_SAMPLE)]
+    state = State(
+        _device(calibration.camera),
+        _device(calibration.projector),
+        calibration.rotation,
+        calibration.translation / calibration.baseline,
+        np.zeros((1, 3)),
+        (Pose(capture.corner.legs, capture.corner.vertex / calibration.baseline),),
+    )
+    point = view.principal_point
+    prior = Knowledge(CAMERA_SIZE, PROJECTOR_SIZE, point.px, point.sigma_px, view.squareness_deg).prior(state)
+    for column in (CAMERA.start + 4, PROJECTOR.start + 4):
+        prior = prior.with_known(column)
+    variance = np.full(len(sample), view.noise_px**2 * len(sample) / len(matches))
+    cells = _as_cells(sample)
+    fit = evaluate([cells], state, prior, [variance])
+    sigma = np.sqrt(np.diag(covariance_of(fit.information, prior.free)))
+    return float(max(sigma[CAMERA.start], sigma[PROJECTOR.start]))
+
+
+def _device(intrinsics: Intrinsics) -> np.ndarray:
+    return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion[:2]])
+
+
+def _as_cells(matches: Matches) -> Cells:
+    zero, one = np.zeros(len(matches), np.int32), np.ones(len(matches))
+    return Cells(matches.camera_px, matches.projector_px, matches.face, zero, zero, one, one, 1.0, 0.0)
+
+
+def deviations(found: Calibration, truth: Calibration) -> np.ndarray:
+    """Errors of (f_c, f_p, x_p, y_p) in their sigmas."""
+    values = [found.camera.focal_px[0], found.projector.focal_px[0], *found.projector.principal_point_px]
+    true = [truth.camera.focal_px[0], truth.projector.focal_px[0], *truth.projector.principal_point_px]
+    sigma = found.sigma
+    sigmas = [sigma["camera_focal_px"], sigma["projector_focal_px"], *sigma["projector_principal_point_px"]]
+    return (np.array(values) - true) / np.array(sigmas)
+
+
+KINDS = {
+    "ordinary": 0.55,
+    "face seen at a slant": 0.08,
+    "small face": 0.06,
+    "forward": 0.06,
+    "short baseline": 0.05,
+    "walls at 83°": 0.05,
+    "parallel faces": 0.05,
+    "one plane": 0.05,
+    "two planes": 0.05,
+}
+
+
+@dataclass
+class Tally:
+    accepted: int = 0
+    wrong: int = 0
+    refused: int = 0
+    needlessly: int = 0
+    deviations: list[np.ndarray] = field(default_factory=list)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--views", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kind", choices=KINDS, default=None)
+    parser.add_argument("--verbose", action="store_true", help="print each wrong answer and each needless refusal")
+    options = parser.parse_args()
+    tallies: dict[str, Tally] = defaultdict(Tally)
+    start = time.perf_counter()
+    for i in range(options.views):
+        rng = np.random.default_rng([options.seed, i])
+        kind = options.kind or str(rng.choice(list(KINDS), p=list(KINDS.values())))
+        _count(random_view(rng, kind), tallies[kind], i if options.verbose else None)
+    print(f"{'kind':22} {'accepted':>8} {'wrong':>6} {'refused':>8} {'needlessly':>10} {'rms err/σ':>10}")
+    for kind in KINDS:
+        _show(kind, tallies[kind])
+    total = Tally(
+        *(sum(getattr(t, name) for t in tallies.values()) for name in ("accepted", "wrong", "refused", "needlessly"))
+    )
+    total.deviations = [d for t in tallies.values() for d in t.deviations]
+    _show("all", total)
+    print(
+        f"wrong by more than {WRONG_SIGMAS:g} sigma: {100 * total.wrong / max(total.accepted, 1):.2f} % of the accepted; "
+        f"refused although sigma < 1 %: {100 * total.needlessly / options.views:.2f} % of all; "
+        f"{(time.perf_counter() - start) / options.views:.2f} s per view"
+    )
+
+
+def _count(view: View, tally: Tally, number: int | None) -> None:
+    truth = view.capture.calibration
+    try:
+        found = self_calibrate(
+            view.capture.matches,
+            CAMERA_SIZE,
+            PROJECTOR_SIZE,
+            principal_point=view.principal_point,
+            squareness_deg=view.squareness_deg,
+        ).calibration
+    except RefusalError as refusal:
+        tally.refused += 1
+        if not view.impossible and (best := bound(view)) < USEFUL_SIGMA:
+            tally.needlessly += 1
+            if number is not None:
+                print(
+                    f"{number}: {view.kind}, {len(view.capture.matches)} matches, σ ≥ {100 * best:.2f} %: {refusal}",
+                    flush=True,
+                )
+        return
+    tally.accepted += 1
+    deviation = deviations(found, truth)
+    tally.deviations.append(deviation)
+    if np.abs(deviation).max() > WRONG_SIGMAS:
+        tally.wrong += 1
+        if number is not None:
+            print(
+                f"{number}: {view.kind}, {len(view.capture.matches)} matches, noise {view.noise_px:.2f} px: errors {deviation.round(1)} σ, f {truth.camera.focal_px[0]:.0f} found {found.camera.focal_px[0]:.0f} ± {found.sigma['camera_focal_px']:.0f}",
+                flush=True,
+            )
+
+
+def _show(kind: str, tally: Tally) -> None:
+    rms = f"{np.sqrt(np.mean(np.square(tally.deviations))):10.2f}" if tally.deviations else "         –"
+    print(f"{kind:22} {tally.accepted:8d} {tally.wrong:6d} {tally.refused:8d} {tally.needlessly:10d} {rms}")
+
+
+if __name__ == "__main__":
+    main()
