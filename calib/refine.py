@@ -17,7 +17,7 @@ from calib.descent import minimise, relax
 from calib.lens_order import LensOrder, choose_lens_order
 from calib.likelihood import Fit, Knowledge, Prior, evaluate
 from calib.model import CAMERA, State
-from calib.noise import inflation, systematic
+from calib.noise import Noise, noise_of
 from calib.paper import Objective
 from calib.same_corner import Sameness, tie
 from calib.sweep import HOPELESS, SWEEP_CELLS, at_focal, minima, sweep_jointly, sweep_one
@@ -26,17 +26,6 @@ _SAME_SOLUTION = 0.01  # of log f: minima that converge this close are one
 _LIKELIHOOD_ROUNDS = 3
 _PROFILE_RANGE = 0.3  # of log f: within it the profile is exact
 _PROFILE_SIGMAS = (-4.0, -2.5, -1.5, -0.75, 0.0, 0.75, 1.5, 2.5, 4.0)
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Of one capture: the scatter of a match, τ, what stays unexplained in the mean of a cell, and κ, the inflation of
-    variances because residuals are alike in neighbouring cells.
-    """
-
-    match_px: float
-    systematic_px: float
-    inflation: float
 
 
 @dataclass(frozen=True)
@@ -88,8 +77,9 @@ def refine(
     for _ in range(_LIKELIHOOD_ROUNDS):
         prior = knowledge.prior(fits[0].state)
         fits = _distinct([minimise(captures, fit.state, prior, variances) for fit in fits])
-        noise = [_noise(cells, residual) for cells, residual in zip(captures, fits[0].residuals, strict=True)]
-        variances = [_variance(cells, level) for cells, level in zip(captures, noise, strict=True)]
+        absorbed = np.count_nonzero(prior.free) / len(captures)
+        noise = [noise_of(*pair, absorbed) for pair in zip(captures, fits[0].residuals, strict=True)]
+        variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
     best, *others = fits
 
     lens_order = choose_lens_order(best, covariance_of(best.information, prior.free), prior)
@@ -140,16 +130,6 @@ def _residuals(captures: Sequence[Cells], fit: Fit) -> tuple[Floats, ...]:
 def _level(residual: Floats) -> Floats:
     """One variance (M,) for all cells: that of residuals (M, 2)."""
     return np.full(len(residual), max(float(np.mean(residual**2)), 1e-12))
-
-
-def _noise(cells: Cells, residual: Floats) -> Noise:
-    tau = systematic(residual / cells.coarseness[:, None], cells.sigma_px / cells.coarseness)
-    independent = cells.sigma_px**2 + (tau * cells.coarseness) ** 2
-    return Noise(cells.noise_px, tau, inflation(cells, residual / np.sqrt(independent)[:, None]))
-
-
-def _variance(cells: Cells, noise: Noise) -> Floats:
-    return noise.inflation * (cells.sigma_px**2 + (noise.systematic_px * cells.coarseness) ** 2)
 
 
 def _distinct(fits: list[Fit]) -> list[Fit]:

@@ -47,10 +47,10 @@ def _on_noise(refinement: Refinement) -> list[str]:
     notes = []
     for i, (cells, noise) in enumerate(zip(refinement.captures, refinement.noise, strict=True)):
         of = f"Capture {i + 1}: " if len(refinement.captures) > 1 else ""
-        if noise.systematic_px > 0:
+        if noise.inflation > 1:
             notes.append(
-                f"{of}Beyond independent noise, {noise.systematic_px:.3f} px stay unexplained in the mean of a cell of "
-                f"matches, alike in neighbouring ones; the sigmas contain it (× {np.sqrt(noise.inflation):.1f})."
+                f"{of}Residuals are wavy: smooth errors over a face, {np.sqrt(noise.inflation):.1f} times those that "
+                f"independent matches leave; the sigmas contain it."
             )
         if cells.rejected > 0.01:
             notes.append(f"{of}{100 * cells.rejected:.1f} % of the matches on the faces were left out as outliers.")
