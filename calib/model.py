@@ -113,6 +113,20 @@ class State:
             poses=tuple(_moved_pose(pose, step[self.pose_columns(i)]) for i, pose in enumerate(self.poses)),
         )
 
+    def step_to(self, other: "State") -> Floats:
+        """The step (size,) from here to a state of the same layout not too far away."""
+        step = other.additive() - self.additive()
+        step[ROTATION] = Rotation.from_matrix(other.rotation @ self.rotation.T).as_rotvec()
+        step[TRANSLATION] = tangent_basis(self.translation).T @ (other.translation - self.translation)
+        for i, (pose, there) in enumerate(zip(self.poses, other.poses, strict=True)):
+            part = step[self.pose_columns(i)]
+            part[:3] = Rotation.from_matrix(there.frame.T @ pose.frame).as_rotvec()
+            part[3:PER_POSE] = (there.vertex - pose.vertex) / np.linalg.norm(pose.vertex)
+            part[PER_POSE + 2 :: PER_PLANE] = [
+                b.height - a.height for a, b in zip(pose.planes, there.planes, strict=True)
+            ]
+        return step
+
     def additive(self) -> Floats:
         """The columns that may have a prior, as numbers that a step adds to, (size,); zero for rotations and such."""
         values = np.zeros(self.size)

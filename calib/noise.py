@@ -15,14 +15,15 @@ _LEAST_CELLS = 3 * CUBIC  # on a plane, for its long waves to be told from its s
 
 @dataclass(frozen=True)
 class Noise:
-    """Of one capture: the scatter of a match; τ, what stays unexplained in the mean of a cell; κ, by how much the
-    variance of long waves exceeds what cells that err independently would leave.
+    """Of one capture: the scatter of a match; τ, what stays unexplained in the mean of a cell; the root mean square of
+    the residuals' long waves; κ, by how much their variance exceeds what cells that err independently would leave.
 
     Parameters are moved by long waves only, so κ is the factor by which their variances are larger.
     """
 
     match_px: float
     systematic_px: float
+    smooth_px: float
     inflation: float
 
     def variances(self, cells: Cells) -> Floats:
@@ -34,7 +35,7 @@ def noise_of(cells: Cells, residual: Floats, absorbed: float) -> Noise:
     """Measured on the residuals (M, 2) of a fit that used up `absorbed` degrees of freedom of this capture."""
     systematic_px = _systematic(residual / cells.coarseness[:, None], cells.sigma_px / cells.coarseness)
     independent = _independent(cells, systematic_px)
-    return Noise(cells.noise_px, systematic_px, _inflation(cells, residual, independent, absorbed))
+    return Noise(cells.noise_px, systematic_px, *_long_waves(cells, residual, independent, absorbed))
 
 
 def _independent(cells: Cells, systematic_px: float) -> Floats:
@@ -52,20 +53,23 @@ def _systematic(residual: Floats, sigma_px: Floats) -> float:
     return high if high > 1e-3 * float(np.median(sigma_px)) else 0.0
 
 
-def _inflation(cells: Cells, residual: Floats, variance: Floats, absorbed: float) -> float:
-    """κ: χ² of the residuals' projection on cubic polynomials over each plane, over its degrees of freedom.
+def _long_waves(cells: Cells, residual: Floats, variance: Floats, absorbed: float) -> tuple[float, float]:
+    """Root mean square of the residuals' projection on cubic polynomials over each plane, in px, and κ.
 
-    1 where that is no more than chance.
+    κ is the projection's χ² over its degrees of freedom, or 1 where that is no more than chance.
     """
-    total, freedom = 0.0, -absorbed
+    total, freedom, squares = 0.0, -absorbed, 0.0
     for plane in np.unique(cells.plane):
         members = cells.plane == plane
         if members.sum() < _LEAST_CELLS:
             continue
         root = 1 / np.sqrt(variance[members])[:, None]
         waves, _ = np.linalg.qr(monomials(cells.camera_px[members])[:, :CUBIC] * root)
-        total += float(np.sum((waves.T @ (residual[members] * root)) ** 2))
+        amplitudes = waves.T @ (residual[members] * root)
+        total += float(np.sum(amplitudes**2))
+        squares += float(np.sum((waves @ amplitudes / root) ** 2))
         freedom += 2 * CUBIC
+    smooth_px = float(np.sqrt(squares / len(cells)))
     if freedom <= 0 or total < chi2.ppf(_SIGNIFICANT, freedom):
-        return 1.0
-    return total / freedom
+        return smooth_px, 1.0
+    return smooth_px, total / freedom

@@ -20,7 +20,8 @@ from calib.refine import refine
 from calib.refusal import RefusalError
 from calib.remarks import notes_on
 from calib.same_corner import is_anticlockwise, reflected
-from calib.trust import MOVE, no_corner, refuse_untrustworthy
+from calib.sweep import family_of
+from calib.trust import MOVE, no_corner, refuse_degenerate, refuse_untrustworthy
 from calib.uncertainty import Uncertainty, calibration_of, sigmas_by_name, uncertainty_of
 
 Method = Literal["refined", "paper"]
@@ -177,12 +178,14 @@ def _by_paper(
 
 def _by_refinement(captures: Sequence[Matches], knowledge: Knowledge, *, same: bool) -> tuple[SelfCalibration, ...]:
     cells = [into_cells(matches) for matches in captures]
-    objectives = [objective_for(each.as_matches(), knowledge.principal_point_px) for each in cells]
+    families = [family_of(each, knowledge) for each in cells]
     if len(captures) > 1:
-        turned = [is_anticlockwise(each, objective) for each, objective in zip(cells, objectives, strict=True)]
+        vertices = [family.objective.camera_image.vertex for family in families]
+        turned = [is_anticlockwise(each, vertex) for each, vertex in zip(cells, vertices, strict=True)]
         cells = [reflected(each) if turn else each for each, turn in zip(cells, turned, strict=True)]
-        objectives = [objective_for(each.as_matches(), knowledge.principal_point_px) for each in cells]
-    refinement = refine(cells, objectives, _trials(knowledge.camera_size, _SWEEP_TRIALS), knowledge, same=same)
+        families = [family_of(each, knowledge) for each in cells]
+    refuse_degenerate(cells, families)
+    refinement = refine(cells, families, _trials(knowledge.camera_size, _SWEEP_TRIALS), knowledge, same=same)
     if refinement is None:
         raise no_corner(cells)
     refuse_untrustworthy(refinement, knowledge)
@@ -194,7 +197,7 @@ def _by_refinement(captures: Sequence[Matches], knowledge: Knowledge, *, same: b
         sigmas_by_name(fit.state, refinement.covariance),
     )
     notes = notes_on(refinement, knowledge)
-    profile = Profile(refinement.profile_focal_px, refinement.profile_cost, "−2 log likelihood above the best")
+    profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
     results = []
     for i, matches in enumerate(captures):
         if len(captures) > 1:
