@@ -1,0 +1,98 @@
+"""A result folder read back: the calibration, and the cloud with the camera pixel and the match of every point."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from calib.arrays import Floats, Ints
+from calib.calibration import Calibration
+from calib.matches import Matches
+from calib.triangulation import intersect
+from scanner.calibration_file import read_calibration
+from scanner.cloud_file import read_cloud
+from scanner.errors import InputError
+from scanner.matches_file import MATCHES_FILE, read_matches
+from scanner.result import CALIBRATION_FILE, CLOUD_FILE
+
+# Coordinates in the cloud are rounded to 24 bits; relative to a point's distance this is far more than that.
+_SAME_POINT = 1e-5
+
+
+@dataclass(frozen=True)
+class FinishedScan:
+    """What a scan left behind. Row i of every array, and match i, belong to one point.
+
+    `points` (N, 3) in the camera's frame and the calibration's unit, `normals` (N, 3), `colours` (N, 3) RGB; `pixel`
+    (N, 2): column and row of the camera's image, no two alike; `matched` is how many matches the scan had.
+    """
+
+    calibration: Calibration
+    matches: Matches
+    matched: int
+    points: Floats
+    normals: Floats
+    colours: NDArray[np.uint8]
+    pixel: Ints
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def unit(self) -> str:
+        """Of `points`; 'baseline' where no length is known."""
+        return self.calibration.unit
+
+    @property
+    def index_grid(self) -> Ints:
+        """Which point each camera pixel has, (H, W), −1 for none."""
+        camera = self.calibration.camera
+        grid = np.full((camera.height, camera.width), -1, np.int64)
+        grid[self.pixel[:, 1], self.pixel[:, 0]] = np.arange(len(self))
+        return grid
+
+
+def read_calibration_of(folder: Path) -> Calibration:
+    """The calibration of a result folder. Raises InputError if the folder is none or its capture was refused."""
+    if (folder / CALIBRATION_FILE).is_file():
+        return read_calibration(folder / CALIBRATION_FILE)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected a result folder, found {'a file' if folder.exists() else 'nothing'}")
+    if (folder / MATCHES_FILE).is_file():
+        raise InputError(
+            f"{folder}: has matches but no {CALIBRATION_FILE}: no trustworthy calibration could be had from this "
+            "capture; its report.html says why and what to do"
+        )
+    raise InputError(f"{folder}: expected a result folder, with {CALIBRATION_FILE} and {CLOUD_FILE}, found neither")
+
+
+def read_finished_scan(folder: Path) -> FinishedScan:
+    """Everything of a result folder but the recording. Raises InputError if a file is missing or of another scan."""
+    calibration = read_calibration_of(folder)
+    cloud = read_cloud(folder / CLOUD_FILE)
+    matches = read_matches(folder)
+    met = intersect(matches, calibration)
+    usable = np.flatnonzero(met.in_front)
+    if not len(cloud):
+        raise InputError(f"{folder}: the cloud is empty")
+    if not len(usable):
+        raise _of_another_scan(folder)
+    tree = cKDTree(met.points[usable], balanced_tree=False, compact_nodes=False)
+    apart, nearest = tree.query(cloud.points, workers=-1)
+    own = usable[nearest]
+    pixel = np.rint(matches.camera_px[own]).astype(np.int64)
+    camera = calibration.camera
+    inside = np.all((pixel >= 0) & (pixel < (camera.width, camera.height)), axis=1)
+    same = apart <= _SAME_POINT * np.linalg.norm(cloud.points, axis=1)
+    if not np.all(inside & same) or len(np.unique(pixel[:, 1] * camera.width + pixel[:, 0])) < len(cloud):
+        raise _of_another_scan(folder)
+    return FinishedScan(calibration, matches[own], len(matches), cloud.points, cloud.normals, cloud.colours, pixel)
+
+
+def _of_another_scan(folder: Path) -> InputError:
+    return InputError(
+        f"{folder}: {CLOUD_FILE} does not follow from {MATCHES_FILE} and {CALIBRATION_FILE}: one of them was changed "
+        "or comes from another scan; make the result again with 'scan replay' or 'scan calibrate'"
+    )
