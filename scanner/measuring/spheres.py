@@ -11,7 +11,8 @@ from calib.fit_statistics import blocks, robust_sigma
 from calib.refusal import NoMeasurementError
 from scanner.finished_scan import FinishedScan
 from scanner.measuring.measurements import DistanceMeasurement, FitErrors, SphereMeasurement
-from scanner.units import unit_name
+from scanner.measuring.shown import shown_unit
+from scanner.quantities import percent
 
 # Points farther than this share of the radius from the surface are of something in front of the ball.
 _GATE = 0.2
@@ -71,7 +72,7 @@ def _measure(scan: FinishedScan, centre: Floats, radius: float) -> SphereMeasure
         _refuse_few_points(scan, on, fitted_centre, radius)
         sphere = fit_sphere(scan.points[on], _alike(scan, on), fitted_centre, fitted_radius)
         fitted_centre, fitted_radius = sphere.centre, sphere.radius
-        _refuse_no_sphere(sphere, radius)
+        _refuse_no_sphere(scan, sphere, radius)
     nominal = fit_sphere(scan.points[on], _alike(scan, on), sphere.centre, radius, fixed_radius=True)
     stray = np.abs(sphere.residual) > _STRAY_SIGMAS * robust_sigma(sphere.residual)
     pixel = scan.pixel[on][~stray]
@@ -120,22 +121,24 @@ def _refuse_few_points(scan: FinishedScan, on: Bools, centre: Floats, radius: fl
         )
 
 
-def _refuse_no_sphere(sphere: Sphere, radius: float) -> None:
+def _refuse_no_sphere(scan: FinishedScan, sphere: Sphere, radius: float) -> None:
     size_error = abs(sphere.radius / radius - 1)
     scatter = robust_sigma(sphere.residual) / radius
     if size_error > _LARGEST_SIZE_ERROR or scatter > _LARGEST_SCATTER or not np.isfinite(sphere.radius_sigma):
+        unit = shown_unit(scan.unit)
         raise NoMeasurementError(
-            f"What is most like a sphere of this diameter is none: its points fit one that is {100 * size_error:.0f} % "
-            f"off in size, and scatter by {100 * scatter:.0f} % of the radius.",
+            f"What is most like a sphere of {unit.length(2 * radius)} fits a diameter of "
+            f"{unit.length(2 * sphere.radius)}, and its points scatter by {percent(scatter)} of the radius.",
             "Check the diameter and the scale of the result.",
         )
 
 
 def _not_found(scan: FinishedScan, diameter: float) -> NoMeasurementError:
-    nearest = _image_radius(scan, np.percentile(scan.points, 1, axis=0), diameter)
+    unit = shown_unit(scan.unit)
+    largest_px = 2 * _image_radius(scan, np.percentile(scan.points, 1, axis=0), diameter / 2)
     return NoMeasurementError(
-        f"No sphere with a diameter of {diameter:.6g} {unit_name(scan.unit)} was found in the cloud; even close by it would be "
-        f"{nearest:.0f} pixels across.",
+        f"No sphere with a diameter of {unit.length(diameter)} was found in the cloud, where it would be up to "
+        f"{largest_px:.0f} pixels across.",
         "It has to be seen whole by both devices. Check the diameter, which is not the radius, and the scale of the "
         "result.",
     )
