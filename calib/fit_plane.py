@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Floats, Ints
-from calib.fit_statistics import biweight, clustered_covariance
+from calib.fit_statistics import biweight, robust_covariance
 
 _STEPS = 20
 _CONVERGED = 1e-10
@@ -47,7 +47,7 @@ def fit_plane(points: Floats, cluster: Ints) -> Plane:
             break
     # In the plane's own axes the distance is off by a turn about either of them, or by a shift.
     jacobian = np.column_stack([from_centre @ axes[:, 1:], np.ones(len(points))])
-    turns = clustered_covariance(jacobian, residual, weight, cluster)[:2, :2]
+    turns = robust_covariance(jacobian, residual, cluster)[:2, :2]
     covariance = axes[:, 1:] @ turns @ axes[:, 1:].T
     offset = float(normal @ centre)
     sign = -1.0 if offset > 0 else 1.0

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Floats, Ints
-from calib.fit_statistics import biweight, clustered_covariance
+from calib.fit_statistics import biweight, robust_covariance
 
 _STEPS = 50
 _CONVERGED = 1e-10
@@ -57,7 +57,7 @@ def fit_sphere(points: Floats, cluster: Ints, centre: Floats, radius: float, *, 
         if np.linalg.norm(step) < _CONVERGED * radius:
             break
     covariance = np.zeros((4, 4))
-    covariance[:free, :free] = clustered_covariance(jacobian[:, :free], residual, weight, cluster)
+    covariance[:free, :free] = robust_covariance(jacobian[:, :free], residual, cluster)
     return Sphere(state[:3].copy(), float(state[3]), covariance, residual)
 
 

@@ -17,26 +17,38 @@ def robust_sigma(residual: Floats) -> float:
 
 def biweight(residual: Floats) -> Floats:
     """Tukey's weights (N,), 1 for a residual of zero and 0 beyond 4.7 robust sigmas."""
-    scale = _TUKEY * robust_sigma(residual)
-    if scale == 0.0:
-        exact: Floats = (residual == 0.0).astype(np.float64)
-        return exact
-    weights: Floats = np.clip(1 - (residual / scale) ** 2, 0, None) ** 2
+    weights: Floats = np.clip(1 - _relative(residual) ** 2, 0, None) ** 2
     return weights
 
 
-def clustered_covariance(jacobian: Floats, residual: Floats, weight: Floats, cluster: Ints) -> Floats:
-    """Covariance (P, P) of a least-squares fit whose errors are alike within a cluster.
+def _biweight_slope(residual: Floats) -> Floats:
+    """Derivative of weight times residual by the residual, (N,)."""
+    u2 = _relative(residual) ** 2
+    return np.where(u2 < 1, (1 - u2) * (1 - 5 * u2), 0.0)
 
-    `jacobian` (N, P), `residual`, `weight` and `cluster` (N,), cluster labels from 0. The sandwich estimator of Liang
-    and Zeger (1986): points that err alike, as neighbouring pixels do, count as what they are worth together. It
-    needs some ten clusters; with two or fewer it is infinite.
+
+def _relative(residual: Floats) -> Floats:
+    """Residuals over the distance at which Tukey's weights vanish, (N,)."""
+    scale = _TUKEY * robust_sigma(residual)
+    if scale == 0.0:
+        return np.where(residual == 0.0, 0.0, np.inf)
+    relative: Floats = residual / scale
+    return relative
+
+
+def robust_covariance(jacobian: Floats, residual: Floats, cluster: Ints) -> Floats:
+    """Covariance (P, P) of a fit with Tukey's weights whose errors are alike within a cluster.
+
+    `jacobian` (N, P), `residual` (N,), `cluster` (N,) labels from 0. That of Huber's M-estimators (1981, section 6.3)
+    with the scores summed over each cluster, as Liang and Zeger (1986) do: points that err alike, as neighbouring
+    pixels do, count as what they are worth together. It needs some ten clusters; with two or fewer it is infinite.
     """
+    weight = biweight(residual)
     scores = (weight * residual)[:, None] * jacobian
     count = int(cluster.max()) + 1
     totals = np.stack([np.bincount(cluster, column, count) for column in scores.T], axis=1)
     occupied = int(np.count_nonzero(np.bincount(cluster, weight > 0, count)))
-    normal = (weight[:, None] * jacobian).T @ jacobian
+    normal = (_biweight_slope(residual)[:, None] * jacobian).T @ jacobian
     if occupied <= 2 or np.linalg.matrix_rank(normal) < len(normal):
         return np.full_like(normal, np.inf)
     bread = np.linalg.inv(normal)

@@ -10,7 +10,7 @@ from pathlib import Path
 from scanner.commands import options
 from scanner.commands.export import default_path
 from scanner.errors import InputError
-from scanner.exporting.output import new_file
+from scanner.exporting.output import new_file, refuse_existing
 from scanner.finished_scan import read_finished_scan
 from scanner.measuring.document import MEASURE_FILE, write_document
 from scanner.measuring.figure import FIGURE_FILE, write_figure
@@ -64,11 +64,16 @@ def run(args: Namespace) -> None:
             f"{args.result}: its matches have no faces, so there is nothing to measure unless you say what: a ball "
             "with --sphere 50.8mm, or a distance with --distance X1 Y1 X2 Y2"
         )
+    for name in (MEASURE_FILE, FIGURE_FILE):
+        refuse_existing(out / name, overwrite=args.overwrite)
     with new_file(out / MEASURE_FILE, overwrite=args.overwrite) as path:
         write_document(path, measured, str(args.result))
-    with new_file(out / FIGURE_FILE, overwrite=args.overwrite) as path:
-        write_figure(path, measured)
+    if measured.pictured:
+        with new_file(out / FIGURE_FILE, overwrite=args.overwrite) as path:
+            write_figure(path, measured)
+    else:
+        (out / FIGURE_FILE).unlink(missing_ok=True)  # an earlier measurement's
     terminal.show(*tables(measured))
     if measured.angles:
         terminal.show(_ASSUMED_ANGLES)
-    terminal.show(f"Written: {out} (measure.json, measure.png)")
+    terminal.show(f"Written: {out} ({MEASURE_FILE}{f', {FIGURE_FILE}' if measured.pictured else ''})")

@@ -23,11 +23,9 @@ _NO_POINT = "#d9d9d9"
 _MARGIN_OF_IMAGE = 0.15
 
 
-def write_figure(path: Path, measured: Measurements) -> bool:
-    """Draw a panel for each sphere and one for all faces; False, and no file, if there are neither. Raises OSError."""
+def write_figure(path: Path, measured: Measurements) -> None:
+    """Draw a panel for each sphere and one for all faces; there has to be one of either. Raises OSError."""
     panels = len(measured.spheres) + bool(measured.faces)
-    if not panels:
-        return False
     unit = shown_unit(measured.unit)
     figure = Figure(figsize=(panels * _PANEL_INCHES[0], _PANEL_INCHES[1]), dpi=_DPI, layout="constrained")
     every = figure.subplots(1, panels, squeeze=False)[0]
@@ -45,7 +43,6 @@ def write_figure(path: Path, measured: Measurements) -> bool:
         flatness = ", ".join(f"{face.name} {unit.number(face.errors.mean_absolute)}" for face in measured.faces)
         _title(every[-1], "Flatness of the faces: mean absolute errors", f"{flatness} {unit.name}")
     figure.savefig(path, format="png", metadata={"Software": None})
-    return True
 
 
 def _draw(axes: Axes, errors: Sequence[FitErrors], unit: ShownUnit) -> None:

@@ -104,3 +104,8 @@ class Measurements:
     def empty(self) -> bool:
         """Whether nothing was measured."""
         return not (self.spheres or self.faces or self.distances)
+
+    @property
+    def pictured(self) -> bool:
+        """Whether there is something to draw a heat map of."""
+        return bool(self.spheres or self.faces)
