@@ -73,26 +73,46 @@ def read_finished_scan(folder: Path) -> FinishedScan:
     calibration = read_calibration_of(folder)
     cloud = read_cloud(folder / CLOUD_FILE)
     matches = read_matches(folder)
-    met = intersect(matches, calibration)
-    usable = np.flatnonzero(met.in_front)
     if not len(cloud):
         raise InputError(f"{folder}: the cloud is empty")
-    if not len(usable):
-        raise _of_another_scan(folder)
-    tree = cKDTree(met.points[usable], balanced_tree=False, compact_nodes=False)
-    apart, nearest = tree.query(cloud.points, workers=-1)
-    own = usable[nearest]
-    pixel = np.rint(matches.camera_px[own]).astype(np.int64)
-    camera = calibration.camera
-    inside = np.all((pixel >= 0) & (pixel < (camera.width, camera.height)), axis=1)
-    same = apart <= _SAME_POINT * np.linalg.norm(cloud.points, axis=1)
-    if not np.all(inside & same) or len(np.unique(pixel[:, 1] * camera.width + pixel[:, 0])) < len(cloud):
-        raise _of_another_scan(folder)
-    return FinishedScan(calibration, matches[own], len(matches), cloud.points, cloud.normals, cloud.colours, pixel)
+    pixel = np.rint(matches.camera_px).astype(np.int64)
+    own = _own_matches(cloud.points, pixel, matches, calibration)
+    if own is None or not _all_different(pixel[own], calibration):
+        raise InputError(
+            f"{folder}: {CLOUD_FILE} does not follow from {MATCHES_FILE} and {CALIBRATION_FILE}: one of them was "
+            "changed or comes from another scan; make the result again with 'scan replay' or 'scan calibrate'"
+        )
+    return FinishedScan(calibration, matches[own], len(matches), cloud.points, cloud.normals, cloud.colours, pixel[own])
 
 
-def _of_another_scan(folder: Path) -> InputError:
-    return InputError(
-        f"{folder}: {CLOUD_FILE} does not follow from {MATCHES_FILE} and {CALIBRATION_FILE}: one of them was changed "
-        "or comes from another scan; make the result again with 'scan replay' or 'scan calibrate'"
-    )
+def _all_different(pixel: Ints, calibration: Calibration) -> bool:
+    taken = np.zeros((calibration.camera.height, calibration.camera.width), np.bool_)
+    taken[pixel[:, 1], pixel[:, 0]] = True
+    return int(np.count_nonzero(taken)) == len(pixel)
+
+
+def _own_matches(points: Floats, pixel: Ints, matches: Matches, calibration: Calibration) -> Ints | None:
+    """Which match each point (N, 3) was triangulated from, (N,), or None if there is a point that none gives.
+
+    `pixel` (M, 2) is the camera's of each match. Nearly always a point is seen at its own match's pixel. Where the rays
+    missed each other by more than that, it is the nearest of the points that are left.
+    """
+    size = (calibration.camera.width, calibration.camera.height)
+    met = intersect(matches, calibration)
+    usable = np.flatnonzero(met.in_front & np.all((pixel >= 0) & (pixel < size), axis=1))
+    at_pixel = np.full(size[::-1], -1, np.int64)
+    at_pixel[pixel[usable, 1], pixel[usable, 0]] = usable
+    seen = np.nan_to_num(np.rint(calibration.camera.project(points)), nan=-1.0).clip(-1, size).astype(np.int64)
+    inside = np.all((seen >= 0) & (seen < size), axis=1)
+    own = np.where(inside, at_pixel[tuple(np.where(inside[:, None], seen, 0).T[::-1])], -1)
+    tolerance = _SAME_POINT * np.linalg.norm(points, axis=1)
+    missed = np.flatnonzero((own < 0) | ~(np.linalg.norm(met.points[own] - points, axis=1) <= tolerance))
+    if len(missed):
+        left = np.setdiff1d(usable, np.delete(own, missed))
+        if not len(left):
+            return None
+        apart, nearest = cKDTree(met.points[left]).query(points[missed])
+        if np.any(apart > tolerance[missed]):
+            return None
+        own[missed] = left[nearest]
+    return own

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Floats, Ints
-from calib.grid_mesh import grid_triangles
+from calib.image_mesh import SeenPoints, image_triangles
 from scanner.errors import InputError
 from scanner.finished_scan import FinishedScan
 
@@ -33,11 +33,12 @@ class Mesh:
 def build_mesh(scan: FinishedScan) -> Mesh:
     """Join neighbouring pixels; points in no triangle are left out. Raises InputError if there is no triangle."""
     focal_px = float(np.mean(scan.calibration.camera.focal_px))
-    triangles = grid_triangles(scan.index_grid, scan.points, scan.normals, focal_px)
+    seen = SeenPoints(scan.matches.camera_px, scan.points, scan.normals, focal_px)
+    triangles = image_triangles(seen, scan.index_grid)
     if len(triangles) == 0:
         raise InputError(
-            "no three points are neighbours in the camera's image, so there is no surface to make a mesh of: export "
-            "the cloud as ply instead"
+            "no three points are neighbours on a surface, so there is nothing to make a mesh of: export the cloud as "
+            "ply instead"
         )
     used, corners = np.unique(triangles, return_inverse=True)
     return Mesh(scan.points[used], scan.normals[used], scan.colours[used], corners.reshape(triangles.shape), scan.unit)

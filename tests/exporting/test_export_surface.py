@@ -1,5 +1,6 @@
 """`scan export` of points and triangles: PLY, E57, OBJ and GLB, loaded again with the libraries of each."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from result_folder import Written, write_result
 from scene import SPHERE_RADIUS_M
 
-from calib.grid_mesh import grid_triangles
+from calib.image_mesh import SeenPoints, image_triangles
 from scanner.cli import main
 from scanner.exporting.mesh import Mesh, build_mesh
 
@@ -126,36 +127,60 @@ def test_the_surface_is_whole(written: Written, mesh: Mesh) -> None:
     assert np.quantile(off, 0.999) < 0.01
 
 
-def flat(normal: tuple[float, float, float], shape: tuple[int, int] = (40, 50)) -> tuple[NDArray[np.float64], ...]:
-    """Points on a plane through (0, 0, 2), seen by a camera of 100 px focal length, and their normals."""
+def flat(normal: tuple[float, float, float], shape: tuple[int, int] = (40, 50)) -> tuple[SeenPoints, NDArray[np.int64]]:
+    """A plane through (0, 0, 2) seen by a camera of 100 px focal length, and the index of each pixel's point."""
     column, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
-    rays = np.stack([(column - 25) / 100, (row - 20) / 100, np.ones(shape)], axis=-1).reshape(-1, 3)
+    pixel = np.stack([column, row], axis=-1).reshape(-1, 2).astype(float)
+    rays = np.column_stack([(pixel - (25, 20)) / 100, np.ones(len(pixel))])
     direction = np.array(normal) / np.linalg.norm(normal)
     points = rays * (2 * direction[2] / (rays @ direction))[:, None]
-    return points, np.tile(direction, (len(points), 1))
+    index = np.arange(len(points)).reshape(shape)
+    return SeenPoints(pixel, points, np.tile(direction, (len(points), 1)), 100), index
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 60, 80, 86])
 def test_a_slanting_plane_is_not_cut(tilt_deg: float) -> None:
     tilt = np.radians(tilt_deg)
-    points, normals = flat((0, np.sin(tilt), -np.cos(tilt)), (12, 50))
-    triangles = grid_triangles(np.arange(len(points)).reshape(12, 50), points, normals, 100)
-    assert len(triangles) == 2 * 11 * 49
+    seen, index = flat((0, np.sin(tilt), -np.cos(tilt)), (12, 50))
+    assert len(image_triangles(seen, index)) == 2 * 11 * 49
 
 
-def test_a_step_is_cut_and_a_missing_pixel_costs_three_triangles_of_four_squares() -> None:
-    points, normals = flat((0, 0, -1))
-    index = np.arange(len(points)).reshape(40, 50)
-    stepped = points.copy()
+def test_a_step_is_cut_and_a_missing_pixel_costs_its_triangles() -> None:
+    seen, index = flat((0, 0, -1))
+    stepped = seen.points.copy()
     stepped[index[:, 25:].ravel()] *= 0.9  # 0.2 nearer, ten times the step of a pixel
-    assert len(grid_triangles(index, stepped, normals, 100)) == 2 * 39 * (24 + 24)
+    assert len(image_triangles(replace(seen, points=stepped), index)) == 2 * 39 * (24 + 24)
     holed = index.copy()
     holed[20, 20] = -1
-    triangles = grid_triangles(holed, points, normals, 100)
+    triangles = image_triangles(seen, holed)
     assert len(triangles) == 2 * 39 * 49 - 4
     assert 20 * 50 + 20 not in triangles
 
 
 def test_strips_leave_no_seam() -> None:
-    points, normals = flat((0, 0, -1), (300, 10))
-    assert len(grid_triangles(np.arange(3000).reshape(300, 10), points, normals, 100)) == 2 * 299 * 9
+    assert len(image_triangles(*flat((0, 0, -1), (300, 10)))) == 2 * 299 * 9
+
+
+def test_scattered_points_make_a_surface_too(tmp_path: Path) -> None:
+    """One point for about nine pixels, as with a projector whose pixels are larger than the camera's."""
+    rng = np.random.default_rng(0)
+    written = write_result(tmp_path / "room", keep=lambda pixels: rng.random(len(pixels)) < 0.11)
+    mesh = build_mesh(written.scan)
+    assert 1.5 < len(mesh.triangles) / len(written.scan) < 2.0
+    corners = mesh.points[mesh.triangles]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert np.mean(np.sum(outward * corners[:, 0], axis=1) < 0) > 0.995
+    on_ball = np.linalg.norm(corners - written.scene.sphere_centre, axis=2) < SPHERE_RADIUS_M + 0.01
+    assert np.count_nonzero(on_ball.all(axis=1)) > 200
+    assert np.count_nonzero(on_ball.any(axis=1) & ~on_ball.all(axis=1)) == 0
+
+
+def test_a_gap_is_not_bridged() -> None:
+    seen, index = flat((0, 0, -1))
+    kept = np.flatnonzero((index.ravel() % 3 == 0) & (np.abs(seen.pixel[:, 0] - 25) > 8))
+    few = SeenPoints(seen.pixel[kept], seen.points[kept], seen.normals[kept], 100)
+    sparse = np.full(index.shape, -1)
+    sparse[tuple(few.pixel.astype(int).T[::-1])] = np.arange(len(kept))
+    left = few.pixel[image_triangles(few, sparse)][..., 0] < 25
+    assert np.count_nonzero(left.all(axis=1)) > 100
+    assert np.array_equal(left.all(axis=1), left.any(axis=1))
