@@ -13,8 +13,8 @@ import numpy as np
 from calib.arrays import Bools, Floats, Ints
 from calib.camera import Intrinsics
 from calib.fit_statistics import SIGMA_PER_MEDIAN
+from calib.pixel_index import NONE, without_gaps
 
-NONE = -1
 # A smaller image has too few points for a shape.
 _SMALLEST_IMAGE_PX = 4.0
 _RING, _SAMPLES_PER_SEED = 0.6, 8
@@ -48,8 +48,8 @@ def find_sphere(cloud: OrganisedPoints, radius: float, free: Bools, rng: np.rand
     Only points that are `free` (N,) take part.
     """
     index = np.where((cloud.index != NONE) & free[cloud.index], cloud.index, NONE)
-    cloud = OrganisedPoints(cloud.points, index, cloud.camera)
-    noise = _depth_noise(cloud)
+    noise = _depth_noise(OrganisedPoints(cloud.points, index, cloud.camera))
+    cloud = OrganisedPoints(cloud.points, without_gaps(index), cloud.camera)
     best, best_share = None, _LEAST_SHARE
     for centres in _candidates(cloud, radius, rng):
         shares = _shares(cloud, centres, radius, noise)

@@ -14,8 +14,8 @@ from scipy.spatial import Delaunay, QhullError
 
 from calib.arrays import Bools, Floats, Ints
 from calib.fit_statistics import SIGMA_PER_MEDIAN
+from calib.pixel_index import NONE
 
-NONE = -1
 # Off the tangent plane by more than this many footprints per pixel between the two, or so many sigmas of the usual.
 _LARGEST_STEP, _LARGEST_STEP_SIGMAS = 6.0, 6.0
 # Among scattered pixels, an edge longer than this many times the median edge spans a place without points.

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from calib.arrays import Floats, Ints
 from calib.calibration import Calibration
 from calib.matches import Matches
+from calib.pixel_index import NONE, index_grid
 from calib.triangulation import intersect
 from scanner.calibration_file import read_calibration
 from scanner.cloud_file import read_cloud
@@ -47,11 +48,9 @@ class FinishedScan:
 
     @property
     def index_grid(self) -> Ints:
-        """Which point each camera pixel has, (H, W), −1 for none."""
+        """Which point each camera pixel has, (H, W), `NONE` for none."""
         camera = self.calibration.camera
-        grid = np.full((camera.height, camera.width), -1, np.int64)
-        grid[self.pixel[:, 1], self.pixel[:, 0]] = np.arange(len(self))
-        return grid
+        return index_grid(self.pixel, (camera.width, camera.height))
 
 
 def read_calibration_of(folder: Path) -> Calibration:
@@ -100,13 +99,13 @@ def _own_matches(points: Floats, pixel: Ints, matches: Matches, calibration: Cal
     size = (calibration.camera.width, calibration.camera.height)
     met = intersect(matches, calibration)
     usable = np.flatnonzero(met.in_front & np.all((pixel >= 0) & (pixel < size), axis=1))
-    at_pixel = np.full(size[::-1], -1, np.int64)
+    at_pixel = np.full(size[::-1], NONE, np.int64)
     at_pixel[pixel[usable, 1], pixel[usable, 0]] = usable
     seen = np.nan_to_num(np.rint(calibration.camera.project(points)), nan=-1.0).clip(-1, size).astype(np.int64)
     inside = np.all((seen >= 0) & (seen < size), axis=1)
-    own = np.where(inside, at_pixel[tuple(np.where(inside[:, None], seen, 0).T[::-1])], -1)
+    own = np.where(inside, at_pixel[tuple(np.where(inside[:, None], seen, 0).T[::-1])], NONE)
     tolerance = _SAME_POINT * np.linalg.norm(points, axis=1)
-    missed = np.flatnonzero((own < 0) | ~(np.linalg.norm(met.points[own] - points, axis=1) <= tolerance))
+    missed = np.flatnonzero((own == NONE) | ~(np.linalg.norm(met.points[own] - points, axis=1) <= tolerance))
     if len(missed):
         left = np.setdiff1d(usable, np.delete(own, missed))
         if not len(left):

@@ -61,8 +61,9 @@ def _colmap(request: Request) -> list[str]:
 
 def _ply(request: Request) -> list[str]:
     scan = read_finished_scan(request.result)
+    cloud = (request.result / CLOUD_FILE).read_bytes()
     with new_file(request.out, overwrite=request.overwrite) as path:
-        path.write_bytes((request.result / CLOUD_FILE).read_bytes())
+        path.write_bytes(cloud)
     return [f"{len(scan):,} points in {unit_name(scan.unit)}"]
 
 

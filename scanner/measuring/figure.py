@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from calib.arrays import Floats
+from calib.pixel_index import NONE, index_grid, without_gaps
 from scanner.measuring.measurements import FitErrors, Measurements
 from scanner.measuring.shown import ShownUnit, shown_unit
 
@@ -50,8 +51,8 @@ def _draw(axes: Axes, errors: Sequence[FitErrors], unit: ShownUnit) -> None:
     residual = unit.factor * np.concatenate([part.residual for part in errors])
     pixel = np.concatenate([part.pixel for part in errors])
     (left, top), (right, bottom) = pixel.min(axis=0), pixel.max(axis=0)
-    grid: Floats = np.full((bottom - top + 1, right - left + 1), np.nan)
-    grid[pixel[:, 1] - top, pixel[:, 0] - left] = residual
+    index = without_gaps(index_grid(pixel - (left, top), (right - left + 1, bottom - top + 1)))
+    grid: Floats = np.where(index == NONE, np.nan, residual[index])
     limit = float(np.quantile(np.abs(residual), _SHOWN_SHARE)) or 1.0
     extent = (left - 0.5, right + 0.5, bottom + 0.5, top - 0.5)
     picture = axes.imshow(grid, cmap=_COLOURS, vmin=-limit, vmax=limit, extent=extent, interpolation="nearest")

@@ -8,6 +8,7 @@ from calib.arrays import Bools, Floats, Ints
 from calib.find_sphere import OrganisedPoints, find_sphere, image_radius_px
 from calib.fit_sphere import Sphere, fit_sphere
 from calib.fit_statistics import blocks, robust_sigma
+from calib.pixel_index import density
 from calib.refusal import NoMeasurementError
 from scanner.finished_scan import FinishedScan
 from scanner.measuring.measurements import DistanceMeasurement, FitErrors, SphereMeasurement
@@ -112,7 +113,7 @@ def _image_radius(scan: FinishedScan, centre: Floats, radius: float) -> float:
 
 def _refuse_few_points(scan: FinishedScan, on: Bools, centre: Floats, radius: float) -> None:
     image_px = _image_radius(scan, centre, radius)
-    whole = np.pi * (image_px * np.sin(np.radians(_FARTHEST_FROM_FACING_DEG))) ** 2
+    whole = density(scan.index_grid) * np.pi * (image_px * np.sin(np.radians(_FARTHEST_FROM_FACING_DEG))) ** 2
     if np.count_nonzero(on) < max(_FEWEST_POINTS, _LEAST_OF_IMAGE * whole):
         raise NoMeasurementError(
             f"A sphere was found, but it has {np.count_nonzero(on)} points only, in an image of {2 * image_px:.0f} "

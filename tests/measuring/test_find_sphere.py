@@ -9,6 +9,7 @@ from scene import CAMERA, SPHERE_RADIUS_M, Scene, room, with_mistakes
 
 from calib.camera import Intrinsics
 from calib.find_sphere import OrganisedPoints, find_sphere
+from calib.pixel_index import NONE, density, index_grid, without_gaps
 from calib.triangulation import intersect
 
 
@@ -61,6 +62,31 @@ def test_a_corner_without_a_ball_has_none(radius: float) -> None:
 @pytest.mark.parametrize("radius", [0.004, 0.05, 0.2, 0.3])
 def test_a_ball_of_another_size_is_not_it(radius: float) -> None:
     assert find(room(), radius) is None
+
+
+@pytest.mark.parametrize("share", [0.5, 0.11, 0.05])
+def test_it_is_found_among_sparse_points(share: float) -> None:
+    scene = room()
+    free = np.random.default_rng(0).random(len(scene.matches)) < share
+    centre = find_sphere(organised(scene), SPHERE_RADIUS_M, free, np.random.default_rng(0))
+    assert centre is not None
+    assert 0 < np.linalg.norm(centre - scene.sphere_centre) < 0.1 * SPHERE_RADIUS_M
+    assert find_sphere(organised(scene), SPHERE_RADIUS_M, free & (scene.surface != 3), np.random.default_rng(0)) is None
+
+
+def test_gaps_are_closed_and_holes_are_not() -> None:
+    pixel = np.stack(np.meshgrid(np.arange(0, 90, 3), np.arange(0, 60, 3)), axis=-1).reshape(-1, 2)
+    pixel = pixel[np.abs(pixel - (45, 30)).max(axis=1) > 12]
+    sparse = index_grid(pixel, (90, 60))
+    assert density(sparse) == pytest.approx(1 / 9, rel=0.15)
+    filled = without_gaps(sparse)
+    assert filled[30, 45] == NONE
+    assert np.count_nonzero(filled == NONE) < 25**2
+    row, column = np.nonzero(filled != NONE)
+    assert np.abs(pixel[filled[row, column]] - np.stack([column, row], axis=1)).max() <= 5
+    assert np.array_equal(filled[sparse != NONE], sparse[sparse != NONE])
+    whole = index_grid(np.stack(np.meshgrid(np.arange(40), np.arange(30)), -1).reshape(-1, 2), (40, 30))
+    assert np.array_equal(without_gaps(whole), whole)
 
 
 def test_no_points_no_ball() -> None:

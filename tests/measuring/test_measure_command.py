@@ -131,6 +131,16 @@ def test_other_units(tmp_path: Path, unit: str, text: str) -> None:
     assert 0 < abs(document["spheres"][0]["diameter"] - 0.3) < 1e-3
 
 
+def test_a_sparse_cloud(tmp_path: Path) -> None:
+    """One point for about nine pixels, as with a projector whose pixels are larger than the camera's."""
+    rng = np.random.default_rng(0)
+    written = write_result(tmp_path / "room", keep=lambda pixels: rng.random(len(pixels)) < 0.11)
+    assert run("measure", written.folder, "--sphere", "300mm", "--quiet") == 0
+    (sphere,) = json.loads((tmp_path / "room-measured/measure.json").read_text())["spheres"]
+    assert 0 < abs(sphere["diameter"] - 0.3) < 4 * sphere["diameter_sigma"] < 5e-3
+    assert 100 < sphere["points"] < 1000
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
