@@ -87,7 +87,7 @@ def _measure(scan: FinishedScan, centre: Floats, radius: float) -> SphereMeasure
         FitErrors(sphere.residual[~stray], pixel),
         FitErrors(nominal.residual[~stray], pixel),
         int(np.count_nonzero(stray)),
-        (float(x), float(y), _image_radius(scan, sphere.centre, radius)),
+        (float(x), float(y), _image_radius(scan, sphere.centre, sphere.radius)),
     )
 
 
