@@ -28,7 +28,7 @@ from calib.polynomial import CONIC, TERMS, monomials
 # The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).
 MEDIAN_LENGTH = 1.1774
 
-_CELLS_PER_PLANE = 400
+_CELLS_PER_PLANE = 200
 _SAMPLE = 20_000
 _SMALL_SAMPLE = 1_000
 _CHUNK = 1 << 15

@@ -25,6 +25,7 @@ from calib.valley import Valley, covariance_of, walk
 _SAME_SOLUTION = 0.01  # of log f: minima that converge this close are one
 _NOISE_ROUNDS = 3
 _ANY_ANGLE_DEG = 10.0
+_ROUGH = 0.3  # tolerance in cost where only residuals or costs are looked at
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,8 @@ class Refinement:
 
     `captures`: the cells, labelled alike where they show one corner, with the `noise` of each. `prior`: of the final
     fit, lens terms that are left out being known to be zero. `covariance` (size, size) in the model's columns, zero for
-    fixed ones. `others`: further minima, best first. `valley`: the cost along the camera's focal length. `tension`: what
-    the assumption on the corner's angles costs. `sameness`: whether the captures show one corner.
+    fixed ones. `others`: further minima, best first. `valley`: the cost along the camera's focal length. `tension`:
+    what the assumption on the corner's angles costs. `sameness`: whether the captures show one corner.
     """
 
     captures: tuple[Cells, ...]
@@ -79,7 +80,7 @@ def refine(
     if not fits:
         return None
     best, *others = fits
-    tension = best.cost - minimise(captures, best.state, unassuming, variances).cost
+    tension = best.cost - minimise(captures, best.state, unassuming, variances, tolerance=_ROUGH).cost
 
     lens_order = choose_lens_order(best, covariance_of(best.information, prior.free), prior)
     for column in lens_order.zero:
@@ -106,7 +107,7 @@ def _explore(captures: Sequence[Cells], starts: list[Fit], knowledge: Knowledge)
     variances = _levels(starts[0])
     best = minimise(captures, starts[0].state, prior, variances)
     ceiling = HOPELESS * best.cost
-    fits = _distinct([best, *(minimise(captures, fit.state, prior, variances, ceiling) for fit in starts[1:])])
+    fits = _distinct([best, *(minimise(captures, fit.state, prior, variances, ceiling=ceiling) for fit in starts[1:])])
     return [fit for fit in fits if fit.cost <= HOPELESS * fits[0].cost]
 
 
@@ -119,7 +120,7 @@ def _measured(captures: Sequence[Cells], fit: Fit, prior: Prior) -> tuple[Noise,
     variances = [np.full(len(cells), level) for cells, level in zip(captures, levels, strict=True)]
     noise: tuple[Noise, ...] = ()
     for _ in range(_NOISE_ROUNDS):
-        fit = minimise(captures, fit.state, prior, variances)
+        fit = minimise(captures, fit.state, prior, variances, tolerance=_ROUGH)
         absorbed = np.count_nonzero(prior.free) / len(captures)
         noise = tuple(noise_of(*pair, absorbed) for pair in zip(captures, fit.residuals, strict=True))
         variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]

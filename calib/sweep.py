@@ -18,7 +18,7 @@ from calib.paper import Objective, objective_for
 from calib.straightness import Straightened, straighten
 from calib.transfer import Transfer
 
-SWEEP_CELLS = 300
+SWEEP_CELLS = 200
 HOPELESS = 4.0  # minima with this many times the lowest cost are not followed
 _SIGMA_PX = 0.05  # what a decoder typically leaves unexplained; the measured value takes its place afterwards
 _TOLERANCE, _STEPS = 1.0, 10
@@ -72,9 +72,11 @@ def sweep_one(cells: Cells, family: Family, focal_px: Floats, knowledge: Knowled
     """
     fits: list[Fit | None] = []
     last: State | None = None
+    hopeless = np.inf
     for focal, starts in zip(focal_px, family.starts(focal_px), strict=True):
-        fit = _best([cells], starts, last, float(focal), knowledge)
-        last = fit.state if fit else last
+        fit = _best([cells], starts, last, float(focal), knowledge, hopeless)
+        if fit:
+            last, hopeless = fit.state, min(hopeless, HOPELESS * (fit.cost + len(cells)))
         fits.append(fit)
     return fits
 
@@ -121,17 +123,29 @@ def at_focal(state: State, focal: float) -> State:
 
 
 def _best(
-    captures: Sequence[Cells], starts: list[State], last: State | None, focal: float, knowledge: Knowledge
+    captures: Sequence[Cells],
+    starts: list[State],
+    last: State | None,
+    focal: float,
+    knowledge: Knowledge,
+    hopeless: float = np.inf,
 ) -> Fit | None:
-    """The best of the fits, with the focal held, from the starts and from the fit at another trial."""
+    """The best of the fits, with the focal held, from the starts and from the fit at another trial.
+
+    Rough where the cost is above `hopeless`.
+    """
     tried = starts + ([at_focal(last, focal)] if last else [])
     if not tried:
         return None
     prior = knowledge.prior(tried[0]).with_known(CAMERA.start)
     variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
-    relaxed = [relax(captures, state, prior, variances, _TOLERANCE, _STEPS) for state in tried]
-    best = min(relaxed, key=_cost)
-    return best if np.isfinite(best.cost) else None
+    best: Fit | None = None
+    for state in reversed(tried):  # the fit at another trial is mostly the one to beat
+        ceiling = min(best.cost, hopeless) if best else hopeless
+        fit = relax(captures, state, prior, variances, tolerance=_TOLERANCE, steps=_STEPS, ceiling=ceiling)
+        if fit.cost < (best.cost if best else np.inf):
+            best = fit
+    return best
 
 
 def _most_promising(captures: Sequence[Cells], starts: list[State], knowledge: Knowledge) -> list[State]:

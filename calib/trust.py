@@ -74,10 +74,10 @@ def _refuse_misfit(refinement: Refinement) -> None:
         if noise.smooth_px > limit_px:
             which = f" of capture {i + 1}" if len(refinement.noise) > 1 else ""
             raise RefusalError(
-                f"No corner explains the matches{which}: {noise.smooth_px:.2g} projector px of smooth misfit remain over "
-                f"the faces, where lenses and decoding leave less than {limit_px:.2g}.",
-                "What was taken for faces may be bent or wrong; or the lenses bend more than two radial terms allow for. "
-                + MOVE,
+                f"No corner explains the matches{which}: {noise.smooth_px:.2g} projector px of smooth misfit remain "
+                f"over the faces, where lenses and decoding leave less than {limit_px:.2g}.",
+                "What was taken for faces may be bent or wrong, or the lenses bend more than two radial terms allow "
+                "for. " + MOVE,
             )
 
 
