@@ -7,7 +7,7 @@ the mean from being biased by that.
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -73,6 +73,18 @@ class Cells:
             self.noise_px,
             self.rejected,
         )
+
+
+def joined(a: Cells, b: Cells) -> Cells:
+    """The cells of both; noise and rejected share are those of the first."""
+    return replace(
+        a,
+        camera_px=np.concatenate([a.camera_px, b.camera_px]),
+        projector_px=np.concatenate([a.projector_px, b.projector_px]),
+        plane=np.concatenate([a.plane, b.plane]),
+        sigma_px=np.concatenate([a.sigma_px, b.sigma_px]),
+        coarseness=np.concatenate([a.coarseness, b.coarseness]),
+    )
 
 
 @dataclass(frozen=True)

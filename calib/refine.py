@@ -5,7 +5,7 @@ of that profile is then refined with the focal free, and all of them are compare
 many terms the lenses have, is measured on the way.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from calib.arrays import Floats
 from calib.cells import Cells
 from calib.corner import Corner
 from calib.descent import minimise
+from calib.further_planes import strained, without
 from calib.lens_order import LensOrder, choose_lens_order
 from calib.likelihood import Fit, Knowledge, Prior
 from calib.model import State
@@ -21,6 +22,9 @@ from calib.noise import Noise, noise_of
 from calib.same_corner import Sameness, tie
 from calib.sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one
 from calib.valley import Valley, covariance_of, walk
+
+# Cells of all captures and a state → the same with further planes.
+Further = Callable[[Sequence[Cells], State], tuple[list[Cells], State]]
 
 _SAME_SOLUTION = 0.01  # of log f: minima that converge this close are one
 _NOISE_ROUNDS = 3
@@ -55,11 +59,18 @@ class Refinement:
 
 
 def refine(
-    captures: Sequence[Cells], families: Sequence[Family], focal_px: Floats, knowledge: Knowledge, *, same: bool
+    captures: Sequence[Cells],
+    families: Sequence[Family],
+    focal_px: Floats,
+    knowledge: Knowledge,
+    *,
+    same: bool,
+    further: Further | None = None,
 ) -> Refinement | None:
     """Sweep the trial focals (n,), refine every minimum, compare. None where no trial gives real corners.
 
-    `same`: several captures are taken to show one corner, unless their residuals tell otherwise.
+    `same`: several captures are taken to show one corner, unless their residuals tell otherwise. `further`: adds planes
+    beside the corners to captures and state.
     """
     thinned = [cells[:: max(1, len(cells) // SWEEP_CELLS)] for cells in captures]
     alone = [sweep_one(*pair, focal_px, knowledge) for pair in zip(thinned, families, strict=True)]
@@ -82,6 +93,10 @@ def refine(
     best, *others = fits
     tension = best.cost - minimise(captures, best.state, unassuming, variances, tolerance=_ROUGH).cost
 
+    if further is not None and not others:
+        captures, best, prior = _with_planes(captures, best, knowledge, noise, further)
+        variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
+
     lens_order = choose_lens_order(best, covariance_of(best.information, prior.free), prior)
     for column in lens_order.zero:
         prior = prior.with_known(column)
@@ -99,6 +114,21 @@ def refine(
         tension,
         sameness,
     )
+
+
+def _with_planes(
+    captures: Sequence[Cells], best: Fit, knowledge: Knowledge, noise: Sequence[Noise], further: Further
+) -> tuple[Sequence[Cells], Fit, Prior]:
+    """Captures, fit and prior with those further planes that turn out as square as they should be."""
+    cells, state = further(captures, best.state)
+    while True:
+        prior = knowledge.prior(state)
+        variances = [level.variances(each) for each, level in zip(cells, noise, strict=True)]
+        fit = minimise(cells, state, prior, variances)
+        refuted = strained(fit.state)
+        if not refuted:
+            return cells, fit, prior
+        cells, state = without(cells, fit.state, refuted)
 
 
 def _explore(captures: Sequence[Cells], starts: list[Fit], knowledge: Knowledge) -> list[Fit]:

@@ -3,15 +3,23 @@
 import numpy as np
 
 from calib.likelihood import Knowledge
+from calib.model import CAMERA
+from calib.next_view import best_next_view
 from calib.refine import Refinement
 from calib.trust import signed
 
+_WORTH_A_CAPTURE = 0.7
 _TERMS = ("no radial term", "one radial term", "two radial terms")
 
 
 def notes_on(refinement: Refinement, knowledge: Knowledge) -> tuple[str, ...]:
     """Assumptions, what the data said about them, and what stays unexplained."""
-    return (*_on_squareness(refinement, knowledge), *_on_lenses(refinement), *_on_noise(refinement))
+    return (
+        *_on_squareness(refinement, knowledge),
+        *_on_next_view(refinement, knowledge),
+        *_on_lenses(refinement),
+        *_on_noise(refinement),
+    )
 
 
 def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
@@ -33,6 +41,18 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
             f"−2 log likelihood, where {sameness.limit:.0f} is the most that chance explains. Each was given its own."
         )
     return notes
+
+
+def _on_next_view(refinement: Refinement, knowledge: Knowledge) -> list[str]:
+    """What a further capture would gain, where there is something to gain."""
+    sigma = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]))
+    view = best_next_view(refinement, knowledge)
+    if view is None or view.sigma > _WORTH_A_CAPTURE * sigma:
+        return []
+    return [
+        f"A further capture of this corner, the rig moved {view.words}, would lower the sigma of the camera's focal "
+        f"length from {100 * sigma:.2g} % to about {100 * view.sigma:.2g} %."
+    ]
 
 
 def _on_lenses(refinement: Refinement) -> list[str]:

@@ -58,7 +58,7 @@ def tie(
             f"{len(captures)} captures of one corner were given; at most {_MOST_CAPTURES} can be put in order.",
             "Calibrate from fewer of them, or say corner.same: false.",
         )
-    fits = [_oriented(thinned, fit) for fit in fits]
+    fits = [oriented(thinned, fit) for fit in fits]
     variances = [np.full(len(r), max(float(np.mean(r**2)), 1e-12)) for r in fits[0].residuals]
     trials: list[tuple[Fit, tuple[int, ...]]] = []
     for fit in fits:
@@ -96,7 +96,7 @@ def reflected(cells: Cells) -> Cells:
     return replace(cells, plane=np.where((cells.plane == 1) | (cells.plane == 2), 3 - cells.plane, cells.plane))
 
 
-def _oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
+def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
     """The same fit, every leg pointing along its faces: only then do angles mean the same in all captures."""
     state = fit.state
     flips = np.ones(state.size)

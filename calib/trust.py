@@ -10,6 +10,7 @@ from calib.cells import Cells
 from calib.degeneracy import one_plane, reasons_in_images, reasons_in_space
 from calib.likelihood import Fit, Knowledge
 from calib.model import CAMERA, PROJECTOR
+from calib.next_view import best_next_view
 from calib.refine import Refinement
 from calib.refusal import RefusalError
 from calib.sweep import Family
@@ -54,7 +55,8 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
             raise RefusalError(
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
                 + _because(_reasons(refinement)),
-                MOVE + " A principal point that is known, or a corner that is known to be square, also helps.",
+                _where_to_go(refinement, knowledge)
+                + " A principal point that is known, or a corner that is known to be square, also helps.",
             )
     _refuse_ambiguous(fit, refinement.others, relative["camera"])
     field = float(fit.state.projector[0]) / knowledge.projector_size[0]
@@ -66,6 +68,16 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
         )
     _refuse_misfit(refinement)
     _refuse_skew(refinement, knowledge)
+
+
+def _where_to_go(refinement: Refinement, knowledge: Knowledge) -> str:
+    view = best_next_view(refinement, knowledge)
+    if view is None or view.sigma > _USEFUL_SIGMA:
+        return MOVE
+    return (
+        f"Capture this corner again with the rig moved {view.words}, and calibrate from both captures: the camera's "
+        f"focal length will then have a sigma of about {100 * view.sigma:.2g} %."
+    )
 
 
 def _refuse_misfit(refinement: Refinement) -> None:
