@@ -1,10 +1,12 @@
-"""What is found out about a capture, and the files that tell it."""
+"""What is found out about captures, and the files that tell it."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from calib.arrays import Image
 from calib.calibration import Calibration
 from calib.matches import Matches
 from calib.refusal import RefusalError
@@ -13,9 +15,10 @@ from scanner.calibration_file import write_calibration
 from scanner.cloud import Cloud
 from scanner.decode import Decoding
 from scanner.matches_file import MATCHES_FILE, write_matches
-from scanner.ply import write_ply
+from scanner.merged_cloud import MergedCloud
+from scanner.ply import write_merged_ply, write_ply
 from scanner.report import CaptureFacts, ReportInput, write_report
-from scanner.result import CALIBRATION_FILE, CLOUD_FILE, REPORT_FILE
+from scanner.result import CALIBRATION_FILE, CAPTURE_FOLDER, CLOUD_FILE, MERGED_FILE, REPORT_FILE, folder_of
 
 log = logging.getLogger(__name__)
 
@@ -24,9 +27,10 @@ _NOT_ABOUT_DEVICES = {"format", "projector", "camera", "frames", "devices"}
 
 @dataclass
 class Findings:
-    """Filled in step by step; what a refusal prevented stays None.
+    """Of one capture. Filled in step by step; what a refusal prevented stays None.
 
-    `calibration` is the one in use, with its scale; `truth` is known of simulated rigs, and only for showing it.
+    `calibration` is the one in use, with its scale; `truth` is known of simulated rigs, and only for showing it. `name`
+    says in messages which of several captures it is; `photograph` is the lit scene where nothing was decoded.
     """
 
     facts: CaptureFacts
@@ -36,6 +40,13 @@ class Findings:
     calibration: Calibration | None = None
     cloud: Cloud | None = None
     truth: Calibration | None = None
+    name: str = ""
+    photograph: Image | None = None
+
+    @property
+    def texture(self) -> Image | None:
+        """The camera's image of the lit scene."""
+        return self.decoding.texture if self.decoding else self.photograph
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -43,10 +54,63 @@ class Findings:
         return (*(self.decoding.warnings if self.decoding else ()), *(self.solution.notes if self.solution else ()))
 
 
-def save(found: Findings, folder: Path, refusal: RefusalError | None = None) -> None:
-    """Write everything into a folder; after a refusal neither calibration nor cloud. Raises OSError."""
-    for remark in found.remarks:
+@dataclass
+class Scan:
+    """Captures of one unchanged rig, oldest first; mostly it is only one."""
+
+    captures: Sequence[Findings]
+    merged: MergedCloud | None = None
+    remarks_on_merging: tuple[str, ...] = ()
+
+    @property
+    def newest(self) -> Findings:
+        """The capture that the result is about; the others help to calibrate it."""
+        return self.captures[-1]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a person should know about it, in sentences."""
+        return (*self.newest.remarks, *self.remarks_on_merging)
+
+    @contextmanager
+    def naming(self, found: Findings) -> Iterator[None]:
+        """A RefusalError in the block says which of several captures it is about."""
+        try:
+            yield
+        except RefusalError as refusal:
+            if len(self.captures) == 1:
+                raise
+            raise RefusalError(f"{found.name}: {refusal.reason}", refusal.advice) from refusal
+
+
+def set_aside(captures: Sequence[Findings], folder: Path) -> None:
+    """Make room for the next capture: the last one's recording goes to its place among several, with its matches.
+
+    Should the next one fail, what is needed to calibrate from those before it is on disk.
+    """
+    place = folder_of(folder, len(captures) - 1, len(captures) + 1)
+    place.mkdir(parents=True)
+    (folder / CAPTURE_FOLDER).rename(place / CAPTURE_FOLDER)
+    write_matches(place / MATCHES_FILE, captures[-1].matches)
+
+
+def save(scan: Scan, folder: Path, refusal: RefusalError | None = None) -> None:
+    """Write every capture's files into its folder of a result; after a refusal no calibration and no cloud.
+
+    Raises OSError.
+    """
+    for remark in scan.remarks:
         log.info(remark)
+    captures = scan.captures
+    for index, found in enumerate(captures):
+        place = folder_of(folder, index, len(captures))
+        place.mkdir(parents=True, exist_ok=True)
+        _save_one(found, place, refusal)
+    if scan.merged is not None and refusal is None:
+        write_merged_ply(folder / MERGED_FILE, scan.merged)
+
+
+def _save_one(found: Findings, folder: Path, refusal: RefusalError | None) -> None:
     write_matches(folder / MATCHES_FILE, found.matches)
     if refusal is None and found.calibration and found.cloud:
         write_calibration(folder / CALIBRATION_FILE, found.calibration)
