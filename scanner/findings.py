@@ -17,11 +17,15 @@ from scanner.decode import Decoding
 from scanner.matches_file import MATCHES_FILE, write_matches
 from scanner.merged_cloud import MergedCloud
 from scanner.ply import write_merged_ply, write_ply
-from scanner.report import CaptureFacts, ReportInput, write_report
+from scanner.report import CaptureFacts, CaptureRow, ReportInput, write_report
 from scanner.result import CALIBRATION_FILE, CAPTURE_FOLDER, CLOUD_FILE, MERGED_FILE, REPORT_FILE, folder_of
 
 log = logging.getLogger(__name__)
 
+_ONE_OF_SEVERAL = (
+    "This capture was calibrated together with others; what concerns all of them is in the report of the whole result, "
+    "two folders up."
+)
 _NOT_ABOUT_DEVICES = {"format", "projector", "camera", "frames", "devices"}
 
 
@@ -101,24 +105,22 @@ def save(scan: Scan, folder: Path, refusal: RefusalError | None = None) -> None:
     """
     for remark in scan.remarks:
         log.info(remark)
-    captures = scan.captures
-    for index, found in enumerate(captures):
-        place = folder_of(folder, index, len(captures))
+    for index, found in enumerate(scan.captures):
+        place = folder_of(folder, index, len(scan.captures))
         place.mkdir(parents=True, exist_ok=True)
-        _save_one(found, place, refusal)
+        write_matches(place / MATCHES_FILE, found.matches)
+        if refusal is None and found.calibration and found.cloud:
+            write_calibration(place / CALIBRATION_FILE, found.calibration)
+            write_ply(place / CLOUD_FILE, found.cloud)
     if scan.merged is not None and refusal is None:
         write_merged_ply(folder / MERGED_FILE, scan.merged)
+    for index, found in enumerate(scan.captures):
+        place = folder_of(folder, index, len(scan.captures))
+        write_report(place / REPORT_FILE, _report_input(scan, found, place, refusal))
 
 
-def _save_one(found: Findings, folder: Path, refusal: RefusalError | None) -> None:
-    write_matches(folder / MATCHES_FILE, found.matches)
-    if refusal is None and found.calibration and found.cloud:
-        write_calibration(folder / CALIBRATION_FILE, found.calibration)
-        write_ply(folder / CLOUD_FILE, found.cloud)
-    write_report(folder / REPORT_FILE, _report_input(found, folder, refusal))
-
-
-def _report_input(found: Findings, folder: Path, refusal: RefusalError | None) -> ReportInput:
+def _report_input(scan: Scan, found: Findings, folder: Path, refusal: RefusalError | None) -> ReportInput:
+    newest = found is scan.newest
     return ReportInput(
         capture=found.facts,
         matches=found.matches,
@@ -127,9 +129,29 @@ def _report_input(found: Findings, folder: Path, refusal: RefusalError | None) -
         calibration=None if refusal else found.calibration,
         cloud=None if refusal else found.cloud,
         refusal=refusal,
-        truth=found.truth,
+        truth=scan.newest.truth,
         warnings=found.decoding.warnings if found.decoding else (),
         files=tuple(sorted(path.name for path in folder.iterdir())),
+        photograph=found.photograph,
+        together=len(scan.captures),
+        captures=_rows(scan) if newest and len(scan.captures) > 1 else (),
+        merged=scan.merged if newest and not refusal else None,
+        remarks=scan.remarks_on_merging if newest else (_ONE_OF_SEVERAL,),
+    )
+
+
+def _rows(scan: Scan) -> tuple[CaptureRow, ...]:
+    count, result = len(scan.captures), Path()
+    return tuple(
+        CaptureRow(
+            found.name,
+            "" if found is scan.newest else (folder_of(result, index, count) / REPORT_FILE).as_posix(),
+            len(found.matches),
+            found.solution.residual_px if found.solution else None,
+            found.cloud.statistics.decoder_px if found.cloud else None,
+            found.cloud.statistics.kept if found.cloud else None,
+        )
+        for index, found in enumerate(scan.captures)
     )
 
 
