@@ -1,5 +1,6 @@
 """From capture to capture: the rig is moved, by itself or by the operator."""
 
+from hw.errors import DeviceError
 from hw.moving import at_place, moves_by_itself
 from hw.settings import RigSettings
 from scanner.errors import InputError
@@ -7,13 +8,16 @@ from scanner.terminal import Terminal
 
 
 def check_places(settings: RigSettings, number: int, terminal: Terminal) -> None:
-    """Raise InputError if nobody could be asked to move the rig, DeviceError if it cannot go to so many places."""
+    """Raise InputError if the rig cannot go to so many places, or nobody could be asked to move it."""
     if number > 1 and not moves_by_itself(settings) and not terminal.can_ask:
         raise InputError(
             f"--captures {number} asks you to move the rig between captures, but the input is no terminal: run it in "
             "one, or scan several times and put the results together with scan calibrate"
         )
-    at_place(settings, number - 1)
+    try:
+        at_place(settings, number - 1)
+    except DeviceError as error:
+        raise InputError(f"--captures {number}: {error}") from error
 
 
 def next_place(settings: RigSettings, step: int, number: int, terminal: Terminal) -> RigSettings | None:

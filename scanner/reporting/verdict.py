@@ -22,8 +22,8 @@ _THREE_CAPTURES = (
     "calibrate them together."
 )
 _ONE_MORE = (
-    "A further capture of the same corner by the unchanged rig makes it surer: from a place where the faces show at other "
-    "slants than before."
+    "A further capture of the same corner by the unchanged rig makes it surer, from a place where the faces show at "
+    "other slants than before."
 )
 _NO_SIGMA = (
     "How sure the numbers are is not known. For captures of real rooms the paper, whose method this is, reports errors "

@@ -70,7 +70,7 @@ def test_another_room_is_noticed() -> None:
 
 def test_a_frame_and_back() -> None:
     view = renumbered(seen(0, 1, furniture=True), 1)
-    points = np.random.default_rng(0).normal(size=(20, 3)) + [0, 0, 3]
+    points = np.random.default_rng(0).normal((0, 0, 3), 1, (20, 3))
     for turn in range(3):
         there = view.in_corner(points, turn)
         np.testing.assert_allclose(view.in_camera(there, turn), points, atol=1e-12)
