@@ -46,13 +46,14 @@ def _view(found: Findings) -> View:
     corner = found.solution.corner  # in baselines
     return View(
         found.cloud.points,
-        None if found.texture is None else _brightness(found.texture),
+        None if found.texture is None else brightness(found.texture),
         found.calibration.camera,
         Corner(corner.vertex * found.calibration.baseline, corner.legs),
     )
 
 
-def _brightness(texture: Image) -> NDArray[np.float32]:
+def brightness(texture: Image) -> NDArray[np.float32]:
+    """Grey levels (H, W) of a picture, grey or in colour."""
     grey = cv2.cvtColor(texture, cv2.COLOR_BGR2GRAY) if texture.ndim == 3 else texture
     return grey.astype(np.float32)
 

@@ -210,7 +210,7 @@ def sigma_map(percent: NDArray[np.float32]) -> tuple[Pixels, ColourScale]:
     """Relative standard deviations (h, w) on a coarse grid in colour, enlarged, low to high."""
     low, high = (float(value) for value in np.nanpercentile(percent, (1, 99)))
     factor = max(1, _LONGEST_SIDE // max(percent.shape))
-    painted = _painted(percent, low, high, _SIGMAS, 256)
+    painted = _painted(_cropped(percent), low, high, _SIGMAS, 256)
     enlarged: Pixels = painted.repeat(factor, axis=0).repeat(factor, axis=1)
     return enlarged, ColourScale(_scale_colours(_SIGMAS), f"{low:.2g} %", f"{high:.2g} %", "standard deviation")
 
