@@ -96,7 +96,12 @@ class Order:
     @property
     def decided(self) -> bool:
         """Whether the views themselves determine the order."""
-        return self.nats >= _DECIDED_NATS and self.refuted <= _MOST_REFUTED
+        return self.nats >= _DECIDED_NATS and not self.contradictory
+
+    @property
+    def contradictory(self) -> bool:
+        """Whether even in this order the views do not show one unchanged scene."""
+        return self.refuted > _MOST_REFUTED
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def brightness(texture: Image) -> NDArray[np.float32]:
 
 
 def _why_not(order: Order) -> str:
-    if order.nats >= 0 and order.refuted > 0.5:
+    if order.contradictory:
         reason = "what stands before the faces in one capture is not there in the others"
     else:
         reason = "a square corner looks the same from three sides, and nothing that was seen tells them apart"
