@@ -6,10 +6,11 @@ looked through the air there is nothing that another could have seen; what is pa
 and a rig is seldom moved and turned on its side at once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ _UPRIGHT_SIGMA = np.radians(45.0)
 # One order has to be 1000 times as likely as the next.
 _DECIDED_NATS = float(np.log(1000.0))
 _MOST_REFUTED = 0.5
+_MOST_BEGUN = 3**6
 
 
 @dataclass(frozen=True)
@@ -129,15 +131,27 @@ def find_order(views: Sequence[View]) -> Order:
                 + _cost_of_tilt(views[i], views[j], turn)
             )
 
-    def cost(turns: tuple[int, ...]) -> float:
-        return sum(costs[i, j, (turns[j] - turns[i]) % 3] for i, j in combinations(range(len(views)), 2))
-
-    best, *others = sorted(((0, *rest) for rest in product(_TURNS, repeat=len(views) - 1)), key=cost)
+    (best, least), (_, next_least), *_ = _cheapest(costs, len(views))
     chosen = [each for i, j in combinations(range(len(views)), 2) for each in seen[i, j, (best[j] - best[i]) % 3]]
-    refuted, confirmed = (
-        sum(getattr(each, name) for each in chosen) for name in ("refuted_off_walls", "confirmed_off_walls")
-    )
-    return Order(_upright(views, best), cost(others[0]) - cost(best), refuted / max(1, refuted + confirmed))
+    refuted = sum(each.refuted_off_walls for each in chosen)
+    confirmed = sum(each.confirmed_off_walls for each in chosen)
+    return Order(_upright(views, best), next_least - least, refuted / max(1, refuted + confirmed))
+
+
+def _cheapest(costs: Mapping[tuple[int, int, int], float], count: int) -> list[tuple[tuple[int, ...], float]]:
+    """Turns of `count` views, the first being 0, with the sums of their pairs' costs, cheapest first.
+
+    View by view, of which only the most promising are continued: all of them for up to seven views.
+    """
+    begun: list[tuple[tuple[int, ...], float]] = [((0,), 0.0)]
+    for j in range(1, count):
+        longer = [
+            ((*turns, turn), cost + sum(costs[i, j, (turn - turns[i]) % 3] for i in range(j)))
+            for turns, cost in begun
+            for turn in _TURNS
+        ]
+        begun = sorted(longer, key=itemgetter(1))[:_MOST_BEGUN]
+    return begun
 
 
 def _upright(views: Sequence[View], turns: tuple[int, ...]) -> tuple[int, ...]:

@@ -68,6 +68,16 @@ def test_another_room_is_noticed() -> None:
     assert order.refuted > 0.5
 
 
+def test_many_views_take_no_longer_than_few() -> None:
+    originals = [seen(0, pose, furniture=True) for pose in (0, 1)] * 8
+    turns = [int(turn) for turn in np.random.default_rng(1).integers(0, 3, len(originals))]
+    views = [renumbered(*each) for each in zip(originals, turns, strict=True)]
+    order = find_order(views)
+    assert order.decided
+    axes = [world_axes(*each) for each in zip(views, order.turns, originals, strict=True)]
+    assert axes == [axes[0]] * len(views)
+
+
 def test_a_frame_and_back() -> None:
     view = renumbered(seen(0, 1, furniture=True), 1)
     points = np.random.default_rng(0).normal((0, 0, 3), 1, (20, 3))
