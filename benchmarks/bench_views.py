@@ -17,8 +17,8 @@ import numpy as np
 
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
-from calib.likelihood import Knowledge, evaluate
 from calib.cells import Cells
+from calib.likelihood import Knowledge, evaluate
 from calib.matches import Matches
 from calib.model import CAMERA, PROJECTOR, Pose, State
 from calib.refine import covariance_of
@@ -168,8 +168,8 @@ def _device(intrinsics: Intrinsics) -> np.ndarray:
 
 
 def _as_cells(matches: Matches) -> Cells:
-    zero, one = np.zeros(len(matches), np.int32), np.ones(len(matches))
-    return Cells(matches.camera_px, matches.projector_px, matches.face, zero, zero, one, one, 1.0, 0.0)
+    one = np.ones(len(matches))
+    return Cells(matches.camera_px, matches.projector_px, matches.face, one, one, 1.0, 0.0)
 
 
 def deviations(found: Calibration, truth: Calibration) -> np.ndarray:
@@ -225,7 +225,7 @@ def main() -> None:
     total.deviations = [d for t in tallies.values() for d in t.deviations]
     _show("all", total)
     print(
-        f"wrong by more than {WRONG_SIGMAS:g} sigma: {100 * total.wrong / max(total.accepted, 1):.2f} % of the accepted; "
+        f"wrong by more than {WRONG_SIGMAS:g} sigma: {100 * total.wrong / max(total.accepted, 1):.2f} % of accepted; "
         f"refused although sigma < 1 %: {100 * total.needlessly / options.views:.2f} % of all; "
         f"{(time.perf_counter() - start) / options.views:.2f} s per view"
     )
@@ -258,7 +258,8 @@ def _count(view: View, tally: Tally, number: int | None) -> None:
         tally.wrong += 1
         if number is not None:
             print(
-                f"{number}: {view.kind}, {len(view.capture.matches)} matches, noise {view.noise_px:.2f} px: errors {deviation.round(1)} σ, f {truth.camera.focal_px[0]:.0f} found {found.camera.focal_px[0]:.0f} ± {found.sigma['camera_focal_px']:.0f}",
+                f"{number}: {view.kind}, {len(view.capture.matches)} matches, noise {view.noise_px:.2f} px: errors "
+                f"{deviation.round(1)} σ, f {truth.camera.focal_px[0]:.0f} found {found.camera.focal_px[0]:.0f} px",
                 flush=True,
             )
 

@@ -7,7 +7,7 @@ the mean from being biased by that.
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -23,17 +23,15 @@ from calib.homography import (
     normalisation,
 )
 from calib.matches import Matches
+from calib.polynomial import CONIC, TERMS, monomials
 
 # The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).
 MEDIAN_LENGTH = 1.1774
 
-_CELLS_PER_PLANE = 400
+_CELLS_PER_PLANE = 200
 _SAMPLE = 20_000
 _SMALL_SAMPLE = 1_000
 _CHUNK = 1 << 15
-_DEGREE = 4
-_TERMS = (_DEGREE + 1) * (_DEGREE + 2) // 2
-_CONIC = 6
 _SPARSE = 0.2
 _OUTLIER_SIGMAS = 4.0
 _CUTS = 4
@@ -43,17 +41,15 @@ _CUTS = 4
 class Cells:
     """Means of matches over cells of the camera image.
 
-    `camera_px`, `projector_px`: (M, 2). `plane`, `column`, `row`: (M,) the label of the matches, and the place in that
-    plane's raster of cells. `sigma_px`: (M,) standard error of each coordinate of `projector_px` if matches err
-    independently; `coarseness`: (M,) the stated sigma of the cell's matches over that of a typical match, 1 if none is
-    stated. `noise_px`: scatter of a typical match. `rejected`: share of matches that were left out as outliers.
+    `camera_px`, `projector_px`: (M, 2). `plane`: (M,) the label of the matches. `sigma_px`: (M,) standard error of each
+    coordinate of `projector_px` if matches err independently; `coarseness`: (M,) the stated sigma of the cell's matches
+    over that of a typical match, 1 if none is stated. `noise_px`: scatter of a typical match. `rejected`: share of
+    matches that were left out as outliers.
     """
 
     camera_px: Floats
     projector_px: Floats
     plane: Ints
-    column: Ints
-    row: Ints
     sigma_px: Floats
     coarseness: Floats
     noise_px: float
@@ -72,13 +68,23 @@ class Cells:
             self.camera_px[chosen],
             self.projector_px[chosen],
             self.plane[chosen],
-            self.column[chosen],
-            self.row[chosen],
             self.sigma_px[chosen],
             self.coarseness[chosen],
             self.noise_px,
             self.rejected,
         )
+
+
+def joined(a: Cells, b: Cells) -> Cells:
+    """The cells of both; noise and rejected share are those of the first."""
+    return replace(
+        a,
+        camera_px=np.concatenate([a.camera_px, b.camera_px]),
+        projector_px=np.concatenate([a.projector_px, b.projector_px]),
+        plane=np.concatenate([a.plane, b.plane]),
+        sigma_px=np.concatenate([a.sigma_px, b.sigma_px]),
+        coarseness=np.concatenate([a.coarseness, b.coarseness]),
+    )
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,7 @@ class _Raster:
 
 @dataclass(frozen=True)
 class _Reference:
-    """What is expected of a match on a plane: a homography and, in `coefficients` (_TERMS, 2), a polynomial on top.
+    """What is expected of a match on a plane: a homography and, in `coefficients` (TERMS, 2), a polynomial on top.
 
     `scale`: the normalisation of camera pixels. `sigma`: scatter of the sample around it, for weight 1.
     """
@@ -115,7 +121,7 @@ class _Reference:
 
     def curved(self, camera_px: Floats) -> Floats:
         """The polynomial's part, (N, 2)."""
-        curved: Floats = _monomials(camera_px, self.scale) @ self.coefficients
+        curved: Floats = monomials(camera_px, self.scale) @ self.coefficients
         return curved
 
 
@@ -138,8 +144,6 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES) -> Cells:
         np.concatenate([mean.camera_px for mean in means]),
         np.concatenate([mean.projector_px for mean in means]),
         np.concatenate([mean.plane for mean in means]),
-        np.concatenate([mean.column for mean in means]),
-        np.concatenate([mean.row for mean in means]),
         noise / np.sqrt(np.concatenate([mean.weight for mean in means])),
         np.concatenate([mean.coarseness for mean in means]),
         noise,
@@ -154,8 +158,6 @@ class _Means:
     camera_px: Floats
     projector_px: Floats
     plane: Ints
-    column: Ints
-    row: Ints
     weight: Floats
     coarseness: Floats
     scatter: tuple[float, float]
@@ -181,11 +183,9 @@ def _plane_cells(label: int, part: Matches, typical_sigma_px: float) -> _Means:
         camera_px,
         reference.straight(camera_px) + offset - _bias(sample, reference, raster)[filled],
         np.full(len(filled), label, np.int32),
-        (filled % raster.columns).astype(np.int32),
-        (filled // raster.columns).astype(np.int32),
         weight,
         np.sqrt(count / weight),
-        (float(sums[6, filled].sum()), max(2.0 * count.sum() - 2 * _TERMS, 1.0)),
+        (float(sums[6, filled].sum()), max(2.0 * count.sum() - 2 * TERMS, 1.0)),
         int(count.sum()),
     )
 
@@ -228,17 +228,17 @@ def _reference(sample: Matches, typical_sigma_px: float) -> _Reference:
     homography = _homography(sample.camera_px[inside], sample.projector_px[inside])
     offset = sample.projector_px - dehomogenise(homogeneous(sample.camera_px) @ homography.T)
     scale = normalisation(sample.camera_px)
-    monomials = _monomials(sample.camera_px, scale)
-    if inside.sum() < 3 * _TERMS:
-        monomials[:, _CONIC:] = 0.0  # too few matches for more
+    terms = monomials(sample.camera_px, scale)
+    if inside.sum() < 3 * TERMS:
+        terms[:, CONIC:] = 0.0  # too few matches for more
     for _ in range(_CUTS):
         root = np.sqrt(weight[inside])[:, None]
-        coefficients: Floats = np.linalg.lstsq(monomials[inside] * root, offset[inside] * root, rcond=1e-10)[0].astype(
+        coefficients: Floats = np.linalg.lstsq(terms[inside] * root, offset[inside] * root, rcond=1e-10)[0].astype(
             np.float64
         )
-        size = np.linalg.norm(offset - monomials @ coefficients, axis=1) * np.sqrt(weight)
+        size = np.linalg.norm(offset - terms @ coefficients, axis=1) * np.sqrt(weight)
         # A polynomial through few matches follows them; its freedom is given back.
-        freedom = max(1.0 - np.count_nonzero(monomials.any(axis=0)) / max(inside.sum(), 1), 0.1)
+        freedom = max(1.0 - np.count_nonzero(terms.any(axis=0)) / max(inside.sum(), 1), 0.1)
         sigma = max(float(np.median(size[inside])) / MEDIAN_LENGTH / np.sqrt(freedom), 1e-9)
         inside = size <= _OUTLIER_SIGMAS * sigma
     return _Reference(homography, scale, coefficients, sigma)
@@ -264,20 +264,6 @@ def _homography(camera_px: Floats, projector_px: Floats) -> Floats:
     )
     homography: Floats = np.linalg.inv(projector) @ homography_from_gram(gram) @ camera
     return homography
-
-
-def _monomials(camera_px: Floats, scale: Floats) -> Floats:
-    """All monomials up to _DEGREE, lowest first, of normalised pixels: (N, 2) → (N, _TERMS)."""
-    x, y = scale[0, 0] * camera_px.T + scale[:2, 2:]
-    columns = np.empty((_TERMS, len(camera_px)))
-    columns[0] = 1.0
-    last, place = columns[:1], 1
-    for degree in range(1, _DEGREE + 1):
-        here = columns[place : place + degree + 1]
-        np.multiply(last, x, out=here[:-1])
-        np.multiply(last[-1], y, out=here[-1])
-        last, place = here, place + degree + 1
-    return columns.T
 
 
 def _raster(camera_px: Floats) -> _Raster:

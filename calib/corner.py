@@ -65,7 +65,7 @@ def corner_image(homographies: Floats) -> CornerImage:
     return CornerImage(np.linalg.svd(stacked)[2][2], stacked)
 
 
-def corner_planes(image: CornerImage, inverse_matrices: Floats) -> tuple[Floats, Floats]:
+def corner_planes(image: CornerImage, inverse_matrices: Floats, *, nearest: bool = False) -> tuple[Floats, Floats]:
     """The corner in space for trial intrinsics, both solutions: K⁻¹ (n, 3, 3) → (normals, vertex rays).
 
     `normals` (2, n, 3, 3): unit rows, the faces' normals in the device's frame; NaN where no real corner has this
@@ -74,6 +74,8 @@ def corner_planes(image: CornerImage, inverse_matrices: Floats) -> tuple[Floats,
     With r the ray to the vertex and m_S ⟂ r the unit direction in the plane through r and leg S, the leg is
     c_S r + m_S, and orthogonality says c_A c_B = −m_A · m_B and round; so c_A² = −(m_A·m_B)(m_C·m_A)/(m_B·m_C).
     The two signs are the paper's concave and convex solutions (its proposition 1).
+
+    `nearest`: where no real corner has this image, one that comes near to it instead of NaN.
     """
     rays = inverse_matrices @ image.vertex
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -87,10 +89,15 @@ def corner_planes(image: CornerImage, inverse_matrices: Floats) -> tuple[Floats,
     products = np.sum(np.roll(across, -1, axis=1) * np.roll(across, -2, axis=1), axis=-1)  # m_B·m_C, m_C·m_A, m_A·m_B
     with np.errstate(invalid="ignore", divide="ignore"):
         a, b, c = products[:, 0], products[:, 1], products[:, 2]
-        along_a = np.sqrt(-b * c / a)
+        square = -b * c / a
+        real = square > 0
+        along_a = np.sqrt(np.abs(square) if nearest else square)
         along = np.stack([along_a, -c / along_a, -b / along_a], axis=-1)
     both = np.stack([along, -along])
     legs = both[..., None] * rays[None, :, None, :] + across[None]
     # The legs are mutually orthogonal, so each is the normal of the face that the other two span.
     normals: Floats = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+    if nearest and not real.all():
+        u, _, v = np.linalg.svd(normals[:, ~real])
+        normals[:, ~real] = u @ v
     return normals, rays

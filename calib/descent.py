@@ -9,33 +9,41 @@ from calib.cells import Cells
 from calib.likelihood import Fit, Prior, evaluate
 from calib.model import CAMERA, State
 
-CONVERGED = 1e-4
+CONVERGED = 1e-3  # in cost: a thirtieth of a sigma
 _STEPS = 40
 _DAMPING = 1e-7  # of a normal matrix scaled to unit diagonal
 _LONGEST_STEP = 0.1  # of log f
 _HALVINGS = 4
+_SLOW = 0.1
 
 
 def minimise(
-    captures: Sequence[Cells], state: State, prior: Prior, variances: Sequence[Floats], ceiling: float = np.inf
+    captures: Sequence[Cells],
+    state: State,
+    prior: Prior,
+    variances: Sequence[Floats],
+    *,
+    tolerance: float = CONVERGED,
+    ceiling: float = np.inf,
 ) -> Fit:
     """The nearest minimum, down the profile along the camera's focal length.
 
-    Given up where the cost would stay above `ceiling`.
+    Ends when a further step promises to lower the cost by less than `tolerance`; given up where the cost would stay
+    above `ceiling`.
 
     The valley is curved: a joint step soon leaves it, and the many small ones that stay in it look like convergence.
     So after each joint Newton step everything but the focal is relaxed back to the valley's floor, along which the
     cost is nearly a parabola.
     """
     anchored = prior.with_known(CAMERA.start)
-    fit = relax(captures, state, anchored, variances)
+    fit = relax(captures, state, anchored, variances, tolerance=tolerance)
     for _ in range(_STEPS):
         step, decrement = _newton(fit, prior, 0.0)
-        if not np.isfinite(fit.cost) or decrement < CONVERGED or fit.cost - decrement > ceiling:
+        if not np.isfinite(fit.cost) or decrement < tolerance or fit.cost - decrement > ceiling:
             break
         step *= min(1.0, _LONGEST_STEP / max(abs(step[CAMERA.start]), 1e-12))
         for _ in range(_HALVINGS):
-            trial = relax(captures, fit.state.moved(step), anchored, variances)
+            trial = relax(captures, fit.state.moved(step), anchored, variances, tolerance=tolerance)
             if trial.cost <= fit.cost:
                 break
             step /= 4
@@ -50,19 +58,23 @@ def relax(
     state: State,
     prior: Prior,
     variances: Sequence[Floats],
+    *,
     tolerance: float = CONVERGED,
     steps: int = _STEPS,
+    ceiling: float = np.inf,
 ) -> Fit:
     """Levenberg–Marquardt over the free columns of the prior.
 
     Ends when Newton's decrement, the cost that a full step promises to gain, falls below `tolerance`, or that share
-    of a hundredth of the cost.
+    of a hundredth of the cost; or when the cost, once it goes down slowly, would stay above `ceiling`.
     """
     damping = _DAMPING
     fit = evaluate(captures, state, prior, variances)
     for _ in range(steps):
         step, decrement = _newton(fit, prior, damping)
         if not np.isfinite(fit.cost) or decrement < tolerance * (1 + 0.01 * fit.cost):
+            break
+        if decrement < _SLOW * fit.cost and fit.cost - decrement > ceiling:
             break
         trial = evaluate(captures, fit.state.moved(step), prior, variances)
         if trial.cost <= fit.cost:

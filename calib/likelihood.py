@@ -14,6 +14,8 @@ from calib.cells import Cells
 from calib.model import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
 
 ROBUST_SIGMAS = 3.0
+_LEAST_IN_FRONT = 0.98
+_BEHIND = 100.0  # the cost of a cell behind a device, like one ten sigmas off
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class Fit:
 
 
 def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: Sequence[Floats]) -> Fit:
-    """The cost of a state with its derivatives; infinite where points fall behind a device.
+    """The cost of a state with its derivatives; infinite where more than stray points fall behind a device.
 
     `variances`: (M,) for each capture, of each coordinate of each cell.
     """
@@ -101,11 +103,13 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
     for i, (cells, variance) in enumerate(zip(captures, variances, strict=True)):
         with np.errstate(all="ignore"):
             predicted, jacobian, depths = predict(state, cells.camera_px, cells.plane, i)
-        residual = predicted - cells.projector_px
-        residuals.append(residual)
-        if not (np.isfinite(jacobian).all() and np.all(depths > 0)):
+        meant = np.all(depths > 0, axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
+        if meant.mean() < _LEAST_IN_FRONT:
             cost = np.inf
-            continue
+        residual = np.where(meant[:, None], predicted - cells.projector_px, 0.0)
+        residuals.append(residual)
+        jacobian[~meant] = 0.0
+        cost += _BEHIND * np.count_nonzero(~meant)
         size = np.linalg.norm(residual, axis=1) / np.sqrt(variance)
         robust = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(size, 1e-12))
         flat = jacobian.reshape(-1, jacobian.shape[2])

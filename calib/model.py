@@ -113,6 +113,20 @@ class State:
             poses=tuple(_moved_pose(pose, step[self.pose_columns(i)]) for i, pose in enumerate(self.poses)),
         )
 
+    def step_to(self, other: "State") -> Floats:
+        """The step (size,) from here to a state of the same layout not too far away."""
+        step = other.additive() - self.additive()
+        step[ROTATION] = Rotation.from_matrix(other.rotation @ self.rotation.T).as_rotvec()
+        step[TRANSLATION] = tangent_basis(self.translation).T @ (other.translation - self.translation)
+        for i, (pose, there) in enumerate(zip(self.poses, other.poses, strict=True)):
+            part = step[self.pose_columns(i)]
+            part[:3] = Rotation.from_matrix(there.frame.T @ pose.frame).as_rotvec()
+            part[3:PER_POSE] = (there.vertex - pose.vertex) / np.linalg.norm(pose.vertex)
+            part[PER_POSE + 2 :: PER_PLANE] = [
+                b.height - a.height for a, b in zip(pose.planes, there.planes, strict=True)
+            ]
+        return step
+
     def additive(self) -> Floats:
         """The columns that may have a prior, as numbers that a step adds to, (size,); zero for rotations and such."""
         values = np.zeros(self.size)
@@ -143,8 +157,18 @@ class State:
 
 def tangent_basis(direction: Floats) -> Floats:
     """Two unit vectors (3, 2) perpendicular to a unit vector (3,)."""
-    basis: Floats = np.linalg.svd(direction[None])[2][1:].T
-    return basis
+    first = np.zeros(3)
+    first[int(np.argmin(np.abs(direction)))] = 1.0
+    first -= direction * (direction @ first)
+    first /= np.sqrt(first @ first)
+    return np.stack([first, cross(direction, first)], axis=1)
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """a × b along the last axis, broadcast; several times faster than numpy's for short arrays."""
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    u, v, w = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
 def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> tuple[Floats, Floats, Floats]:
@@ -165,10 +189,6 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
     # d(point) = depth (dr − r n·dr / n·r) + r / (n·r) (dn·(vertex − point) + n·dvertex + dheight)
     to_vertex = pose.vertex - points
     along = rays / facing[:, None]
-    by_camera = depth[:, None, None] * (
-        rays_by_camera - along[:, :, None] * np.einsum("ni,nij->nj", normals, rays_by_camera)[:, None, :]
-    )
-
     turned = points @ state.rotation.T
     moved = turned + state.translation
     pixels, by_moved, by_projector = lens.project(state.projector, moved)
@@ -176,15 +196,18 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
     by_point = by_moved @ state.rotation
     by_depth = np.einsum("nij,nj->ni", by_point, along)
     jacobian = np.zeros((len(plane), 2, SHARED + PER_CORNER + pose.size))
-    jacobian[:, :, CAMERA] = by_point @ by_camera
+    facing_by_camera = np.einsum("ni,nij->nj", normals, rays_by_camera)
+    jacobian[:, :, CAMERA] = by_point[:, :, :2] @ rays_by_camera[:, :2]  # the third coordinate of a ray is 1
+    jacobian[:, :, CAMERA] -= by_depth[:, :, None] * facing_by_camera[:, None, :]
+    jacobian[:, :, CAMERA] *= depth[:, None, None]
     jacobian[:, :, PROJECTOR] = by_projector
     # d(R X) = ω × R X, so each row g of by_moved gives g · (ω × RX) = ω · (RX × g).
-    jacobian[:, :, ROTATION] = np.cross(turned[:, None, :], by_moved)
+    jacobian[:, :, ROTATION] = cross(turned[:, None, :], by_moved)
     jacobian[:, :, TRANSLATION] = by_moved @ tangent_basis(state.translation)
     on_plane = np.concatenate(
         [
             np.einsum("nai,ni->na", _normals_by_angles(state, capture)[plane], to_vertex),
-            np.cross(normals, to_vertex),
+            cross(normals, to_vertex),
             normals * np.linalg.norm(pose.vertex),
             *_by_further_planes(pose, plane, to_vertex),
         ],

@@ -44,9 +44,13 @@ class Objective:
         total[~np.isfinite(total) | ~in_front] = np.inf
         return total.reshape(2, len(focal_px)), forward
 
-    def forward(self, focal_px: Floats) -> tuple[Transfer, Bools]:
-        """Focals (n,) → the 2n transfers to the projector, and which put the sample in front of both devices (2n,)."""
-        forward = transfer(self.grams, self.camera_image, intrinsic_matrices(focal_px, self.principal_point_px))
+    def forward(self, focal_px: Floats, *, nearest: bool = False) -> tuple[Transfer, Bools]:
+        """Focals (n,) → the 2n transfers to the projector, and which put the sample in front of both devices (2n,).
+
+        `nearest`: as in `transfer`.
+        """
+        matrices = intrinsic_matrices(focal_px, self.principal_point_px)
+        forward = transfer(self.grams, self.camera_image, matrices, nearest=nearest)
         return forward, self.in_front(forward, focal_px)
 
     def terms(self, focal_px: Floats, forward: Transfer) -> Floats:

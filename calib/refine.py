@@ -5,60 +5,52 @@ of that profile is then refined with the focal free, and all of them are compare
 many terms the lenses have, is measured on the way.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Bools, Floats
+from calib.arrays import Floats
 from calib.cells import Cells
 from calib.corner import Corner
-from calib.descent import minimise, relax
+from calib.descent import minimise
+from calib.further_planes import strained, without
 from calib.lens_order import LensOrder, choose_lens_order
-from calib.likelihood import Fit, Knowledge, Prior, evaluate
-from calib.model import CAMERA, State
-from calib.noise import inflation, systematic
-from calib.paper import Objective
+from calib.likelihood import Fit, Knowledge, Prior
+from calib.model import State
+from calib.noise import Noise, noise_of
 from calib.same_corner import Sameness, tie
-from calib.sweep import HOPELESS, SWEEP_CELLS, at_focal, minima, sweep_jointly, sweep_one
+from calib.sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one
+from calib.valley import Valley, covariance_of, walk
+
+# Cells of all captures and a state → the same with further planes.
+Further = Callable[[Sequence[Cells], State], tuple[list[Cells], State]]
 
 _SAME_SOLUTION = 0.01  # of log f: minima that converge this close are one
-_LIKELIHOOD_ROUNDS = 3
-_PROFILE_RANGE = 0.3  # of log f: within it the profile is exact
-_PROFILE_SIGMAS = (-4.0, -2.5, -1.5, -0.75, 0.0, 0.75, 1.5, 2.5, 4.0)
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Of one capture: the scatter of a match, τ, what stays unexplained in the mean of a cell, and κ, the inflation of
-    variances because residuals are alike in neighbouring cells.
-    """
-
-    match_px: float
-    systematic_px: float
-    inflation: float
+_NOISE_ROUNDS = 3
+_ANY_ANGLE_DEG = 10.0
+_ROUGH = 0.3  # tolerance in cost where only residuals or costs are looked at
 
 
 @dataclass(frozen=True)
 class Refinement:
     """The refined solution and what is known of it.
 
-    `captures`: the cells, labelled alike where they show one corner; `noise` of each; `variances` (M,) of each cell.
-    `prior`: of the final fit, lens terms that are left out being known to be zero. `covariance` (size, size) in the
-    model's columns, zero for fixed ones. `others`: further minima, best first. `profile_focal_px`, `profile_cost` (n,):
-    the cost along the camera's focal length, above the best. `sameness`: whether the captures show one corner.
+    `captures`: the cells, labelled alike where they show one corner, with the `noise` of each. `prior`: of the final
+    fit, lens terms that are left out being known to be zero. `covariance` (size, size) in the model's columns, zero for
+    fixed ones. `others`: further minima, best first. `valley`: the cost along the camera's focal length. `tension`:
+    what the assumption on the corner's angles costs. `sameness`: whether the captures show one corner.
     """
 
     captures: tuple[Cells, ...]
     noise: tuple[Noise, ...]
-    variances: tuple[Floats, ...]
     prior: Prior
     fit: Fit
     covariance: Floats
     others: tuple[Fit, ...]
     lens_order: LensOrder
-    profile_focal_px: Floats
-    profile_cost: Floats
+    valley: Valley
+    tension: float
     sameness: Sameness | None
 
     def corner(self, capture: int) -> Corner:
@@ -67,14 +59,21 @@ class Refinement:
 
 
 def refine(
-    captures: Sequence[Cells], objectives: Sequence[Objective], focal_px: Floats, knowledge: Knowledge, *, same: bool
+    captures: Sequence[Cells],
+    families: Sequence[Family],
+    focal_px: Floats,
+    knowledge: Knowledge,
+    *,
+    same: bool,
+    further: Further | None = None,
 ) -> Refinement | None:
     """Sweep the trial focals (n,), refine every minimum, compare. None where no trial gives real corners.
 
-    `same`: several captures are taken to show one corner, unless their residuals tell otherwise.
+    `same`: several captures are taken to show one corner, unless their residuals tell otherwise. `further`: adds planes
+    beside the corners to captures and state.
     """
     thinned = [cells[:: max(1, len(cells) // SWEEP_CELLS)] for cells in captures]
-    alone = [sweep_one(*pair, focal_px, knowledge) for pair in zip(thinned, objectives, strict=True)]
+    alone = [sweep_one(*pair, focal_px, knowledge) for pair in zip(thinned, families, strict=True)]
     sweep = alone[0] if len(captures) == 1 else sweep_jointly(thinned, alone, focal_px, knowledge)
     starts = minima(sweep)
     if not starts:
@@ -84,72 +83,83 @@ def refine(
     if same and len(captures) > 1:
         captures, fits, sameness = tie(captures, thinned, fits, knowledge)
 
-    variances = [_level(residual) for residual in _residuals(captures, fits[0])]
-    for _ in range(_LIKELIHOOD_ROUNDS):
-        prior = knowledge.prior(fits[0].state)
-        fits = _distinct([minimise(captures, fit.state, prior, variances) for fit in fits])
-        noise = [_noise(cells, residual) for cells, residual in zip(captures, fits[0].residuals, strict=True)]
-        variances = [_variance(cells, level) for cells, level in zip(captures, noise, strict=True)]
+    unassuming = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG).prior(fits[0].state)
+    noise = _measured(captures, fits[0], unassuming)
+    variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
+    prior = knowledge.prior(fits[0].state)
+    fits = _distinct([minimise(captures, fit.state, prior, variances) for fit in fits])
+    if not fits:
+        return None
     best, *others = fits
+    tension = best.cost - minimise(captures, best.state, unassuming, variances, tolerance=_ROUGH).cost
+
+    if further is not None and not others:
+        captures, best, prior = _with_planes(captures, best, knowledge, noise, further)
+        variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
 
     lens_order = choose_lens_order(best, covariance_of(best.information, prior.free), prior)
     for column in lens_order.zero:
         prior = prior.with_known(column)
     best = minimise(captures, _without(best.state, lens_order.zero), prior, variances)
+    valley = walk(captures, best, prior, variances)
     return Refinement(
         tuple(captures),
-        tuple(noise),
-        tuple(variances),
+        noise,
         prior,
         best,
-        covariance_of(best.information, prior.free) + lens_order.spread,
+        valley.covariance(best, prior.free) + lens_order.spread,
         tuple(others),
         lens_order,
-        *_profile(captures, [fit.state.camera[0] for fit in sweep if fit], best, prior, variances),
+        valley,
+        tension,
         sameness,
     )
 
 
-def covariance_of(information: Floats, free: Bools) -> Floats:
-    """Inverse of the information on the free columns, by way of unit diagonals, (size, size)."""
-    chosen = np.ix_(free, free)
-    scale = np.sqrt(np.diag(information)[free])
-    covariance = np.zeros_like(information)
-    covariance[chosen] = np.linalg.pinv(information[chosen] / np.outer(scale, scale), hermitian=True) / np.outer(
-        scale, scale
-    )
-    return covariance
+def _with_planes(
+    captures: Sequence[Cells], best: Fit, knowledge: Knowledge, noise: Sequence[Noise], further: Further
+) -> tuple[Sequence[Cells], Fit, Prior]:
+    """Captures, fit and prior with those further planes that turn out as square as they should be."""
+    cells, state = further(captures, best.state)
+    while True:
+        prior = knowledge.prior(state)
+        variances = [level.variances(each) for each, level in zip(cells, noise, strict=True)]
+        fit = minimise(cells, state, prior, variances)
+        refuted = strained(fit.state)
+        if not refuted:
+            return cells, fit, prior
+        cells, state = without(cells, fit.state, refuted)
 
 
 def _explore(captures: Sequence[Cells], starts: list[Fit], knowledge: Knowledge) -> list[Fit]:
     """The different minima, best first, that the starts (best first) lead to and that deserve a closer look."""
     prior = knowledge.prior(starts[0].state)
-    variances = [_level(residual) for residual in starts[0].residuals]
+    variances = _levels(starts[0])
     best = minimise(captures, starts[0].state, prior, variances)
     ceiling = HOPELESS * best.cost
-    fits = _distinct([best, *(minimise(captures, fit.state, prior, variances, ceiling) for fit in starts[1:])])
+    fits = _distinct([best, *(minimise(captures, fit.state, prior, variances, ceiling=ceiling) for fit in starts[1:])])
     return [fit for fit in fits if fit.cost <= HOPELESS * fits[0].cost]
 
 
-def _residuals(captures: Sequence[Cells], fit: Fit) -> tuple[Floats, ...]:
-    """Residuals of a fit to thinned captures at all cells."""
-    prior = Prior(np.zeros(fit.state.size), np.full(fit.state.size, np.inf))
-    return evaluate(captures, fit.state, prior, [np.ones(len(cells)) for cells in captures]).residuals
+def _measured(captures: Sequence[Cells], fit: Fit, prior: Prior) -> tuple[Noise, ...]:
+    """The noise of each capture, by a prior that leaves the angles open: no assumption on them may pass for noise.
+
+    `fit`: to some or all of the cells.
+    """
+    levels = [float(variance[0]) for variance in _levels(fit)]
+    variances = [np.full(len(cells), level) for cells, level in zip(captures, levels, strict=True)]
+    noise: tuple[Noise, ...] = ()
+    for _ in range(_NOISE_ROUNDS):
+        fit = minimise(captures, fit.state, prior, variances, tolerance=_ROUGH)
+        absorbed = np.count_nonzero(prior.free) / len(captures)
+        noise = tuple(noise_of(*pair, absorbed) for pair in zip(captures, fit.residuals, strict=True))
+        variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
+    return noise
 
 
-def _level(residual: Floats) -> Floats:
-    """One variance (M,) for all cells: that of residuals (M, 2)."""
-    return np.full(len(residual), max(float(np.mean(residual**2)), 1e-12))
-
-
-def _noise(cells: Cells, residual: Floats) -> Noise:
-    tau = systematic(residual / cells.coarseness[:, None], cells.sigma_px / cells.coarseness)
-    independent = cells.sigma_px**2 + (tau * cells.coarseness) ** 2
-    return Noise(cells.noise_px, tau, inflation(cells, residual / np.sqrt(independent)[:, None]))
-
-
-def _variance(cells: Cells, noise: Noise) -> Floats:
-    return noise.inflation * (cells.sigma_px**2 + (noise.systematic_px * cells.coarseness) ** 2)
+def _levels(fit: Fit) -> list[Floats]:
+    """For each capture one variance (M,) for all cells: that of the residuals."""
+    return [np.full(len(residual), max(float(np.mean(residual**2)), 1e-12)) for residual in fit.residuals]
 
 
 def _distinct(fits: list[Fit]) -> list[Fit]:
@@ -166,24 +176,3 @@ def _without(state: State, zero: tuple[int, ...]) -> State:
     step = np.zeros(state.size)
     step[list(zero)] = -state.additive()[list(zero)]
     return state.moved(step)
-
-
-def _profile(
-    captures: Sequence[Cells], swept: list[float], best: Fit, prior: Prior, variances: Sequence[Floats]
-) -> tuple[Floats, Floats]:
-    """Focals (n,) around the best and the cost there above the lowest, everything else being at its best."""
-    anchored = prior.with_known(CAMERA.start)
-    middle = float(best.state.camera[0])
-    sigma = float(np.sqrt(covariance_of(best.information, prior.free)[CAMERA.start, CAMERA.start]))
-    near = middle * np.exp(min(sigma, _PROFILE_RANGE / 4) * np.array(_PROFILE_SIGMAS))
-    around = np.array([focal for focal in swept if abs(np.log(focal / middle)) < _PROFILE_RANGE])
-    trials = np.concatenate([near, around])
-    fits = []
-    for side in (np.sort(trials[trials >= middle]), -np.sort(-trials[trials < middle])):
-        state = best.state
-        for focal in side:
-            fits.append(relax(captures, at_focal(state, float(focal)), anchored, variances))
-            state = fits[-1].state
-    fits.sort(key=lambda fit: float(fit.state.camera[0]))
-    cost = np.array([fit.cost for fit in fits])
-    return np.array([fit.state.camera[0] for fit in fits]), cost - cost.min()

@@ -3,15 +3,23 @@
 import numpy as np
 
 from calib.likelihood import Knowledge
+from calib.model import CAMERA
+from calib.next_view import best_next_view
 from calib.refine import Refinement
 from calib.trust import signed
 
+_WORTH_A_CAPTURE = 0.7
 _TERMS = ("no radial term", "one radial term", "two radial terms")
 
 
 def notes_on(refinement: Refinement, knowledge: Knowledge) -> tuple[str, ...]:
     """Assumptions, what the data said about them, and what stays unexplained."""
-    return (*_on_squareness(refinement, knowledge), *_on_lenses(refinement), *_on_noise(refinement))
+    return (
+        *_on_squareness(refinement, knowledge),
+        *_on_next_view(refinement, knowledge),
+        *_on_lenses(refinement),
+        *_on_noise(refinement),
+    )
 
 
 def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
@@ -35,6 +43,18 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
     return notes
 
 
+def _on_next_view(refinement: Refinement, knowledge: Knowledge) -> list[str]:
+    """What a further capture would gain, where there is something to gain."""
+    sigma = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]))
+    view = best_next_view(refinement, knowledge)
+    if view is None or view.sigma > _WORTH_A_CAPTURE * sigma:
+        return []
+    return [
+        f"A further capture of this corner, the rig moved {view.words}, would lower the sigma of the camera's focal "
+        f"length from {100 * sigma:.2g} % to about {100 * view.sigma:.2g} %."
+    ]
+
+
 def _on_lenses(refinement: Refinement) -> list[str]:
     camera, projector = refinement.lens_order.terms
     return [
@@ -47,10 +67,10 @@ def _on_noise(refinement: Refinement) -> list[str]:
     notes = []
     for i, (cells, noise) in enumerate(zip(refinement.captures, refinement.noise, strict=True)):
         of = f"Capture {i + 1}: " if len(refinement.captures) > 1 else ""
-        if noise.systematic_px > 0:
+        if noise.inflation > 1:
             notes.append(
-                f"{of}Beyond independent noise, {noise.systematic_px:.3f} px stay unexplained in the mean of a cell of "
-                f"matches, alike in neighbouring ones; the sigmas contain it (× {np.sqrt(noise.inflation):.1f})."
+                f"{of}Residuals are wavy: smooth errors over a face, {np.sqrt(noise.inflation):.1f} times those that "
+                f"independent matches leave; the sigmas contain it."
             )
         if cells.rejected > 0.01:
             notes.append(f"{of}{100 * cells.rejected:.1f} % of the matches on the faces were left out as outliers.")

@@ -20,7 +20,6 @@ from calib.homography import FACES
 from calib.lens import unproject
 from calib.likelihood import Fit, Knowledge
 from calib.model import PER_CORNER, State
-from calib.paper import Objective
 from calib.refusal import RefusalError
 
 _MOST_CAPTURES = 8
@@ -59,7 +58,7 @@ def tie(
             f"{len(captures)} captures of one corner were given; at most {_MOST_CAPTURES} can be put in order.",
             "Calibrate from fewer of them, or say corner.same: false.",
         )
-    fits = [_oriented(thinned, fit) for fit in fits]
+    fits = [oriented(thinned, fit) for fit in fits]
     variances = [np.full(len(r), max(float(np.mean(r**2)), 1e-12)) for r in fits[0].residuals]
     trials: list[tuple[Fit, tuple[int, ...]]] = []
     for fit in fits:
@@ -84,9 +83,8 @@ def relabel(cells: Cells, shift: int) -> Cells:
     return replace(cells, plane=np.where(cells.plane < len(FACES), (cells.plane + shift) % 3, cells.plane))
 
 
-def is_anticlockwise(cells: Cells, objective: Objective) -> bool:
-    """Whether the faces 0, 1, 2 follow each other anticlockwise around the vertex in the camera's image."""
-    vertex = objective.camera_image.vertex
+def is_anticlockwise(cells: Cells, vertex: Floats) -> bool:
+    """Whether the faces 0, 1, 2 follow each other anticlockwise around the `vertex` (3,) in the camera's image."""
     around = [cells.camera_px[cells.plane == face].mean(axis=0) * vertex[2] - vertex[:2] for face in FACES]
     angles = np.array([np.arctan2(y, x) for x, y in around])
     # y points down, so angles grow clockwise.
@@ -98,7 +96,7 @@ def reflected(cells: Cells) -> Cells:
     return replace(cells, plane=np.where((cells.plane == 1) | (cells.plane == 2), 3 - cells.plane, cells.plane))
 
 
-def _oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
+def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
     """The same fit, every leg pointing along its faces: only then do angles mean the same in all captures."""
     state = fit.state
     flips = np.ones(state.size)

@@ -6,12 +6,13 @@ from typing import Literal
 
 import numpy as np
 
-from calib.arrays import Floats
+from calib.arrays import Floats, Ints
 from calib.before_matches import before_the_matches
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
 from calib.cells import into_cells
 from calib.corner import Corner
+from calib.further_planes import with_further_planes
 from calib.homography import TooFewMatchesError
 from calib.likelihood import Knowledge
 from calib.matches import Matches
@@ -20,14 +21,15 @@ from calib.refine import refine
 from calib.refusal import RefusalError
 from calib.remarks import notes_on
 from calib.same_corner import is_anticlockwise, reflected
-from calib.trust import MOVE, no_corner, refuse_untrustworthy
+from calib.sweep import family_of
+from calib.trust import MOVE, no_corner, refuse_degenerate, refuse_untrustworthy
 from calib.uncertainty import Uncertainty, calibration_of, sigmas_by_name, uncertainty_of
 
 Method = Literal["refined", "paper"]
 
 # Trial focals, in units of the longer side of the camera's image: from a 120° to a 14° field of view.
 _SHORTEST, _LONGEST = 0.3, 4.0
-_PAPER_TRIALS, _SWEEP_TRIALS = 400, 36
+_PAPER_TRIALS, _SWEEP_TRIALS = 400, 28
 
 _CLOSED_CYCLE = 0.1  # paper's objective, in camera focals
 
@@ -76,12 +78,14 @@ def self_calibrate(
     principal_point: PrincipalPoint,
     method: Method = "refined",
     squareness_deg: float = 0.3,
+    plane: Ints | None = None,
 ) -> SelfCalibration:
     """Calibrate both devices from matches labelled with the corner's faces 0, 1, 2.
 
     `method` 'paper' is the published one-dimensional search: it takes the principal point as exact and the corner as
     square and knows no sigma. 'refined' is the maximum-likelihood solution with lens terms; `squareness_deg` is the
-    standard deviation of the angles between the faces around 90° (0: exactly square).
+    standard deviation of the angles between the faces around 90° (0: exactly square). `plane` (N,): which plane each
+    match is on, as at `self_calibrate_jointly`.
 
     Raises RefusalError where no trustworthy answer can be had.
     """
@@ -91,7 +95,12 @@ def self_calibrate(
         except TooFewMatchesError as error:
             raise _too_few(error) from error
     (found,) = self_calibrate_jointly(
-        [matches], camera_size, projector_size, principal_point=principal_point, squareness_deg=squareness_deg
+        [matches],
+        camera_size,
+        projector_size,
+        principal_point=principal_point,
+        squareness_deg=squareness_deg,
+        planes=None if plane is None else [plane],
     )
     return found
 
@@ -104,8 +113,12 @@ def self_calibrate_jointly(
     principal_point: PrincipalPoint,
     squareness_deg: float = 0.3,
     same: bool = True,
+    planes: Sequence[Ints] | None = None,
 ) -> tuple[SelfCalibration, ...]:
     """Calibrate one unchanged rig from several captures, by maximum likelihood; one result for each, all of one rig.
+
+    `planes`: for each capture, which plane each match (N,) is on, −1 for none, as `Faces.plane` says; those beside the
+    faces that are parallel or perpendicular to them are constraints, too.
 
     `same`: the captures show one corner, so they share its angles; tested, and dropped with a note where the matches
     refute it. The faces of all results are then numbered alike, so that their corners are one frame.
@@ -114,7 +127,7 @@ def self_calibrate_jointly(
     """
     knowledge = Knowledge(camera_size, projector_size, principal_point.px, principal_point.sigma_px, squareness_deg)
     try:
-        return _by_refinement(captures, knowledge, same=same)
+        return _by_refinement(captures, knowledge, same=same, planes=planes)
     except TooFewMatchesError as error:
         raise _too_few(error) from error
 
@@ -175,14 +188,20 @@ def _by_paper(
     )
 
 
-def _by_refinement(captures: Sequence[Matches], knowledge: Knowledge, *, same: bool) -> tuple[SelfCalibration, ...]:
+def _by_refinement(
+    captures: Sequence[Matches], knowledge: Knowledge, *, same: bool, planes: Sequence[Ints] | None
+) -> tuple[SelfCalibration, ...]:
     cells = [into_cells(matches) for matches in captures]
-    objectives = [objective_for(each.as_matches(), knowledge.principal_point_px) for each in cells]
+    families = [family_of(each, knowledge) for each in cells]
     if len(captures) > 1:
-        turned = [is_anticlockwise(each, objective) for each, objective in zip(cells, objectives, strict=True)]
+        vertices = [family.objective.camera_image.vertex for family in families]
+        turned = [is_anticlockwise(each, vertex) for each, vertex in zip(cells, vertices, strict=True)]
         cells = [reflected(each) if turn else each for each, turn in zip(cells, turned, strict=True)]
-        objectives = [objective_for(each.as_matches(), knowledge.principal_point_px) for each in cells]
-    refinement = refine(cells, objectives, _trials(knowledge.camera_size, _SWEEP_TRIALS), knowledge, same=same)
+        families = [family_of(each, knowledge) for each in cells]
+    refuse_degenerate(cells, families)
+    trials = _trials(knowledge.camera_size, _SWEEP_TRIALS)
+    further = None if planes is None else lambda cells, state: with_further_planes(cells, captures, planes, state)
+    refinement = refine(cells, families, trials, knowledge, same=same, further=further)
     if refinement is None:
         raise no_corner(cells)
     refuse_untrustworthy(refinement, knowledge)
@@ -194,7 +213,7 @@ def _by_refinement(captures: Sequence[Matches], knowledge: Knowledge, *, same: b
         sigmas_by_name(fit.state, refinement.covariance),
     )
     notes = notes_on(refinement, knowledge)
-    profile = Profile(refinement.profile_focal_px, refinement.profile_cost, "−2 log likelihood above the best")
+    profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
     results = []
     for i, matches in enumerate(captures):
         if len(captures) > 1:

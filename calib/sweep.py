@@ -5,7 +5,7 @@ as well. At each trial the paper's transfer gives a start, so that no minimum de
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,32 +14,69 @@ from calib.cells import Cells
 from calib.descent import relax
 from calib.likelihood import Fit, Knowledge, evaluate
 from calib.model import CAMERA, PROJECTOR, Pose, State
-from calib.paper import Objective
+from calib.paper import Objective, objective_for
+from calib.straightness import Straightened, straighten
 from calib.transfer import Transfer
 
-SWEEP_CELLS = 300
+SWEEP_CELLS = 200
 HOPELESS = 4.0  # minima with this many times the lowest cost are not followed
 _SIGMA_PX = 0.05  # what a decoder typically leaves unexplained; the measured value takes its place afterwards
 _TOLERANCE, _STEPS = 1.0, 10
 
 
-def sweep_one(cells: Cells, objective: Objective, focal_px: Floats, knowledge: Knowledge) -> list[Fit | None]:
+@dataclass(frozen=True)
+class Family:
+    """The paper's one-dimensional family of solutions for one capture, from `straightened` matches."""
+
+    objective: Objective
+    straightened: Straightened
+
+    def starts(self, focal_px: Floats) -> list[list[State]]:
+        """For each camera focal (n,) the solutions, at most two, that put the matches in front of both devices."""
+        transfers, in_front = self.objective.forward(focal_px, nearest=True)
+        usable = in_front & np.isfinite(transfers.matrix).all(axis=(1, 2))
+        count = len(focal_px)
+        return [
+            [self._state(transfers, i, float(focal)) for i in (trial, count + trial) if usable[i]]
+            for trial, focal in enumerate(focal_px)
+        ]
+
+    def _state(self, transfers: Transfer, i: int, focal: float) -> State:
+        """Solution number i as a state: exactly square, with one radial term for each lens."""
+        baseline = np.linalg.norm(transfers.translation[i])
+        matrix = transfers.matrix[i]
+        projector_focal = np.sqrt(matrix[0, 0] * matrix[1, 1])
+        bends = self.straightened.camera_bend * focal**2, self.straightened.projector_bend * projector_focal**2
+        return State(
+            np.array([focal, *self.objective.principal_point_px, bends[0], 0.0]),
+            np.array([projector_focal, matrix[0, 2], matrix[1, 2], bends[1], 0.0]),
+            transfers.rotation[i],
+            transfers.translation[i] / baseline,
+            np.zeros((1, 3)),
+            (Pose(transfers.normals[i], transfers.vertex[i] / baseline),),
+        )
+
+
+def family_of(cells: Cells, knowledge: Knowledge) -> Family:
+    """Prepare the family for one capture. Raises TooFewMatchesError below four cells on a face."""
+    width, height = knowledge.projector_size
+    straightened = straighten(cells, knowledge.principal_point_px, ((width - 1) / 2, (height - 1) / 2))
+    return Family(objective_for(straightened.matches, knowledge.principal_point_px), straightened)
+
+
+def sweep_one(cells: Cells, family: Family, focal_px: Floats, knowledge: Knowledge) -> list[Fit | None]:
     """The best fit of one capture with the focal held at each trial (n,); None where there is none.
 
-    Two starts for each: the paper's transfer, which may lie on another branch, and the fit at the trial before.
+    Up to three starts for each: both of the paper's solutions, which may lie on other branches, and the fit at the
+    trial before.
     """
-    transfers, in_front = objective.forward(focal_px)
-    usable = in_front & np.isfinite(transfers.matrix).all(axis=(1, 2))
     fits: list[Fit | None] = []
     last: State | None = None
-    for trial, focal in enumerate(focal_px):
-        starts = [
-            _start(transfers, i, float(focal), objective.principal_point_px)
-            for i in (trial, len(focal_px) + trial)
-            if usable[i]
-        ]
-        fit = _best([cells], starts, last, float(focal), knowledge)
-        last = fit.state if fit else last
+    hopeless = np.inf
+    for focal, starts in zip(focal_px, family.starts(focal_px), strict=True):
+        fit = _best([cells], starts, last, float(focal), knowledge, hopeless)
+        if fit:
+            last, hopeless = fit.state, min(hopeless, HOPELESS * (fit.cost + len(cells)))
         fits.append(fit)
     return fits
 
@@ -61,7 +98,7 @@ def sweep_jointly(
         states = [fit.state for fits_alone in alone if (fit := fits_alone[trial])]
         solved = [i for i, fit in enumerate(fits) if fit]
         nearest = fits[min(solved, key=lambda i: abs(i - trial))] if solved else None
-        starts = [_combined(shared, states) for shared in states]
+        starts = _most_promising(captures, [_combined(shared, states) for shared in states], knowledge)
         fit = _best(captures, starts, nearest.state if nearest else None, float(focal_px[trial]), knowledge)
         fits[trial] = fit
         lowest = min(lowest, fit.cost if fit else np.inf)
@@ -86,37 +123,39 @@ def at_focal(state: State, focal: float) -> State:
 
 
 def _best(
-    captures: Sequence[Cells], starts: list[State], last: State | None, focal: float, knowledge: Knowledge
+    captures: Sequence[Cells],
+    starts: list[State],
+    last: State | None,
+    focal: float,
+    knowledge: Knowledge,
+    hopeless: float = np.inf,
 ) -> Fit | None:
-    """The better of the fits, with the focal held, from the most promising start and from the fit at another trial."""
+    """The best of the fits, with the focal held, from the starts and from the fit at another trial.
+
+    Rough where the cost is above `hopeless`.
+    """
     tried = starts + ([at_focal(last, focal)] if last else [])
     if not tried:
         return None
     prior = knowledge.prior(tried[0]).with_known(CAMERA.start)
     variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
-    fits = [evaluate(captures, state, prior, variances) for state in tried]
-    chosen = sorted(fits[: len(starts)], key=_cost)[:1] + fits[len(starts) :]
-    relaxed = [relax(captures, fit.state, prior, variances, _TOLERANCE, _STEPS) for fit in chosen]
-    best = min(relaxed, key=_cost)
-    return best if np.isfinite(best.cost) else None
+    best: Fit | None = None
+    for state in reversed(tried):  # the fit at another trial is mostly the one to beat
+        ceiling = min(best.cost, hopeless) if best else hopeless
+        fit = relax(captures, state, prior, variances, tolerance=_TOLERANCE, steps=_STEPS, ceiling=ceiling)
+        if fit.cost < (best.cost if best else np.inf):
+            best = fit
+    return best
+
+
+def _most_promising(captures: Sequence[Cells], starts: list[State], knowledge: Knowledge) -> list[State]:
+    prior = knowledge.prior(starts[0])
+    variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
+    return sorted(starts, key=lambda state: evaluate(captures, state, prior, variances).cost)[:1]
 
 
 def _cost(fit: Fit) -> float:
     return fit.cost
-
-
-def _start(transfers: Transfer, i: int, focal: float, principal_point_px: tuple[float, float]) -> State:
-    """The paper's solution number i as a state: no lens terms, exactly square."""
-    baseline = np.linalg.norm(transfers.translation[i])
-    matrix = transfers.matrix[i]
-    return State(
-        np.array([focal, *principal_point_px, 0.0, 0.0]),
-        np.array([np.sqrt(matrix[0, 0] * matrix[1, 1]), matrix[0, 2], matrix[1, 2], 0.0, 0.0]),
-        transfers.rotation[i],
-        transfers.translation[i] / baseline,
-        np.zeros((1, 3)),
-        (Pose(transfers.normals[i], transfers.vertex[i] / baseline),),
-    )
 
 
 def _combined(shared: State, alone: Sequence[State]) -> State:

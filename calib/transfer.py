@@ -40,13 +40,14 @@ def image_of_corner(grams: FaceGrams) -> CornerImage:
     return CornerImage(vertex, lines)
 
 
-def transfer(grams: FaceGrams, image: CornerImage, matrices: Floats) -> Transfer:
+def transfer(grams: FaceGrams, image: CornerImage, matrices: Floats, *, nearest: bool = False) -> Transfer:
     """Transfer trial intrinsics (n, 3, 3) of the first device of `grams`; n results for each of the two corners: 2n.
 
-    The first n results belong to one solution of the corner, the others to its mirror (concave and convex).
+    The first n results belong to one solution of the corner, the others to its mirror (concave and convex). `nearest`:
+    a corner that only comes near to the image is better than none.
     """
     inverses = np.asarray(np.linalg.inv(matrices), np.float64)
-    normals, rays = corner_planes(image, inverses)
+    normals, rays = corner_planes(image, inverses, nearest=nearest)
     count = 2 * len(matrices)
     normals = normals.reshape(count, 3, 3)
     rays, inverses = np.concatenate([rays, rays]), np.concatenate([inverses, inverses])

@@ -3,20 +3,25 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import chi2
 
 from calib.arrays import Floats
 from calib.cells import Cells
-from calib.degeneracy import reasons_in_images, reasons_in_space
+from calib.degeneracy import one_plane, reasons_in_images, reasons_in_space
 from calib.likelihood import Fit, Knowledge
 from calib.model import CAMERA, PROJECTOR
+from calib.next_view import best_next_view
 from calib.refine import Refinement
 from calib.refusal import RefusalError
+from calib.sweep import Family
 
 MOVE = "Move the rig so that all three faces are seen large and at different slants by both devices, and scan again."
 
 _USEFUL_SIGMA = 0.2  # of a focal length
 _CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
 _TENSION_SIGMAS = 4.0
+_SIGNIFICANT = 0.9999
+_MISFIT_PX, _MISFIT_OF_NOISE = 0.1, 0.3
 _PLAUSIBLE_FOCAL = (0.2, 10.0)  # in projector widths
 
 
@@ -29,6 +34,17 @@ def no_corner(captures: Sequence[Cells]) -> RefusalError:
     )
 
 
+def refuse_degenerate(captures: Sequence[Cells], families: Sequence[Family]) -> None:
+    """Raise RefusalError where two faces of a capture lie in one plane, as far as its noise can tell."""
+    for i, (cells, family) in enumerate(zip(captures, families, strict=True)):
+        of = f" of capture {i + 1}" if len(captures) > 1 else ""
+        if reason := one_plane(cells, family.straightened):
+            raise RefusalError(
+                f"The faces{of} are not those of a corner: {reason}.",
+                "Capture a corner with three planes, camera and projector well apart. " + MOVE,
+            )
+
+
 def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
     """Raise RefusalError where the solution is not determined, not the only one, or not of a square corner."""
     fit = refinement.fit
@@ -39,7 +55,8 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
             raise RefusalError(
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
                 + _because(_reasons(refinement)),
-                MOVE + " A principal point that is known, or a corner that is known to be square, also helps.",
+                _where_to_go(refinement, knowledge)
+                + " A principal point that is known, or a corner that is known to be square, also helps.",
             )
     _refuse_ambiguous(fit, refinement.others, relative["camera"])
     field = float(fit.state.projector[0]) / knowledge.projector_size[0]
@@ -49,13 +66,49 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
             + _because(_reasons(refinement)),
             "The faces may not be square to each other, or frames and patterns do not belong together. " + MOVE,
         )
-    for off in np.degrees(fit.state.off_square):
-        if np.linalg.norm(off) > _TENSION_SIGMAS * knowledge.squareness_deg > 0:
+    _refuse_misfit(refinement)
+    _refuse_skew(refinement, knowledge)
+
+
+def _where_to_go(refinement: Refinement, knowledge: Knowledge) -> str:
+    view = best_next_view(refinement, knowledge)
+    if view is None or view.sigma > _USEFUL_SIGMA:
+        return MOVE
+    return (
+        f"Capture this corner again with the rig moved {view.words}, and calibrate from both captures: the camera's "
+        f"focal length will then have a sigma of about {100 * view.sigma:.2g} %."
+    )
+
+
+def _refuse_misfit(refinement: Refinement) -> None:
+    for i, noise in enumerate(refinement.noise):
+        limit_px = _MISFIT_PX + _MISFIT_OF_NOISE * noise.match_px
+        if noise.smooth_px > limit_px:
+            which = f" of capture {i + 1}" if len(refinement.noise) > 1 else ""
             raise RefusalError(
-                f"The faces are not square to each other: they seem to be off by {signed(off)} degrees, where "
-                f"{knowledge.squareness_deg:g} was expected.",
-                "Choose another corner, or give a larger corner.squareness_deg.",
+                f"No corner explains the matches{which}: {noise.smooth_px:.2g} projector px of smooth misfit remain "
+                f"over the faces, where lenses and decoding leave less than {limit_px:.2g}.",
+                "What was taken for faces may be bent or wrong, or the lenses bend more than two radial terms allow "
+                "for. " + MOVE,
             )
+
+
+def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
+    off_square = np.degrees(refinement.fit.state.off_square)
+    limit = float(chi2.ppf(_SIGNIFICANT, off_square.size))
+    worst = off_square[int(np.argmax(np.linalg.norm(off_square, axis=1)))]
+    if refinement.tension > limit or np.linalg.norm(worst) > _TENSION_SIGMAS * knowledge.squareness_deg > 0:
+        seen = "" if knowledge.squareness_deg == 0 else f" (they seem to be off by {signed(worst)} degrees)"
+        raise RefusalError(
+            f"The faces are not square to each other{seen}, where "
+            + (
+                f"{knowledge.squareness_deg:g} degrees were allowed for"
+                if knowledge.squareness_deg
+                else "they should be"
+            )
+            + f": with the angles free, −2 log likelihood is lower by {refinement.tension:.0f}.",
+            "Choose another corner, or give a larger corner.squareness_deg.",
+        )
 
 
 def signed(values: Floats) -> str:

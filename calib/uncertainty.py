@@ -35,7 +35,7 @@ class Uncertainty:
         δX = r δd, and the depth d moves with every parameter and with the match.
         """
         rays, rays_by_camera = unproject(self.state.camera, matches.camera_px)
-        depth, by_match = _depths(self.state, rays, matches.projector_px)
+        depth, by_match = depths(self.state, rays, matches.projector_px)
         points = rays * depth[:, None]
         moved = points @ self.state.rotation.T + self.state.translation
         _, by_moved, by_projector = project(self.state.projector, moved)
@@ -104,7 +104,7 @@ def _intrinsics(size: tuple[int, int], device: Floats) -> Intrinsics:
     return Intrinsics(*size, (focal, focal), (x0, y0), (k1, k2, 0.0, 0.0, 0.0))
 
 
-def _depths(state: State, rays: Floats, projector_px: Floats) -> tuple[Floats, Floats]:
+def depths(state: State, rays: Floats, projector_px: Floats) -> tuple[Floats, Floats]:
     """Depths (N,) along the camera's rays (N, 3), and their derivatives (N, 2) by the projector's pixel."""
     directions, _ = unproject(state.projector, projector_px)
     # Midpoint's camera side: minimise |d R r + t − s q| over d and s.

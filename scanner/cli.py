@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except DeviceError as error:
         return _fail(EXIT_DEVICE, error)
     except RefusalError as error:
-        return _fail(EXIT_REFUSED, error, "no trustworthy calibration: ")
+        return _fail(EXIT_REFUSED, error, f"no trustworthy {error.refused}: ")
     except OSError as error:
         return _fail(EXIT_INPUT, error)
     except KeyboardInterrupt as error:

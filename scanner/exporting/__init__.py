@@ -1,0 +1,1 @@
+"""Results in the formats of other programs, in the conventions of each."""

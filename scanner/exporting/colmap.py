@@ -1,0 +1,113 @@
+"""Calibration, poses and points as a COLMAP model in text form (cameras.txt, images.txt, points3D.txt).
+
+COLMAP's world is the camera's frame: x right, y down, z forward, as here. Its pixels are not as here: the centre of the
+top left one is at (0.5, 0.5), so half a pixel is added to every principal point and every image point.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.arrays import Floats, Ints
+from calib.camera import Intrinsics
+from scanner.exporting.output import new_file, refuse_existing
+from scanner.finished_scan import FinishedScan
+
+COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
+CAMERA_ID, PROJECTOR_ID = 1, 2
+CAMERA_IMAGE, PROJECTOR_IMAGE = "camera.png", "projector.png"
+DEFAULT_POINTS = 20_000
+
+_HALF_PIXEL = 0.5
+
+
+@dataclass(frozen=True)
+class ModelSize:
+    """How many of the cloud's points a model got, one from each square of `step` × `step` camera pixels."""
+
+    points: int
+    step: int
+
+
+def write_colmap(folder: Path, scan: FinishedScan, *, most_points: int = DEFAULT_POINTS, overwrite: bool) -> ModelSize:
+    """Write a model with at most so many points, chosen evenly over the camera's image.
+
+    Raises InputError if one of the files exists already and may not be replaced.
+    """
+    for name in COLMAP_FILES:
+        refuse_existing(folder / name, overwrite=overwrite)
+    chosen, step = _evenly(scan.pixel, most_points)
+    contents = (_cameras(scan), _images(scan, chosen), _points(scan, chosen))
+    for name, lines in zip(COLMAP_FILES, contents, strict=True):
+        with new_file(folder / name, overwrite=overwrite) as path, path.open("w", encoding="utf-8") as file:
+            file.writelines(f"{line}\n" for line in lines)
+    return ModelSize(len(chosen), step)
+
+
+def _evenly(pixel: Ints, most: int) -> tuple[Ints, int]:
+    """Indices of the points at every `step`-th row and column, for the smallest step that leaves at most so many."""
+    step = max(1, int(np.sqrt(len(pixel) / most)))
+    while True:
+        chosen = np.flatnonzero(np.all(pixel % step == step // 2, axis=1))
+        if len(chosen) <= most:
+            return chosen, step
+        step += 1
+
+
+def _cameras(scan: FinishedScan) -> Iterator[str]:
+    yield "# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
+    yield f"{CAMERA_ID} {_camera_model(scan.calibration.camera)}"
+    yield f"{PROJECTOR_ID} {_camera_model(scan.calibration.projector)}"
+
+
+def _camera_model(device: Intrinsics) -> str:
+    """OPENCV has k1 k2 p1 p2; a k3 needs FULL_OPENCV, which goes on with k3 k4 k5 k6."""
+    k1, k2, p1, p2, k3 = device.distortion
+    x0, y0 = device.principal_point_px
+    parameters = [*device.focal_px, x0 + _HALF_PIXEL, y0 + _HALF_PIXEL, k1, k2, p1, p2]
+    if k3:
+        parameters += [k3, 0.0, 0.0, 0.0]
+    return f"{'FULL_OPENCV' if k3 else 'OPENCV'} {device.width} {device.height} {_numbers(parameters)}"
+
+
+def _images(scan: FinishedScan, chosen: Ints) -> Iterator[str]:
+    """A line with the pose, world to image, and a line with the image points, for each of the two devices."""
+    calibration, matches = scan.calibration, scan.matches[chosen]
+    yield f"# {scan.matched} matches, of which {len(chosen)} are in this model; unit: {' '.join(scan.unit.split())}"
+    yield "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
+    yield "# POINTS2D[] as X Y POINT3D_ID"
+    for number, name, rotation, translation, pixels in (
+        (CAMERA_ID, CAMERA_IMAGE, np.eye(3), np.zeros(3), matches.camera_px),
+        (PROJECTOR_ID, PROJECTOR_IMAGE, calibration.rotation, calibration.translation, matches.projector_px),
+    ):
+        x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True)
+        yield f"{number} {_numbers([w, x, y, z, *translation])} {number} {name}"
+        ideal = (pixels + _HALF_PIXEL).tolist()
+        yield " ".join(f"{x:.4f} {y:.4f} {index}" for index, (x, y) in enumerate(ideal, start=1))
+
+
+def _points(scan: FinishedScan, chosen: Ints) -> Iterator[str]:
+    """Each point was seen by both devices, as the image point of the same place in either's list."""
+    error = _reprojection_error_px(scan, chosen)
+    yield "# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX"
+    rows = zip(scan.points[chosen].tolist(), scan.colours[chosen].tolist(), error.tolist(), strict=True)
+    for index, ((x, y, z), (red, green, blue), miss) in enumerate(rows):
+        track = f"{CAMERA_ID} {index} {PROJECTOR_ID} {index}"
+        yield f"{index + 1} {x:.9g} {y:.9g} {z:.9g} {red} {green} {blue} {miss:.6g} {track}"
+
+
+def _reprojection_error_px(scan: FinishedScan, chosen: Ints) -> Floats:
+    """Mean over both images of the distance between a point's image and the pixel that it was seen at, (N,)."""
+    calibration, matches, points = scan.calibration, scan.matches[chosen], scan.points[chosen]
+    in_projector = points @ calibration.rotation.T + calibration.translation
+    in_camera_px = calibration.camera.project(points) - matches.camera_px
+    in_projector_px = calibration.projector.project(in_projector) - matches.projector_px
+    error: Floats = 0.5 * (np.hypot(*in_camera_px.T) + np.hypot(*in_projector_px.T))
+    return error
+
+
+def _numbers(values: list[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)

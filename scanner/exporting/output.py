@@ -1,0 +1,37 @@
+"""Files that appear whole or not at all, and never over others unless that is asked for."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from scanner.errors import InputError
+
+
+def refuse_existing(path: Path, *, overwrite: bool) -> None:
+    """Raise InputError if `path` is anything but a file that may be replaced."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, expected the name of a file to write")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: already exists; choose another --out, or replace it with --overwrite")
+
+
+@contextmanager
+def new_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
+    """A hidden file beside `path` to write into; it becomes `path` when the block ends well, and vanishes if not.
+
+    Folders on the way are made. Raises InputError if `path` exists and may not be replaced, or no file can be there.
+    """
+    refuse_existing(path, overwrite=overwrite)
+    partial = path.with_name(f".{os.getpid()}.partial.{path.name}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path.parent}: cannot be made: {error.strerror}") from error
+    try:
+        yield partial
+        partial.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,1 @@
+"""Spheres, faces and distances measured in the cloud of a result."""

@@ -1,0 +1,111 @@
+"""What can be measured; every length is in the result's unit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Floats, Ints
+
+# Share of the points that a form error speaks of; the rest may be strays.
+FORM_SHARE = 0.997
+
+
+@dataclass(frozen=True)
+class FitErrors:
+    """How far points are from what was fitted to them.
+
+    `residual` (N,): signed distances; `pixel` (N, 2): the camera's column and row of each. For a sphere positive is
+    outside, for a plane towards the camera.
+    """
+
+    residual: Floats
+    pixel: Ints
+
+    @property
+    def mean_absolute(self) -> float:
+        """Mean of the distances: the MAE of the literature."""
+        return float(np.mean(np.abs(self.residual)))
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean square."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def form(self) -> float:
+        """Width of the band around the median that holds 99.7 % of the points."""
+        low, high = np.quantile(self.residual, ((1 - FORM_SHARE) / 2, (1 + FORM_SHARE) / 2))
+        return float(high - low)
+
+
+@dataclass(frozen=True)
+class SphereMeasurement:
+    """A sphere of nominally known diameter.
+
+    `diameter` and `centre` (3,) are fitted together, and `errors` are from that fit; `nominal_errors` from a fit of the
+    centre alone with the nominal diameter. `strays` is how many points of its image, besides, are so far off that they
+    are of something else. `image_px`: centre (x, y) and radius of its image.
+    """
+
+    nominal_diameter: float
+    diameter: float
+    diameter_sigma: float
+    centre: Floats
+    centre_sigma: Floats
+    errors: FitErrors
+    nominal_errors: FitErrors
+    strays: int
+    image_px: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class FaceMeasurement:
+    """A face of the corner: the plane `normal` · X = `offset` (the normal faces the camera) and its flatness."""
+
+    name: str
+    normal: Floats
+    offset: float
+    errors: FitErrors
+
+
+@dataclass(frozen=True)
+class AngleMeasurement:
+    """The angle between two faces, on the camera's side."""
+
+    faces: tuple[str, str]
+    angle_deg: float
+    sigma_deg: float
+
+
+@dataclass(frozen=True)
+class DistanceMeasurement:
+    """Between the points at two camera pixels, or between the centres of two spheres; `sigma` None where unknown.
+
+    `points` (2, 3); `names` say what they are.
+    """
+
+    names: tuple[str, str]
+    points: Floats
+    distance: float
+    sigma: float | None
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Everything that was measured in one result."""
+
+    unit: str
+    spheres: tuple[SphereMeasurement, ...] = ()
+    faces: tuple[FaceMeasurement, ...] = ()
+    angles: tuple[AngleMeasurement, ...] = ()
+    distances: tuple[DistanceMeasurement, ...] = ()
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing was measured."""
+        return not (self.spheres or self.faces or self.distances)
+
+    @property
+    def pictured(self) -> bool:
+        """Whether there is something to draw a heat map of."""
+        return bool(self.spheres or self.faces)

@@ -1,0 +1,145 @@
+"""The test with a ball: find it, fit it, and tell how far its points are from a sphere."""
+
+from itertools import combinations
+
+import numpy as np
+
+from calib.arrays import Bools, Floats, Ints
+from calib.find_sphere import OrganisedPoints, find_sphere, image_radius_px
+from calib.fit_sphere import Sphere, fit_sphere
+from calib.fit_statistics import blocks, robust_sigma
+from calib.pixel_index import density
+from calib.refusal import NoMeasurementError
+from scanner.finished_scan import FinishedScan
+from scanner.measuring.measurements import DistanceMeasurement, FitErrors, SphereMeasurement
+from scanner.measuring.shown import shown_unit
+from scanner.quantities import percent
+
+# Points farther than this share of the radius from the surface are of something in front of the ball.
+_GATE = 0.2
+# Within that, points off by more than this many sigmas are so, too. Everything else is the ball's error.
+_STRAY_SIGMAS = 10.0
+# The ball counts as far as it faces the camera within so many degrees: at the rim a pixel sees what is behind, too.
+_FARTHEST_FROM_FACING_DEG = 75.0
+_REFITS = 3
+# Neighbouring points err alike, because they share the decoder's patterns: squares of so many pixels, or of a fifth of
+# the ball.
+_ALIKE_PX, _ALIKE_OF_IMAGE = 8, 0.2
+_FEWEST_POINTS = 50
+_LEAST_OF_IMAGE = 0.4
+_LARGEST_SIZE_ERROR, _LARGEST_SCATTER = 0.15, 0.1
+
+
+def measure_spheres(scan: FinishedScan, diameters: list[float]) -> tuple[SphereMeasurement, ...]:
+    """One sphere for each diameter, in the scan's unit; given twice, two different ones. Raises NoMeasurementError."""
+    cloud = OrganisedPoints(scan.points, scan.index_grid, scan.calibration.camera)
+    free = np.ones(len(scan), np.bool_)
+    rng = np.random.default_rng(0)
+    found = []
+    for diameter in diameters:
+        centre = find_sphere(cloud, diameter / 2, free, rng)
+        if centre is None:
+            raise _not_found(scan, diameter)
+        sphere = _measure(scan, centre, diameter / 2)
+        found.append(sphere)
+        apart = np.linalg.norm(scan.points - sphere.centre, axis=1)
+        free &= apart > (1 + _GATE) * diameter / 2
+    return tuple(found)
+
+
+def centre_distances(spheres: tuple[SphereMeasurement, ...]) -> tuple[DistanceMeasurement, ...]:
+    """Between the centres of all pairs, as a ball bar is calibrated for."""
+    return tuple(
+        DistanceMeasurement(
+            (f"sphere {i + 1}", f"sphere {j + 1}"),
+            np.stack([spheres[i].centre, spheres[j].centre]),
+            float(np.linalg.norm(spheres[i].centre - spheres[j].centre)),
+            _distance_sigma(spheres[i], spheres[j]),
+        )
+        for i, j in combinations(range(len(spheres)), 2)
+    )
+
+
+def _distance_sigma(first: SphereMeasurement, second: SphereMeasurement) -> float:
+    along = (first.centre - second.centre) / np.linalg.norm(first.centre - second.centre)
+    return float(np.sqrt(np.sum(along**2 * (first.centre_sigma**2 + second.centre_sigma**2))))
+
+
+def _measure(scan: FinishedScan, centre: Floats, radius: float) -> SphereMeasurement:
+    """Fit, choose the points again, and so on; then judge whether it is a sphere of that size at all."""
+    fitted_centre, fitted_radius = centre, radius
+    for _ in range(_REFITS):
+        on = _on_ball(scan, fitted_centre, fitted_radius)
+        _refuse_few_points(scan, on, fitted_centre, radius)
+        sphere = fit_sphere(scan.points[on], _alike(scan, on), fitted_centre, fitted_radius)
+        fitted_centre, fitted_radius = sphere.centre, sphere.radius
+        _refuse_no_sphere(scan, sphere, radius)
+    nominal = fit_sphere(scan.points[on], _alike(scan, on), sphere.centre, radius, fixed_radius=True)
+    stray = np.abs(sphere.residual) > _STRAY_SIGMAS * robust_sigma(sphere.residual)
+    pixel = scan.pixel[on][~stray]
+    x, y = scan.calibration.camera.project(sphere.centre)
+    return SphereMeasurement(
+        2 * radius,
+        2 * sphere.radius,
+        2 * sphere.radius_sigma,
+        sphere.centre,
+        sphere.centre_sigma,
+        FitErrors(sphere.residual[~stray], pixel),
+        FitErrors(nominal.residual[~stray], pixel),
+        int(np.count_nonzero(stray)),
+        (float(x), float(y), _image_radius(scan, sphere.centre, sphere.radius)),
+    )
+
+
+def _on_ball(scan: FinishedScan, centre: Floats, radius: float) -> Bools:
+    """Points of pixels whose rays go into the ball: what is seen there is the ball, or hides it."""
+    ray = scan.points / np.linalg.norm(scan.points, axis=1, keepdims=True)
+    from_ray = np.linalg.norm(centre - (ray @ centre)[:, None] * ray, axis=1)
+    from_centre = np.linalg.norm(scan.points - centre, axis=1)
+    inside = from_ray < np.sin(np.radians(_FARTHEST_FROM_FACING_DEG)) * radius
+    on: Bools = inside & (np.abs(from_centre - radius) < _GATE * radius)
+    return on
+
+
+def _alike(scan: FinishedScan, on: Bools) -> Ints:
+    pixel = scan.pixel[on]
+    across = float(np.ptp(pixel, axis=0).mean())
+    return blocks(pixel, max(1, round(min(_ALIKE_PX, _ALIKE_OF_IMAGE * across))))
+
+
+def _image_radius(scan: FinishedScan, centre: Floats, radius: float) -> float:
+    return float(image_radius_px(scan.calibration.camera, centre[2:], radius)[0])
+
+
+def _refuse_few_points(scan: FinishedScan, on: Bools, centre: Floats, radius: float) -> None:
+    image_px = _image_radius(scan, centre, radius)
+    whole = density(scan.index_grid) * np.pi * (image_px * np.sin(np.radians(_FARTHEST_FROM_FACING_DEG))) ** 2
+    if np.count_nonzero(on) < max(_FEWEST_POINTS, _LEAST_OF_IMAGE * whole):
+        raise NoMeasurementError(
+            f"A sphere was found, but it has {np.count_nonzero(on)} points only, in an image of {2 * image_px:.0f} "
+            "pixels across.",
+            "Bring the ball closer, put it where both camera and projector see it whole, and scan again.",
+        )
+
+
+def _refuse_no_sphere(scan: FinishedScan, sphere: Sphere, radius: float) -> None:
+    size_error = abs(sphere.radius / radius - 1)
+    scatter = robust_sigma(sphere.residual) / radius
+    if size_error > _LARGEST_SIZE_ERROR or scatter > _LARGEST_SCATTER or not np.isfinite(sphere.radius_sigma):
+        unit = shown_unit(scan.unit)
+        raise NoMeasurementError(
+            f"What is most like a sphere of {unit.length(2 * radius)} fits a diameter of "
+            f"{unit.length(2 * sphere.radius)}, and its points scatter by {percent(scatter)} of the radius.",
+            "Check the diameter and the scale of the result.",
+        )
+
+
+def _not_found(scan: FinishedScan, diameter: float) -> NoMeasurementError:
+    unit = shown_unit(scan.unit)
+    largest_px = 2 * _image_radius(scan, np.percentile(scan.points, 1, axis=0), diameter / 2)
+    return NoMeasurementError(
+        f"No sphere with a diameter of {unit.length(diameter)} was found in the cloud, where it would be up to "
+        f"{largest_px:.0f} pixels across.",
+        "It has to be seen whole by both devices. Check the diameter, which is not the radius, and the scale of the "
+        "result.",
+    )
