@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from calib.arrays import Bools
+from calib.arrays import Bools, Ints
 from calib.calibration import Calibration
 from calib.faces import find_faces
 from calib.homography import FACES
+from calib.planes import NO_PLANE
 from calib.refusal import RefusalError
 from calib.selfcalibration import SelfCalibration, self_calibrate, self_calibrate_jointly
 from scanner.cloud import CloudStatistics
@@ -50,14 +51,27 @@ def _solve(scan: Scan, config: Config) -> tuple[SelfCalibration, ...]:
     sizes, point = (facts.camera_size, facts.projector_size), config.principal_point(facts.camera_size)
     squareness_deg = config.corner.squareness_deg
     if len(scan.captures) == 1:
-        matches = scan.newest.matches
-        return (
-            self_calibrate(matches, *sizes, principal_point=point, method=config.method, squareness_deg=squareness_deg),
+        found = self_calibrate(
+            scan.newest.matches,
+            *sizes,
+            principal_point=point,
+            method=config.method,
+            squareness_deg=squareness_deg,
+            plane=scan.newest.plane,
         )
-    captures = [found.matches for found in scan.captures]
+        return (found,)
     return self_calibrate_jointly(
-        captures, *sizes, principal_point=point, squareness_deg=squareness_deg, same=config.corner.same
+        [found.matches for found in scan.captures],
+        *sizes,
+        principal_point=point,
+        squareness_deg=squareness_deg,
+        same=config.corner.same,
+        planes=[_planes_of(found) for found in scan.captures],
     )
+
+
+def _planes_of(found: Findings) -> Ints:
+    return np.full(len(found.matches), NO_PLANE, np.int32) if found.plane is None else found.plane
 
 
 def _label(found: Findings, masks: Bools | None) -> None:
@@ -65,7 +79,8 @@ def _label(found: Findings, masks: Bools | None) -> None:
         found.matches = label_by_masks(found.matches, masks)
     elif found.matches.face is None:
         facts = found.facts
-        found.matches = find_faces(found.matches, facts.camera_size, facts.projector_size).matches
+        faces = find_faces(found.matches, facts.camera_size, facts.projector_size)
+        found.matches, found.plane = faces.matches, faces.plane
     face = found.matches.face
     assert face is not None
     counts = np.bincount(face[face >= 0], minlength=len(FACES))

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.arrays import Image
+from calib.arrays import Image, Ints
 from calib.calibration import Calibration
 from calib.matches import Matches
 from calib.refusal import RefusalError
@@ -34,7 +34,8 @@ class Findings:
     """Of one capture. Filled in step by step; what a refusal prevented stays None.
 
     `calibration` is the one in use, with its scale; `truth` is known of simulated rigs, and only for showing it. `name`
-    says in messages which of several captures it is; `photograph` is the lit scene where nothing was decoded.
+    says in messages which of several captures it is; `photograph` is the lit scene where nothing was decoded; `plane`
+    (N,) is which plane each match is on, as of `Faces`, where the faces were found and not given.
     """
 
     facts: CaptureFacts
@@ -46,6 +47,7 @@ class Findings:
     truth: Calibration | None = None
     name: str = ""
     photograph: Image | None = None
+    plane: Ints | None = None
 
     @property
     def texture(self) -> Image | None:
@@ -108,7 +110,7 @@ def save(scan: Scan, folder: Path, refusal: RefusalError | None = None) -> None:
     for index, found in enumerate(scan.captures):
         place = folder_of(folder, index, len(scan.captures))
         place.mkdir(parents=True, exist_ok=True)
-        write_matches(place / MATCHES_FILE, found.matches)
+        write_matches(place / MATCHES_FILE, found.matches, found.plane)
         if refusal is None and found.calibration and found.cloud:
             write_calibration(place / CALIBRATION_FILE, found.calibration)
             write_ply(place / CLOUD_FILE, found.cloud)

@@ -12,7 +12,7 @@ from scanner.calibration_file import read_calibration
 from scanner.errors import InputError
 from scanner.findings import Findings
 from scanner.images import read_image
-from scanner.matches_file import MATCHES_FILE, read_matches
+from scanner.matches_file import MATCHES_FILE, read_matches, read_planes
 from scanner.patterns import White
 from scanner.recording import CAPTURE_FILE, Recording, open_capture
 from scanner.report import CaptureFacts
@@ -63,7 +63,7 @@ def _read(place: Path, camera_size: Size, projector_size: Size) -> Findings:
     _check_inside(place, "projector", matches.projector_px, projector_size)
     matches = replace(matches, face=_three_faces(place, matches.face))
     facts = CaptureFacts(camera_size, projector_size, identity={"matches": str(place)})
-    return Findings(facts, matches, name=str(place), photograph=texture)
+    return Findings(facts, matches, name=str(place), photograph=texture, plane=read_planes(place))
 
 
 def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Image | None:
