@@ -78,6 +78,15 @@ class Scan:
         """What a person should know about it, in sentences."""
         return (*self.newest.remarks, *self.remarks_on_merging)
 
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """The captures' numbers, as notes have them, and where they come from if they were not taken just now."""
+        numbers = [f"Capture {number}" for number in range(1, len(self.captures) + 1)]
+        return tuple(
+            number if found.name in ("", number) else f"{number}: {found.name}"
+            for number, found in zip(numbers, self.captures, strict=True)
+        )
+
     @contextmanager
     def naming(self, found: Findings) -> Iterator[None]:
         """A RefusalError in the block says which of several captures it is about."""
@@ -146,14 +155,14 @@ def _rows(scan: Scan) -> tuple[CaptureRow, ...]:
     count, result = len(scan.captures), Path()
     return tuple(
         CaptureRow(
-            found.name,
+            title,
             "" if found is scan.newest else (folder_of(result, index, count) / REPORT_FILE).as_posix(),
             len(found.matches),
             found.solution.residual_px if found.solution else None,
             found.cloud.statistics.decoder_px if found.cloud else None,
             found.cloud.statistics.kept if found.cloud else None,
         )
-        for index, found in enumerate(scan.captures)
+        for index, (title, found) in enumerate(zip(scan.titles, scan.captures, strict=True))
     )
 
 

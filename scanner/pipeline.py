@@ -47,7 +47,7 @@ def scan(
         if step:
             set_aside(captures, folder)
         captures.append(take(rig, config, folder, terminal))
-        captures[-1].name = f"capture {len(captures)}"
+        captures[-1].name = f"Capture {len(captures)}"
     return reconstruct(Scan(captures), config, folder, terminal, masks=masks)
 
 

@@ -18,10 +18,10 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
         terminal.show(truth_line(newest.calibration, newest.truth))
     for remark in scan.remarks:
         terminal.show(f"Note: {remark}")
-    for found in scan.captures:
+    for title, found in zip(scan.titles, scan.captures, strict=True):
         residual = "" if found.solution is None else f", residual {found.solution.residual_px:.3f} projector px"
         kept = found.cloud.statistics.kept if found.cloud else 0
-        name = f"{found.name}: " if len(scan.captures) > 1 else ""
+        name = f"{title}: " if len(scan.captures) > 1 else ""
         terminal.show(f"{name}{len(found.matches):,} matches{residual}, {kept:,} points in the cloud")
     files = (REPORT_FILE, CLOUD_FILE, *((MERGED_FILE,) if scan.merged else ()), CALIBRATION_FILE)
     terminal.show(f"Result: {out} ({', '.join(files)})")

@@ -117,7 +117,7 @@ def test_the_operator_is_asked_between_captures_and_may_stop(
     pipeline.scan(load_config(config), tmp_path, operator, number=4)
     assert len(operator.questions) == 2
     assert "Capture 2 of 4 is done" in operator.questions[1]
-    assert [found.name for found in taken[0].captures] == ["capture 1", "capture 2"]
+    assert [found.name for found in taken[0].captures] == ["Capture 1", "Capture 2"]
     assert (tmp_path / "capture/capture.yaml").exists()
     assert (tmp_path / "captures/1/capture/capture.yaml").exists()
     assert not (tmp_path / "captures/2").exists()

@@ -8,6 +8,7 @@ import pytest
 
 from scanner.calibration_file import read_calibration
 from scanner.cli import main
+from scanner.finished_scan import read_finished_scan
 from scanner.matches_file import read_matches
 from scanner.quantities import intrinsic_errors_percent
 from scanner.recording import open_capture
@@ -82,6 +83,13 @@ def test_the_merged_cloud_lies_along_the_corners_edges(scanned: Scanned) -> None
         on_face = np.abs(points[:, axis]) < 0.005
         assert on_face.mean() > 0.05
         assert 0.98 < np.median(normals[on_face, axis]) <= 1.0
+
+
+def test_each_capture_can_be_exported_and_measured(scanned: Scanned) -> None:
+    for folder in (scanned.result, scanned.result / "captures" / "1"):
+        scan = read_finished_scan(folder)
+        assert 0.95 * scan.matched < len(scan) <= scan.matched
+        assert scan.unit == "m"
 
 
 def test_the_report_shows_what_both_saw(scanned: Scanned) -> None:

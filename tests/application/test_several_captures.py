@@ -86,7 +86,14 @@ def test_each_capture_is_a_result_of_its_own(given: Given, together: tuple[int, 
 def test_the_report_is_of_all_captures(together: tuple[int, Path]) -> None:
     _, out = together
     report = (out / "report.html").read_text()
-    for words in ("2 captures together", 'href="captures/1/report.html"', "a.npz", "b.npz", "Were it elsewhere: 10 px"):
+    for words in (
+        "2 captures together",
+        '<a href="captures/1/report.html">Capture 1: ',
+        "/a.npz</a>",
+        "Capture 2: ",
+        "/b.npz",
+        "Were it elsewhere: 10 px",
+    ):
         assert words in report
     assert "was not merged" not in report
     assert "calibrated together with others" in (out / "captures/1/report.html").read_text()
