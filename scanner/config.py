@@ -18,6 +18,7 @@ from scanner.yaml_file import parse_yaml, read_yaml
 _CENTRE_SIGMA_OF_WIDTH = 0.03
 
 _LARGEST_SIDE_PX = 32768
+_MOST_EARLIER = 64
 
 
 class _DeviceSettings(Section):
@@ -139,6 +140,12 @@ class Config(Section):
     )
     corner: CornerSettings = Field(default=CornerSettings(), description="What is known of the corner.")
     scale: ScaleSettings | None = Field(default=None, description="A known length.")
+    earlier: tuple[Path, ...] = Field(
+        default=(),
+        max_length=_MOST_EARLIER,
+        description="Earlier results, or matches, of this unchanged rig to calibrate together with the new capture; "
+        "paths relative to this file.",
+    )
 
     @property
     def required_rig(self) -> RigSettings:
@@ -193,14 +200,18 @@ def _shown(size: tuple[int, int]) -> str:
 def load_config(path: Path | None, overrides: Iterable[str] = ()) -> Config:
     """Read a configuration (None: an empty one) and put `KEY=VALUE` overrides over it.
 
-    KEY is a dotted path, VALUE is YAML. Raises InputError for a missing or malformed file, an unknown key (naming the
-    nearest known one), a value that is impossible, or an override that is no KEY=VALUE.
+    KEY is a dotted path, VALUE is YAML. Paths of earlier results may be relative to the configuration's folder; they
+    come back ready to be opened. Raises InputError for a missing or malformed file, an unknown key (naming the nearest
+    known one), a value that is impossible, or an override that is no KEY=VALUE.
     """
     data = {} if path is None else read_yaml(path)
     for override in overrides:
         _apply(override, data)
     where = "configuration" if path is None else str(path)
-    return validate(Config, data, where)
+    config = validate(Config, data, where)
+    if path is None or not config.earlier:
+        return config
+    return config.model_copy(update={"earlier": tuple(path.parent / earlier for earlier in config.earlier)})
 
 
 def _apply(override: str, data: dict[str, Any]) -> None:

@@ -1,10 +1,12 @@
-"""What is found out about a capture, and the files that tell it."""
+"""What is found out about captures, and the files that tell it."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from calib.arrays import Image, Ints
 from calib.calibration import Calibration
 from calib.matches import Matches
 from calib.refusal import RefusalError
@@ -13,20 +15,27 @@ from scanner.calibration_file import write_calibration
 from scanner.cloud import Cloud
 from scanner.decode import Decoding
 from scanner.matches_file import MATCHES_FILE, write_matches
-from scanner.ply import write_ply
-from scanner.report import CaptureFacts, ReportInput, write_report
-from scanner.result import CALIBRATION_FILE, CLOUD_FILE, REPORT_FILE
+from scanner.merged_cloud import MergedCloud
+from scanner.ply import write_merged_ply, write_ply
+from scanner.report import CaptureFacts, CaptureRow, ReportInput, write_report
+from scanner.result import CALIBRATION_FILE, CAPTURE_FOLDER, CLOUD_FILE, MERGED_FILE, REPORT_FILE, folder_of
 
 log = logging.getLogger(__name__)
 
+_ONE_OF_SEVERAL = (
+    "This capture was calibrated together with others; what concerns all of them is in the report of the whole result, "
+    "two folders up."
+)
 _NOT_ABOUT_DEVICES = {"format", "projector", "camera", "frames", "devices"}
 
 
 @dataclass
 class Findings:
-    """Filled in step by step; what a refusal prevented stays None.
+    """Of one capture. Filled in step by step; what a refusal prevented stays None.
 
-    `calibration` is the one in use, with its scale; `truth` is known of simulated rigs, and only for showing it.
+    `calibration` is the one in use, with its scale; `truth` is known of simulated rigs, and only for showing it. `name`
+    says in messages which of several captures it is; `photograph` is the lit scene where nothing was decoded; `plane`
+    (N,) is which plane each match is on, as of `Faces`, where the faces were found and not given.
     """
 
     facts: CaptureFacts
@@ -36,6 +45,14 @@ class Findings:
     calibration: Calibration | None = None
     cloud: Cloud | None = None
     truth: Calibration | None = None
+    name: str = ""
+    photograph: Image | None = None
+    plane: Ints | None = None
+
+    @property
+    def texture(self) -> Image | None:
+        """The camera's image of the lit scene."""
+        return self.decoding.texture if self.decoding else self.photograph
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -43,18 +60,78 @@ class Findings:
         return (*(self.decoding.warnings if self.decoding else ()), *(self.solution.notes if self.solution else ()))
 
 
-def save(found: Findings, folder: Path, refusal: RefusalError | None = None) -> None:
-    """Write everything into a folder; after a refusal neither calibration nor cloud. Raises OSError."""
-    for remark in found.remarks:
+@dataclass
+class Scan:
+    """Captures of one unchanged rig, oldest first; mostly it is only one."""
+
+    captures: Sequence[Findings]
+    merged: MergedCloud | None = None
+    remarks_on_merging: tuple[str, ...] = ()
+
+    @property
+    def newest(self) -> Findings:
+        """The capture that the result is about; the others help to calibrate it."""
+        return self.captures[-1]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a person should know about it, in sentences."""
+        return (*self.newest.remarks, *self.remarks_on_merging)
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """The captures' numbers, as notes have them, and where they come from if they were not taken just now."""
+        numbers = [f"Capture {number}" for number in range(1, len(self.captures) + 1)]
+        return tuple(
+            number if found.name in ("", number) else f"{number}: {found.name}"
+            for number, found in zip(numbers, self.captures, strict=True)
+        )
+
+    @contextmanager
+    def naming(self, found: Findings) -> Iterator[None]:
+        """A RefusalError in the block says which of several captures it is about."""
+        try:
+            yield
+        except RefusalError as refusal:
+            if len(self.captures) == 1:
+                raise
+            raise RefusalError(f"{found.name}: {refusal.reason}", refusal.advice) from refusal
+
+
+def set_aside(captures: Sequence[Findings], folder: Path) -> None:
+    """Make room for the next capture: the last one's recording goes to its place among several, with its matches.
+
+    Should the next one fail, what is needed to calibrate from those before it is on disk.
+    """
+    place = folder_of(folder, len(captures) - 1, len(captures) + 1)
+    place.mkdir(parents=True)
+    (folder / CAPTURE_FOLDER).rename(place / CAPTURE_FOLDER)
+    write_matches(place / MATCHES_FILE, captures[-1].matches)
+
+
+def save(scan: Scan, folder: Path, refusal: RefusalError | None = None) -> None:
+    """Write every capture's files into its folder of a result; after a refusal no calibration and no cloud.
+
+    Raises OSError.
+    """
+    for remark in scan.remarks:
         log.info(remark)
-    write_matches(folder / MATCHES_FILE, found.matches)
-    if refusal is None and found.calibration and found.cloud:
-        write_calibration(folder / CALIBRATION_FILE, found.calibration)
-        write_ply(folder / CLOUD_FILE, found.cloud)
-    write_report(folder / REPORT_FILE, _report_input(found, folder, refusal))
+    for index, found in enumerate(scan.captures):
+        place = folder_of(folder, index, len(scan.captures))
+        place.mkdir(parents=True, exist_ok=True)
+        write_matches(place / MATCHES_FILE, found.matches, found.plane)
+        if refusal is None and found.calibration and found.cloud:
+            write_calibration(place / CALIBRATION_FILE, found.calibration)
+            write_ply(place / CLOUD_FILE, found.cloud)
+    if scan.merged is not None and refusal is None:
+        write_merged_ply(folder / MERGED_FILE, scan.merged)
+    for index, found in enumerate(scan.captures):
+        place = folder_of(folder, index, len(scan.captures))
+        write_report(place / REPORT_FILE, _report_input(scan, found, place, refusal))
 
 
-def _report_input(found: Findings, folder: Path, refusal: RefusalError | None) -> ReportInput:
+def _report_input(scan: Scan, found: Findings, folder: Path, refusal: RefusalError | None) -> ReportInput:
+    newest = found is scan.newest
     return ReportInput(
         capture=found.facts,
         matches=found.matches,
@@ -63,9 +140,29 @@ def _report_input(found: Findings, folder: Path, refusal: RefusalError | None) -
         calibration=None if refusal else found.calibration,
         cloud=None if refusal else found.cloud,
         refusal=refusal,
-        truth=found.truth,
+        truth=scan.newest.truth,
         warnings=found.decoding.warnings if found.decoding else (),
         files=tuple(sorted(path.name for path in folder.iterdir())),
+        photograph=found.photograph,
+        together=len(scan.captures),
+        captures=_rows(scan) if newest and len(scan.captures) > 1 else (),
+        merged=scan.merged if newest and not refusal else None,
+        remarks=scan.remarks_on_merging if newest else (_ONE_OF_SEVERAL,),
+    )
+
+
+def _rows(scan: Scan) -> tuple[CaptureRow, ...]:
+    count, result = len(scan.captures), Path()
+    return tuple(
+        CaptureRow(
+            title,
+            "" if found is scan.newest else (folder_of(result, index, count) / REPORT_FILE).as_posix(),
+            len(found.matches),
+            found.solution.residual_px if found.solution else None,
+            found.cloud.statistics.decoder_px if found.cloud else None,
+            found.cloud.statistics.kept if found.cloud else None,
+        )
+        for index, (title, found) in enumerate(zip(scan.titles, scan.captures, strict=True))
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.arrays import Ints
 from calib.matches import NO_FACE, Matches
 from scanner.errors import InputError
 
@@ -19,16 +20,19 @@ _EXPECTED = {  # what it must be, and numpy's letters for the types that are
     "projector_px": ("numbers", "fiu"),
     "face": ("whole numbers", "iu"),
     "sigma_px": ("numbers", "fiu"),
+    "plane": ("whole numbers", "iu"),
 }
 
 
-def write_matches(path: Path, matches: Matches) -> None:
-    """Write matches with what is known of them. Raises OSError."""
+def write_matches(path: Path, matches: Matches, plane: Ints | None = None) -> None:
+    """Write matches with what is known of them; `plane` (N,): which plane each is on, −1 for none. Raises OSError."""
     arrays: dict[str, Any] = {"camera_px": matches.camera_px, "projector_px": matches.projector_px}
     if matches.face is not None:
         arrays["face"] = matches.face
     if matches.sigma_px is not None:
         arrays["sigma_px"] = matches.sigma_px
+    if plane is not None:
+        arrays["plane"] = plane
     with path.open("wb") as file:
         np.savez(file, **arrays)
 
@@ -39,15 +43,11 @@ def read_matches(path: Path) -> Matches:
     Raises InputError if it is missing or damaged, holds pickled objects, lacks an array, or has one of a wrong shape
     or type.
     """
-    file = path / MATCHES_FILE if path.is_dir() else path
+    file = _file(path)
     arrays = _load(file)
     for name in _REQUIRED:
         if name not in arrays:
             raise InputError(f"{file}: the array '{name}' is missing")
-    for name, array in arrays.items():
-        expected, kinds = _EXPECTED[name]
-        if array.dtype.kind not in kinds:
-            raise InputError(f"{file}: '{name}' must be {expected}, found {array.dtype}")
     face = arrays.get("face")
     if face is not None and face.size and face.min() < NO_FACE:
         raise InputError(f"{file}: 'face' must hold {NO_FACE} for none and labels from 0, found {face.min()}")
@@ -66,7 +66,32 @@ def read_matches(path: Path) -> Matches:
     return matches
 
 
+def read_planes(path: Path) -> Ints | None:
+    """Which plane each match of a matches file is on, (N,), −1 for none; None if the file does not say.
+
+    Raises InputError if the file is damaged, or says it of another number of matches.
+    """
+    arrays = _load(_file(path))
+    plane, count = arrays.get("plane"), len(arrays.get("camera_px", ()))
+    if plane is not None and plane.shape != (count,):
+        raise InputError(f"{_file(path)}: plane must have the shape ({count},), found {plane.shape}")
+    return None if plane is None else plane.astype(np.int32)
+
+
+def _file(path: Path) -> Path:
+    return path / MATCHES_FILE if path.is_dir() else path
+
+
 def _load(file: Path) -> dict[str, NDArray[Any]]:
+    arrays = _arrays_in(file)
+    for name, array in arrays.items():
+        expected, kinds = _EXPECTED[name]
+        if array.dtype.kind not in kinds:
+            raise InputError(f"{file}: '{name}' must be {expected}, found {array.dtype}")
+    return arrays
+
+
+def _arrays_in(file: Path) -> dict[str, NDArray[Any]]:
     if not file.is_file():
         raise InputError(f"{file}: {'not a file' if file.exists() else 'no such matches file'}")
     try:

@@ -10,6 +10,7 @@ from calib.arrays import Floats
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
 from scanner.cloud import Cloud
+from scanner.merged_cloud import MergedCloud
 
 RGBA = NDArray[np.uint8]
 RGB = tuple[int, int, int]
@@ -76,7 +77,7 @@ def rig_frusta(calibration: Calibration, length: float, camera_colour: RGB, proj
     return [Wireframe(frustum(calibration.camera, length), camera_colour), Wireframe(projector, projector_colour)]
 
 
-def render(cloud: Cloud, view: View, size: tuple[int, int], wireframes: list[Wireframe]) -> RGBA:
+def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wireframes: list[Wireframe]) -> RGBA:
     """A picture (height, width, 4) of at most `size` = (width, height), transparent where nothing is.
 
     Surfaces seen from behind are left out, so that one looks into a room through its walls.

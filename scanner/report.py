@@ -7,16 +7,20 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from scanner.quantities import plain
 from scanner.reporting import sections
-from scanner.reporting.contents import CaptureFacts, ReportInput
+from scanner.reporting.contents import CaptureFacts, CaptureRow, ReportInput
+from scanner.reporting.joint import joint_rows, merged_views
+from scanner.reporting.uncertainty import point_sigmas, price_of_principal_point
 from scanner.reporting.verdict import verdict
 
-__all__ = ["CaptureFacts", "ReportInput", "write_report"]
+__all__ = ["CaptureFacts", "CaptureRow", "ReportInput", "write_report"]
 
 _FILES = {
     "calibration.yaml": "intrinsics of both devices, and the motion between them",
     "truth.yaml": "the same for the simulated rig, as it really is",
     "cloud.ply": "the point cloud with normals and colours, for MeshLab, CloudCompare or Open3D",
     "matches.npz": "camera and projector pixels of every match, and its face",
+    "merged.ply": "the clouds of all captures in one, in the corner's frame",
+    "captures": "the other captures that were calibrated with this one, each a result of its own",
     "capture": "the recording: replay it with scan replay",
     "scan.log": "what the program did, step by step",
 }
@@ -33,14 +37,21 @@ def write_report(path: Path, report: ReportInput) -> None:
         subtitle=sections.subtitle(report.capture),
         verdict=verdict(report),
         warnings=report.warnings,
-        notes=report.solution.notes if report.solution else (),
+        notes=(
+            *(report.solution.notes if report.solution else ()),
+            *price_of_principal_point(report.solution),
+            *report.remarks,
+        ),
         method=report.solution.method if report.solution else None,
         tables=tables,
         has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),
         plain=plain,
         has_truth=report.truth is not None,
         faces=faces,
-        scene=None if faces else sections.scene(report.decoding),
+        scene=None if faces else sections.scene(report),
+        captures=joint_rows(report),
+        merged=merged_views(report),
+        sigmas=point_sigmas(report),
         profile=sections.profile(report),
         views=sections.cloud_views(report),
         depth=sections.depth(report),

@@ -21,11 +21,28 @@ TRUTH_FILE = "truth.yaml"
 CLOUD_FILE = "cloud.ply"
 REPORT_FILE = "report.html"
 CAPTURE_FOLDER = "capture"
+CAPTURES_FOLDER = "captures"
+MERGED_FILE = "merged.ply"
 LOG_FILE = "scan.log"
 
 log = logging.getLogger(__name__)
 
-_OURS = {CALIBRATION_FILE, TRUTH_FILE, CLOUD_FILE, REPORT_FILE, CAPTURE_FOLDER, LOG_FILE, MATCHES_FILE}
+_OURS = {
+    CALIBRATION_FILE,
+    TRUTH_FILE,
+    CLOUD_FILE,
+    MERGED_FILE,
+    REPORT_FILE,
+    CAPTURE_FOLDER,
+    CAPTURES_FOLDER,
+    LOG_FILE,
+    MATCHES_FILE,
+}
+
+
+def folder_of(result: Path, index: int, count: int) -> Path:
+    """Where a result has its capture number `index` of `count`: the newest, which is the last, at the top."""
+    return result if index == count - 1 else result / CAPTURES_FOLDER / str(index + 1)
 
 
 def default_out(stem: str, *, overwrite: bool) -> Path:
@@ -85,7 +102,7 @@ class OutputFolder:
         elif isinstance(error, RefusalError):
             self._publish()
             error.add_note(f"The matches and a report are in {self._shown}.")
-        elif self._keep_capture and _frames_in(self.folder / CAPTURE_FOLDER):
+        elif self._keep_capture and _frames_in(self.folder):
             error.add_note(self._keep())
         else:
             self._discard()
@@ -106,8 +123,15 @@ class OutputFolder:
     def _keep(self) -> str:
         kept = _unused(self.out.with_name(f"{self.out.name}-incomplete"))
         self.folder.rename(kept)
-        count = _frames_in(kept / CAPTURE_FOLDER)
-        return f"The {count} frames captured so far are in {self._shown.with_name(kept.name) / CAPTURE_FOLDER}."
+        shown = self._shown.with_name(kept.name)
+        if (kept / CAPTURES_FOLDER).exists():
+            finished = len(list((kept / CAPTURES_FOLDER).iterdir()))
+            return (
+                f"What was captured so far is kept: {finished} whole capture{'s' if finished > 1 else ''} in "
+                f"{shown / CAPTURES_FOLDER}, which scan calibrate takes, and {_frames_in(kept / CAPTURE_FOLDER)} "
+                f"frames in {shown / CAPTURE_FOLDER}."
+            )
+        return f"The {_frames_in(kept)} frames captured so far are in {shown / CAPTURE_FOLDER}."
 
     def _discard(self) -> None:
         shutil.rmtree(self.folder)
@@ -133,5 +157,6 @@ def _refuse_to_lose(out: Path, *, overwrite: bool) -> None:
         raise InputError(f"{out}: is not overwritten, because it holds what no scan has written: {', '.join(foreign)}")
 
 
-def _frames_in(capture: Path) -> int:
-    return len(list((capture / "frames").glob("*.png")))
+def _frames_in(folder: Path) -> int:
+    """How many frames were recorded anywhere in a folder."""
+    return len(list(folder.glob("**/frames/*.png")))

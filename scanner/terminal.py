@@ -1,6 +1,7 @@
 """What the operator sees while a scan runs: progress on stderr, the summary on stdout."""
 
 import logging
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
@@ -44,6 +45,19 @@ class Terminal:
         if not self._quiet:
             for part in parts:
                 self._out.print(part, soft_wrap=isinstance(part, str))
+
+    @property
+    def can_ask(self) -> bool:
+        """Whether there is a person to answer."""
+        return sys.stdin is not None and sys.stdin.isatty()
+
+    def ask(self, question: str) -> str:
+        """What the operator types; the end of the input, as by Ctrl-D, is a 'q'. Asked even if `quiet`."""
+        self._err.print(question, end="", markup=False)
+        try:
+            return input()
+        except EOFError:
+            return "q"
 
     def _progress(self, *columns: BarColumn | MofNCompleteColumn | SpinnerColumn) -> Progress:
         hidden = self._quiet or not self._err.is_terminal

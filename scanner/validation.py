@@ -69,7 +69,7 @@ def _requirement(message: str) -> str:
     """Pydantic's 'Input should be greater than 0' → 'must be greater than 0'."""
     for start in ("Input should", "Value should", "Tuple should", "List should", "String should"):
         if message.startswith(start):
-            return "must" + message.removeprefix(start)
+            return "must" + message.removeprefix(start).replace("a valid tuple", "a list, as in [a, b]")
     return f"is wrong ({message})"
 
 

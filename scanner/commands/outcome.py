@@ -2,22 +2,26 @@
 
 from pathlib import Path
 
-from scanner.findings import Findings
+from scanner.findings import Scan
+from scanner.result import CALIBRATION_FILE, CLOUD_FILE, MERGED_FILE, REPORT_FILE
 from scanner.summary import calibration_table, truth_line
 from scanner.terminal import Terminal
 
 
-def show_outcome(found: Findings, out: Path, terminal: Terminal) -> None:
+def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
     """Print the summary of a result that was published at `out`."""
-    if found.calibration is None or found.cloud is None:
+    newest = scan.newest
+    if newest.calibration is None:
         raise ValueError("a refused capture has no outcome to show")
-    terminal.show(calibration_table(found.calibration, found.truth))
-    if found.truth:
-        terminal.show(truth_line(found.calibration, found.truth))
-    for remark in found.remarks:
+    terminal.show(calibration_table(newest.calibration, newest.truth))
+    if newest.truth:
+        terminal.show(truth_line(newest.calibration, newest.truth))
+    for remark in scan.remarks:
         terminal.show(f"Note: {remark}")
-    residual = "" if found.solution is None else f", residual {found.solution.residual_px:.3f} projector px"
-    terminal.show(
-        f"{len(found.matches):,} matches{residual}, {found.cloud.statistics.kept:,} points in the cloud",
-        f"Result: {out} (report.html, cloud.ply, calibration.yaml)",
-    )
+    for title, found in zip(scan.titles, scan.captures, strict=True):
+        residual = "" if found.solution is None else f", residual {found.solution.residual_px:.3f} projector px"
+        kept = found.cloud.statistics.kept if found.cloud else 0
+        name = f"{title}: " if len(scan.captures) > 1 else ""
+        terminal.show(f"{name}{len(found.matches):,} matches{residual}, {kept:,} points in the cloud")
+    files = (REPORT_FILE, CLOUD_FILE, *((MERGED_FILE,) if scan.merged else ()), CALIBRATION_FILE)
+    terminal.show(f"Result: {out} ({', '.join(files)})")

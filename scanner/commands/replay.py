@@ -5,11 +5,13 @@ from pathlib import Path
 
 from calib.calibration import Calibration
 from scanner import pipeline
+from scanner.calibrating import refuse_impossible
 from scanner.calibration_file import read_calibration
 from scanner.commands import options
 from scanner.commands.outcome import show_outcome
 from scanner.config import load_config
 from scanner.errors import InputError
+from scanner.given_captures import read_captures
 from scanner.masks import read_masks
 from scanner.recording import Recording, open_capture
 from scanner.result import CAPTURE_FOLDER, default_out, new_result
@@ -40,11 +42,20 @@ def run(args: Namespace) -> None:
     calibration = read_calibration(args.calibration) if args.calibration else None
     if calibration:
         _check_sizes(args.calibration, calibration, recording)
+        if config.earlier:
+            raise InputError(
+                "'earlier' says what to calibrate together with, and --calibration that there is no need to: give one "
+                "of them, as with --set earlier=[]"
+            )
+    earlier = read_captures(config.earlier, recording.camera_size, recording.projector_size)
+    refuse_impossible(config, len(earlier) + 1)
     out = args.out or default_out(_name(recording.folder), overwrite=args.overwrite)
     terminal = Terminal(quiet=args.quiet)
     with new_result(out, config, overwrite=args.overwrite) as folder:
-        found = pipeline.replay(recording, config, folder, terminal, masks=masks, calibration=calibration)
-    show_outcome(found, out, terminal)
+        scan = pipeline.replay(
+            recording, config, folder, terminal, masks=masks, calibration=calibration, earlier=earlier
+        )
+    show_outcome(scan, out, terminal)
 
 
 def _name(capture: Path) -> str:

@@ -3,10 +3,14 @@
 from argparse import ArgumentParser, Namespace
 
 from scanner import pipeline
+from scanner.calibrating import refuse_impossible
 from scanner.commands import options
 from scanner.commands.outcome import show_outcome
 from scanner.config import load_config
+from scanner.errors import InputError
+from scanner.given_captures import read_captures
 from scanner.masks import read_masks
+from scanner.places import check_places
 from scanner.result import default_out, new_result
 from scanner.terminal import Terminal
 
@@ -14,6 +18,13 @@ from scanner.terminal import Terminal
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     options.add_config(parser, required=True)
+    parser.add_argument(
+        "--captures",
+        type=int,
+        default=1,
+        metavar="N",
+        help="capture the corner N times, moving the rig as a whole in between, and calibrate from all (default: 1)",
+    )
     options.add_out(parser, default="scans/<name of the configuration>")
     options.add_overwrite(parser)
     options.add_masks(parser)
@@ -26,8 +37,15 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     # Whatever could be refused after the capture is asked before it.
     config.principal_point(config.camera_size)
+    if args.captures < 1:
+        raise InputError(f"--captures: expected 1 or more, found {args.captures}")
+    if args.masks and args.captures > 1:
+        raise InputError("--masks are of one view of the corner, and --captures takes several: give one of them")
     masks = read_masks(args.masks, config.camera_size) if args.masks else None
+    check_places(config.required_rig, args.captures, terminal)
+    earlier = read_captures(config.earlier, config.camera_size, config.projector_size)
+    refuse_impossible(config, len(earlier) + args.captures)
     out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
     with new_result(out, config, overwrite=args.overwrite, keep_capture=True) as folder:
-        found = pipeline.scan(config, folder, terminal, masks)
-    show_outcome(found, out, terminal)
+        scan = pipeline.scan(config, folder, terminal, number=args.captures, masks=masks, earlier=earlier)
+    show_outcome(scan, out, terminal)

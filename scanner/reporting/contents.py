@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from calib.arrays import Image
 from calib.calibration import Calibration
 from calib.matches import Matches
 from calib.refusal import RefusalError
 from calib.selfcalibration import SelfCalibration
 from scanner.cloud import Cloud
 from scanner.decode import Decoding
+from scanner.merged_cloud import MergedCloud
 from scanner.patterns import Pattern
 
 
@@ -27,12 +29,31 @@ class CaptureFacts:
 
 
 @dataclass(frozen=True)
+class CaptureRow:
+    """One of several captures that were calibrated together.
+
+    `report` is where its own report is, relative to this one, '' for this one. `decoder_px`: what the rays of its
+    matches miss each other by at random; `points`: in its cloud; None after a refusal.
+    """
+
+    name: str
+    report: str
+    matches: int
+    residual_px: float | None
+    decoder_px: float | None
+    points: int | None
+
+
+@dataclass(frozen=True)
 class ReportInput:
     """Everything that a report may tell; only the capture and its matches are always there.
 
     `matches` carry face labels where faces were found. `calibration` is the one in use, with its scale: found by
     `solution`, or given by the operator if there is no solution. `refusal` says why there is none. `truth` belongs to a
     simulated rig. `files` are the names in the result folder. A result has a calibration or a refusal, never both.
+    `photograph` is the lit scene where nothing was decoded. `together`: how many captures were calibrated together.
+    On the newest one's page: `captures`, all of them if there are several, and `merged`, their cloud. `remarks` are
+    further notes.
 
     Raises ValueError if it has both, or neither.
     """
@@ -48,10 +69,20 @@ class ReportInput:
     truth: Calibration | None = None
     warnings: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    photograph: Image | None = None
+    together: int = 1
+    captures: tuple[CaptureRow, ...] = ()
+    merged: MergedCloud | None = None
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if (self.calibration is None) == (self.refusal is None):
             raise ValueError("a report needs a calibration or a refusal, and not both")
+
+    @property
+    def texture(self) -> Image | None:
+        """The camera's image of the lit scene."""
+        return self.decoding.texture if self.decoding else self.photograph
 
     @property
     def decoded_share(self) -> float:

@@ -44,6 +44,7 @@ class _Colours:
 
 _DEPTHS = _Colours("viridis", 0.12, 0.97)
 _MISSES = _Colours("coolwarm", 0.0, 1.0)
+_SIGMAS = _Colours("cividis", 0.1, 1.0)
 
 
 @dataclass(frozen=True)
@@ -203,6 +204,15 @@ def depth_map(points: NDArray[np.float32], unit: str) -> tuple[Pixels, ColourSca
     name = "baselines" if unit == "baseline" else unit
     legend = ColourScale(_scale_colours(_DEPTHS), f"{low:.3g} {name}", f"{high:.3g} {name}", "depth")
     return _painted(depth, float(low), float(high), _DEPTHS, 256), legend
+
+
+def sigma_map(percent: NDArray[np.float32]) -> tuple[Pixels, ColourScale]:
+    """Relative standard deviations (h, w) on a coarse grid in colour, enlarged, low to high."""
+    low, high = (float(value) for value in np.nanpercentile(percent, (1, 99)))
+    factor = max(1, _LONGEST_SIDE // max(percent.shape))
+    painted = _painted(_cropped(percent), low, high, _SIGMAS, 256)
+    enlarged: Pixels = painted.repeat(factor, axis=0).repeat(factor, axis=1)
+    return enlarged, ColourScale(_scale_colours(_SIGMAS), f"{low:.2g} %", f"{high:.2g} %", "standard deviation")
 
 
 def residual_map(residual_px: NDArray[np.float32], limit_px: float) -> tuple[Pixels, ColourScale]:

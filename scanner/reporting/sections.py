@@ -122,8 +122,8 @@ def faces(report: ReportInput) -> Faces | None:
     if matches.face is None or not (matches.face >= 0).any():
         return None
     width, height = report.capture.camera_size
-    texture = report.decoding.texture if report.decoding else np.full((height, width), 128, dtype=np.uint8)
-    picture = maps.faces_over(maps.photograph(texture), matches, (width, height))
+    texture = np.full((height, width), 128, dtype=np.uint8) if report.texture is None else report.texture
+    painted = maps.faces_over(maps.photograph(texture), matches, (width, height))
     overlay = maps.face_overlay(
         matches,
         (width, height),
@@ -132,7 +132,7 @@ def faces(report: ReportInput) -> Faces | None:
     )
     counts = [int((matches.face == face).sum()) for face in range(3)]
     return Faces(
-        _picture(picture, "the camera's image with the faces of the corner in colour", jpeg=True),
+        picture(painted, "the camera's image with the faces of the corner in colour", jpeg=True),
         overlay,
         tuple(
             LegendEntry(maps.css_colour(colour), f"face {name}", f"{count:,} matches")
@@ -141,11 +141,11 @@ def faces(report: ReportInput) -> Faces | None:
     )
 
 
-def scene(decoding: Decoding | None) -> Picture | None:
+def scene(report: ReportInput) -> Picture | None:
     """The camera's image of the lit scene."""
-    if decoding is None:
+    if report.texture is None:
         return None
-    return _picture(maps.photograph(decoding.texture), "the camera's image under white light", jpeg=True)
+    return picture(maps.photograph(report.texture), "the camera's image under white light", jpeg=True)
 
 
 def profile(report: ReportInput) -> Markup | None:
@@ -164,7 +164,7 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
     views = standard_views(forward, _up(report))
     frusta = rig_frusta(calibration, _FRUSTUM_LENGTH * _typical_depth(cloud), maps.BLUE, maps.VERMILION)
     return tuple(
-        _picture(
+        picture(
             render(cloud, view, _VIEW_SIZE, [] if name == "front" else frusta),
             f"the point cloud, {name} view",
             caption=_VIEW_CAPTIONS[name] + (_CORNER_CAPTIONS[name] if report.solution else ""),
@@ -193,7 +193,7 @@ def depth(report: ReportInput) -> ScaledMap | None:
     if report.cloud is None or not report.cloud.there.any():
         return None
     painted, scale = maps.depth_map(report.cloud.points, report.cloud.unit)
-    return ScaledMap(_picture(painted, "depth over the camera's image"), scale)
+    return ScaledMap(picture(painted, "depth over the camera's image"), scale)
 
 
 def misses(report: ReportInput) -> Misses | None:
@@ -205,7 +205,7 @@ def misses(report: ReportInput) -> Misses | None:
     reach = _shown_range(cloud)
     painted, scale = maps.residual_map(cloud.residual_px, reach)
     return Misses(
-        ScaledMap(_picture(painted, "misses of the rays over the camera's image"), scale),
+        ScaledMap(picture(painted, "misses of the rays over the camera's image"), scale),
         plots.residual_histogram(cloud.residual_px, statistics.decoder_px, reach),
         statistics,
         _fates(statistics),
@@ -240,7 +240,7 @@ def mask(decoding: Decoding | None) -> Mask | None:
     counts = np.bincount(decoding.reasons.ravel(), minlength=256)
     present = [reason for reason in MaskReason if counts[reason]]
     return Mask(
-        _picture(
+        picture(
             maps.category_map(decoding.reasons, {int(reason): _REASONS[reason][1] for reason in present}),
             "the camera's image, coloured by why a pixel has a match or none",
         ),
@@ -299,5 +299,6 @@ def _kind(pattern: Pattern) -> str:
     return type(pattern).__name__.lower()
 
 
-def _picture(pixels: maps.Pixels, alt: str, *, caption: str = "", jpeg: bool = False) -> Picture:
+def picture(pixels: maps.Pixels, alt: str, *, caption: str = "", jpeg: bool = False) -> Picture:
+    """Pixels as an image for the page; `jpeg` for photographs."""
     return Picture(maps.data_uri(pixels, jpeg=jpeg), pixels.shape[1], pixels.shape[0], alt, caption)

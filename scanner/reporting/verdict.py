@@ -21,6 +21,10 @@ _THREE_CAPTURES = (
     "For a measurement, capture the same corner three times from different places with the rig unchanged, and "
     "calibrate them together."
 )
+_ONE_MORE = (
+    "A further capture of the same corner by the unchanged rig makes it surer, from a place where the faces show at "
+    "other slants than before."
+)
 _NO_SIGMA = (
     "How sure the numbers are is not known. For captures of real rooms the paper, whose method this is, reports errors "
     "of 4 % on average."
@@ -86,7 +90,8 @@ def _of_self_calibration(report: ReportInput, calibration: Calibration) -> Verdi
         return Verdict("fair", "Calibrated, but with errors that show", tuple(reasons), _LOOK_AT_THE_MISSES)
     if worst is not None and worst <= _MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
-    return Verdict("fair", "Calibrated, well enough for a first look", tuple(reasons), _THREE_CAPTURES)
+    advice = _ONE_MORE if report.together > 1 else _THREE_CAPTURES
+    return Verdict("fair", "Calibrated, well enough for a first look", tuple(reasons), advice)
 
 
 def _worst_focal_sigma(calibration: Calibration) -> float | None:

@@ -174,7 +174,7 @@ def test_patterns_do_not_overwrite(tmp_path: Path, config: Path, capsys: pytest.
 
 
 def fail_after_two_frames(error: BaseException) -> Callable[..., object]:
-    def failing(config: object, folder: Path, *_: object) -> None:
+    def failing(config: object, folder: Path, *_: object, **__: object) -> None:
         (folder / "capture/frames").mkdir(parents=True)
         for index in range(2):
             (folder / f"capture/frames/{index:03d}.png").touch()

@@ -73,6 +73,13 @@ def test_overrides_reach_every_depth_and_are_yaml(tmp_path: Path) -> None:
     assert config.corner.same is False
 
 
+def test_earlier_results_are_beside_the_configuration(tmp_path: Path) -> None:
+    config = load(tmp_path, "earlier: [scans/one, /elsewhere/two]")
+    assert config.earlier == (tmp_path / "scans/one", Path("/elsewhere/two"))
+    assert load(tmp_path, "earlier: [scans/one]", "earlier=[]").earlier == ()
+    assert load_config(None, ["earlier=[one]"]).earlier == (Path("one"),)
+
+
 def test_an_override_can_take_a_section_away(tmp_path: Path) -> None:
     assert load(tmp_path, "scale: {baseline_m: 1}", "scale=null").scale is None
 
@@ -122,6 +129,8 @@ WRONG = [
     Wrong("sequence: {inverses: maybe}", ("'sequence.inverses'", "boolean", "'maybe'")),
     Wrong("method: best", ("'method'", "'refined' or 'paper'", "'best'")),
     Wrong("corner: {squareness_deg: -1}", ("'corner.squareness_deg'", "-1")),
+    Wrong("earlier: [3]", ("'earlier[0]'", "3")),
+    Wrong("earlier: scans/one", ("'earlier' must be a list", "'scans/one'")),
     Wrong("scale: {baseline_m: 0}", ("'scale.baseline_m'", "greater than 0")),
     Wrong("scale: {baseline_m: 1, camera_to_corner_m: 2}", ("'scale'", "not both")),
     Wrong("method: paper\nmethod: refined", ("line 2", "'method'", "twice")),

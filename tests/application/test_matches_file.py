@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as stn
 
 from calib.matches import Matches
 from scanner.errors import InputError
-from scanner.matches_file import read_matches, write_matches
+from scanner.matches_file import read_matches, read_planes, write_matches
 
 GOOD = {"camera_px": np.ones((4, 2)), "projector_px": np.zeros((4, 2))}
 
@@ -74,6 +74,7 @@ WRONG = {
     "no noise": ({"sigma_px": np.zeros(4)}, "sigma_px must be positive"),
     "empty": ({"camera_px": np.zeros((0, 2)), "projector_px": np.zeros((0, 2))}, "holds no matches"),
     "pickled": ({"camera_px": np.array([[{}, 1]] * 4, dtype=object)}, "holds pickled objects"),
+    "fractional planes": ({"plane": np.zeros(4)}, "'plane' must be whole numbers, found float64"),
     "pickled face": ({"face": np.array([None] * 4)}, "holds pickled objects"),
 }
 
@@ -85,6 +86,18 @@ def test_wrong_matches_are_refused(tmp_path: Path, name: str) -> None:
     np.savez(tmp_path / "matches.npz", **arrays)
     with pytest.raises(InputError, match=f"matches.npz: .*{message}"):
         read_matches(tmp_path / "matches.npz")
+
+
+def test_planes_read_back(tmp_path: Path) -> None:
+    path, plane = tmp_path / "matches.npz", np.array([0, -1, 3, 3], np.int32)
+    matches = Matches(np.ones((4, 2)), np.zeros((4, 2)))
+    write_matches(path, matches, plane)
+    np.testing.assert_array_equal(read_planes(path), plane)
+    write_matches(path, matches)
+    assert read_planes(path) is None
+    np.savez(path, **GOOD, plane=plane[:3])
+    with pytest.raises(InputError, match=r"matches.npz: plane must have the shape \(4,\), found \(3,\)"):
+        read_planes(path)
 
 
 def test_a_truncated_file_is_refused(tmp_path: Path) -> None:

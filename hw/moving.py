@@ -1,0 +1,31 @@
+"""Rigs that can move: the simulated one steps aside by itself, any other is moved by a person."""
+
+from hw.errors import DeviceError
+from hw.settings import RigSettings, SimulatedRigSettings
+
+
+def moves_by_itself(settings: RigSettings) -> bool:
+    """Whether the rig needs nobody to move it between captures."""
+    return settings.backend == "simulated"
+
+
+def at_place(settings: RigSettings, step: int) -> RigSettings:
+    """The same rig at its place number `step` after the configured one; a rig that a person moves is always there.
+
+    Raises DeviceError if a simulated rig has no such place.
+    """
+    match settings:
+        case SimulatedRigSettings():
+            last = _last_pose()
+            if settings.pose + step > last:
+                raise DeviceError(
+                    f"the simulated rig has places 0 to {last}; from rig.pose {settings.pose} it cannot step aside "
+                    f"{step} times"
+                )
+            settings = settings.model_copy(update={"pose": settings.pose + step})
+    return settings
+
+
+def _last_pose() -> int:
+    (last,) = (rule.le for rule in SimulatedRigSettings.model_fields["pose"].metadata if hasattr(rule, "le"))
+    return int(last)

@@ -1,0 +1,57 @@
+"""Several captures of one rig on one page: what each contributed, and the cloud that they make together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scanner.rendering import render, standard_views
+from scanner.reporting.contents import ReportInput
+from scanner.reporting.sections import Picture, picture
+
+_VIEW_SIZE = (960, 640)
+_UP = np.array([0.0, 0.0, 1.0])
+_CAPTIONS = {
+    "oblique": "All captures in one, from the side and above.",
+    "top": "From straight above: a wall that appears twice would show that the captures do not fit.",
+}
+
+
+@dataclass(frozen=True)
+class JointRow:
+    """A capture as text: its report's address, matches, residual, decoder's noise and points; '–' for what is not."""
+
+    name: str
+    report: str
+    cells: tuple[str, ...]
+
+
+def joint_rows(report: ReportInput) -> tuple[JointRow, ...]:
+    """The captures that were calibrated together; none for a capture alone."""
+    return tuple(
+        JointRow(
+            row.name,
+            row.report,
+            (
+                f"{row.matches:,}",
+                "–" if row.residual_px is None else f"{row.residual_px:.3f} px",
+                "–" if row.decoder_px is None else f"{row.decoder_px:.3f} px",
+                "–" if row.points is None else f"{row.points:,}",
+            ),
+        )
+        for row in report.captures
+    )
+
+
+def merged_views(report: ReportInput) -> tuple[Picture, ...]:
+    """Pictures of the merged cloud, seen along the floor's diagonal into the corner, and from above."""
+    cloud = report.merged
+    if cloud is None or not len(cloud.points):
+        return ()
+    up = _UP * np.sign(np.median(cloud.points[:, 2])) if np.median(cloud.points[:, 2]) else _UP
+    middle = np.median(cloud.points.astype(np.float64), axis=0)
+    into_corner = -np.array([middle[0], middle[1], 0.0])
+    views = standard_views(into_corner, up)
+    return tuple(
+        picture(render(cloud, views[name], _VIEW_SIZE, []), f"the merged point cloud, {name} view", caption=caption)
+        for name, caption in _CAPTIONS.items()
+    )

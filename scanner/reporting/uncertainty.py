@@ -1,0 +1,76 @@
+"""How well the points are known: their standard deviation over the camera's image, and the price of an assumption."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.matches import Matches
+from calib.model import CAMERA, PROJECTOR
+from calib.selfcalibration import SelfCalibration
+from calib.triangulation import intersect
+from calib.uncertainty import Uncertainty
+from scanner.quantities import plain
+from scanner.reporting import maps
+from scanner.reporting.contents import ReportInput
+from scanner.reporting.sections import ScaledMap, picture
+
+# Sigmas vary smoothly over the image, apart from the noise of single matches: so many of them draw the map.
+_SAMPLES = 40_000
+_SHIFT_PX = 10.0
+
+
+@dataclass(frozen=True)
+class PointSigmas:
+    """`map` over the camera's image; `median_percent` of a point's distance."""
+
+    map: ScaledMap
+    median_percent: float
+
+
+def point_sigmas(report: ReportInput) -> PointSigmas | None:
+    """The map of the points' sigmas; None where the method knows none."""
+    solution = report.solution
+    if solution is None or solution.uncertainty is None or report.cloud is None:
+        return None
+    percent = _relative_sigmas(report.matches, solution, solution.uncertainty, report.capture.camera_size)
+    known = percent[np.isfinite(percent)]
+    if not len(known):
+        return None
+    painted, scale = maps.sigma_map(percent)
+    alt = "standard deviation of the points over the camera's image"
+    return PointSigmas(ScaledMap(picture(painted, alt), scale), float(np.median(known)))
+
+
+def _relative_sigmas(
+    matches: Matches, solution: SelfCalibration, uncertainty: Uncertainty, camera_size: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Of one match in each cell of a coarse grid over the image: sigma in per cent of its distance, NaN for none."""
+    width, height = camera_size
+    step = max(1, int(np.ceil(np.sqrt(width * height / _SAMPLES))))
+    cell = np.floor((matches.camera_px + 0.5) / step).astype(np.int64)
+    shape = (height - 1) // step + 1, (width - 1) // step + 1
+    inside = np.flatnonzero(np.all((cell >= 0) & (cell < shape[::-1]), axis=1))
+    flat, first = np.unique(cell[inside, 1] * shape[1] + cell[inside, 0], return_index=True)
+    sample = matches[inside[first].astype(np.int32)]
+    met = intersect(sample, solution.calibration)
+    sigma = np.linalg.norm(uncertainty.of_points(sample), axis=1)
+    relative = np.where(met.in_front, sigma / np.linalg.norm(met.points, axis=1), np.nan)
+    grid = np.full(shape[0] * shape[1], np.nan, dtype=np.float32)
+    grid[flat] = 100 * relative
+    return grid.reshape(shape)
+
+
+def price_of_principal_point(solution: SelfCalibration | None) -> Sequence[str]:
+    """What an error of a principal point that was taken as known would cost, in a sentence; none if it was not."""
+    if solution is None or solution.uncertainty is None or solution.uncertainty.by_principal_point is None:
+        return ()
+    by_pixel = solution.uncertainty.by_principal_point
+    changes = _SHIFT_PX * by_pixel[[CAMERA.start, PROJECTOR.start]]  # of log f
+    told = [
+        f"{_SHIFT_PX:g} px in {axis} would move the camera's focal length by {plain(100 * camera, 2, signed=True)} % "
+        f"and the projector's by {plain(100 * projector, 2, signed=True)} %"
+        for axis, (camera, projector) in zip("xy", changes.T, strict=True)
+    ]
+    return (f"The camera's principal point was taken as known. Were it elsewhere: {'; '.join(told)}.",)
