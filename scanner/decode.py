@@ -4,10 +4,9 @@ Each frame is folded in as it arrives; what is kept of it are a few running imag
 to be chosen: noise, saturation and tolerances are measured from the capture.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import itemgetter
-from typing import Any, cast
+from typing import cast
 
 import cv2
 import numpy as np
@@ -23,12 +22,12 @@ from scanner.decoding.checks_of_codes import check_codes
 from scanner.decoding.checks_of_frames import check_frames
 from scanner.decoding.checks_of_maps import check_fringes, check_maps
 from scanner.decoding.continuity import isolated
-from scanner.decoding.coordinate import AxisDecoder, Coordinate, MaskReason, Signals
+from scanner.decoding.coordinate import MaskReason
+from scanner.decoding.maps import Maps, coordinate_maps, signals_of
 from scanner.decoding.noise import NoiseModel, measure_noise, needs_neighbours
-from scanner.decoding.plan import AxisPlan, SequencePlan, plan_sequence
+from scanner.decoding.plan import SequencePlan, plan_sequence
 from scanner.decoding.sample import Sample
 from scanner.decoding.saturation import saturation_level
-from scanner.decoding.strips import in_strips
 from scanner.errors import InputError
 from scanner.patterns import Pattern
 
@@ -98,7 +97,7 @@ class Decoder:
         # The running images are as large as the matches, and have served.
         del held
         matches, reasons = _match(self._plan, measured)
-        check_maps(self._plan, measured.x, measured.y, reasons)
+        check_maps(self._plan, measured.maps, reasons == MaskReason.KEPT)
         warnings = tuple(warnings_of(reasons, measured.modulation))
         return Decoding(matches, self._texture, reasons, measured.noise, measured.modulation, warnings)
 
@@ -132,8 +131,7 @@ def _form(image: Image) -> str:
 class _Measured:
     """Both coordinates of every pixel, and what was found out on the way; `brightest` (H, W) grey."""
 
-    x: Coordinate
-    y: Coordinate
+    maps: Maps
     brightest: Image
     noise: NoiseModel
     modulation: float | None
@@ -148,72 +146,31 @@ def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     check_frames(plan, sample.levels, noise, saturation)
     check_codes(plan, accumulators.codes, noise, accumulators.middle)
 
-    thin = _signals(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
+    thin = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     decoders = calibrated_decoders(plan, noise, saturation, thin)
     for decoder, signals in zip(decoders, thin, strict=True):
         check_fringes(plan, decoder, signals)
-    x, y = _coordinates(accumulators, decoders)
-    return _Measured(x, y, accumulators.brightest, noise, modulation(decoders, thin))
-
-
-def _signals(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArray[Any]]) -> tuple[Signals, Signals]:
-    """The accumulated signals of x and y at some pixels; `select` takes these from an (H, W) image, as a 2-D array."""
-
-    def of_axis(axis: AxisPlan) -> Signals:
-        codes = [fold for fold in accumulators.codes if fold.code in axis.codes]
-        fringes = [fold for fold in accumulators.fringes if fold.fringe in axis.fringes]
-        return Signals(
-            [select(fold.words) for fold in codes],
-            [select(fold.least) for fold in codes],
-            [select(fold.contrast) for fold in codes],
-            [(select(fold.cosine), select(fold.sine)) for fold in fringes],
-            select(accumulators.brightest),
-            select(accumulators.middle),
-            select(accumulators.peak),
-        )
-
-    return of_axis(accumulators.plan.x), of_axis(accumulators.plan.y)
-
-
-def _coordinates(
-    accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]
-) -> tuple[Coordinate, Coordinate]:
-    """Both coordinates of all pixels."""
-    height, width = accumulators.middle.shape
-    x, y = Coordinate.empty((height, width)), Coordinate.empty((height, width))
-
-    def decode(rows: slice) -> None:
-        signals = _signals(accumulators, itemgetter(rows))
-        for decoder, part, whole in zip(decoders, signals, (x, y), strict=True):
-            whole.put(rows, decoder.decode(part))
-
-    in_strips(height, decode)
-    return x, y
+    maps = coordinate_maps(accumulators, decoders)
+    return _Measured(maps, accumulators.brightest, noise, modulation(decoders, thin))
 
 
 def _match(plan: SequencePlan, measured: _Measured) -> tuple[Matches, NDArray[np.uint8]]:
     """The matches, and for all pixels (H, W) the reason why they have none."""
-    x, y = measured.x, measured.y
-    # The first of two reasons is the smaller number; KEPT, which is 0, becomes the largest in between.
-    reasons = np.minimum(x.reason - np.uint8(1), y.reason - np.uint8(1)) + np.uint8(1)
+    maps = measured.maps
+    reasons = maps.reason
     kept = reasons == MaskReason.KEPT
     if not plan.fringes:
-        variance = np.float32(0.5) * (x.variance + y.variance)
-        cells = average_cells(kept, x.value, y.value, variance, measured.brightest)
+        cells = average_cells(kept, maps.x, maps.y, maps.variance, measured.brightest)
         reasons[cells.rejected] = MaskReason.ISOLATED
         return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
-    steps = tuple(0.0 if axis.fringes else axis.cell for axis in plan.axes)
-    reasons[isolated(kept, (x, y), steps)] = MaskReason.ISOLATED
-    return _pixel_matches(np.flatnonzero(reasons == MaskReason.KEPT), x, y), reasons
+    reasons[isolated(kept, maps.broken)] = MaskReason.ISOLATED
+    return _pixel_matches(np.flatnonzero(reasons == MaskReason.KEPT), maps), reasons
 
 
-def _pixel_matches(pixels: NDArray[np.int64], x: Coordinate, y: Coordinate) -> Matches:
+def _pixel_matches(pixels: NDArray[np.int64], maps: Maps) -> Matches:
     """The matches of some pixels, given by their flat indices."""
     camera_px, projector_px = np.empty((len(pixels), 2)), np.empty((len(pixels), 2))
-    np.divmod(pixels, x.value.shape[1], out=(camera_px[:, 1], camera_px[:, 0]), casting="unsafe")
-    variance = np.zeros(len(pixels))
-    for column, coordinate in enumerate((x, y)):
-        projector_px[:, column] = coordinate.value.reshape(-1)[pixels]
-        variance += coordinate.variance.reshape(-1)[pixels]
-    variance /= 2
-    return Matches(camera_px, projector_px, sigma_px=np.sqrt(variance, out=variance))
+    np.divmod(pixels, maps.x.shape[1], out=(camera_px[:, 1], camera_px[:, 0]), casting="unsafe")
+    for column, value in enumerate((maps.x, maps.y)):
+        projector_px[:, column] = value.reshape(-1)[pixels]
+    return Matches(camera_px, projector_px, sigma_px=np.sqrt(maps.variance.reshape(-1)[pixels].astype(np.float64)))

@@ -14,6 +14,8 @@ from scanner.decoding.codes import Interval, interval_of
 from scanner.decoding.noise import NoiseModel
 from scanner.decoding.plan import AxisPlan, Fringe
 from scanner.decoding.response import TABLE_LENGTH
+from scanner.decoding.shading import log_amplitude
+from scanner.decoding.systematic import systematic_variances
 from scanner.decoding.unwrap import Orders, Tolerances, Wrapped, unwrap
 
 # A signal counts from five standard deviations on: an unlit pixel passes by chance once in three million times.
@@ -42,6 +44,8 @@ class MaskReason(IntEnum):
     """The code is that of no projector pixel."""
     ISOLATED = 6
     """It does not continue the surface that its neighbours see: an edge of surface or light, or a lone error."""
+    INDIRECT = 7
+    """Codes and fringes contradict each other where more light comes from other surfaces than from the projector."""
 
 
 @dataclass(frozen=True)
@@ -63,28 +67,23 @@ class Signals:
 
 @dataclass(frozen=True)
 class Coordinate:
-    """`value` in projector pixels with its `variance`, and the `reason` not to use it; arrays of one shape."""
+    """`value` in projector pixels with its `variance`, and the `reason` not to use it; arrays of one shape.
+
+    `log_amplitude`: of the finest fringes that are seen; None without fringes.
+    """
 
     value: Floats32
     variance: Floats32
     reason: Reasons
-
-    @classmethod
-    def empty(cls, shape: tuple[int, int]) -> "Coordinate":
-        """Room for the coordinates of (H, W) pixels."""
-        return cls(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.uint8))
-
-    def put(self, rows: slice, part: "Coordinate") -> None:
-        """Fill in some rows."""
-        self.value[rows], self.variance[rows], self.reason[rows] = part.value, part.variance, part.reason
+    log_amplitude: Floats32 | None = None
 
 
 @dataclass(frozen=True)
 class AxisDecoder:
     """Turns signals into one coordinate.
 
-    `ripple`: per fringe, what to add to its phase (a table over a cycle), or None. `systematic`: standard deviation, in
-    cycles, of what may be left of it.
+    `ripple`: per fringe, what to add to its phase (a table over a cycle), or None. `finest`: the number of the shortest
+    fringe that is seen where there is light.
     """
 
     plan: AxisPlan
@@ -92,7 +91,7 @@ class AxisDecoder:
     saturation: float
     ripple: tuple[Floats32 | None, ...]
     tolerances: Tolerances
-    systematic: float = 0.0
+    finest: int = 0
 
     def decode(self, signals: Signals) -> Coordinate:
         """The coordinate at every pixel of the signals."""
@@ -107,8 +106,14 @@ class AxisDecoder:
         return coordinate
 
     def well_lit(self, signals: Signals) -> Bools:
-        """Where every fringe is seen and none is saturated."""
+        """Where the longest fringe is seen and none is saturated."""
         return ~(self._dark(self.fringe_variances(signals)) | (signals.peak >= self.saturation))
+
+    def seen(self, variances: list[Floats32]) -> Bools:
+        """Where every fringe is seen, given the variances of their coordinates."""
+        seen = [v <= largest_variance(f) for f, v in zip(self.plan.fringes, variances, strict=True)]
+        result: Bools = np.all(seen, axis=0)
+        return result
 
     def positions(self, signals: Signals) -> list[Floats32]:
         """Per fringe, the position within its period in projector pixels."""
@@ -127,40 +132,47 @@ class AxisDecoder:
         return unwrap(self.plan, interval, wrapped, self.tolerances)
 
     def fringe_variances(self, signals: Signals) -> list[Floats32]:
-        """Per fringe, the variance of its coordinate.
+        """Per fringe, the variance of its coordinate by noise.
 
         σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal shifts.
         """
+        return self._variances(_powers(signals), signals)
+
+    def _variances(self, powers: list[Floats32], signals: Signals) -> list[Floats32]:
         level_variance = self.noise.variance(signals.middle)
         variances = []
-        for fringe, (cosine, sine) in zip(self.plan.fringes, signals.fringes, strict=True):
-            power = cosine * cosine
-            power += sine * sine
-            np.maximum(power, np.float32(1e-6), out=power)
-            np.divide(level_variance, power, out=power)
-            power *= np.float32((fringe.period / (2 * pi) * fringe.noise_gain) ** 2)
-            variances.append(power)
+        for fringe, power in zip(self.plan.fringes, powers, strict=True):
+            variance = level_variance / power
+            variance *= np.float32((fringe.period / (2 * pi) * fringe.noise_gain) ** 2)
+            variances.append(variance)
         return variances
 
     def _dark(self, variances: list[Floats32]) -> Bools:
-        dark: Bools = np.zeros(variances[0].shape, np.bool_)
-        for fringe, variance in zip(self.plan.fringes, variances, strict=True):
-            dark |= variance > _largest_variance(fringe, with_gray=bool(self.plan.codes))
+        """Where the longest fringe is not seen; the lenses blur the others more, and they are not needed."""
+        dark: Bools = variances[0] > largest_variance(self.plan.fringes[0], with_gray=bool(self.plan.codes))
         return dark
 
     def _from_fringes(self, signals: Signals, interval: Interval) -> Coordinate:
-        variances = self.fringe_variances(signals)
+        powers = _powers(signals)
+        variances = self._variances(powers, signals)
         orders = self.orders(signals, interval, variances)
         dark = self._dark(variances)
-        for fringe, variance in zip(self.plan.fringes, variances, strict=True):
-            variance += np.float32((self.systematic * fringe.period) ** 2)
+        bright = signals.peak >= self.saturation
+        usable = orders.agree & orders.unique & ~dark & ~bright
+        periods = [fringe.period for fringe in self.plan.fringes]
+        if len(periods) > 1:
+            usable &= self.seen(variances)
+            systematic = systematic_variances(periods, orders.coordinates, variances, usable)
+            for variance, more in zip(variances, systematic, strict=True):
+                variance += more
         value, variance = _weighted_mean(orders.coordinates, variances)
         reason = np.zeros(value.shape, np.uint8)
         reason[(value < -0.5 - _EDGE_PX) | (value > self.plan.length - 0.5 + _EDGE_PX)] = MaskReason.OUTSIDE
         reason[~(orders.agree & orders.unique)] = MaskReason.INCONSISTENT
-        reason[signals.peak >= self.saturation] = MaskReason.SATURATED
+        reason[(reason == MaskReason.INCONSISTENT) & _mostly_indirect(signals, powers[0])] = MaskReason.INDIRECT
+        reason[bright] = MaskReason.SATURATED
         reason[dark] = MaskReason.DARK
-        return Coordinate(value, variance, reason)
+        return Coordinate(value, variance, reason, log_amplitude(powers[self.finest]))
 
     def _from_codes(self, signals: Signals, interval: Interval) -> Coordinate:
         difference_sigma = np.float32(sqrt(2)) * self.noise.sigma(signals.middle)
@@ -174,7 +186,30 @@ class AxisDecoder:
         return Coordinate(interval.centre, np.float32(1 / 3) * interval.half * interval.half, reason)
 
 
-def _largest_variance(fringe: Fringe, *, with_gray: bool) -> float:
+def _mostly_indirect(signals: Signals, power: Floats32) -> Bools:
+    """Where the amplitude of the longest fringe, half of the direct light, is less than a quarter of all light.
+
+    Fringes too short for light to carry them around a corner separate direct from global light (Nayar et al., SIGGRAPH
+    2006). Where global light is the larger part, it can turn a bit of a Gray code over (Xu and Aliaga, 2007).
+    """
+    swing = signals.brightest.astype(np.float32)
+    swing -= signals.middle
+    swing *= swing
+    indirect: Bools = 4 * power < swing
+    return indirect
+
+
+def _powers(signals: Signals) -> list[Floats32]:
+    """Per fringe, the square of its amplitude."""
+    powers = []
+    for cosine, sine in signals.fringes:
+        power = cosine * cosine
+        power += sine * sine
+        powers.append(np.maximum(power, np.float32(1e-6), out=power))
+    return powers
+
+
+def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
     """The variance of a fringe that is just seen.
 
     Where a Gray code goes with it, its single bits must be seen too: they have √2 of a frame's noise, and a contrast of

@@ -44,7 +44,7 @@ def test_a_prior_has_the_sigma_that_is_given(tmp_path: Path) -> None:
 
 def test_keys_of_the_sequence_override_its_preset(tmp_path: Path) -> None:
     config = load(tmp_path, "sequence: {preset: quick, shifts: 3, inverses: true}")
-    assert config.sequence.patterns((64, 48)) == sequence_for((64, 48), inverses=True, shifts=3)
+    assert config.sequence.patterns((64, 48)) == sequence_for((64, 48), inverses=True, periods=(12.3,), shifts=3)
 
 
 def test_quick_takes_fewer_frames_than_standard() -> None:
@@ -115,10 +115,11 @@ WRONG = [
     Wrong("camera: {principal_point: {prior: centre, sigma_px: 0}}", ("sigma_px", "greater than 0")),
     Wrong("camera: {principal_point: centre}", ("'camera.principal_point'", "section", "'centre'")),
     Wrong("rig: {backend: webcam}", ("'rig.backend'", "'simulated'", "'webcam'")),
-    Wrong("sequence: {preset: slow}", ("'sequence.preset'", "'standard' or 'quick'", "'slow'")),
+    Wrong("sequence: {preset: slow}", ("'sequence.preset'", "'standard', 'quick' or 'concave'", "'slow'")),
     Wrong("sequence: {shifts: 2}", ("shifts", "3 or more", "2")),
     Wrong("sequence: {cell: 32}", ("cell (32)", "period (16.0)")),
-    Wrong("sequence: {period: .inf}", ("'sequence.period'", "finite")),
+    Wrong("sequence: {periods: [.inf]}", ("'sequence.periods[0]'", "finite")),
+    Wrong("sequence: {periods: [8.0, 8.0]}", ("periods must differ", "8, 8")),
     Wrong("sequence: {inverses: maybe}", ("'sequence.inverses'", "boolean", "'maybe'")),
     Wrong("method: best", ("'method'", "'refined' or 'paper'", "'best'")),
     Wrong("corner: {squareness_deg: -1}", ("'corner.squareness_deg'", "-1")),
@@ -210,7 +211,12 @@ def test_a_known_principal_point_must_fit_the_images(tmp_path: Path, size: tuple
             "method": st.sampled_from(["refined", "paper"]),
             "corner": st.fixed_dictionaries({"squareness_deg": st.floats(0, 10), "same": st.booleans()}),
             "scale": st.fixed_dictionaries({"baseline_m": st.floats(1e-3, 1e3)}),
-            "sequence": st.fixed_dictionaries({"period": st.floats(8, 64), "shifts": st.integers(3, 16)}),
+            "sequence": st.fixed_dictionaries(
+                {
+                    "periods": st.lists(st.floats(8, 64), min_size=1, max_size=3, unique=True),
+                    "shifts": st.integers(3, 16),
+                }
+            ),
         },
     )
 )
@@ -218,7 +224,7 @@ def test_what_is_written_is_what_is_read(tmp_path_factory: pytest.TempPathFactor
     path = tmp_path_factory.getbasetemp() / "written.yaml"
     path.write_text(yaml.safe_dump(settings))
     read = load_config(path)
-    assert read.model_dump(exclude_unset=True) == settings
+    assert read.model_dump(mode="json", exclude_unset=True) == settings
     path.write_text(yaml.safe_dump(read.model_dump(mode="json")))
     assert load_config(path) == read
 

@@ -49,7 +49,8 @@ def test_a_condition(case: Case) -> None:
     errors = np.abs(case.scene.errors(decoding))
     assert case.median[0] < np.median(errors) < case.median[1]
     assert np.mean(decoding.reasons[case.scene.well_lit()] == MaskReason.KEPT) > 0.99
-    assert not decoding.warnings or case.name == "far away"
+    assert all("faint" in warning for warning in decoding.warnings)
+    assert not decoding.warnings or case.name in ("far away", "blurred projector")
 
 
 @pytest.mark.parametrize("gamma", [1.8, 2.2, 3.0])
@@ -76,7 +77,7 @@ def test_saturated_pixels_are_masked_and_the_rest_stays_right() -> None:
     scene = replace(SCENE, exposure=330.0)
     decoding = scene.decode(STANDARD)
     saturated = decoding.reasons == MaskReason.SATURATED
-    assert 0.5 < np.mean(saturated) < 0.95
+    assert 0.4 < np.mean(saturated) < 0.95
     assert np.all(decoding.texture[saturated] >= 250)
     assert np.quantile(np.abs(scene.errors(decoding)).max(axis=1), 0.99) < 0.5
     assert any("saturated" in warning for warning in decoding.warnings)
@@ -85,7 +86,7 @@ def test_saturated_pixels_are_masked_and_the_rest_stays_right() -> None:
 @pytest.mark.parametrize("bits", [10, 12, 16])
 def test_saturation_is_found_whatever_the_number_of_bits(bits: int) -> None:
     decoding = replace(SCENE, exposure=330.0, depth_bits=bits).decode(STANDARD)
-    assert 0.5 < np.mean(decoding.reasons == MaskReason.SATURATED) < 0.95
+    assert 0.4 < np.mean(decoding.reasons == MaskReason.SATURATED) < 0.95
 
 
 def test_what_is_too_dark_is_masked_not_guessed() -> None:
