@@ -28,6 +28,7 @@ from scanner.decoding.noise import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.plan import SequencePlan, plan_sequence
 from scanner.decoding.sample import Sample
 from scanner.decoding.saturation import saturation_level
+from scanner.decoding.strips import in_strips
 from scanner.errors import InputError
 from scanner.patterns import Pattern
 
@@ -164,13 +165,26 @@ def _match(plan: SequencePlan, measured: _Measured) -> tuple[Matches, NDArray[np
         reasons[cells.rejected] = MaskReason.ISOLATED
         return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
     reasons[isolated(kept, maps.broken)] = MaskReason.ISOLATED
-    return _pixel_matches(np.flatnonzero(reasons == MaskReason.KEPT), maps), reasons
+    return _pixel_matches(reasons, maps), reasons
 
 
-def _pixel_matches(pixels: NDArray[np.int64], maps: Maps) -> Matches:
-    """The matches of some pixels, given by their flat indices."""
-    camera_px, projector_px = np.empty((len(pixels), 2)), np.empty((len(pixels), 2))
-    np.divmod(pixels, maps.x.shape[1], out=(camera_px[:, 1], camera_px[:, 0]), casting="unsafe")
-    for column, value in enumerate((maps.x, maps.y)):
-        projector_px[:, column] = value.reshape(-1)[pixels]
-    return Matches(camera_px, projector_px, sigma_px=np.sqrt(maps.variance.reshape(-1)[pixels].astype(np.float64)))
+def _pixel_matches(reasons: NDArray[np.uint8], maps: Maps) -> Matches:
+    """The matches of the pixels that `reasons` (H, W) keep, row by row."""
+    kept = reasons == MaskReason.KEPT
+    ends = np.cumsum(np.count_nonzero(kept, axis=1))
+    count = int(ends[-1])
+    camera_px, projector_px, sigma_px = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
+
+    def fill(rows: slice) -> None:
+        there = kept[rows]
+        part = slice(ends[rows.start] - np.count_nonzero(there[0]), ends[rows.stop - 1])
+        row, column = np.nonzero(there)
+        camera_px[part, 0] = column
+        camera_px[part, 1] = row
+        camera_px[part, 1] += rows.start
+        projector_px[part, 0] = maps.x[rows][there]
+        projector_px[part, 1] = maps.y[rows][there]
+        np.sqrt(maps.variance[rows][there], out=sigma_px[part])
+
+    in_strips(len(kept), fill)
+    return Matches(camera_px, projector_px, sigma_px=sigma_px)

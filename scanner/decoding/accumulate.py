@@ -11,8 +11,11 @@ import cv2
 import numpy as np
 
 from calib.arrays import Image
-from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.arrays import Component, Words
 from scanner.decoding.plan import Fringe, GrayCode, SequencePlan
+
+# Differences of so few frames of 8 bits fit into 16.
+_PLAIN = 64
 
 
 class GrayFold:
@@ -51,17 +54,33 @@ class GrayFold:
 
 
 class FringeFold:
-    """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts."""
+    """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
 
-    def __init__(self, fringe: Fringe, shape: tuple[int, int]) -> None:
+    `cosine` and `sine` times `scale` are in grey levels. Four shifts are plain differences of two frames, which need no
+    more than whole numbers; others are weighted sums.
+    """
+
+    def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
         self.fringe = fringe
-        self.cosine: Floats32 = np.zeros(shape, np.float32)
-        self.sine: Floats32 = np.zeros(shape, np.float32)
+        weights = fringe.weights[1:]
+        largest = float(np.abs(weights).max())
+        self._signs = np.rint(weights / largest).astype(np.int64)
+        self._is_plain = bool(np.allclose(self._signs * largest, weights, atol=1e-9)) and len(fringe.frames) <= _PLAIN
+        self.scale = largest if self._is_plain else 1.0
+        kept_as = np.dtype(np.float32) if not self._is_plain else np.dtype(np.int16 if dtype == np.uint8 else np.int32)
+        self.cosine: Component = np.zeros(shape, kept_as)
+        self.sine: Component = np.zeros(shape, kept_as)
 
     def fold(self, step: int, frame: Image) -> None:
         """Add the frame of one shift."""
-        for component, weight in zip((self.cosine, self.sine), self.fringe.weights[1:, step], strict=True):
-            cv2.addWeighted(component, 1, frame, float(weight), 0, dst=component, dtype=cv2.CV_32F)
+        for number, component in enumerate((self.cosine, self.sine)):
+            if not self._is_plain:
+                weight = float(self.fringe.weights[1 + number, step])
+                cv2.addWeighted(component, 1, frame, weight, 0, dst=component, dtype=cv2.CV_32F)
+            elif self._signs[number, step] > 0:
+                np.add(component, frame, out=component)
+            elif self._signs[number, step] < 0:
+                np.subtract(component, frame, out=component)
 
 
 class Accumulators:
@@ -74,7 +93,7 @@ class Accumulators:
         self.plan = plan
         shape = first.shape[0], first.shape[1]
         self.codes = [GrayFold(code, shape, first.dtype) for code in plan.codes]
-        self.fringes = [FringeFold(fringe, shape) for fringe in plan.fringes]
+        self.fringes = [FringeFold(fringe, shape, first.dtype) for fringe in plan.fringes]
         self.brightest: Image = np.zeros_like(first)
         self._white: Image | None = None
         self._black: Image | None = None

@@ -14,12 +14,14 @@ from calib.arrays import Bools
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.coordinate import Coordinate
 from scanner.decoding.plan import AxisPlan
+from scanner.decoding.strips import in_strips
 
 _SIGMAS = 5.0
 # A surface may bend by this much of its slope, and this many projector pixels, from one camera pixel to the next.
 _BEND_OF_SLOPE = 0.5
 _BEND_PX = 1.0
 _SMALLEST_PATCH = 24
+_PATCH_ROWS = 512
 # Where the amplitude halves from one pixel to the next, the lens shifts the coordinate by up to half a pixel.
 _FAINTER = 2.0
 _FAINT_SIGMAS = 3.0
@@ -43,10 +45,22 @@ def breaks(kept: Bools, coordinates: Sequence[Coordinate], axes: Sequence[AxisPl
 
 def isolated(kept: Bools, broken: Bools) -> Bools:
     """Which of the `kept` pixels (H, W) are `broken`, or are left on small patches between breaks."""
-    _, patches, stats, _ = cv2.connectedComponentsWithStats((kept & ~broken).astype(np.uint8), connectivity=4)
-    is_large = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST_PATCH
-    is_large[0] = False
-    result: Bools = kept & ~is_large[patches]
+    height = len(kept)
+    result = np.empty_like(kept)
+
+    def find(rows: slice) -> None:
+        # A patch that reaches from these rows to beyond the wider ones is not small.
+        first, last = max(0, rows.start - _SMALLEST_PATCH), min(height, rows.stop + _SMALLEST_PATCH)
+        whole = kept[first:last] & ~broken[first:last]
+        _, patches, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
+            whole.view(np.uint8), 4, cv2.CV_32S, cv2.CCL_SPAGHETTI
+        )
+        is_large = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST_PATCH
+        is_large[0] = False
+        inner = slice(rows.start - first, rows.stop - first)
+        np.greater(kept[rows], is_large[patches[inner]], out=result[rows])
+
+    in_strips(height, find, rows=_PATCH_ROWS)
     return result
 
 
@@ -55,13 +69,20 @@ def _note_bends(value: Floats32, slack: Floats32, broken: Bools) -> None:
 
     A neighbour that is NaN explains nothing and breaks nothing.
     """
+    slack += np.float32(_BEND_PX)
     for before, middle, after in (
         (np.s_[:-2, :], np.s_[1:-1, :], np.s_[2:, :]),
         (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
     ):
-        bend = np.abs(value[before] + value[after] - 2 * value[middle])
-        slope = np.abs(value[after] - value[before]) / 2
-        broken[middle] |= bend > _BEND_PX + _BEND_OF_SLOPE * slope + slack[middle]
+        bend = value[before] + value[after]
+        bend -= value[middle]
+        bend -= value[middle]
+        np.abs(bend, out=bend)
+        slope = value[after] - value[before]
+        np.abs(slope, out=slope)
+        slope *= np.float32(_BEND_OF_SLOPE / 2)
+        bend -= slope
+        broken[middle] |= bend > slack[middle]
 
 
 def _on_rim(log_amplitude: Floats32, noise: Floats32) -> Bools:

@@ -99,15 +99,16 @@ class AxisDecoder:
         decode = self._from_fringes if self.plan.fringes else self._from_codes
         coordinate = decode(signals, interval)
         reason = coordinate.reason
-        reason[(reason == MaskReason.KEPT) & interval.contradictory] = MaskReason.INCONSISTENT
-        reason[((reason == MaskReason.KEPT) | (reason == MaskReason.INCONSISTENT)) & interval.outside] = (
-            MaskReason.OUTSIDE
-        )
+        if interval.contradictory.any():
+            reason[(reason == MaskReason.KEPT) & interval.contradictory] = MaskReason.INCONSISTENT
+        if interval.outside.any():
+            undecided = (reason == MaskReason.KEPT) | (reason == MaskReason.INCONSISTENT)
+            reason[undecided & interval.outside] = MaskReason.OUTSIDE
         return coordinate
 
     def well_lit(self, signals: Signals) -> Bools:
         """Where the longest fringe is seen and none is saturated."""
-        return ~(self._dark(self.fringe_variances(signals)) | (signals.peak >= self.saturation))
+        return ~(self._dark(self.fringe_variances(signals)) | self._saturated(signals.peak))
 
     def seen(self, variances: list[Floats32]) -> Bools:
         """Where every fringe is seen, given the variances of their coordinates."""
@@ -121,7 +122,8 @@ class AxisDecoder:
         for fringe, ripple, components in zip(self.plan.fringes, self.ripple, signals.fringes, strict=True):
             phase = cast(Floats32, cv2.phase(*components))
             if ripple is not None:
-                phase += ripple[(phase * np.float32(TABLE_LENGTH / (2 * pi))).astype(np.int32) % TABLE_LENGTH]
+                index = phase * np.float32(TABLE_LENGTH / (2 * pi))
+                phase += np.take(ripple, index.astype(np.uint16), mode="wrap")
             phase *= np.float32(fringe.period / (2 * pi))
             found.append(phase)
         return found
@@ -152,24 +154,34 @@ class AxisDecoder:
         dark: Bools = variances[0] > largest_variance(self.plan.fringes[0], with_gray=bool(self.plan.codes))
         return dark
 
+    def _saturated(self, level: Image) -> Bools:
+        # In the image's own type, for comparing bytes with a float converts them all.
+        if self.saturation > np.iinfo(level.dtype).max:
+            return np.zeros(level.shape, np.bool_)
+        saturated: Bools = level >= level.dtype.type(self.saturation)
+        return saturated
+
     def _from_fringes(self, signals: Signals, interval: Interval) -> Coordinate:
         powers = _powers(signals)
         variances = self._variances(powers, signals)
         orders = self.orders(signals, interval, variances)
+        certain = orders.certain
         dark = self._dark(variances)
-        bright = signals.peak >= self.saturation
-        usable = orders.agree & orders.unique & ~dark & ~bright
+        bright = self._saturated(signals.peak)
         periods = [fringe.period for fringe in self.plan.fringes]
         if len(periods) > 1:
-            usable &= self.seen(variances)
+            usable = certain & self.seen(variances) & ~dark & ~bright
             systematic = systematic_variances(periods, orders.coordinates, variances, usable)
             for variance, more in zip(variances, systematic, strict=True):
                 variance += more
         value, variance = _weighted_mean(orders.coordinates, variances)
         reason = np.zeros(value.shape, np.uint8)
-        reason[(value < -0.5 - _EDGE_PX) | (value > self.plan.length - 0.5 + _EDGE_PX)] = MaskReason.OUTSIDE
-        reason[~(orders.agree & orders.unique)] = MaskReason.INCONSISTENT
-        reason[(reason == MaskReason.INCONSISTENT) & _mostly_indirect(signals, powers[0])] = MaskReason.INDIRECT
+        centre, reach = np.float32((self.plan.length - 1) / 2), np.float32(self.plan.length / 2 + _EDGE_PX)
+        reason[np.abs(value - centre) > reach] = MaskReason.OUTSIDE
+        uncertain = np.flatnonzero(~certain)
+        brightest, middle = (image.ravel()[uncertain] for image in (signals.brightest, signals.middle))
+        indirect = _mostly_indirect(brightest, middle, powers[0].ravel()[uncertain])
+        reason.ravel()[uncertain] = np.where(indirect, MaskReason.INDIRECT, MaskReason.INCONSISTENT)
         reason[bright] = MaskReason.SATURATED
         reason[dark] = MaskReason.DARK
         return Coordinate(value, variance, reason, log_amplitude(powers[self.finest]))
@@ -186,16 +198,14 @@ class AxisDecoder:
         return Coordinate(interval.centre, np.float32(1 / 3) * interval.half * interval.half, reason)
 
 
-def _mostly_indirect(signals: Signals, power: Floats32) -> Bools:
+def _mostly_indirect(brightest: Image, middle: Image, power: Floats32) -> Bools:
     """Where the amplitude of the longest fringe, half of the direct light, is less than a quarter of all light.
 
     Fringes too short for light to carry them around a corner separate direct from global light (Nayar et al., SIGGRAPH
     2006). Where global light is the larger part, it can turn a bit of a Gray code over (Xu and Aliaga, 2007).
     """
-    swing = signals.brightest.astype(np.float32)
-    swing -= signals.middle
-    swing *= swing
-    indirect: Bools = 4 * power < swing
+    swing = brightest.astype(np.float32) - middle
+    indirect: Bools = 4 * power < swing * swing
     return indirect
 
 
@@ -220,11 +230,10 @@ def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
 
 
 def _weighted_mean(coordinates: list[Floats32], variances: list[Floats32]) -> tuple[Floats32, Floats32]:
-    if len(coordinates) == 1:
-        return coordinates[0], variances[0]
-    weighted, weights = np.zeros_like(coordinates[0]), np.zeros_like(coordinates[0])
-    for coordinate, variance in zip(coordinates, variances, strict=True):
-        weight = np.reciprocal(variance)
-        weights += weight
-        weighted += weight * coordinate
-    return weighted / weights, np.reciprocal(weights)
+    """Each by the inverse of its variance, and the variance of the mean."""
+    value, variance = coordinates[0], variances[0]
+    for coordinate, own_variance in zip(coordinates[1:], variances[1:], strict=True):
+        share = variance / (variance + own_variance)
+        value = value + share * (coordinate - value)
+        variance = share * own_variance
+    return value, variance

@@ -8,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Bools, Ints
-from scanner.decoding.accumulate import Accumulators
+from scanner.decoding.accumulate import Accumulators, FringeFold
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.continuity import breaks
 from scanner.decoding.coordinate import AxisDecoder, Coordinate, MaskReason, Signals
 from scanner.decoding.plan import AxisPlan
 from scanner.decoding.shading import UNCERTAIN_SHARE, footprint_variance, shift_per_variance
 from scanner.decoding.strips import in_strips
-from scanner.decoding.systematic import WINDOW_PX
+from scanner.decoding.systematic import BLOCK_PX
 
-# Rows beyond a strip that its pixels depend on.
-_HALO = WINDOW_PX // 2 + 2
+# Rows beyond a strip that its pixels depend on: whole blocks, so that these are the same ones in every strip.
+_HALO = 2 * BLOCK_PX
 _TILE_PX = 48
 _MOST_TILES = 48
 
@@ -48,13 +48,19 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
             [select(fold.words) for fold in codes],
             [select(fold.least) for fold in codes],
             [select(fold.contrast) for fold in codes],
-            [(select(fold.cosine), select(fold.sine)) for fold in fringes],
+            [(_in_levels(select(fold.cosine), fold), _in_levels(select(fold.sine), fold)) for fold in fringes],
             select(accumulators.brightest),
             select(accumulators.middle),
             select(accumulators.peak),
         )
 
     return of_axis(accumulators.plan.x), of_axis(accumulators.plan.y)
+
+
+def _in_levels(component: NDArray[Any], fold: FringeFold) -> Floats32:
+    levels: Floats32 = component.astype(np.float32)
+    levels *= np.float32(fold.scale)
+    return levels
 
 
 def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Maps:
@@ -80,7 +86,7 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         variance[rows] = np.float32(0.5) * (found[0].variance[inner] + found[1].variance[inner])
         reasons[rows] = reason[inner]
         broken[rows] = breaks(kept, found, accumulators.plan.axes)[inner]
-        return np.stack([np.bincount(c.reason[inner].ravel(), minlength=len(MaskReason)) for c in found])
+        return np.array([[np.count_nonzero(c.reason[inner] == reason) for reason in MaskReason] for c in found])
 
     counts = np.sum(in_strips(shape[0], decode), axis=0)
     return Maps(x, y, variance, reasons, broken, counts)

@@ -17,6 +17,7 @@ from scanner.decoding.arrays import Floats32
 
 # Central differences at the sharpest edges, and what the first order leaves: share of the shift that stays uncertain.
 UNCERTAIN_SHARE = 0.35
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _FINE_PX, _COARSE_PX = 3, 9
 _MARGIN_PX = 6
 # No surface bends this much, in projector pixels, over the coarse window; a wrong fringe order does.
@@ -34,31 +35,16 @@ def log_amplitude(power: Floats32) -> Floats32:
 
 
 def shift_per_variance(value: Floats32, log_amplitude: Floats32, usable: Bools) -> Floats32:
-    """∇x · ∇ ln A (H, W), by central differences; zero along the border.
-
-    Beside an unusable pixel the slope of the coordinate is that towards the other side. Its amplitude is not used up:
-    the light of a pixel's neighbours tells best how its own falls off.
-    """
+    """∇x · ∇ ln A (H, W), by central differences; zero along the border and beside unusable pixels."""
     shift = np.zeros_like(value)
-    for axis, inner in ((0, np.s_[1:-1]), (1, np.s_[:, 1:-1])):
-        both = usable[_all_but_first(axis)] & usable[_all_but_last(axis)]
-        step = np.where(both, np.diff(value, axis=axis), np.float32(0))
-        slope = step[_all_but_first(axis)] + step[_all_but_last(axis)]
-        sides = both[_all_but_first(axis)].astype(np.uint8) + both[_all_but_last(axis)]
-        slope /= np.maximum(sides, 1)
-        fall = np.diff(log_amplitude, axis=axis)
-        slope *= fall[_all_but_first(axis)] + fall[_all_but_last(axis)]
-        shift[inner] += slope
-    shift *= np.float32(0.5)
+    across = np.subtract(value[:, 2:], value[:, :-2], out=shift[:, 1:-1])
+    across *= log_amplitude[:, 2:] - log_amplitude[:, :-2]
+    down = value[2:] - value[:-2]
+    down *= log_amplitude[2:] - log_amplitude[:-2]
+    shift[1:-1] += down
+    surrounded = cv2.erode(usable.view(np.uint8), _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    shift *= surrounded.astype(np.float32) * np.float32(0.25)
     return shift
-
-
-def _all_but_first(axis: int) -> tuple[slice, ...]:
-    return (slice(None),) * axis + (slice(1, None),)
-
-
-def _all_but_last(axis: int) -> tuple[slice, ...]:
-    return (slice(None),) * axis + (slice(None, -1),)
 
 
 def footprint_variance(shaded: Sequence[tuple[Floats32, Floats32]], lit: Image, usable: Bools, tile_px: int) -> float:

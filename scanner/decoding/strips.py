@@ -10,8 +10,8 @@ _ROWS = 128
 Result = TypeVar("Result")
 
 
-def in_strips(height: int, work: Callable[[slice], Result]) -> list[Result]:
-    """What `work` returns for slices of rows that make up an image of `height` rows, some of them at the same time."""
-    strips = [slice(start, min(start + _ROWS, height)) for start in range(0, height, _ROWS)]
+def in_strips(height: int, work: Callable[[slice], Result], rows: int = _ROWS) -> list[Result]:
+    """What `work` returns for slices of so many rows that make up an image of `height`; some run at the same time."""
+    strips = [slice(start, min(start + rows, height)) for start in range(0, height, rows)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(work, strips))

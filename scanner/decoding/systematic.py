@@ -7,6 +7,7 @@ on the period, such as what harmonics leave.
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import cast
 
 import cv2
 import numpy as np
@@ -14,7 +15,10 @@ import numpy as np
 from calib.arrays import Bools
 from scanner.decoding.arrays import Floats32
 
-WINDOW_PX = 9
+# Windows are 3 × 3 blocks.
+BLOCK_PX = 4
+# Share of a window's pixels; a window with none is not asked for.
+_FEWEST = 0.01
 # Some errors are the same share of every period, like the ripple of a bent curve; reflected light fades faster than the
 # period shortens, like λ² close to a crease and λ³ far from it. In between, the variance grows with the cube.
 _POWER = 3
@@ -27,26 +31,28 @@ def systematic_variances(
 ) -> list[Floats32]:
     """Per fringe, the variance (H, W) of its coordinate beyond the noise, from `usable` pixels in windows around each.
 
-    `variances`: those of the noise. Of a single fringe nothing is known, and its are zero.
+    `variances`: those of the noise. Of a single fringe nothing is known, and its is zero, (1, 1).
     """
-    found = [np.zeros(usable.shape, np.float32) for _ in periods]
-    count = _box(usable.astype(np.float32))
-    np.maximum(count, np.float32(1), out=count)
+    found = [np.zeros((1, 1), np.float32) for _ in periods]
+    weight = _coarse(usable.astype(np.float32))
+    np.maximum(weight, np.float32(_FEWEST), out=weight)
+    there = usable.astype(np.float32)
     for i, j in pairwise(range(len(periods))):
         excess = coordinates[i] - coordinates[j]
         excess *= excess
         excess -= variances[i]
         excess -= variances[j]
-        excess *= usable
-        mean = _box(excess)
-        mean /= count
-        np.maximum(mean, np.float32(0), out=mean)
+        excess *= there
+        mean = np.maximum(_coarse(excess) / weight, np.float32(0))
         powers = np.array([periods[i], periods[j]]) ** _POWER
         for k, share in zip((i, j), _HIDDEN * powers / powers.sum(), strict=True):
-            np.maximum(found[k], np.float32(share) * mean, out=found[k])
+            fine = cast(Floats32, cv2.resize(np.float32(share) * mean, usable.shape[::-1]))
+            found[k] = np.maximum(found[k], fine, out=fine)
     return found
 
 
-def _box(values: Floats32) -> Floats32:
-    size = (WINDOW_PX, WINDOW_PX)
-    return np.asarray(cv2.boxFilter(values, cv2.CV_32F, size, normalize=False, borderType=cv2.BORDER_CONSTANT))
+def _coarse(image: Floats32) -> Floats32:
+    """Means over windows, one for each block of pixels."""
+    height, width = (-(-size // BLOCK_PX) for size in image.shape)
+    blocks = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    return cast(Floats32, cv2.blur(blocks, (3, 3), borderType=cv2.BORDER_CONSTANT))
