@@ -21,6 +21,7 @@ _CENTRE_SIGMA_OF_WIDTH = 0.03
 
 _LARGEST_SIDE_PX = 32768
 
+Exposure = Annotated[Number, Field(gt=0, le=1e8)]
 Period = Annotated[Number, Field(ge=4, le=1024)]
 
 
@@ -83,6 +84,10 @@ class SequenceSettings(Section):
         default=None, ge=0, le=64, description="Steps of each fringe, 3 or more; 0 for no fringes."
     )
 
+    exposures_us: tuple[Exposure, ...] = Field(
+        default=(), max_length=8, description="Exposures of each pattern; left out, the one that the rig is set to."
+    )
+
     @model_validator(mode="after")
     def _decodable(self) -> "SequenceSettings":
         chosen = self._chosen
@@ -90,6 +95,8 @@ class SequenceSettings(Section):
             raise ValueError(f"shifts must be 3 or more, or 0 for no fringes, found {chosen.shifts}")
         if len(set(chosen.periods)) < len(chosen.periods):
             raise ValueError(f"periods must differ, found {', '.join(f'{period:g}' for period in chosen.periods)}")
+        if len(set(self.exposures_us)) < len(self.exposures_us) or len(self.exposures_us) == 1:
+            raise ValueError("exposures_us must be two or more that differ, or left out")
         if chosen.shifts and chosen.cell > max(chosen.periods):
             raise ValueError(
                 f"cell ({chosen.cell}) must not exceed the longest period ({max(chosen.periods)}), "

@@ -5,7 +5,7 @@ to be chosen: noise, saturation and tolerances are measured from the capture.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import cv2
@@ -23,6 +23,8 @@ from scanner.decoding.checks_of_frames import check_frames
 from scanner.decoding.checks_of_maps import check_fringes, check_maps
 from scanner.decoding.continuity import isolated
 from scanner.decoding.coordinate import MaskReason
+from scanner.decoding.exposures import ExposureMerger, exposures_of
+from scanner.decoding.flicker import flicker_of
 from scanner.decoding.maps import Maps, coordinate_maps, signals_of
 from scanner.decoding.noise import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.plan import SequencePlan, plan_sequence
@@ -45,6 +47,7 @@ class Decoding:
     at the centre of the camera pixels that see it. `texture`: the scene fully lit, (H, W) or (H, W, 3), as the camera
     gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
     `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
+    `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
     `warnings`: sentences for the operator.
     """
 
@@ -54,26 +57,40 @@ class Decoding:
     noise: NoiseModel
     modulation: float | None
     warnings: tuple[str, ...]
+    flicker: float | None = None
 
 
 class Decoder:
     """Takes the frames of a sequence that is known in advance, one by one, and decodes them at the end.
 
+    Where each pattern follows itself as often as every other, its frames are those of several exposures, white first.
+
     Raises InputError if the patterns do not determine both coordinates of a projector of (width, height) pixels.
     """
 
     def __init__(self, patterns: Sequence[Pattern], projector_size: tuple[int, int]) -> None:
-        self._plan = plan_sequence(patterns, projector_size)
+        once, repeats = exposures_of(patterns)
+        self._plan = replace(plan_sequence(once, projector_size), repeats=repeats)
+        self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._count = 0
         self._held: tuple[Accumulators, Sample] | None = None
         self._texture: Image | None = None
 
-    def add(self, image: Image) -> None:
-        """Fold in the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit.
+    def add(self, image: Image, exposure_us: float | None = None) -> None:
+        """Fold in the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; its exposure matters if there are several.
 
-        Raises InputError if it is one frame too many, or not of the size and type of the others.
+        Raises InputError if it is one frame too many, or not of the size and type of the others, or if exposures do not
+        fit.
         """
         self._check_form(image)
+        if self._merger is None:
+            self._fold(image)
+            return
+        merged = self._merger.add(self._plan.name(self._count), image, exposure_us)
+        if merged is not None:
+            self._fold(merged)
+
+    def _fold(self, image: Image) -> None:
         grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
@@ -88,23 +105,26 @@ class Decoder:
         """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""
         if self._count < len(self._plan.patterns):
             raise InputError(
-                f"the sequence has {len(self._plan.patterns)} frames, found {self._count}; the first that is missing: "
-                f"{self._plan.name(self._count)}"
+                f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "
+                f"first that is missing: {self._plan.name(self._count)}"
             )
         if self._held is None or self._texture is None:
             raise RuntimeError("this decoder has finished already")
         held, self._held = self._held, None
+        if self._merger is not None:
+            held[0].log_exposure = self._merger.log_exposure
         measured = _measure(*held)
         # The running images are as large as the matches, and have served.
         del held
         matches, reasons = _match(self._plan, measured)
         check_maps(self._plan, measured.maps, reasons == MaskReason.KEPT)
-        warnings = tuple(warnings_of(reasons, measured.modulation))
-        return Decoding(matches, self._texture, reasons, measured.noise, measured.modulation, warnings)
+        warnings = tuple(warnings_of(reasons, measured.modulation, measured.flicker))
+        texture = self._texture if self._merger is None else self._merger.alike(self._texture)
+        return Decoding(matches, texture, reasons, measured.noise, measured.modulation, warnings, measured.flicker)
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.patterns):
-            raise InputError(f"the sequence has {self._count} frames, found one more")
+            raise InputError(f"the sequence has {self._plan.frame_count} frames, found one more")
         name = self._plan.name(self._count)
         if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or image.dtype not in _DEPTHS:
             raise InputError(
@@ -136,6 +156,7 @@ class _Measured:
     brightest: Image
     noise: NoiseModel
     modulation: float | None
+    flicker: float | None
 
 
 def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
@@ -152,7 +173,8 @@ def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     for decoder, signals in zip(decoders, thin, strict=True):
         check_fringes(plan, decoder, signals)
     maps = coordinate_maps(accumulators, decoders)
-    return _Measured(maps, accumulators.brightest, noise, modulation(decoders, thin))
+    flicker = flicker_of(plan, sample.levels)
+    return _Measured(maps, accumulators.brightest, noise, modulation(decoders, thin), flicker)
 
 
 def _match(plan: SequencePlan, measured: _Measured) -> tuple[Matches, NDArray[np.uint8]]:

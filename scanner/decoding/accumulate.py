@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from calib.arrays import Image
-from scanner.decoding.arrays import Component, Words
+from scanner.decoding.arrays import Component, Floats32, Words
 from scanner.decoding.plan import Fringe, GrayCode, SequencePlan
 
 # Differences of so few frames of 8 bits fit into 16.
@@ -86,11 +86,13 @@ class FringeFold:
 class Accumulators:
     """All that is kept at full size of the frames seen so far.
 
-    `brightest` (H, W): the white frame or, without one, the maximum over all frames.
+    `brightest` (H, W): the white frame or, without one, the maximum over all frames. `log_exposure` (H, W): logarithm
+    of the pixels' exposures, relative to each other; None if they are all alike.
     """
 
     def __init__(self, plan: SequencePlan, first: Image) -> None:
         self.plan = plan
+        self.log_exposure: Floats32 | None = None
         shape = first.shape[0], first.shape[1]
         self.codes = [GrayFold(code, shape, first.dtype) for code in plan.codes]
         self.fringes = [FringeFold(fringe, shape, first.dtype) for fringe in plan.fringes]

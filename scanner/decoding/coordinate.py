@@ -54,6 +54,7 @@ class Signals:
 
     Per code `words`, `least` and `contrast` as in `GrayFold`; per fringe its two components, longest period first.
     `brightest`, `middle`: grey level when lit, and half-way between lit and unlit. `peak`: largest among the fringes.
+    `log_exposure`: None if all pixels have the same.
     """
 
     words: list[Words]
@@ -63,6 +64,7 @@ class Signals:
     brightest: Image
     middle: Image
     peak: Image
+    log_exposure: Floats32 | None = None
 
 
 @dataclass(frozen=True)
@@ -184,7 +186,10 @@ class AxisDecoder:
         reason.ravel()[uncertain] = np.where(indirect, MaskReason.INDIRECT, MaskReason.INCONSISTENT)
         reason[bright] = MaskReason.SATURATED
         reason[dark] = MaskReason.DARK
-        return Coordinate(value, variance, reason, log_amplitude(powers[self.finest]))
+        brightness = log_amplitude(powers[self.finest])
+        if signals.log_exposure is not None:
+            brightness -= signals.log_exposure
+        return Coordinate(value, variance, reason, brightness)
 
     def _from_codes(self, signals: Signals, interval: Interval) -> Coordinate:
         difference_sigma = np.float32(sqrt(2)) * self.noise.sigma(signals.middle)

@@ -52,6 +52,7 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
             select(accumulators.brightest),
             select(accumulators.middle),
             select(accumulators.peak),
+            None if accumulators.log_exposure is None else select(accumulators.log_exposure),
         )
 
     return of_axis(accumulators.plan.x), of_axis(accumulators.plan.y)
@@ -136,4 +137,7 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     found = [decoder.decode(part) for decoder, part in zip(decoders, parts, strict=True)]
     usable = _first_reason(found) == MaskReason.KEPT
     shaded = [(c.value, c.log_amplitude) for c in found if c.log_amplitude is not None]
-    return footprint_variance(shaded, parts[0].brightest, usable, _TILE_PX)
+    log_lit = np.log(np.maximum(parts[0].brightest, 1).astype(np.float32))
+    if parts[0].log_exposure is not None:
+        log_lit -= parts[0].log_exposure
+    return footprint_variance(shaded, log_lit, usable, _TILE_PX)

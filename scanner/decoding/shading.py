@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from calib.arrays import Bools, Floats, Image
+from calib.arrays import Bools, Floats
 from scanner.decoding.arrays import Floats32
 
 # Central differences at the sharpest edges, and what the first order leaves: share of the shift that stays uncertain.
@@ -47,13 +47,14 @@ def shift_per_variance(value: Floats32, log_amplitude: Floats32, usable: Bools) 
     return shift
 
 
-def footprint_variance(shaded: Sequence[tuple[Floats32, Floats32]], lit: Image, usable: Bools, tile_px: int) -> float:
+def footprint_variance(
+    shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, usable: Bools, tile_px: int
+) -> float:
     """The footprint's variance along an axis, in square camera pixels; 0 if the capture does not show it.
 
-    `shaded`: of one or both axes, the coordinate and the logarithm of its amplitude; `lit`: the grey level in full
-    light; in square tiles of `tile_px` one above the other, (T · tile, tile).
+    `shaded`: of one or both axes, the coordinate and the logarithm of its amplitude; `log_lit`: that of the grey level
+    in full light; in square tiles of `tile_px` one above the other, (T · tile, tile).
     """
-    log_lit = np.asarray(cv2.log(np.maximum(lit, 1).astype(np.float32)), np.float32)
     bends = [_band(value) for value, _ in shaded]
     inner = _inner(usable & np.all([np.abs(bend) < _JUMP_PX for bend in bends], axis=0), tile_px)
     found, weight = np.zeros((2, len(usable) // tile_px))
