@@ -25,11 +25,15 @@ _PATCH_ROWS = 512
 # Where the amplitude halves from one pixel to the next, the lens shifts the coordinate by up to half a pixel.
 _FAINTER = 2.0
 _FAINT_SIGMAS = 3.0
+# A pixel's neighbours on opposite sides, along columns and along rows.
+_LINES = ((np.s_[:-2, :], np.s_[1:-1, :], np.s_[2:, :]), (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]))
 
 
 def breaks(kept: Bools, coordinates: Sequence[Coordinate], axes: Sequence[AxisPlan]) -> Bools:
-    """Which pixels (H, W) break the map of any axis, as far as the `kept` ones tell."""
-    broken = np.zeros(kept.shape, np.bool_)
+    """Which pixels (H, W) break the map of any axis, or cannot be compared with `kept` ones on opposite sides."""
+    broken = np.ones(kept.shape, np.bool_)
+    for before, middle, after in _LINES:
+        broken[middle] &= ~(kept[before] & kept[after])
     for coordinate, axis in zip(coordinates, axes, strict=True):
         value = np.where(kept, coordinate.value, np.float32(np.nan))
         sigma = np.sqrt(coordinate.variance)
@@ -70,10 +74,7 @@ def _note_bends(value: Floats32, slack: Floats32, broken: Bools) -> None:
     A neighbour that is NaN explains nothing and breaks nothing.
     """
     slack += np.float32(_BEND_PX)
-    for before, middle, after in (
-        (np.s_[:-2, :], np.s_[1:-1, :], np.s_[2:, :]),
-        (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
-    ):
+    for before, middle, after in _LINES:
         bend = value[before] + value[after]
         bend -= value[middle]
         bend -= value[middle]
