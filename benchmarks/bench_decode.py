@@ -28,6 +28,7 @@ from scanner.patterns import Pattern, draw, gray_sequence, phase_sequence, seque
 _INDIRECT = 0.1
 _WHITE = 180.0
 _AMBIENT = 10.0
+_BYTES_PER_MATCH = 40
 _PERIODS, _SHIFTS = (21.0, 19.0), 4
 
 
@@ -67,13 +68,13 @@ def decode(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: li
     return middle - start, time.perf_counter() - middle, len(matches)
 
 
-def peak_memory_mb(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: list[Image]) -> float:
-    """Of the arrays of a run of its own, above the frames; the matches are most of it."""
+def peak_memory_mb(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: list[Image]) -> str:
+    """Of the arrays of a run of its own, above the frames, and how much of it are the matches that it returns."""
     tracemalloc.start()
-    decode(patterns, projector, frames)
+    *_, count = decode(patterns, projector, frames)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    return peak / 1e6
+    return f"{peak / 1e6:.0f} ({count * _BYTES_PER_MATCH / 1e6:.0f})"
 
 
 def measure(size: tuple[int, int], projector: tuple[int, int], repeat: int) -> tuple[str, ...]:
@@ -91,7 +92,7 @@ def measure(size: tuple[int, int], projector: tuple[int, int], repeat: int) -> t
         f"{1e3 * finishing:.0f}",
         f"{(adding + finishing) / copying:.1f}",
         f"{runs[0][2] / (size[0] * size[1]):.0%}",
-        f"{peak_memory_mb(patterns, projector, frames):.0f}",
+        peak_memory_mb(patterns, projector, frames),
     )
 
 
@@ -144,7 +145,7 @@ def main() -> None:
         "end, ms",
         "all / copy",
         "matched",
-        "peak memory, MB",
+        "peak memory (matches), MB",
     ):
         table.add_column(column, justify="right")
     for scale in (0.5, 1.0):

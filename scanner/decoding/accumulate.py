@@ -21,12 +21,13 @@ _PLAIN = 64
 class GrayFold:
     """The code word of each pixel, with how far its bits were from their thresholds.
 
-    `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels.
+    `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels; `contrast`
+    is None where fringes tell what is lit.
     """
 
-    def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
+    def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool) -> None:
         self.code = code
-        self.contrast: Image = np.zeros(shape, dtype)
+        self.contrast: Image | None = np.zeros(shape, dtype) if contrast else None
         self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
         planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
         self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
@@ -40,16 +41,18 @@ class GrayFold:
         difference = cast(Image, cv2.absdiff(bright, dark))
         if half:
             difference = cast(Image, cv2.add(difference, difference))
-        np.maximum(self.contrast, difference, out=self.contrast)
+        if self.contrast is not None:
+            np.maximum(self.contrast, difference, out=self.contrast)
         np.minimum(self.least, difference, out=self.least)
 
     @cached_property
     def words(self) -> Words:
         """(H, W): bit 0 of the code in place bits − 1, as in the pattern; once all frames are in."""
-        if len(self._planes) == 1:
-            return self._planes[0]
-        merged = cast(Words, cv2.merge(self._planes))
-        words: Words = merged.view("<u2" if len(self._planes) == 2 else "<u4")[..., 0]
+        planes, self._planes = self._planes, []
+        if len(planes) == 1:
+            return planes[0]
+        merged = cast(Words, cv2.merge(planes))
+        words: Words = merged.view("<u2" if len(planes) == 2 else "<u4")[..., 0]
         return words
 
 
@@ -94,7 +97,9 @@ class Accumulators:
         self.plan = plan
         self.log_exposure: Floats32 | None = None
         shape = first.shape[0], first.shape[1]
-        self.codes = [GrayFold(code, shape, first.dtype) for code in plan.codes]
+        self.codes = [
+            GrayFold(code, shape, first.dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
+        ]
         self.fringes = [FringeFold(fringe, shape, first.dtype) for fringe in plan.fringes]
         self.brightest: Image = np.zeros_like(first)
         self._white: Image | None = None

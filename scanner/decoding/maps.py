@@ -47,7 +47,7 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
         return Signals(
             [select(fold.words) for fold in codes],
             [select(fold.least) for fold in codes],
-            [select(fold.contrast) for fold in codes],
+            [select(fold.contrast) for fold in codes if fold.contrast is not None],
             [(_in_levels(select(fold.cosine), fold), _in_levels(select(fold.sine), fold)) for fold in fringes],
             select(accumulators.brightest),
             select(accumulators.middle),

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-_ROWS = 128
+_ROWS = 64
 
 Result = TypeVar("Result")
 
