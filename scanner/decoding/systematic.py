@@ -16,7 +16,7 @@ from calib.arrays import Bools
 from scanner.decoding.arrays import Floats32
 
 # Windows are 3 × 3 blocks.
-BLOCK_PX = 4
+BLOCK_PX = 2
 # Share of a window's pixels; a window with none is not asked for.
 _FEWEST = 0.01
 # Some errors are the same share of every period, like the ripple of a bent curve; reflected light fades faster than the

@@ -47,12 +47,14 @@ def test_keys_of_the_sequence_override_its_preset(tmp_path: Path) -> None:
     assert config.sequence.patterns((64, 48)) == sequence_for((64, 48), inverses=True, periods=(12.3,), shifts=3)
 
 
-def test_quick_takes_fewer_frames_than_standard() -> None:
-    quick, standard = (
-        len(load_config(None, [f"sequence.preset={preset}"]).sequence.patterns((854, 480)))
-        for preset in ("quick", "standard")
-    )
-    assert 0 < quick < 0.6 * standard
+@pytest.mark.parametrize(("preset", "frames"), [("quick", 23), ("standard", 44), ("concave", 33)])
+def test_the_presets_have_as_many_frames_as_the_documentation_says(preset: str, frames: int) -> None:
+    patterns = load_config(None, [f"sequence.preset={preset}"]).sequence.patterns((854, 480))
+    assert len(patterns) == frames == len(set(patterns))
+
+
+def test_exposures_are_kept_in_their_order(tmp_path: Path) -> None:
+    assert load(tmp_path, "sequence: {exposures_us: [8000.0, 500]}").sequence.exposures_us == (8000.0, 500.0)
 
 
 def test_overrides_reach_every_depth_and_are_yaml(tmp_path: Path) -> None:
@@ -120,6 +122,9 @@ WRONG = [
     Wrong("sequence: {cell: 32}", ("cell (32)", "period (16.0)")),
     Wrong("sequence: {periods: [.inf]}", ("'sequence.periods[0]'", "finite")),
     Wrong("sequence: {periods: [8.0, 8.0]}", ("periods must differ", "8, 8")),
+    Wrong("sequence: {exposures_us: [1000.0]}", ("exposures_us", "two or more")),
+    Wrong("sequence: {exposures_us: [1000.0, 1000.0]}", ("exposures_us", "differ")),
+    Wrong("sequence: {exposures_us: [1000.0, -5.0]}", ("'sequence.exposures_us[1]'", "-5")),
     Wrong("sequence: {inverses: maybe}", ("'sequence.inverses'", "boolean", "'maybe'")),
     Wrong("method: best", ("'method'", "'refined' or 'paper'", "'best'")),
     Wrong("corner: {squareness_deg: -1}", ("'corner.squareness_deg'", "-1")),
