@@ -181,10 +181,12 @@ class AxisDecoder:
         reason = np.zeros(value.shape, np.uint8)
         centre, reach = np.float32((self.plan.length - 1) / 2), np.float32(self.plan.length / 2 + _EDGE_PX)
         reason[np.abs(value - centre) > reach] = MaskReason.OUTSIDE
-        uncertain = np.flatnonzero(~certain)
-        brightest, middle = (image.ravel()[uncertain] for image in (signals.brightest, signals.middle))
-        indirect = _mostly_indirect(brightest, middle, powers[0].ravel()[uncertain])
-        reason.ravel()[uncertain] = np.where(indirect, MaskReason.INDIRECT, MaskReason.INCONSISTENT)
+        indirect = _mostly_indirect(signals, powers[0])
+        reason[~certain] = MaskReason.INCONSISTENT
+        reason[~certain & indirect] = MaskReason.INDIRECT
+        if len(periods) == 1:
+            # No second period would contradict a bit that global light has turned over.
+            reason[_may_be_turned_over(signals, powers[0], indirect)] = MaskReason.INDIRECT
         reason[bright] = MaskReason.SATURATED
         reason[dark] = MaskReason.DARK
         brightness = log_amplitude(powers[self.finest])
@@ -204,15 +206,28 @@ class AxisDecoder:
         return Coordinate(interval.centre, np.float32(1 / 3) * interval.half * interval.half, reason)
 
 
-def _mostly_indirect(brightest: Image, middle: Image, power: Floats32) -> Bools:
+def _mostly_indirect(signals: Signals, power: Floats32) -> Bools:
     """Where the amplitude of the longest fringe, half of the direct light, is less than a quarter of all light.
 
     Fringes too short for light to carry them around a corner separate direct from global light (Nayar et al., SIGGRAPH
-    2006). Where global light is the larger part, it can turn a bit of a Gray code over (Xu and Aliaga, 2007).
+    2006).
     """
-    swing = brightest.astype(np.float32) - middle
-    indirect: Bools = 4 * power < swing * swing
+    half_of_all = signals.brightest.astype(np.float32)
+    half_of_all -= signals.middle
+    half_of_all *= half_of_all
+    indirect: Bools = half_of_all > 4 * power
     return indirect
+
+
+def _may_be_turned_over(signals: Signals, power: Floats32, indirect: Bools) -> Bools:
+    """Where a bit's contrast is no more than what global light has in excess of direct light (Xu and Aliaga, 2007)."""
+    pixels = np.flatnonzero(indirect)
+    brightest, middle = (image.ravel()[pixels].astype(np.float32) for image in (signals.brightest, signals.middle))
+    excess = 2 * (brightest - middle) - 4 * np.sqrt(power.ravel()[pixels])
+    turned = np.zeros(indirect.shape, np.bool_)
+    for least in signals.least:
+        turned.ravel()[pixels] |= least.ravel()[pixels] <= excess
+    return turned
 
 
 def _powers(signals: Signals) -> list[Floats32]:

@@ -67,17 +67,22 @@ def results() -> dict[PresetName, Scanned]:
 
 @dataclass(frozen=True)
 class Limits:
-    """Of the errors in projector pixels: their median, 99.9th percentile, and mean over cells (root mean square)."""
+    """Of the errors in projector pixels: their median, 99.9th percentile, and mean over cells (root mean square).
+
+    `kept`: least share of the lit pixels. Of the presets only quick has no second period that tells a bit which global
+    light has turned over, and has to mask it.
+    """
 
     median: float
     largest: float
     of_cells: float
+    kept: float
 
 
 LIMITS: dict[PresetName, Limits] = {
-    "quick": Limits(0.05, 0.6, 0.01),
-    "standard": Limits(0.04, 0.5, 0.006),
-    "concave": Limits(0.04, 0.5, 0.006),
+    "quick": Limits(0.05, 0.6, 0.01, 0.95),
+    "standard": Limits(0.04, 0.5, 0.006, 0.97),
+    "concave": Limits(0.04, 0.5, 0.006, 0.98),
 }
 
 
@@ -93,7 +98,7 @@ def test_share_of_the_lit_pixels_that_is_kept(results: dict[PresetName, Scanned]
     result = results[preset]
     kept = result.decoding.reasons == MaskReason.KEPT
     whole = cv2.erode(result.lit.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    assert 0.97 < (kept & whole).sum() / whole.sum() <= 1.0
+    assert LIMITS[preset].kept < (kept & whole).sum() / whole.sum() <= 1.0
     # Pixels half in shadow are lit a little although their centre is not.
     assert 0 <= (kept & ~result.lit).sum() / kept.sum() < 0.002
 
