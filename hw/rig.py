@@ -1,7 +1,7 @@
 """The two interfaces that every rig implements, real or simulated, and nothing about patterns."""
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from calib.arrays import Image
 
@@ -38,6 +38,14 @@ class Camera(Protocol):
 
     def grab(self) -> Frame:
         """Expose and return one frame of what the projector shows now. Raises DeviceError if the device fails."""
+
+
+@runtime_checkable
+class ExposureControl(Protocol):
+    """What a camera also has if its exposure can be changed between frames."""
+
+    def expose_for(self, exposure_us: float) -> None:
+        """Expose all frames from now on so long. Raises DeviceError if the camera cannot."""
 
 
 @dataclass(frozen=True)

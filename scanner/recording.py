@@ -166,7 +166,9 @@ def open_capture(path: Path) -> Recording:
     patterns = tuple(frame.pattern.pattern() for frame in entry.frames)
     paths = tuple(_frame_path(listing, file) for file in files)
     _refuse_repeats(listing, paths, "shows the file", files)
-    _refuse_repeats(listing, patterns, "shows the pattern", [flow_yaml(pattern_to_dict(p)) for p in patterns])
+    exposures_us = [frame.read_back[0] for frame in entry.frames]
+    shown = list(zip(patterns, exposures_us, strict=True))
+    _refuse_repeats(listing, shown, "shows the pattern", [flow_yaml(pattern_to_dict(p)) for p in patterns])
     _refuse_extra_images(folder, set(paths))
     return Recording(
         folder,
