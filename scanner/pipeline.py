@@ -80,7 +80,7 @@ def decode(stream: Stream, terminal: Terminal, what: str) -> Findings:
     with terminal.step("Matching"):
         decoding = decoder.finish()
     facts = CaptureFacts(
-        stream.camera_size, stream.projector_size, stream.patterns, identity(stream.metadata), tuple(exposures_us)
+        stream.camera_size, stream.projector_size, stream.patterns, identity({**stream.metadata, **stream.account()}), tuple(exposures_us)
     )
     return Findings(facts, decoding.matches, decoding)
 
