@@ -14,7 +14,6 @@ from hw.loopback.camera import LoopbackCamera
 from hw.loopback.exposure import RoomSensor
 from hw.loopback.launcher import LoopbackSettings
 from hw.loopback.screen import ScreenHistory, XwdScreen
-from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 
 
@@ -33,7 +32,7 @@ def main() -> int:
 def _serve(screen_file: Path, settings: LoopbackSettings) -> None:
     screen = XwdScreen(screen_file)
     room = SimulatedRoom(settings.room, settings.camera_size, screen.size)
-    with ScreenHistory(screen) as history:
+    with ScreenHistory(screen, room.electrons) as history:
         sensor = RoomSensor(room, history, settings.latency_ms / 1e3, settings.white_exposure_us)
         with LoopbackCamera(
             settings.address, settings.serial, settings.camera_size, sensor.expose, settings.lost_packets

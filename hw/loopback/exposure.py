@@ -33,13 +33,12 @@ class Request:
 class RoomSensor:
     """Takes pictures of a simulated room that is lit by a screen with a display latency.
 
-    The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, without gain.
+    The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, without gain. `screen` develops
+    to expected electrons (H, W) of such an exposure.
     """
 
-    def __init__(
-        self, room: SimulatedRoom, screen: ScreenHistory, latency_s: float, white_exposure_us: float
-    ) -> None:
-        self._room = room
+    def __init__(self, room: SimulatedRoom, screen: ScreenHistory, latency_s: float, white_exposure_us: float) -> None:
+        self._sensor = room.sensor
         self._screen = screen
         self._latency_s = latency_s
         self._white_exposure_us = white_exposure_us
@@ -49,27 +48,19 @@ class RoomSensor:
         """Expose from now on, which takes its time, and return the frame as the camera sends it."""
         begin_s = time.monotonic()
         exposure_s = request.exposure_us / 1e6
-        # The light of now has left the screen a latency ago, so that all of it is known already, or will be soon.
         self._screen.look()
         time.sleep(max(0.0, begin_s + exposure_s - time.monotonic()))
         self._screen.look()
         first_s = begin_s - self._latency_s
-        electrons = self._electrons(self._screen.shares(first_s, first_s + exposure_s))
-        electrons *= np.float32(request.exposure_us / self._white_exposure_us)
         x, y, width, height = request.region
-        return self._digits(np.ascontiguousarray(electrons[y : y + height, x : x + width]), request)
-
-    def _electrons(self, shares: list[tuple[float, Image]]) -> Light:
-        """Electrons (H, W) of an exposure as long as the one for which the aperture was set."""
-        optics, renderer = self._room.renderer.picture, self._room.renderer
-        light = np.zeros((optics.height, optics.width), np.float32)
-        for share, picture in shares:
-            light += np.float32(share) * optics.linear(picture)
-        brightness = renderer.direct(light) + renderer.indirect(light) + renderer.ambient
-        return self._room.sensor.electrons(brightness)
+        part = np.s_[y : y + height, x : x + width]
+        electrons = np.zeros((height, width), np.float32)
+        for share, light in self._screen.shares(first_s, first_s + exposure_s):
+            electrons += np.float32(share * request.exposure_us / self._white_exposure_us) * light[part]
+        return self._digits(electrons, request)
 
     def _digits(self, electrons: Light, request: Request) -> bytes:
-        sensor = self._sensor(16 if request.pixel_format == MONO_16 else 8, request.gain_db)
+        sensor = self._amplified(16 if request.pixel_format == MONO_16 else 8, request.gain_db)
         if request.pixel_format in _MOSAICS:
             electrons = electrons * _mosaic(_MOSAICS[request.pixel_format], electrons.shape)
         if request.pixel_format == RGB_8:
@@ -77,9 +68,9 @@ class RoomSensor:
             return np.asarray(cv2.merge(channels)).tobytes()
         return sensor.read(electrons, self._rng).tobytes()
 
-    def _sensor(self, bits: int, gain_db: float) -> Sensor:
-        """The room's sensor with an amplifier: gain makes fewer electrons fill the range."""
-        sensor = self._room.sensor
+    def _amplified(self, bits: int, gain_db: float) -> Sensor:
+        """Gain makes fewer electrons fill the range."""
+        sensor = self._sensor
         full_well = sensor.full_well_electrons / 10 ** (gain_db / _DECIBELS_PER_FACTOR_TEN)
         return Sensor(sensor.blur_px, sensor.exposure_us, bits, full_well, sensor.read_noise_electrons)
 
