@@ -93,8 +93,8 @@ class Flashes:
             if arrival is not None and missing < _EDGE:
                 return arrival
         raise DeviceError(
-            f"projector: {2 * _LONGEST_LATENCY_S:.0f} s after a change of the picture, camera {self._camera.name} still "
-            "sees the old one. Check that it looks at the projector's light, not at another screen, then rerun."
+            f"projector: {2 * _LONGEST_LATENCY_S:.0f} s after a change of the picture, camera {self._camera.name} "
+            "still sees the old one. Check that it looks at the projector's light, not at another screen, then rerun."
         )
 
     def _take(self) -> tuple[float, Image]:
@@ -105,7 +105,9 @@ class Flashes:
                 return begin_s, self._camera.grab().image
             except FrameLostError as error:
                 lost = error
-        raise DeviceError(f"camera {self._camera.name}: frames do not arrive ({lost}). Check cable and power, then rerun.")
+        raise DeviceError(
+            f"camera {self._camera.name}: frames do not arrive ({lost}). Check cable and power, then rerun."
+        )
 
     def _resting(self, which: int) -> list[Image]:
         self._projector.show(self._pictures[which])

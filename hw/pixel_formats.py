@@ -5,7 +5,7 @@ Grey levels stay as the camera counts them: 12 bits are the numbers 0 to 4095 in
 
 import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -60,10 +60,10 @@ class PixelFormat:
             raise ValueError(f"an image of {width} × {height} in {self} has {needed} bytes, found {len(data)}")
         numbers = self._numbers(np.frombuffer(data, np.uint8, needed), width * height * self.channels)
         if self.kind in _BAYER:
-            return np.asarray(cv2.cvtColor(numbers.reshape(height, width), _BAYER[self.kind]))
+            return _as_image(cv2.cvtColor(numbers.reshape(height, width), _BAYER[self.kind]))
         if self.kind in _COLOURS:
             pixels = numbers.reshape(height, width, 3)
-            return pixels if self.kind == "BGR" else np.ascontiguousarray(pixels[:, :, ::-1])
+            return _as_image(pixels if self.kind == "BGR" else pixels[:, :, ::-1])
         return numbers.reshape(height, width)
 
     def _numbers(self, data: Bytes, count: int) -> Image:
@@ -88,6 +88,12 @@ def pixel_format(name: str) -> PixelFormat:
     return PixelFormat(kind, bits, packing)  # type: ignore[arg-type]  # the pattern allows no other packing
 
 
+def _as_image(pixels: NDArray[Any]) -> Image:
+    """The same pixels in a contiguous array, whose type the type checker knows."""
+    image: Image = np.ascontiguousarray(pixels)
+    return image
+
+
 def _unpack(data: Bytes, bits: int, count: int) -> Image:
     """Numbers of `bits` bits, one after the other, the least significant bit first."""
     padded = np.concatenate([data, np.zeros(4, np.uint8)])
@@ -96,7 +102,7 @@ def _unpack(data: Bytes, bits: int, count: int) -> Image:
     window = padded[byte].astype(np.uint32)
     for k in (1, 2):
         window |= padded[byte + k].astype(np.uint32) << np.uint32(8 * k)
-    return ((window >> shift) & np.uint32((1 << bits) - 1)).astype(np.uint16)
+    return _as_image(((window >> shift) & np.uint32((1 << bits) - 1)).astype(np.uint16))
 
 
 def _unpack_gige(data: Bytes, bits: int, count: int) -> Image:
@@ -107,4 +113,4 @@ def _unpack_gige(data: Bytes, bits: int, count: int) -> Image:
     numbers = np.empty((len(triples), 2), np.uint16)
     numbers[:, 0] = (triples[:, 0] << low_bits) | (triples[:, 1] & mask)
     numbers[:, 1] = (triples[:, 2] << low_bits) | ((triples[:, 1] >> 4) & mask)
-    return numbers.reshape(-1)[:count]
+    return _as_image(numbers.reshape(-1)[:count])

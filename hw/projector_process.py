@@ -19,7 +19,7 @@ _START_TIMEOUT_S = 60.0
 _SHOW_TIMEOUT_S = 10.0
 
 MISSING_PYGLET = (
-    "the projector needs the package pyglet, which is not installed: pip install 'roomscan[rig]' (docs/rig.md says more)"
+    "the projector needs the package pyglet, which is not installed: pip install 'roomscan[rig]' (see docs/rig.md)"
 )
 
 
@@ -156,4 +156,6 @@ class ScreenProjector:
             raise self._explained(error) from error
 
     def _explained(self, error: DeviceError) -> DeviceError:
-        return DeviceError(f"{self._name}: {error}. Check that the desktop runs and that the projector is on, then rerun.")
+        return DeviceError(
+            f"{self._name}: {error}. Check that the desktop runs and that the projector is on, then rerun."
+        )

@@ -163,7 +163,9 @@ def measure(projector: BufferedProjector, camera: TriggeredCamera) -> Timing:
         rehearsal = Turns(projector, camera, timing)
         missing = flashes.largest_missing_share(rehearsal.frames)
         if missing < flashes.tolerance:
-            log.info("light follows a flip after %.1f ms; exposures begin %.1f ms after it", 1e3 * latency_s, 1e3 * delay_s)
+            log.info(
+                "light follows a flip after %.1f ms; exposures begin %.1f ms after it", 1e3 * latency_s, 1e3 * delay_s
+            )
             return timing
         log.info("after %.1f ms, %.1f %% of the light was still missing", 1e3 * delay_s, 100 * missing)
         late_s = missing * camera.exposure_s

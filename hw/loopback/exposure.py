@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.arrays import Image
 from hw.loopback.screen import ScreenHistory
 from hw.simulated.arrays import Light
 from hw.simulated.sensor import Sensor

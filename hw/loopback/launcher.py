@@ -24,14 +24,19 @@ class LoopbackSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     camera_size: tuple[int, int] = Field(description="Width and height of the sensor in pixels.")
-    room: SimulatedRigSettings = Field(SimulatedRigSettings(), description="The room, as for the simulated rig.")
-    latency_ms: float = Field(50.0, ge=0.0, le=500.0, description="How late the projector's light follows its screen.")
-    white_exposure_us: float = Field(
-        100_000 / 3, gt=0.0, description="The exposure at which white reaches 85 % of the camera's range without gain."
+    room: SimulatedRigSettings = Field(
+        default_factory=lambda: SimulatedRigSettings.model_validate({}),
+        description="The room.",
     )
-    lost_packets: float = Field(0.0, ge=0.0, le=1.0, description="Share of the stream's packets that get lost.")
-    address: str = Field("127.0.0.1", description="Where the camera answers.")
-    serial: str = Field("loopback", description="Its serial number.")
+    latency_ms: float = Field(default=50.0, ge=0.0, le=500.0, description="From screen to light.")
+    white_exposure_us: float = Field(
+        default=100_000 / 3,
+        gt=0.0,
+        description="Exposure at which white reaches 85 % of the range, without gain.",
+    )
+    lost_packets: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of packets that get lost.")
+    address: str = Field(default="127.0.0.1", description="Where the camera answers.")
+    serial: str = Field(default="loopback", description="Its serial number.")
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ def virtual_screen(size: tuple[int, int]) -> Iterator[VirtualScreen]:
     if shutil.which("Xvfb") is None:
         raise DeviceError("the loopback rig's projector needs Xvfb, which is not installed: apt-get install xvfb")
     read_end, write_end = os.pipe()
-    with tempfile.TemporaryDirectory(prefix="loopback-") as folder, open(read_end, "rb") as number:
+    with tempfile.TemporaryDirectory(prefix="loopback-") as folder, os.fdopen(read_end, "rb") as number:
         command = ["Xvfb", "-displayfd", str(write_end), "-screen", "0", f"{size[0]}x{size[1]}x24"]
         command += ["-fbdir", folder, "-nolisten", "tcp", "-noreset"]
         process = subprocess.Popen(command, pass_fds=[write_end], stderr=subprocess.DEVNULL)
@@ -79,7 +84,9 @@ def camera_process(screen: VirtualScreen, settings: LoopbackSettings) -> Iterato
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    assert process.stdin and process.stdout and process.stderr  # noqa: S101  # for the type checker: all were asked for
+    assert process.stdin
+    assert process.stdout
+    assert process.stderr
     try:
         if process.stdout.readline() != b"ready\n":
             raise DeviceError(process.stderr.read().decode(errors="replace").strip() or "the loopback camera failed")

@@ -39,7 +39,7 @@ class XwdScreen:
         header_bytes, version, width, height = (int(header[k]) for k in (0, 1, 4, 5))
         bits_per_pixel, bytes_per_line, colours = (int(header[k]) for k in (11, 12, 19))
         if version != 7 or bits_per_pixel != 32:
-            raise ValueError(f"{path}: expected an xwd file, version 7, 32 bits, found {version}, {bits_per_pixel} bits")
+            raise ValueError(f"{path}: expected xwd version 7 with 32 bits, found {version} with {bits_per_pixel}")
         self.size = (width, height)
         start = header_bytes + colours * _COLOUR_ENTRY_BYTES
         lines = np.frombuffer(self._memory, np.uint8, bytes_per_line * height, start).reshape(height, bytes_per_line)

@@ -7,7 +7,7 @@
 from argparse import ArgumentParser, Namespace
 from typing import Protocol
 
-from scanner.commands import calibrate, patterns, replay, scan
+from scanner.commands import calibrate, devices, patterns, replay, scan
 
 
 class Command(Protocol):
@@ -23,4 +23,4 @@ class Command(Protocol):
 
 
 MAIN: Command = scan
-NAMED: dict[str, Command] = {"replay": replay, "calibrate": calibrate, "patterns": patterns}
+NAMED: dict[str, Command] = {"replay": replay, "calibrate": calibrate, "patterns": patterns, "devices": devices}
