@@ -277,8 +277,8 @@ class AravisCamera:
         except (GLib.Error, ValueError) as error:
             message = error.message if isinstance(error, GLib.Error) else str(error)
             raise DeviceError(
-                f"camera {getattr(self, 'name', '')}: {what}: {message}. Check the configuration, cable and power, and "
-                "what scan devices says, then rerun."
+                f"camera {getattr(self, 'name', '')}: {what}: {message}. Check cable and power, the configuration, and "
+                "what scan devices lists, then rerun."
             ) from error
 
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from itertools import cycle, islice
 from typing import Protocol
 
@@ -14,11 +15,27 @@ from hw.rig import Frame, Projector
 _LONGEST_LATENCY_S = 0.5
 _RESTING_FRAMES = 3
 _FLASHES = 4
-_FLASHES_AT_MOST = 20
+_FLASHES_AT_MOST = 50
+_LONGEST_FLASH_S = 5.0
+_AT_ONCE_S = 0.001
 _ATTEMPTS = 8
 _EDGE = 0.05  # less than this share of the light missing: the exposure began after the light had come
 _LEAST_TOLERANCE = 0.005  # share of the light: with a fringe of 16 px in 8 steps, a hundredth of a projector pixel
 _REHEARSED = 4
+
+
+LOST_ADVICE = (
+    "Check cable and power; give the camera a network interface of its own, with large packets (rig.packet_size) and a "
+    "large receive buffer; then rerun."
+)
+
+
+@dataclass(frozen=True)
+class _Arrival:
+    """When the light of a flash came: `seen` coming during an exposure, or else some time before the next began."""
+
+    after_s: float
+    seen: bool
 
 
 class FlashCamera(Protocol):
@@ -55,17 +72,24 @@ class Flashes:
 
         Of light that comes during an exposure, the missing share tells when it came. The first flash is followed by
         exposures one after the other to see about when that is, the next are placed so that it comes amid an exposure.
+        Raises DeviceError if the light does not come, or frames do not arrive.
         """
-        arrivals: list[float] = []
+        seen: list[float] = []
         first_s = 0.0
         for _ in range(_FLASHES_AT_MOST):
-            arrival_s, seen_coming = self._flash(first_s)
-            if seen_coming or first_s == 0.0:
-                arrivals.append(arrival_s)
-            first_s = max(0.0, arrival_s - self._camera.exposure_s / 2)
-            if len(arrivals) > _FLASHES:
-                break
-        return max(arrivals[1:] or arrivals)
+            arrival = self._flash(first_s)
+            if arrival is None:
+                continue
+            if arrival.seen:
+                seen.append(arrival.after_s)
+            if len(seen) == _FLASHES:
+                return max(seen)
+            first_s = max(0.0, arrival.after_s - self._camera.exposure_s / 2)
+        raise DeviceError(
+            f"camera {self._camera.name}: {_FLASHES_AT_MOST} flashes did not tell when the projector's light comes: "
+            "frames were lost, or the light does not come evenly. Check the camera's cable and network, turn off the "
+            "projector's automatics, then rerun."
+        )
 
     def largest_missing_share(self, frames: Callable[[Iterable[Image]], Iterator[Frame]]) -> float:
         """Take frames of black and white in turns by `frames`; the largest share by which one differs from rest."""
@@ -75,44 +99,46 @@ class Flashes:
         self._shown = targets[-1]
         return max(shares)
 
-    def _flash(self, first_s: float) -> tuple[float, bool]:
-        """Change the picture, expose from `first_s` after it on until it rests: when its light came, and whether it
-        came during an exposure; otherwise the time is that of the next exposure's beginning.
-        """
+    def _flash(self, first_s: float) -> "_Arrival | None":
+        """Change the picture, and expose from `first_s` after the flip until it rests; None if a lost frame hid it."""
         self._shown = 1 - self._shown
         self._projector.show(self._pictures[self._shown])
         flipped_s = time.monotonic()
         time.sleep(first_s)
-        arrival: tuple[float, bool] | None = None
-        while time.monotonic() - flipped_s < first_s + 2 * _LONGEST_LATENCY_S:
-            begin_s, image = self._take()
-            missing = self._missing(image, self._shown)
-            if arrival is None and missing < 1 - _EDGE:
-                late_s = max(0.0, missing) * self._camera.exposure_s
-                arrival = (begin_s - flipped_s + late_s, missing > _EDGE)
-            if arrival is not None and missing < _EDGE:
-                return arrival
-        raise DeviceError(
-            f"projector: {2 * _LONGEST_LATENCY_S:.0f} s after a change of the picture, camera {self._camera.name} "
-            "still sees the old one. Check that it looks at the projector's light, not at another screen, then rerun."
-        )
-
-    def _take(self) -> tuple[float, Image]:
-        """When an exposure began, and its image."""
-        for _ in range(_ATTEMPTS):
+        arrival: _Arrival | None = None
+        hidden = False
+        while time.monotonic() - flipped_s < _LONGEST_FLASH_S:
             begin_s = time.monotonic()
             try:
-                return begin_s, self._camera.grab().image
+                missing = self._missing(self._camera.grab().image, self._shown)
+            except FrameLostError:
+                hidden = hidden or arrival is None
+                continue
+            if arrival is None and missing < 1 - _EDGE:
+                late_s = max(0.0, missing) * self._camera.exposure_s
+                at_once = begin_s - flipped_s < _AT_ONCE_S
+                arrival = _Arrival(begin_s - flipped_s + late_s, seen=missing > _EDGE or at_once)
+            if arrival is not None and missing < _EDGE:
+                return arrival if arrival.seen or not hidden else None
+        raise DeviceError(
+            f"projector: {_LONGEST_FLASH_S:.0f} s after a change of the picture, camera {self._camera.name} still does "
+            "not see the new one. Check that it looks at the projector's light, and that its frames arrive, then rerun."
+        )
+
+    def _grab(self) -> Image:
+        for _ in range(_ATTEMPTS):
+            try:
+                return self._camera.grab().image
             except FrameLostError as error:
                 lost = error
         raise DeviceError(
-            f"camera {self._camera.name}: frames do not arrive ({lost}). Check cable and power, then rerun."
+            f"camera {self._camera.name}: its frames do not arrive ({lost}), {_ATTEMPTS} times in a row. {LOST_ADVICE}"
         )
 
     def _resting(self, which: int) -> list[Image]:
         self._projector.show(self._pictures[which])
         time.sleep(_LONGEST_LATENCY_S)
-        return [self._take()[1] for _ in range(_RESTING_FRAMES)]
+        return [self._grab() for _ in range(_RESTING_FRAMES)]
 
     def _lit_pixels(self, dark: list[Image], bright: list[Image]) -> Bools:
         """Pixels that white lights well without clipping them, (H, W)."""

@@ -12,13 +12,13 @@ starts on its way while the frame of the last one is still being transferred.
 import logging
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Protocol
 
 from calib.arrays import Image
 from hw.errors import DeviceError, FrameLostError
-from hw.flashes import Flashes
+from hw.flashes import LOST_ADVICE, Flashes
 from hw.rig import Camera, Frame, Projector, Rig
 
 log = logging.getLogger(__name__)
@@ -58,10 +58,13 @@ class TriggeredCamera(Camera, Protocol):
 
 @dataclass(frozen=True)
 class Timing:
-    """What was measured: from flip to light, in seconds. `delay_s` is what is waited: the light and some margin."""
+    """What was measured: `latency_s` from the end of a flip to its light, of which `delay_s`, what is waited, allows for
+    some margin. `overlaps`: the next picture goes up while the last frame is still on its way.
+    """
 
     latency_s: float
     delay_s: float
+    overlaps: bool
 
 
 class Turns:
@@ -71,7 +74,7 @@ class Turns:
         self._projector = projector
         self._camera = camera
         self._delay_s = timing.delay_s
-        self._overlaps = timing.latency_s > _TRIGGER_LAG_S
+        self._overlaps = timing.overlaps
         self._flipped_s = 0.0
         self._taken = 0
         self._elapsed_s = 0.0
@@ -144,35 +147,33 @@ class Turns:
             except FrameLostError as error:
                 lost = error
         raise DeviceError(
-            f"camera {self._camera.name}: frame {self._taken} was lost {_ATTEMPTS} times ({lost}). Check cable and "
-            "power; give the camera a network interface of its own, with large packets (rig.packet_size) and a large "
-            "receive buffer; then rerun."
+            f"camera {self._camera.name}: frame {self._taken} was lost {_ATTEMPTS} times ({lost}). {LOST_ADVICE}"
         )
 
 
 def measure(projector: BufferedProjector, camera: TriggeredCamera) -> Timing:
-    """Flash until it is known when light of a new picture is all there, and try it out. Takes about two seconds.
+    """Flash until it is known when light of a new picture is all there, and try it out. Takes about three seconds.
 
-    Raises DeviceError if the camera does not see the projector, or its light does not settle.
+    What shows in the rehearsal is a picture that came too late, or, where pictures and frames overlap, the next one that
+    came too early: into the last rows of a rolling shutter, or into an exposure that began late. Raises DeviceError if
+    the camera does not see the projector, or its light does not settle.
     """
     flashes = Flashes(projector, camera)
     latency_s = flashes.latency_s()
-    delay_s = latency_s + _MARGIN_S
+    timing = Timing(latency_s, latency_s + _MARGIN_S, overlaps=latency_s > _TRIGGER_LAG_S)
     for _ in range(_ROUNDS):
-        timing = Timing(latency_s, delay_s)
-        rehearsal = Turns(projector, camera, timing)
-        missing = flashes.largest_missing_share(rehearsal.frames)
+        missing = flashes.largest_missing_share(Turns(projector, camera, timing).frames)
+        log.info("%s: %.2f %% of the light missing", timing, 100 * missing)
         if missing < flashes.tolerance:
-            log.info(
-                "light follows a flip after %.1f ms; exposures begin %.1f ms after it", 1e3 * latency_s, 1e3 * delay_s
-            )
             return timing
-        log.info("after %.1f ms, %.1f %% of the light was still missing", 1e3 * delay_s, 100 * missing)
-        late_s = missing * camera.exposure_s
-        latency_s, delay_s = latency_s + late_s, delay_s + late_s
+        if timing.overlaps:
+            timing = replace(timing, overlaps=False)
+        else:
+            late_s = missing * camera.exposure_s
+            timing = Timing(timing.latency_s + late_s, timing.delay_s + late_s, overlaps=False)
     raise DeviceError(
-        f"projector: its light does not settle: {1e3 * delay_s:.0f} ms after a flip, an exposure still differs by "
-        f"{100 * missing:.1f} % from one of a resting picture. Turn off whatever adapts (dynamic contrast, automatic "
+        f"projector: its light does not settle: {1e3 * timing.delay_s:.0f} ms after a flip, an exposure still differs "
+        f"by {100 * missing:.1f} % from one of a resting picture. Turn off whatever adapts (dynamic contrast, automatic "
         "iris, eco mode), keep daylight and people out, then rerun."
     )
 
@@ -194,6 +195,7 @@ class SynchronisedRig(Rig):
             "synchronisation": {
                 "latency_ms": round(1e3 * self.timing.latency_s, 2),
                 "delay_ms": round(1e3 * self.timing.delay_s, 2),
+                "overlapping": self.timing.overlaps,
                 "retriggered_frames": self.turns.retriggered,
                 "ms_per_frame": round(1e3 * self.turns.seconds_per_frame, 2),
                 "overhead_percent": round(100 * self.overhead, 1),
