@@ -96,6 +96,7 @@ class AravisCamera:
             self._check_control()
             self._format = self._configure(settings, exposure_us)
             self.exposure_s = self._camera.get_exposure_time() / 1e6
+            self.highest_level = (1 << self._format.bits) - 1
             self._stream = self._start(settings)
         self.identity = self._read_back()
 

@@ -22,6 +22,7 @@ _ATTEMPTS = 8
 _EDGE = 0.05  # less than this share of the light missing: the exposure began after the light had come
 _LEAST_TOLERANCE = 0.005  # share of the light: with a fringe of 16 px in 8 steps, a hundredth of a projector pixel
 _REHEARSED = 4
+_CLIPPED = 254 / 255  # of the highest level; demosaicing mixes clipped pixels with others
 
 
 LOST_ADVICE = (
@@ -43,6 +44,7 @@ class FlashCamera(Protocol):
 
     name: str
     exposure_s: float
+    highest_level: int
 
     def grab(self) -> Frame:
         """Expose, beginning now, and return the frame. Raises FrameLostError, DeviceError."""
@@ -151,8 +153,10 @@ class Flashes:
                 "cap, aperture and exposure, that the projector is on and shows this screen, then rerun."
             )
         brightest = np.max(bright, axis=0)
-        unclipped = _grey(brightest.astype(np.float64)) < brightest.max()
-        lit: Bools = (contrast > strong / 2) & unclipped
+        clipped = brightest >= self._camera.highest_level * _CLIPPED
+        if clipped.ndim == 3:
+            clipped = clipped.any(axis=2)
+        lit: Bools = (contrast > strong / 2) & ~clipped
         if not lit.any():
             raise DeviceError(
                 f"camera {self._camera.name}: everything that white lights is overexposed. Close the aperture, lower "

@@ -44,10 +44,14 @@ class BufferedProjector(Projector, Protocol):
 
 
 class TriggeredCamera(Camera, Protocol):
-    """A camera whose frame is on its way while the next picture is shown already."""
+    """A camera whose frame is on its way while the next picture is shown already.
+
+    `highest_level`: the largest number that a pixel can have.
+    """
 
     name: str
     exposure_s: float
+    highest_level: int
 
     def expose(self) -> None:
         """Expose one frame, beginning now; returns when the exposure is over. Raises DeviceError."""
@@ -58,8 +62,9 @@ class TriggeredCamera(Camera, Protocol):
 
 @dataclass(frozen=True)
 class Timing:
-    """What was measured: `latency_s` from the end of a flip to its light, of which `delay_s`, what is waited, allows for
-    some margin. `overlaps`: the next picture goes up while the last frame is still on its way.
+    """What was measured: `latency_s` from the end of a flip to its light; with some margin, `delay_s` is waited.
+
+    `overlaps`: the next picture goes up while the last frame is still on its way.
     """
 
     latency_s: float
@@ -154,9 +159,9 @@ class Turns:
 def measure(projector: BufferedProjector, camera: TriggeredCamera) -> Timing:
     """Flash until it is known when light of a new picture is all there, and try it out. Takes about three seconds.
 
-    What shows in the rehearsal is a picture that came too late, or, where pictures and frames overlap, the next one that
-    came too early: into the last rows of a rolling shutter, or into an exposure that began late. Raises DeviceError if
-    the camera does not see the projector, or its light does not settle.
+    What shows in the rehearsal is a picture that came too late, or, where pictures and frames overlap, the next one
+    that came too early: into the last rows of a rolling shutter, or into an exposure that began late. Raises
+    DeviceError if the camera does not see the projector, or its light does not settle.
     """
     flashes = Flashes(projector, camera)
     latency_s = flashes.latency_s()
@@ -169,12 +174,12 @@ def measure(projector: BufferedProjector, camera: TriggeredCamera) -> Timing:
         if timing.overlaps:
             timing = replace(timing, overlaps=False)
         else:
-            late_s = missing * camera.exposure_s
+            late_s = max(_MARGIN_S, missing * camera.exposure_s)  # a tail of light fades slower than its share tells
             timing = Timing(timing.latency_s + late_s, timing.delay_s + late_s, overlaps=False)
     raise DeviceError(
         f"projector: its light does not settle: {1e3 * timing.delay_s:.0f} ms after a flip, an exposure still differs "
-        f"by {100 * missing:.1f} % from one of a resting picture. Turn off whatever adapts (dynamic contrast, automatic "
-        "iris, eco mode), keep daylight and people out, then rerun."
+        f"by {100 * missing:.1f} % from one of a resting picture. Turn off whatever adapts (dynamic contrast, "
+        "automatic iris, eco mode), keep daylight and people out, then rerun."
     )
 
 
