@@ -26,6 +26,7 @@ _SLICE_S = 0.1  # Ctrl-C waits at most so long
 _LATEST_FRAME_S = 1.0  # a frame takes at most so long from the end of its exposure
 _QUIET_S = 0.5  # after a disturbance, the camera is given so long to deliver what is left of it
 _SLOW_TRIGGER_S = 0.2  # an unanswered command is repeated after 0.5 s, and the camera may have heard both
+_STALE_S = 0.005  # before the end of an exposure, what has arrived is looked through
 _IN_FLIGHT = 2  # frames of a free-running camera that may have begun before they were asked for: one exposed, one read
 _SETTING_TOLERANCE = 0.01
 _AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
@@ -87,8 +88,10 @@ class AravisCamera:
 
     def __init__(self, settings: AravisRigSettings, size: tuple[int, int], exposure_us: float) -> None:
         self.size = size
+        self.name = settings.camera or "that was found"
         self._free_running = settings.trigger != "software"
         self._disturbed = False
+        self._silent = False
         self._arrived: Any | None = None
         self._camera = _open(settings.camera)
         with self._errors("cannot be set up"):
@@ -98,7 +101,7 @@ class AravisCamera:
             self.exposure_s = self._camera.get_exposure_time() / 1e6
             self.highest_level = (1 << self._format.bits) - 1
             self._stream = self._start(settings)
-        self.identity = self._read_back()
+            self.identity = self._read_back()
 
     def __enter__(self) -> Self:
         return self
@@ -123,8 +126,11 @@ class AravisCamera:
         with self._errors("does not answer"):
             self._camera.software_trigger()
         self._disturbed = time.monotonic() - begin > _SLOW_TRIGGER_S
-        time.sleep(self.exposure_s)
-        self._drain()  # whatever has arrived before the exposure was over is of an earlier one
+        end = time.monotonic() + self.exposure_s
+        time.sleep(max(0.0, self.exposure_s - _STALE_S))
+        if time.monotonic() < end:
+            self._drain()  # what has arrived before the exposure is over is of an earlier one
+        time.sleep(max(0.0, end - time.monotonic()))
 
     def collect(self) -> Frame:
         """The frame that was exposed last. Raises FrameLostError if it does not arrive whole, DeviceError."""
@@ -147,8 +153,9 @@ class AravisCamera:
 
     def close(self) -> None:
         """Stop, and leave the camera to others."""
-        with suppress(GLib.Error):  # it may be gone already, which whoever used it has been told
-            self._camera.stop_acquisition()
+        if not self._silent:
+            with suppress(GLib.Error):  # it may be gone by now; nobody waits for more frames
+                self._camera.stop_acquisition()
         del self._stream
         del self._camera
 
@@ -276,9 +283,10 @@ class AravisCamera:
         try:
             yield
         except (GLib.Error, ValueError) as error:
+            self._silent = isinstance(error, GLib.Error)
             message = error.message if isinstance(error, GLib.Error) else str(error)
             raise DeviceError(
-                f"camera {getattr(self, 'name', '')}: {what}: {message}. Check cable and power, the configuration, and "
+                f"camera {self.name}: {what}: {message}. Check cable and power, the configuration, and "
                 "what scan devices lists, then rerun."
             ) from error
 

@@ -12,7 +12,7 @@ from calib.arrays import Bools, Floats, Image
 from hw.errors import DeviceError, FrameLostError
 from hw.rig import Frame, Projector
 
-_LONGEST_LATENCY_S = 0.5
+_LONGEST_LATENCY_S = 0.3
 _RESTING_FRAMES = 3
 _FLASHES = 4
 _FLASHES_AT_MOST = 50

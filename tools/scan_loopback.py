@@ -12,7 +12,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from hw.errors import DeviceError
-from hw.loopback.launcher import LoopbackSettings, loopback_rig
+from hw.loopback.launcher import loopback_rig
+from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import place_room
 from hw.simulated.truth import true_calibration
@@ -29,8 +30,7 @@ def main() -> int:
     settings = LoopbackSettings(
         camera_size=config.camera_size,
         room=SimulatedRigSettings(seed=options.seed),
-        latency_ms=options.latency_ms,
-        lost_packets=options.lost_packets,
+        conditions=Conditions(latency_ms=options.latency_ms, lost_packets=options.lost_packets),
     )
     command = [sys.executable, "-m", "scanner", "--config", str(options.config), "--out", str(options.out)]
     try:

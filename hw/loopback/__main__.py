@@ -1,8 +1,7 @@
 """Serve a camera that sees a simulated room, lit by a virtual screen, until standard input closes.
 
-    python -m hw.loopback --screen /tmp/xvfb/Xvfb_screen0 --camera 612x512
-
-Prints 'ready' when it can be found.
+Started by `hw/loopback/launcher.py`. Prints 'ready' when it can be found, and again after each line of new `Conditions`
+(JSON) that it reads from standard input.
 """
 
 import sys
@@ -12,8 +11,8 @@ from pathlib import Path
 from hw.errors import DeviceError
 from hw.loopback.camera import LoopbackCamera
 from hw.loopback.exposure import RoomSensor
-from hw.loopback.launcher import LoopbackSettings
 from hw.loopback.screen import ScreenHistory, XwdScreen
+from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.simulated.simulation import SimulatedRoom
 
 
@@ -33,12 +32,17 @@ def _serve(screen_file: Path, settings: LoopbackSettings) -> None:
     screen = XwdScreen(screen_file)
     room = SimulatedRoom(settings.room, settings.camera_size, screen.size)
     with ScreenHistory(screen, room.electrons) as history:
-        sensor = RoomSensor(room, history, settings.latency_ms / 1e3, settings.white_exposure_us)
-        with LoopbackCamera(
-            settings.address, settings.serial, settings.camera_size, sensor.expose, settings.lost_packets
-        ):
-            print("ready", flush=True)
-            sys.stdin.read()  # whoever started us holds the other end, and its end is ours
+        sensor = RoomSensor(room, history, settings.white_exposure_us)
+        with LoopbackCamera(settings.address, settings.serial, settings.camera_size, sensor.expose) as camera:
+            conditions = settings.conditions
+            while True:
+                sensor.latency_s = conditions.latency_ms / 1e3
+                camera.lose(conditions.lost_packets)
+                print("ready", flush=True)
+                line = sys.stdin.readline()
+                if not line:
+                    return  # whoever started us holds the other end, and its end is ours
+                conditions = Conditions.model_validate_json(line)
 
 
 def _options() -> Namespace:

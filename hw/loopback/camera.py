@@ -26,8 +26,8 @@ _Fill = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32
 class LoopbackCamera:
     """A camera that answers at an address of this machine while the `with` block runs.
 
-    `expose` is called for every frame, in a thread of the simulator's. `lost_packets` is the share of stream packets
-    that it does not send. Raises DeviceError if Aravis is not installed or the address has a camera already.
+    `expose` is called for every frame, in a thread of the simulator's. Raises DeviceError if Aravis is not installed or
+    the address has a camera already.
     """
 
     def __init__(
@@ -36,12 +36,10 @@ class LoopbackCamera:
         serial: str,
         size: tuple[int, int],
         expose: Callable[[Request], bytes],
-        lost_packets: float = 0.0,
     ) -> None:
         self._aravis, self._gobject = _libraries()
         self._address, self._serial, self._size = address, serial, size
         self._expose = expose
-        self._lost_packets = lost_packets
         self._fill = _Fill(self._filled)  # must live as long as the simulator
 
     def __enter__(self) -> Self:
@@ -55,11 +53,14 @@ class LoopbackCamera:
             aravis.arv_fake_camera_write_register(self._camera, register, value)
         aravis.arv_fake_camera_set_trigger_frequency(self._camera, _POLL_HZ)
         aravis.arv_fake_camera_set_fill_pattern(self._camera, self._fill, None, None)
-        self._gobject.g_object_set(self._server, b"gvsp-lost-ratio", self._lost_packets, None)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._gobject.g_object_unref(self._server)
+
+    def lose(self, share: float) -> None:
+        """Do not send this share of the stream's packets from now on."""
+        self._gobject.g_object_set(self._server, b"gvsp-lost-ratio", share, None)
 
     def _filled(self, buffer: int, _: object, exposure_us: int, gain: int, pixel_format: int) -> None:
         region = (self._register(_OFFSET_X), self._register(_OFFSET_Y), self._register(_WIDTH), self._register(_HEIGHT))

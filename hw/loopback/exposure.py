@@ -32,14 +32,14 @@ class Request:
 class RoomSensor:
     """Takes pictures of a simulated room that is lit by a screen with a display latency.
 
-    The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, without gain. `screen` develops
+    `latency_s`: how late the light follows the screen. The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, without gain. `screen` develops
     to expected electrons (H, W) of such an exposure.
     """
 
-    def __init__(self, room: SimulatedRoom, screen: ScreenHistory, latency_s: float, white_exposure_us: float) -> None:
+    def __init__(self, room: SimulatedRoom, screen: ScreenHistory, white_exposure_us: float) -> None:
         self._sensor = room.sensor
         self._screen = screen
-        self._latency_s = latency_s
+        self.latency_s = 0.0
         self._white_exposure_us = white_exposure_us
         self._rng = np.random.default_rng()
 
@@ -50,7 +50,7 @@ class RoomSensor:
         self._screen.look()
         time.sleep(max(0.0, begin_s + exposure_s - time.monotonic()))
         self._screen.look()
-        first_s = begin_s - self._latency_s
+        first_s = begin_s - self.latency_s
         x, y, width, height = request.region
         part = np.s_[y : y + height, x : x + width]
         electrons = np.zeros((height, width), np.float32)

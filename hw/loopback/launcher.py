@@ -10,33 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field
-
 from hw.errors import DeviceError
-from hw.settings import SimulatedRigSettings
-
-_START_TIMEOUT_S = 60.0
-
-
-class LoopbackSettings(BaseModel):
-    """The camera of the loopback rig and the room that it looks at."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    camera_size: tuple[int, int] = Field(description="Width and height of the sensor in pixels.")
-    room: SimulatedRigSettings = Field(
-        default_factory=lambda: SimulatedRigSettings.model_validate({}),
-        description="The room.",
-    )
-    latency_ms: float = Field(default=50.0, ge=0.0, le=500.0, description="From screen to light.")
-    white_exposure_us: float = Field(
-        default=100_000 / 3,
-        gt=0.0,
-        description="Exposure at which white reaches 85 % of the range, without gain.",
-    )
-    lost_packets: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of packets that get lost.")
-    address: str = Field(default="127.0.0.1", description="Where the camera answers.")
-    serial: str = Field(default="loopback", description="Its serial number.")
+from hw.loopback.settings import Conditions, LoopbackSettings
 
 
 @dataclass(frozen=True)
@@ -72,30 +47,41 @@ def virtual_screen(size: tuple[int, int]) -> Iterator[VirtualScreen]:
             process.wait()
 
 
+class CameraProcess:
+    """A running camera process."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        self._await_ready()
+
+    def change(self, conditions: Conditions) -> None:
+        """Make it see and send under other conditions from now on. Raises DeviceError."""
+        assert self.process.stdin
+        self.process.stdin.write(conditions.model_dump_json() + "\n")
+        self.process.stdin.flush()
+        self._await_ready()
+
+    def _await_ready(self) -> None:
+        assert self.process.stdout
+        assert self.process.stderr
+        if self.process.stdout.readline() != "ready\n":
+            raise DeviceError(self.process.stderr.read().strip() or "the loopback camera failed")
+
+
 @contextmanager
-def camera_process(screen: VirtualScreen, settings: LoopbackSettings) -> Iterator[subprocess.Popen[bytes]]:
+def camera_process(screen: VirtualScreen, settings: LoopbackSettings) -> Iterator[CameraProcess]:
     """A camera that sees the screen's light in a room, in a process of its own, found by anyone once this yields.
 
     Raises DeviceError if it does not start.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-m", "hw.loopback", "--screen", str(screen.file), "--settings", settings.model_dump_json()],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    assert process.stdin
-    assert process.stdout
-    assert process.stderr
-    try:
-        if process.stdout.readline() != b"ready\n":
-            raise DeviceError(process.stderr.read().decode(errors="replace").strip() or "the loopback camera failed")
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-        for pipe in (process.stdin, process.stdout, process.stderr):
-            pipe.close()
+    command = [sys.executable, "-m", "hw.loopback"]
+    command += ["--screen", str(screen.file), "--settings", settings.model_dump_json()]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
+        try:
+            yield CameraProcess(process)
+        finally:
+            process.kill()
 
 
 @contextmanager

@@ -17,7 +17,7 @@ def expected(picture: np.ndarray) -> np.ndarray:
     return 10 + 12 * np.where(np.arange(SIZE[0]) % 5 != 4, picture.astype(int), 0)
 
 
-@pytest.mark.parametrize("latency_ms", [0, 3, 17, 33.3, 50, 75, 120, 250, 400])
+@pytest.mark.parametrize("latency_ms", [0, 3, 17, 33.3, 50, 75, 120, 250])
 def test_the_latency_is_measured(monkeypatch, latency_ms):
     timing = measure(*[Bench(latency_ms / 1e3, noise=2.0).install(monkeypatch)] * 2)
     assert 1e3 * timing.latency_s == pytest.approx(latency_ms, abs=0.5)
