@@ -6,9 +6,11 @@ instead of an error; a wait for a frame ignores Ctrl-C until it is over.
 """
 
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from statistics import median
 from typing import Any, Self
 
 import gi
@@ -20,6 +22,7 @@ from hw.errors import DeviceError, FrameLostError  # noqa: E402
 from hw.pixel_formats import PixelFormat, pixel_format  # noqa: E402
 from hw.rig import Frame  # noqa: E402
 from hw.settings import AravisRigSettings  # noqa: E402
+from hw.synchronisation import ATTEMPTS, TRIGGER_LAG_S  # noqa: E402
 
 _BUFFERS = 4
 _SLICE_S = 0.1  # Ctrl-C waits at most so long
@@ -92,6 +95,8 @@ class AravisCamera:
         self._free_running = settings.trigger != "software"
         self._disturbed = False
         self._silent = False
+        self._triggered_s = 0.0
+        self._offsets_s: deque[float] = deque(maxlen=2 * ATTEMPTS - 3)  # retaken frames outvote it before they run out
         self._arrived: Any | None = None
         self._camera = _open(settings.camera)
         with self._errors("cannot be set up"):
@@ -122,10 +127,10 @@ class AravisCamera:
                 self._recycle(self._pop(self.exposure_s + _LATEST_FRAME_S))
             self._arrived = self._pop(self.exposure_s + _LATEST_FRAME_S)
             return
-        begin = time.monotonic()
+        self._triggered_s = time.monotonic()
         with self._errors("does not answer"):
             self._camera.software_trigger()
-        self._disturbed = time.monotonic() - begin > _SLOW_TRIGGER_S
+        self._disturbed = time.monotonic() - self._triggered_s > _SLOW_TRIGGER_S
         end = time.monotonic() + self.exposure_s
         time.sleep(max(0.0, self.exposure_s - _STALE_S))
         if time.monotonic() < end:
@@ -251,8 +256,20 @@ class AravisCamera:
         width, height = buffer.get_image_width(), buffer.get_image_height()
         if (width, height) != self.size:
             raise FrameLostError(f"{width} × {height} instead of {self.size[0]} × {self.size[1]}")
+        timestamp_ns = buffer.get_timestamp()
+        if not self._free_running:
+            self._refuse_late(timestamp_ns / 1e9 - self._triggered_s)
         image = self._format.image(buffer.get_data(), width, height)
-        return Frame(image, exposure_us=1e6 * self.exposure_s, timestamp_ns=buffer.get_timestamp())
+        return Frame(image, exposure_us=1e6 * self.exposure_s, timestamp_ns=timestamp_ns)
+
+    def _refuse_late(self, offset_s: float) -> None:
+        """Compare camera's clock minus ours with what it usually is: a trigger that was obeyed late exposed something
+        else. Clocks may drift or be set, which the median of the last frames follows.
+        """
+        usual_s = median(self._offsets_s) if self._offsets_s else offset_s
+        self._offsets_s.append(offset_s)
+        if offset_s - usual_s > TRIGGER_LAG_S:
+            raise FrameLostError(f"exposed {1e3 * (offset_s - usual_s):.0f} ms late")
 
     def _pop(self, timeout_s: float) -> Any | None:
         """The next buffer, whatever its status; None if the time is over. Answers Ctrl-C."""

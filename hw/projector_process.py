@@ -62,13 +62,10 @@ class _WindowProcess:
         return self.receive(timeout_s)
 
     def end(self) -> None:
-        """Hang up, and make sure that the process is gone."""
+        """Hang up and end the process, with which its window goes: nobody waits for pyglet to tidy up."""
         self._connection.close()
-        try:
-            self._process.wait(timeout=2.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._process.kill()
+        self._process.wait()
         self._log.close()
 
     def _last_words(self) -> str:

@@ -24,12 +24,12 @@ from hw.rig import Camera, Frame, Projector, Rig
 log = logging.getLogger(__name__)
 
 # A frame that is lost so many times in a row will be lost again.
-_ATTEMPTS = 8
+ATTEMPTS = 8
 # Beyond the slowest flash: flips wait for the screen's refresh, clocks and schedulers are not exact.
 _MARGIN_S = 0.004
-# How late an exposure may begin after its trigger. Where light travels faster than this, the next picture waits until
-# the frame is there, which proves that its exposure is over.
-_TRIGGER_LAG_S = 0.01
+# How much later than usual an exposure may begin after its trigger; frames that were later count as lost. Where light
+# comes sooner than this, the next picture waits until the frame is there, which proves that its exposure is over.
+TRIGGER_LAG_S = 0.01
 _ROUNDS = 8
 
 
@@ -57,7 +57,10 @@ class TriggeredCamera(Camera, Protocol):
         """Expose one frame, beginning now; returns when the exposure is over. Raises DeviceError."""
 
     def collect(self) -> Frame:
-        """The frame that was exposed last. Raises FrameLostError if it does not arrive whole, DeviceError."""
+        """The frame that was exposed last. Raises DeviceError.
+
+        Raises FrameLostError if it does not arrive whole, or was exposed more than TRIGGER_LAG_S later than others.
+        """
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,7 @@ class Turns:
         return frame
 
     def _again(self, image: Image, lost: FrameLostError) -> Frame:
-        for attempt in range(1, _ATTEMPTS):
+        for attempt in range(1, ATTEMPTS):
             log.warning("frame %d was lost (%s), attempt %d", self._taken, lost, attempt)
             self.retriggered += 1
             self._projector.prepare(image)
@@ -152,7 +155,7 @@ class Turns:
             except FrameLostError as error:
                 lost = error
         raise DeviceError(
-            f"camera {self._camera.name}: frame {self._taken} was lost {_ATTEMPTS} times ({lost}). {LOST_ADVICE}"
+            f"camera {self._camera.name}: frame {self._taken} was lost {ATTEMPTS} times ({lost}). {LOST_ADVICE}"
         )
 
 
@@ -165,7 +168,7 @@ def measure(projector: BufferedProjector, camera: TriggeredCamera) -> Timing:
     """
     flashes = Flashes(projector, camera)
     latency_s = flashes.latency_s()
-    timing = Timing(latency_s, latency_s + _MARGIN_S, overlaps=latency_s > _TRIGGER_LAG_S)
+    timing = Timing(latency_s, latency_s + _MARGIN_S, overlaps=latency_s > TRIGGER_LAG_S)
     for _ in range(_ROUNDS):
         missing = flashes.largest_missing_share(Turns(projector, camera, timing).frames)
         log.info("%s: %.2f %% of the light missing", timing, 100 * missing)

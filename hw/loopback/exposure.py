@@ -32,8 +32,8 @@ class Request:
 class RoomSensor:
     """Takes pictures of a simulated room that is lit by a screen with a display latency.
 
-    `latency_s`: how late the light follows the screen. The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, without gain. `screen` develops
-    to expected electrons (H, W) of such an exposure.
+    `latency_s`: how late the light follows the screen. The aperture is set so that white reaches 85 % of the range at
+    `white_exposure_us`, without gain. `screen` develops to expected electrons (H, W) of such an exposure.
     """
 
     def __init__(self, room: SimulatedRoom, screen: ScreenHistory, white_exposure_us: float) -> None:

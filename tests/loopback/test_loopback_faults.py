@@ -163,6 +163,9 @@ def test_many_scans_in_one_process_leave_nothing_behind(config, rig):
 
 def resources() -> tuple[float, int, int]:
     """Megabytes of memory, open files, threads of this process."""
-    with open("/proc/self/statm") as file:  # noqa: PTH123
-        pages = int(file.read().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, len(os.listdir("/proc/self/fd")), threading.active_count()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return (
+        pages * os.sysconf("SC_PAGE_SIZE") / 1e6,
+        sum(1 for _ in Path("/proc/self/fd").iterdir()),
+        threading.active_count(),
+    )
