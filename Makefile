@@ -45,7 +45,7 @@ check-types: $(VENV)/.dev
 unit: $(VENV)/.dev try-rig
 	$(BIN)/pytest -n auto --dist loadgroup
 
-benchmark: $(VENV)/.dev rig
+benchmark: $(VENV)/.dev try-rig
 	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
 $(BIN)/pip:

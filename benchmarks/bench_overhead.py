@@ -15,6 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from hw.errors import DeviceError
 from hw.loopback.launcher import loopback_rig
 from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.open_rig import open_rig
@@ -36,8 +37,8 @@ def one_capture(config: Config, folder: Path) -> str:
         found = opened.rig.account()["synchronisation"]
     return (
         f"{len(patterns)} patterns, {found['ms_per_frame']:.1f} ms each: "
-        f"exposure {1e3 * opened.rig.turns.exposure_s:.1f}, latency {found['latency_ms']:.1f}, overhead {found['overhead_percent']:.1f} %, "
-        f"{found['retriggered_frames']} retriggered"
+        f"exposure {1e3 * opened.rig.turns.exposure_s:.1f}, latency {found['latency_ms']:.1f}, "
+        f"overhead {found['overhead_percent']:.1f} %, {found['retriggered_frames']} retriggered"
     )
 
 
@@ -63,10 +64,17 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=5, help="captures at the first latency")
     options = parser.parse_args()
     config = load_config(CONFIG)
-    for number, latency_ms in enumerate(options.latencies_ms):
+    try:
+        measure(config, options.latencies_ms, options.scans)
+    except DeviceError as error:
+        print(f"not measured: {error}")
+
+
+def measure(config: Config, latencies_ms: list[float], scans: int) -> None:
+    for number, latency_ms in enumerate(latencies_ms):
         settings = LoopbackSettings(camera_size=config.camera_size, conditions=Conditions(latency_ms=latency_ms))
         with loopback_rig(settings, config.projector_size), tempfile.TemporaryDirectory() as folder:
-            for scan in range(options.scans if number == 0 else 1):
+            for scan in range(scans if number == 0 else 1):
                 line = one_capture(config, Path(folder) / f"capture{scan}")
                 print(f"latency {latency_ms:.0f} ms: {line}; memory {memory_mb():.0f} MB", flush=True)
             if number == 0:

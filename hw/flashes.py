@@ -160,7 +160,7 @@ class Flashes:
         if not lit.any():
             raise DeviceError(
                 f"camera {self._camera.name}: everything that white lights is overexposed. Close the aperture, lower "
-                "rig.gain or rig.exposure_ms, then rerun."
+                "rig.gain or rig.exposure_us, then rerun."
             )
         return lit
 

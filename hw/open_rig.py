@@ -59,7 +59,7 @@ def _real(
     aravis = import_aravis()
     projector = devices.enter_context(ScreenProjector(settings.screen, projector_size))
     refresh_hz = settings.refresh_hz or projector.screen.refresh_hz or _USUAL_REFRESH_HZ
-    exposure_us, periods = whole_periods(1e3 * settings.exposure_ms, refresh_hz)
+    exposure_us, periods = whole_periods(settings.exposure_us, refresh_hz)
     camera = devices.enter_context(aravis.AravisCamera(settings, camera_size, exposure_us))
     known = settings.refresh_hz or projector.screen.refresh_hz
     identity = {

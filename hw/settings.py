@@ -71,11 +71,11 @@ class AravisRigSettings(BaseModel):
     camera: str | None = Field(
         None, min_length=1, description="Id, serial number or IP address; left out, the only camera there is."
     )
-    exposure_ms: float = Field(
-        33.3,
+    exposure_us: float = Field(
+        100_000 / 3,
         gt=0.0,
-        le=10_000.0,
-        description="Exposure in milliseconds, rounded to a whole number of the projector's refresh periods.",
+        le=10_000_000.0,
+        description="Exposure in microseconds, rounded to a whole number of the projector's refresh periods.",
     )
     gain: float | None = Field(
         None, description="Gain in the camera's own unit (most use dB); left out, the camera's is kept."
