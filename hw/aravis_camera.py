@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import replace
 from statistics import median
 from typing import Any, Self
 
@@ -18,6 +18,7 @@ import gi
 gi.require_version("Aravis", "0.8")
 from gi.repository import Aravis, GLib  # noqa: E402  # only after the version is chosen
 
+from hw.cameras import CameraInfo, not_found  # noqa: E402
 from hw.errors import DeviceError, FrameLostError  # noqa: E402
 from hw.pixel_formats import PixelFormat, pixel_format  # noqa: E402
 from hw.rig import Frame  # noqa: E402
@@ -33,22 +34,6 @@ _STALE_S = 0.005  # before the end of an exposure, what has arrived is looked th
 _IN_FLIGHT = 2  # frames of a free-running camera that may have begun before they were asked for: one exposed, one read
 _SETTING_TOLERANCE = 0.01
 _AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
-
-
-@dataclass(frozen=True)
-class CameraInfo:
-    """A camera that was found: how it names itself, and what it can do as far as it would tell."""
-
-    device_id: str
-    vendor: str
-    model: str
-    serial: str
-    address: str
-    sensor_size: tuple[int, int] | None = None
-    pixel_formats: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        return f"{self.vendor} {self.model} {self.serial} at {self.address}"
 
 
 def list_cameras() -> list[CameraInfo]:
@@ -77,9 +62,7 @@ def _with_abilities(info: CameraInfo) -> CameraInfo:
         formats = tuple(camera.dup_available_pixel_formats_as_strings())
     except GLib.Error:
         return info  # it is there, but someone else uses it or the network does not let us in
-    return CameraInfo(
-        info.device_id, info.vendor, info.model, info.serial, info.address, (size.width, size.height), formats
-    )
+    return replace(info, sensor_size=(size.width, size.height), pixel_formats=formats)
 
 
 class AravisCamera:
@@ -263,8 +246,8 @@ class AravisCamera:
         return Frame(image, exposure_us=1e6 * self.exposure_s, timestamp_ns=timestamp_ns)
 
     def _refuse_late(self, offset_s: float) -> None:
-        """Compare camera's clock minus ours with what it usually is: a trigger that was obeyed late exposed something
-        else. Clocks may drift or be set, which the median of the last frames follows.
+        """Compare the camera's clock minus ours with what it usually is: a trigger that was obeyed late may have
+        exposed the next picture. Clocks drift and are set, which the median of the last frames follows.
         """
         usual_s = median(self._offsets_s) if self._offsets_s else offset_s
         self._offsets_s.append(offset_s)
@@ -321,17 +304,9 @@ def _open(wanted: str | None) -> Any:
     if wanted is None:
         found = _discover()
         if len(found) != 1:
-            raise DeviceError(_not_found("expected one camera, as rig.camera names none", found))
+            raise DeviceError(not_found("expected one camera, as rig.camera names none", found))
         wanted = found[0].device_id
     try:
         return Aravis.Camera.new(wanted)
     except GLib.Error as error:
-        raise DeviceError(_not_found(f"no camera answers to {wanted!r} ({error.message})", _discover())) from error
-
-
-def _not_found(problem: str, found: list[CameraInfo]) -> str:
-    there = "; ".join(map(str, found)) or "none"
-    return (
-        f"camera: {problem}. Found: {there}. Check power and cable, that the computer's network interface is in the "
-        "camera's subnet, that no firewall is in between, and rig.camera; scan devices lists what answers."
-    )
+        raise DeviceError(not_found(f"no camera answers to {wanted!r} ({error.message})", _discover())) from error

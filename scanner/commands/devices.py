@@ -1,19 +1,16 @@
 """List cameras and screens, with the lines to paste into a configuration."""
 
 from argparse import ArgumentParser, Namespace
-from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
+from hw.cameras import CameraInfo
 from hw.errors import DeviceError
 from hw.open_rig import import_aravis
 from hw.projector_process import list_screens
 from hw.screens import Screen
 from scanner.commands import options
 from scanner.terminal import Terminal
-
-if TYPE_CHECKING:
-    from hw.aravis_camera import CameraInfo
 
 _PREFERRED_FORMATS = ("Mono8", "BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8")
 
@@ -44,7 +41,7 @@ def _cameras() -> list[str]:
     return [line for camera in cameras for line in _camera_lines(camera)]
 
 
-def _camera_lines(camera: "CameraInfo") -> list[str]:
+def _camera_lines(camera: CameraInfo) -> list[str]:
     lines = [f"  {camera}"]
     if camera.sensor_size is None:
         return [*lines, "    in use by another program, or out of reach: its abilities are not known"]

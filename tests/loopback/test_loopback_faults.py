@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import CAMERA, CONFIG, PROJECTOR, after_frames, check_frames, scan
+from loopback_bench import CAMERA, CONFIG, PROJECTOR, after_frames, check_frames, scan
 
 from hw.loopback.launcher import shown_on, virtual_screen
 from hw.loopback.settings import Conditions
@@ -23,7 +23,7 @@ from scanner.config import load_config
 from scanner.patterns import Black, White
 from scanner.recording import open_capture
 
-pytestmark = pytest.mark.usefixtures("capture_only")
+pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
 
 FRAMES = 19  # of the sequence in CONFIG
 

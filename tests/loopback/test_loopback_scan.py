@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import CAMERA, CONFIG, PROJECTOR, check_frames, scan
+from loopback_bench import CAMERA, CONFIG, PROJECTOR, check_frames, scan
 
 from hw.open_rig import open_rig
 from hw.simulated.simulation import SimulatedRoom
@@ -15,6 +15,8 @@ from scanner.config import load_config
 from scanner.patterns import Black, White
 from scanner.quantities import intrinsic_errors_percent
 from scanner.recording import open_capture
+
+pytestmark = pytest.mark.xdist_group("loopback")
 
 
 def mean_error_percent(result: Path, room: SimulatedRoom) -> float:
