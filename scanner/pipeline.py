@@ -96,8 +96,13 @@ def decode(stream: Stream, terminal: Terminal, what: str) -> Findings:
         exposures_us += [frame.exposure_us] if frame.exposure_us else []
     with terminal.step("Matching"):
         decoding = decoder.finish()
+    about = identity({**stream.metadata, **stream.account()})
     facts = CaptureFacts(
-        stream.camera_size, stream.projector_size, stream.patterns, identity(stream.metadata), tuple(exposures_us)
+        stream.camera_size,
+        stream.projector_size,
+        stream.patterns,
+        about,
+        tuple(exposures_us),
     )
     return Findings(facts, decoding.matches, decoding)
 

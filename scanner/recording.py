@@ -42,24 +42,28 @@ def record(stream: Stream, folder: Path) -> Stream:
 def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
     (folder / "frames").mkdir(parents=True)
     with (folder / CAPTURE_FILE).open("w", encoding="utf-8") as listing:
-        listing.write(_header(stream))
+        listing.write(_keys(_header(stream)) + "frames:\n")
         for index, (pattern, frame) in enumerate(stream.frames):
             file = f"frames/{index:03d}.png"
             write_png(folder / file, frame.image)
             listing.write(frame_line(file, pattern, **_read_back(frame)))
             listing.flush()
             yield pattern, frame
+        listing.write(_keys(stream.account()))
 
 
-def _header(stream: Stream) -> str:
-    keys = {
+def _keys(values: Mapping[str, object]) -> str:
+    return "".join(f"{key}: {flow_yaml(value)}\n" for key, value in values.items())
+
+
+def _header(stream: Stream) -> dict[str, object]:
+    return {
         "format": FORMAT,
         "projector": size_to_dict(stream.projector_size),
         "camera": size_to_dict(stream.camera_size),
         "captured": datetime.now(UTC).isoformat(timespec="seconds"),
         **stream.metadata,
     }
-    return "".join(f"{key}: {flow_yaml(value)}\n" for key, value in keys.items()) + "frames:\n"
 
 
 def _read_back(frame: Frame) -> dict[str, float | int]:
