@@ -10,8 +10,9 @@ put within 1 %. Synthetic matches, no images; corner 1.5 to 6 m away, baseline 0
 
 import argparse
 import time
-from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import repeat
 
 import numpy as np
 from cramer_rao import bound
@@ -165,45 +166,25 @@ KINDS = {
 }
 
 
-@dataclass
-class Tally:
-    accepted: int = 0
-    wrong: int = 0
-    refused: int = 0
-    needlessly: int = 0
-    deviations: list[np.ndarray] = field(default_factory=list)
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a view: `deviation` (4,) in sigmas of an accepted one; `needless` refusals; a `line` to print."""
+
+    kind: str
+    deviation: np.ndarray | None = None
+    needless: bool = False
+    line: str = ""
+
+    @property
+    def wrong(self) -> bool:
+        return self.deviation is not None and bool(np.abs(self.deviation).max() > WRONG_SIGMAS)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--views", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--kind", choices=KINDS, default=None)
-    parser.add_argument("--verbose", action="store_true", help="print each wrong answer and each needless refusal")
-    options = parser.parse_args()
-    tallies: dict[str, Tally] = defaultdict(Tally)
-    start = time.perf_counter()
-    for i in range(options.views):
-        rng = np.random.default_rng([options.seed, i])
-        kind = options.kind or str(rng.choice(list(KINDS), p=list(KINDS.values())))
-        _count(random_view(rng, kind), tallies[kind], i if options.verbose else None)
-    print(f"{'kind':22} {'accepted':>8} {'wrong':>6} {'refused':>8} {'needlessly':>10} {'rms err/σ':>10}")
-    for kind in KINDS:
-        _show(kind, tallies[kind])
-    total = Tally(
-        *(sum(getattr(t, name) for t in tallies.values()) for name in ("accepted", "wrong", "refused", "needlessly"))
-    )
-    total.deviations = [d for t in tallies.values() for d in t.deviations]
-    _show("all", total)
-    print(
-        f"wrong by more than {WRONG_SIGMAS:g} sigma: {100 * total.wrong / max(total.accepted, 1):.2f} % of accepted; "
-        f"refused although sigma < 1 %: {100 * total.needlessly / options.views:.2f} % of all; "
-        f"{(time.perf_counter() - start) / options.views:.2f} s per view"
-    )
-
-
-def _count(view: View, tally: Tally, number: int | None) -> None:
-    truth = view.capture.calibration
+def outcome(seed: int, number: int, kind: str | None) -> Outcome:
+    rng = np.random.default_rng([seed, number])
+    kind = kind or str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    view = random_view(rng, kind)
+    title = f"{number}: {kind}, {len(view.capture.matches)} matches, noise {view.noise_px:.2f} px"
     try:
         found = self_calibrate(
             view.capture.matches,
@@ -213,31 +194,46 @@ def _count(view: View, tally: Tally, number: int | None) -> None:
             squareness_deg=view.squareness_deg,
         ).calibration
     except RefusalError as refusal:
-        tally.refused += 1
-        if not view.impossible and (best := best_sigma(view)) < USEFUL_SIGMA:
-            tally.needlessly += 1
-            if number is not None:
-                print(
-                    f"{number}: {view.kind}, {len(view.capture.matches)} matches, σ ≥ {100 * best:.2f} %: {refusal}",
-                    flush=True,
-                )
-        return
-    tally.accepted += 1
+        best = np.inf if view.impossible else best_sigma(view)
+        return Outcome(kind, None, best < USEFUL_SIGMA, f"{title}, σ ≥ {100 * best:.2f} %: {refusal}")
+    truth = view.capture.calibration
     deviation = deviations(found, truth)
-    tally.deviations.append(deviation)
-    if np.abs(deviation).max() > WRONG_SIGMAS:
-        tally.wrong += 1
-        if number is not None:
-            print(
-                f"{number}: {view.kind}, {len(view.capture.matches)} matches, noise {view.noise_px:.2f} px: errors "
-                f"{deviation.round(1)} σ, f {truth.camera.focal_px[0]:.0f} found {found.camera.focal_px[0]:.0f} px",
-                flush=True,
-            )
+    focals = f"f {truth.camera.focal_px[0]:.0f}, found {found.camera.focal_px[0]:.0f} px"
+    return Outcome(kind, deviation, line=f"{title}: errors {deviation.round(1)} σ, {focals}")
 
 
-def _show(kind: str, tally: Tally) -> None:
-    rms = f"{np.sqrt(np.mean(np.square(tally.deviations))):10.2f}" if tally.deviations else "         –"
-    print(f"{kind:22} {tally.accepted:8d} {tally.wrong:6d} {tally.refused:8d} {tally.needlessly:10d} {rms}")
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--views", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kind", choices=KINDS, default=None)
+    parser.add_argument("--verbose", action="store_true", help="print each wrong answer and each needless refusal")
+    options = parser.parse_args()
+    start = time.perf_counter()
+    outcomes = []
+    with ProcessPoolExecutor() as pool:
+        for each in pool.map(outcome, repeat(options.seed), range(options.views), repeat(options.kind)):
+            outcomes.append(each)
+            if options.verbose and (each.wrong or each.needless):
+                print(each.line, flush=True)
+    print(f"{'kind':22} {'accepted':>8} {'wrong':>6} {'refused':>8} {'needlessly':>10} {'rms err/σ':>10}")
+    for kind in KINDS:
+        _show(kind, [each for each in outcomes if each.kind == kind])
+    _show("all", outcomes)
+    accepted = sum(each.deviation is not None for each in outcomes)
+    print(
+        f"wrong by more than {WRONG_SIGMAS:g} sigma: "
+        f"{100 * sum(each.wrong for each in outcomes) / max(accepted, 1):.2f} % of the accepted; refused although sigma "
+        f"< 1 %: {100 * sum(each.needless for each in outcomes) / len(outcomes):.2f} % of all; "
+        f"{time.perf_counter() - start:.0f} s"
+    )
+
+
+def _show(kind: str, outcomes: list[Outcome]) -> None:
+    deviations = [each.deviation for each in outcomes if each.deviation is not None]
+    rms = f"{np.sqrt(np.mean(np.square(deviations))):10.2f}" if deviations else f"{'–':>10}"
+    wrong, needless = sum(each.wrong for each in outcomes), sum(each.needless for each in outcomes)
+    print(f"{kind:22} {len(deviations):8d} {wrong:6d} {len(outcomes) - len(deviations):8d} {needless:10d} {rms}")
 
 
 if __name__ == "__main__":

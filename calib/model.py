@@ -155,6 +155,14 @@ class State:
         return unit
 
 
+def intrinsic_distance(a: State, b: State) -> Floats:
+    """(4,): differences of the logarithms of both focals, and of the projector's centre in its focals; not negative."""
+    focals = np.log([a.camera[0] / b.camera[0], a.projector[0] / b.projector[0]])
+    centre = (a.projector[1:3] - b.projector[1:3]) / b.projector[0]
+    distance: Floats = np.abs(np.concatenate([focals, centre]))
+    return distance
+
+
 def tangent_basis(direction: Floats) -> Floats:
     """Two unit vectors (3, 2) perpendicular to a unit vector (3,)."""
     first = np.zeros(3)

@@ -17,16 +17,16 @@ from calib.descent import minimise
 from calib.further_planes import strained, without
 from calib.lens_order import LensOrder, choose_lens_order
 from calib.likelihood import Fit, Knowledge, Prior
-from calib.model import State
+from calib.model import State, intrinsic_distance
 from calib.noise import Noise, noise_of
 from calib.same_corner import Sameness, oriented, tie
-from calib.sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one
+from calib.sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
 from calib.valley import Valley, covariance_of, walk
 
 # Cells of all captures and a state → the same with further planes.
 Further = Callable[[Sequence[Cells], State], tuple[list[Cells], State]]
 
-_SAME_SOLUTION = 0.01  # of log f: minima that converge this close are one
+_SAME_SOLUTION = 0.01  # of both focals and, relative to them, the projector's centre: minima this close are one
 _NOISE_ROUNDS = 3
 _ANY_ANGLE_DEG = 10.0
 _ROUGH = 0.3  # tolerance in cost where only residuals or costs are looked at
@@ -78,6 +78,9 @@ def refine(
     starts = minima(sweep)
     if not starts:
         return None
+    if len(captures) == 1:
+        # Beside the best, the sweep knows nothing of a second solution at the same focal: the corner turned inside out.
+        starts += twins(thinned[0], families[0], starts[0], knowledge)
     fits = [oriented(thinned, fit) for fit in _explore(thinned, starts, knowledge)]
     sameness = None
     if same and len(captures) > 1:
@@ -166,7 +169,7 @@ def _distinct(fits: list[Fit]) -> list[Fit]:
     """Different solutions, best first."""
     distinct: list[Fit] = []
     for fit in sorted((fit for fit in fits if np.isfinite(fit.cost)), key=lambda fit: fit.cost):
-        if all(abs(np.log(fit.state.camera[0] / other.state.camera[0])) > _SAME_SOLUTION for other in distinct):
+        if all(np.max(intrinsic_distance(fit.state, other.state)) > _SAME_SOLUTION for other in distinct):
             distinct.append(fit)
     return distinct
 

@@ -105,6 +105,14 @@ def sweep_jointly(
     return fits
 
 
+def twins(cells: Cells, family: Family, fit: Fit, knowledge: Knowledge) -> list[Fit]:
+    """Fits at the focal of a fit of one capture, from both of the paper's solutions there."""
+    (starts,) = family.starts(np.array([fit.state.camera[0]]))
+    prior = knowledge.prior(fit.state).with_known(CAMERA.start)
+    variances = [np.full(len(cells), _SIGMA_PX**2)]
+    return [relax([cells], state, prior, variances) for state in starts]
+
+
 def minima(sweep: Sequence[Fit | None]) -> list[Fit]:
     """Local minima of a sweep along the focal length, ends included, best first, without the hopeless ones."""
     fits = [fit for fit in sweep if fit]

@@ -9,7 +9,7 @@ from calib.arrays import Floats
 from calib.cells import Cells
 from calib.degeneracy import one_plane, reasons_in_images, reasons_in_space
 from calib.likelihood import Fit, Knowledge
-from calib.model import CAMERA, PROJECTOR
+from calib.model import CAMERA, PROJECTOR, intrinsic_distance
 from calib.next_view import best_next_view
 from calib.refine import Refinement
 from calib.refusal import RefusalError
@@ -17,7 +17,7 @@ from calib.sweep import Family
 
 MOVE = "Move the rig so that all three faces are seen large and at different slants by both devices, and scan again."
 
-_USEFUL_SIGMA = 0.2  # of a focal length
+_USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley either
 _CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
 _TENSION_SIGMAS = 4.0
 _SIGNIFICANT = 0.9999
@@ -58,7 +58,8 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
                 _where_to_go(refinement, knowledge)
                 + " A principal point that is known, or a corner that is known to be square, also helps.",
             )
-    _refuse_ambiguous(fit, refinement.others, relative["camera"])
+    centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
+    _refuse_ambiguous(fit, refinement.others, np.array([*relative.values(), *centre]))
     field = float(fit.state.projector[0]) / knowledge.projector_size[0]
     if not _PLAUSIBLE_FOCAL[0] < field < _PLAUSIBLE_FOCAL[1]:
         raise RefusalError(
@@ -116,13 +117,15 @@ def signed(values: Floats) -> str:
     return ", ".join(f"{value:+.2f}" for value in values)
 
 
-def _refuse_ambiguous(best: Fit, others: Sequence[Fit], relative_sigma: float) -> None:
+def _refuse_ambiguous(best: Fit, others: Sequence[Fit], sigmas: Floats) -> None:
+    """`sigmas` (4,): in the units of `intrinsic_distance`."""
     for other in others:
-        apart = abs(np.log(other.state.camera[0] / best.state.camera[0]))
-        if other.cost - best.cost < _CLEARLY_WORSE and apart > 2 * relative_sigma:
+        apart = intrinsic_distance(other.state, best.state)
+        if other.cost - best.cost < _CLEARLY_WORSE and np.any(apart > 2 * sigmas):
             raise RefusalError(
-                f"Ambiguous: a camera focal length of {best.state.camera[0]:.0f} px and one of "
-                f"{other.state.camera[0]:.0f} px explain this capture almost equally well.",
+                f"Ambiguous: a camera focal length of {best.state.camera[0]:.0f} px with a projector of "
+                f"{best.state.projector[0]:.0f} px, and one of {other.state.camera[0]:.0f} px with "
+                f"{other.state.projector[0]:.0f} px, explain this capture almost equally well.",
                 "Capture the same corner again from another place with the rig unchanged.",
             )
 
