@@ -223,7 +223,7 @@ def main() -> None:
     accepted = sum(each.deviation is not None for each in outcomes)
     print(
         f"wrong by more than {WRONG_SIGMAS:g} sigma: "
-        f"{100 * sum(each.wrong for each in outcomes) / max(accepted, 1):.2f} % of the accepted; refused although sigma "
+        f"{100 * sum(each.wrong for each in outcomes) / max(accepted, 1):.2f} % of the accepted; refused though sigma "
         f"< 1 %: {100 * sum(each.needless for each in outcomes) / len(outcomes):.2f} % of all; "
         f"{time.perf_counter() - start:.0f} s"
     )

@@ -136,6 +136,11 @@ def _too_few(error: TooFewMatchesError) -> RefusalError:
     return RefusalError(f"The corner's faces hold too few matches: {error}.", MOVE)
 
 
+def paper_trials(camera_size: tuple[int, int]) -> Floats:
+    """The camera focals (n,) that the paper's search samples, for a camera of (width, height)."""
+    return _trials(camera_size, _PAPER_TRIALS)
+
+
 def _trials(camera_size: tuple[int, int], count: int) -> Floats:
     trials: Floats = np.geomspace(_SHORTEST * max(camera_size), _LONGEST * max(camera_size), count)
     return trials
@@ -147,7 +152,7 @@ def _by_paper(
     camera_size: tuple[int, int],
     projector_size: tuple[int, int],
 ) -> SelfCalibration:
-    solution = search(objective, _trials(camera_size, _PAPER_TRIALS))
+    solution = search(objective, paper_trials(camera_size))
     if solution is None:
         raise no_corner([into_cells(matches)])
     low, high = solution.focal_px[1], solution.focal_px[-2]
