@@ -155,7 +155,7 @@ def _cheapest(costs: Mapping[tuple[int, int, int], float], count: int) -> list[t
 
 
 def _upright(views: Sequence[View], turns: tuple[int, ...]) -> tuple[int, ...]:
-    """The same order, numbered so that the last axis is the one that points up most in the cameras' images."""
+    """The same order, numbered so that the last axis is the one that is most upright in the cameras' images."""
     up = np.mean([_up(view, turn) for view, turn in zip(views, turns, strict=True)], axis=0)
     shift = 2 - int(np.argmax(np.abs(up)))
     return tuple((turn + shift) % 3 for turn in turns)

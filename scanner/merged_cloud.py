@@ -13,7 +13,7 @@ from scanner.cloud import Cloud
 
 @dataclass(frozen=True)
 class MergedCloud:
-    """Points in the corner's frame: origin at the vertex, axes along the legs, z along the one that points up most.
+    """Points in the corner's frame: origin at the vertex, axes along the legs, z along the most upright one.
 
     `points` (N, 3) in `unit`, `colours` (N, 3) RGB, `normals` (N, 3) facing the camera that saw the point. `grid`: at
     most one point in each cube with this edge. `turns`: for each capture, as of `View.in_corner`.
