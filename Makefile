@@ -3,19 +3,34 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: help setup scan test lint check-types unit benchmark clean
+.PHONY: help setup scan scan-loopback rig try-rig test lint check-types unit benchmark clean
 
 help:
-	@echo "make scan       set up, then scan a simulated room into scans/room-sim/"
-	@echo "make test       set up, then run every check and every test"
-	@echo "make setup      only make $(VENV)/, with the command $(BIN)/scan"
-	@echo "make benchmark  measure accuracy and speed (minutes)"
-	@echo "make clean      remove $(VENV)/ and caches; scans/ is kept"
+	@echo "make scan           set up, then scan a simulated room into scans/room-sim/"
+	@echo "make test           set up, then run every check and every test"
+	@echo "make setup          only make $(VENV)/, with the command $(BIN)/scan"
+	@echo "make rig            set up for real devices: system packages (apt-get), PyGObject, pyglet"
+	@echo "make scan-loopback  the same, then scan through a real window and a real camera protocol into scans/room-loopback/"
+	@echo "make benchmark      measure accuracy and speed (minutes)"
+	@echo "make clean          remove $(VENV)/ and caches; scans/ is kept"
 
 setup: $(VENV)/.runtime
 
 scan: setup
 	$(BIN)/scan --config configs/room-sim.yaml --out scans/room-sim --overwrite
+
+scan-loopback: rig
+	$(BIN)/python tools/scan_loopback.py --config configs/room-loopback.yaml --out scans/room-loopback --overwrite
+
+rig: $(VENV)/.rig
+
+# For tests: without these packages everything but the real devices is still to be tested.
+try-rig:
+	@test -e $(VENV)/.rig || $(MAKE) --no-print-directory $(VENV)/.rig || { \
+		echo "*******************************************************************************"; \
+		echo "* The rig's packages could not be installed (see above): the tests of the     *"; \
+		echo "* real path, window, GigE Vision and synchronisation, will be SKIPPED.         *"; \
+		echo "*******************************************************************************"; }
 
 test: lint check-types unit
 
@@ -27,10 +42,10 @@ lint: $(VENV)/.dev
 check-types: $(VENV)/.dev
 	$(BIN)/mypy
 
-unit: $(VENV)/.dev
+unit: $(VENV)/.dev try-rig
 	$(BIN)/pytest -n auto --dist loadgroup
 
-benchmark: $(VENV)/.dev
+benchmark: $(VENV)/.dev try-rig
 	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
 $(BIN)/pip:
@@ -43,6 +58,11 @@ $(VENV)/.runtime: pyproject.toml | $(BIN)/pip
 $(VENV)/.dev: pyproject.toml | $(BIN)/pip
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@ $(VENV)/.runtime
+
+$(VENV)/.rig: pyproject.toml tools/system-packages | $(VENV)/.runtime
+	@tools/system-packages $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[rig]'
+	@touch $@
 
 clean:
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -82,7 +82,7 @@ def _square_plane(cells: Cells, state: State, capture: int) -> FurtherPlane | No
     """The plane through the cells' points, if it is parallel or perpendicular to a face; None if it is not."""
     pose = state.poses[capture]
     rays, _ = unproject(state.camera, cells.camera_px)
-    depth, _ = depths(state, rays, cells.projector_px)
+    depth = depths(state, rays, cells.projector_px)
     if not np.all(depth > 0):
         return None
     points = rays * depth[:, None]

@@ -4,6 +4,7 @@ The normal matrix of a face's homography DLT is all that the paper's algorithm n
 it is accumulated once, and a search costs the same for a hundred matches as for a million.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from calib.arrays import Floats
 from calib.matches import Matches
 
 FACES = (0, 1, 2)
+_CHUNK = 1 << 15
 
 
 class TooFewMatchesError(ValueError):
@@ -38,17 +40,29 @@ def normalisation(points: Floats) -> Floats:
 
 
 def dlt_gram(source: Floats, target: Floats) -> Floats:
-    """Normal matrix (9, 9) of the DLT for H with target ~ H source; points (N, 2), both normalised.
+    """Normal matrix (9, 9) of the DLT for H with target ~ H source; points (N, 2), both normalised. Divided by N."""
+    return _gram_of_moments(_moments(source, target))
 
-    With x the homogeneous source and (u, v) the target, the two rows per match are (xᵀ, 0, −u xᵀ) and (0, xᵀ, −v xᵀ)
-    for the rows of H stacked (Hartley & Zisserman, 2nd ed., equation 4.3). Divided by N.
+
+def _moments(source: Floats, target: Floats) -> Floats:
+    """Mean of x_i u_a x_j u_b over matches of homogeneous points x and u, (3, 3, 3, 3) in the order i, a, j, b."""
+    moments = np.zeros((9, 9))
+    for start in range(0, len(source), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        x, u = homogeneous(source[part]), homogeneous(target[part])
+        products = (x[:, :, None] * u[:, None, :]).reshape(-1, 9)
+        moments += products.T @ products
+    return (moments / len(source)).reshape(3, 3, 3, 3)
+
+
+def _gram_of_moments(moments: Floats) -> Floats:
+    """With x the homogeneous source and (u, v) the target, the two rows per match are (xᵀ, 0, −u xᵀ) and (0, xᵀ, −v xᵀ)
+    for the rows of H stacked (Hartley & Zisserman, 2nd ed., equation 4.3).
     """
-    x = homogeneous(source)
-    u, v = target[:, :1], target[:, 1:]
-    plain, by_u, by_v = x.T @ x, x.T @ (u * x), x.T @ (v * x)
-    by_both = x.T @ ((u * u + v * v) * x)
+    plain, by_u, by_v = (moments[:, 2, :, axis] for axis in (2, 0, 1))
+    by_both = moments[:, 0, :, 0] + moments[:, 1, :, 1]
     zero = np.zeros((3, 3))
-    gram: Floats = np.block([[plain, zero, -by_u], [zero, plain, -by_v], [-by_u, -by_v, by_both]]) / len(source)
+    gram: Floats = np.block([[plain, zero, -by_u], [zero, plain, -by_v], [-by_u, -by_v, by_both]])
     return gram
 
 
@@ -84,16 +98,23 @@ def face_grams(matches: Matches) -> FaceGrams:
     """Accumulate the Gram matrices of the faces 0, 1, 2. Raises TooFewMatchesError below four each."""
     if matches.face is None:
         raise ValueError("these matches have no face labels")
-    labelled = matches[matches.face >= 0]
-    camera_scale = normalisation(labelled.camera_px)
-    projector_scale = normalisation(labelled.projector_px)
-    forward, backward = [], []
-    for label in FACES:
-        face = labelled.on_face(label)
+    labelled = matches.face >= 0
+    camera_scale = normalisation(matches.camera_px[labelled])
+    projector_scale = normalisation(matches.projector_px[labelled])
+
+    def of_face(label: int) -> tuple[Floats, Floats]:
+        face = matches.on_face(label)
         if len(face) < 4:
             raise TooFewMatchesError(f"face {label} has {len(face)} matches; a homography needs at least four")
-        camera = dehomogenise(homogeneous(face.camera_px) @ camera_scale.T)
-        projector = dehomogenise(homogeneous(face.projector_px) @ projector_scale.T)
-        forward.append(dlt_gram(camera, projector))
-        backward.append(dlt_gram(projector, camera))
+        moments = _moments(_scaled(face.camera_px, camera_scale), _scaled(face.projector_px, projector_scale))
+        return _gram_of_moments(moments), _gram_of_moments(moments.transpose(1, 0, 3, 2))
+
+    with ThreadPoolExecutor() as pool:
+        forward, backward = zip(*pool.map(of_face, FACES), strict=True)
     return FaceGrams(np.stack(forward), np.stack(backward), camera_scale, projector_scale)
+
+
+def _scaled(points: Floats, scale: Floats) -> Floats:
+    """Points (N, 2) by a similarity without rotation."""
+    scaled: Floats = points * scale[0, 0] + scale[:2, 2]
+    return scaled

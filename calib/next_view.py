@@ -14,15 +14,15 @@ from calib.arrays import Floats
 from calib.cells import Cells
 from calib.homography import FACES
 from calib.lens import unproject
-from calib.likelihood import Fit, Knowledge, evaluate
-from calib.model import CAMERA, PER_POSE, Pose, State, predict
+from calib.likelihood import Knowledge, evaluate
+from calib.model import CAMERA, PER_POSE, SHARED, Pose, State, predict
 from calib.refine import Refinement
-from calib.same_corner import oriented
-from calib.valley import covariance_of
+from calib.valley import covariance_of, inverse_of
 
 _TURNS_DEG = (-30.0, -15.0, 0.0, 15.0, 30.0)
 _DISTANCES = (0.75, 1.0, 1.3)
 _COLUMNS = 24
+_LEAST_SLANT = 0.12  # sine of the angle between a device's view of the vertex and a face
 _LEAST_SHARE = 0.03  # of the rays that both devices see, on each face
 
 
@@ -57,25 +57,24 @@ class NextView:
 
 def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | None:
     """The most useful move from the last capture; None if both devices would see all three faces from nowhere."""
-    fit = oriented(refinement.captures, refinement.fit)
-    state = fit.state
+    state = refinement.fit.state
     cells, level = refinement.captures[-1], refinement.noise[-1]
     variance = float(np.median(level.variances(cells)) * len(cells))
     best: NextView | None = None
     for right, up, distance in product(_TURNS_DEG, _TURNS_DEG, _DISTANCES):
         if right == up == 0:
             continue
-        pose = _moved(state.poses[-1], right, up, distance)
+        pose = moved_pose(state.poses[-1], right, up, distance)
         seen = _seen(replace(state, poses=(*state.poses, pose)), knowledge)
         if seen is None:
             continue
-        sigma = _sigma_with(fit, refinement.covariance, pose, seen, variance / len(seen), knowledge)
+        sigma = _sigma_with(refinement, pose, seen, variance / len(seen), knowledge)
         if best is None or sigma < best.sigma:
             best = NextView(right, up, distance, sigma)
     return best
 
 
-def _moved(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Pose:
+def moved_pose(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Pose:
     """The corner's pose after the rig went round it: seen from the rig, the corner turns the other way about itself."""
     # Camera's axes: x right, y down. Walking to the right turns the corner about y, climbing turns it about x.
     turn = Rotation.from_euler("yx", [right_deg, up_deg], degrees=True).as_matrix()
@@ -93,8 +92,11 @@ def _seen(state: State, knowledge: Knowledge) -> Cells | None:
     normals = state.normals(capture)
     with np.errstate(divide="ignore", invalid="ignore"):
         depths = (normals @ state.poses[capture].vertex) / (rays @ normals.T)
+    slants = _slants(state, capture)
+    if np.any(slants * np.sign(_slants(state, capture - 1)) < _LEAST_SLANT):
+        return None  # the rig would stand in a wall, or see a face of the box from within
     # Seen from inside, the nearest wall hides the others; from outside, the farthest of a box's planes is its face.
-    inside = bool(np.all(normals @ state.poses[capture].vertex < 0))
+    inside = bool(np.all(slants > 0))
     depths = np.where(depths > 0, depths, np.inf if inside else -np.inf)
     face = (np.argmin(depths, axis=1) if inside else np.argmax(depths, axis=1)).astype(np.int32)
     predicted, _, both = predict(state, pixels, face, capture)
@@ -108,17 +110,31 @@ def _seen(state: State, knowledge: Knowledge) -> Cells | None:
     return Cells(pixels[lit], predicted[lit], face[lit], one, one, 1.0, 0.0)
 
 
-def _sigma_with(fit: Fit, covariance: Floats, pose: Pose, cells: Cells, variance: float, knowledge: Knowledge) -> float:
+def _slants(state: State, capture: int) -> Floats:
+    """Sines of the angles at which camera and projector see each face, (2, 3); negative from the side without legs."""
+    vertex = state.poses[capture].vertex
+    centres = np.stack([np.zeros(3), -state.rotation.T @ state.translation])
+    directions = centres - vertex
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    slants: Floats = directions @ state.normals(capture).T
+    return slants
+
+
+def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: float, knowledge: Knowledge) -> float:
     """Relative sigma of the camera's focal length with a further capture of `cells`."""
-    alone = replace(fit.state, poses=(pose,), off_square=fit.state.off_square[pose.corner][None])
+    state = refinement.fit.state
+    alone = replace(state, poses=(pose,), off_square=state.off_square[pose.corner][None])
     alone = replace(alone, poses=(replace(pose, corner=0),))
     prior = knowledge.prior(alone)
+    prior.sigma[:SHARED][~refinement.prior.free[:SHARED]] = 0.0  # lens terms that are left out
     flat = replace(prior, sigma=np.where(prior.free, np.inf, 0.0))
     new = evaluate([cells], alone, flat, [np.full(len(cells), variance)]).information
     kept = np.flatnonzero(prior.free)
     shared = kept[kept < alone.size - PER_POSE]
-    # What is known of the shared columns now: their marginal covariance, as information.
-    known = np.concatenate([np.arange(15), np.arange(15, 18) + 3 * pose.corner])[shared]
+    # What is known of the shared columns now, as information: with a second capture the valley is short, so that the
+    # curvature at its lowest point says all.
+    known = state.columns(len(refinement.captures) - 1)[shared]
+    covariance = covariance_of(refinement.fit.information, refinement.prior.free)[np.ix_(known, known)]
     total = new.copy()
-    total[np.ix_(shared, shared)] += np.linalg.pinv(covariance[np.ix_(known, known)], hermitian=True)
+    total[np.ix_(shared, shared)] += inverse_of(covariance)
     return float(np.sqrt(covariance_of(total, prior.free)[CAMERA.start, CAMERA.start]))

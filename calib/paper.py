@@ -17,7 +17,7 @@ from calib.transfer import Transfer, image_of_corner, intrinsic_matrices, transf
 
 _POINTS_IN_FRONT = 0.99
 _SAMPLE_PER_FACE = 200
-_BRACKETS = 5
+_BRACKETS = 3
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from calib.lens_order import LensOrder, choose_lens_order
 from calib.likelihood import Fit, Knowledge, Prior
 from calib.model import State
 from calib.noise import Noise, noise_of
-from calib.same_corner import Sameness, tie
+from calib.same_corner import Sameness, oriented, tie
 from calib.sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one
 from calib.valley import Valley, covariance_of, walk
 
@@ -78,7 +78,7 @@ def refine(
     starts = minima(sweep)
     if not starts:
         return None
-    fits = _explore(thinned, starts, knowledge)
+    fits = [oriented(thinned, fit) for fit in _explore(thinned, starts, knowledge)]
     sameness = None
     if same and len(captures) > 1:
         captures, fits, sameness = tie(captures, thinned, fits, knowledge)

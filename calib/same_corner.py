@@ -21,6 +21,7 @@ from calib.lens import unproject
 from calib.likelihood import Fit, Knowledge
 from calib.model import PER_CORNER, State
 from calib.refusal import RefusalError
+from calib.valley import covariance_of
 
 _MOST_CAPTURES = 8
 _CLOSER_LOOKS = 9
@@ -58,7 +59,6 @@ def tie(
             f"{len(captures)} captures of one corner were given; at most {_MOST_CAPTURES} can be put in order.",
             "Calibrate from fewer of them, or say corner.same: false.",
         )
-    fits = [oriented(thinned, fit) for fit in fits]
     variances = [np.full(len(r), max(float(np.mean(r**2)), 1e-12)) for r in fits[0].residuals]
     trials: list[tuple[Fit, tuple[int, ...]]] = []
     for fit in fits:
@@ -126,11 +126,7 @@ def _promising(fit: Fit, knowledge: Knowledge) -> list[tuple[int, ...]]:
     """
     count = len(fit.state.poses)
     free = knowledge.prior(fit.state).free
-    scale = np.sqrt(np.diag(fit.information)[free])
-    covariance = np.zeros_like(fit.information)
-    covariance[np.ix_(free, free)] = np.linalg.pinv(
-        fit.information[np.ix_(free, free)] / np.outer(scale, scale), hermitian=True
-    ) / np.outer(scale, scale)
+    covariance = covariance_of(fit.information, free)
     angles = slice(fit.state.angle_columns(0).start, fit.state.angle_columns(count - 1).stop)
     covariance = covariance[angles, angles]
     orders = [(0, *later) for later in product(range(3), repeat=count - 1)]

@@ -17,7 +17,7 @@ from calib.matches import Matches
 
 # Beforehand, of the bend in units of an image's width: that of a lens with k1 = 0.1 and a focal length of half a width.
 _SIGMA = 0.4
-_STEPS = 12
+_STEPS = 30
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def straighten(
         prior[:, -2:] = np.eye(2) / _SIGMA
         return np.concatenate([flat, prior])
 
-    found = least_squares(residual, start, jacobian, loss="soft_l1", x_scale="jac", max_nfev=_STEPS).x
+    found = least_squares(residual, start, jacobian, x_scale="jac", max_nfev=_STEPS).x
     camera[3], projector[3] = found[-2:]
     ideal = [
         unproject(device, pixels)[0][:, :2] * device[0] + device[1:3]

@@ -7,10 +7,10 @@ import numpy as np
 from calib.arrays import Floats
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
-from calib.lens import project, unproject
+from calib.lens import unproject
 from calib.likelihood import Prior
 from calib.matches import Matches
-from calib.model import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, State, tangent_basis
+from calib.model import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, State, cross, tangent_basis
 
 Sigmas = dict[str, float | tuple[float, ...]]
 
@@ -31,21 +31,20 @@ class Uncertainty:
     def of_points(self, matches: Matches) -> Floats:
         """Standard deviations (N, 3) of triangulated points in the camera's frame, in baselines: along x, y, z.
 
-        A point is where the camera's ray comes nearest to the projector's in the projector's image, so that
-        δX = r δd, and the depth d moves with every parameter and with the match.
+        A point is where the camera's ray r comes nearest to the projector's, X = r d, so δX = r δd + d δr.
         """
         rays, rays_by_camera = unproject(self.state.camera, matches.camera_px)
-        depth, by_match = depths(self.state, rays, matches.projector_px)
-        points = rays * depth[:, None]
-        moved = points @ self.state.rotation.T + self.state.translation
-        _, by_moved, by_projector = project(self.state.projector, moved)
-        by_point = by_moved @ self.state.rotation
-        image = np.zeros((len(rays), 2, SHARED))
-        image[:, :, CAMERA] = by_point @ (depth[:, None, None] * rays_by_camera)
-        image[:, :, PROJECTOR] = by_projector
-        image[:, :, ROTATION] = np.cross((points @ self.state.rotation.T)[:, None, :], by_moved)
-        image[:, :, TRANSLATION] = by_moved @ tangent_basis(self.state.translation)
-        by_shared = -np.einsum("ni,nij->nj", by_match, image)
+        directions, directions_by_projector = unproject(self.state.projector, matches.projector_px)
+        turned = rays @ self.state.rotation.T
+        depth, by_turned, by_direction, by_translation = _nearest(turned, directions, self.state.translation)
+        by_shared = np.zeros((len(rays), SHARED))
+        by_shared[:, CAMERA] = np.einsum("ni,nij->nj", by_turned @ self.state.rotation, rays_by_camera)
+        by_shared[:, PROJECTOR] = np.einsum("ni,nij->nj", by_direction, directions_by_projector)
+        by_shared[:, ROTATION] = cross(turned, by_turned)
+        by_shared[:, TRANSLATION] = by_translation @ tangent_basis(self.state.translation)
+        # Moving a pixel to the right is moving the principal point to the left.
+        by_match = -by_shared[:, PROJECTOR.start + 1 : PROJECTOR.start + 3]
+
         jacobian = rays[:, :, None] * by_shared[:, None, :]
         jacobian[:, :, CAMERA] += depth[:, None, None] * rays_by_camera
         noise = np.full(len(rays), self.match_px) if matches.sigma_px is None else matches.sigma_px
@@ -104,15 +103,22 @@ def _intrinsics(size: tuple[int, int], device: Floats) -> Intrinsics:
     return Intrinsics(*size, (focal, focal), (x0, y0), (k1, k2, 0.0, 0.0, 0.0))
 
 
-def depths(state: State, rays: Floats, projector_px: Floats) -> tuple[Floats, Floats]:
-    """Depths (N,) along the camera's rays (N, 3), and their derivatives (N, 2) by the projector's pixel."""
+def depths(state: State, rays: Floats, projector_px: Floats) -> Floats:
+    """Depths (N,) along the camera's rays (N, 3) at which they come nearest to the projector's."""
     directions, _ = unproject(state.projector, projector_px)
-    # Midpoint's camera side: minimise |d R r + t − s q| over d and s.
-    turned = rays @ state.rotation.T
-    a, b, c = (np.sum(x * y, axis=1) for x, y in ((turned, turned), (turned, directions), (directions, directions)))
-    along, across = turned @ state.translation, directions @ state.translation
-    depth = (b * across - c * along) / (a * c - b * b)
-    moved = turned * depth[:, None] + state.translation
-    _, by_moved, _ = project(state.projector, moved)
-    by_depth = np.einsum("nij,nj->ni", by_moved, turned)
-    return depth, by_depth / np.sum(by_depth**2, axis=1)[:, None]
+    return _nearest(rays @ state.rotation.T, directions, state.translation)[0]
+
+
+def _nearest(turned: Floats, directions: Floats, translation: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """The d that minimises |d p + t − s q| over d and s, for p, q (N, 3) and t (3,), and its derivatives by p, q, t.
+
+    d = (b e − c g) / (a c − b²) with a = p·p, b = p·q, c = q·q, e = q·t, g = p·t.
+    """
+    p, q, t = turned, directions, translation
+    a, b, c = (np.sum(x * y, axis=1)[:, None] for x, y in ((p, p), (p, q), (q, q)))
+    e, g = (q @ t)[:, None], (p @ t)[:, None]
+    determinant = a * c - b * b
+    d = (b * e - c * g) / determinant
+    by_p = (e * q - c * t - 2 * d * (c * p - b * q)) / determinant
+    by_q = (e * p + b * t - 2 * g * q - 2 * d * (a * q - b * p)) / determinant
+    return d[:, 0], by_p, by_q, (b * q - c * p) / determinant

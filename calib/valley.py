@@ -66,11 +66,15 @@ def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence
 
 
 def covariance_of(information: Floats, free: Bools) -> Floats:
-    """Inverse of the information on the free columns, by way of unit diagonals, (size, size)."""
-    chosen = np.ix_(free, free)
-    scale = np.sqrt(np.diag(information)[free])
+    """Inverse of the information on the free columns, (size, size), zero elsewhere."""
     covariance = np.zeros_like(information)
-    covariance[chosen] = np.linalg.pinv(information[chosen] / np.outer(scale, scale), hermitian=True) / np.outer(
-        scale, scale
-    )
+    chosen = np.ix_(free, free)
+    covariance[chosen] = inverse_of(information[chosen])
     return covariance
+
+
+def inverse_of(matrix: Floats) -> Floats:
+    """Pseudo-inverse of a symmetric matrix (n, n) whose columns have very different scales."""
+    scale = np.sqrt(np.diag(matrix))
+    inverse: Floats = np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    return inverse

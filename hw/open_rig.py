@@ -1,14 +1,26 @@
 """From settings to devices that work."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from types import ModuleType
 
 from calib.calibration import Calibration
+from hw.errors import DeviceError
+from hw.projector_process import ScreenProjector
 from hw.rig import Rig
-from hw.settings import RigSettings
+from hw.settings import AravisRigSettings, RigSettings, SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
+from hw.synchronisation import synchronised
+
+MISSING_ARAVIS = (
+    "cameras need Aravis and PyGObject, which are not installed: apt-get install gir1.2-aravis-0.8 "
+    "libgirepository1.0-dev libcairo2-dev pkg-config gcc python3-dev, then pip install 'roomscan[rig]' "
+    "(see docs/rig.md)"
+)
+# Where a screen does not know its rate, and nobody has said it.
+_USUAL_REFRESH_HZ = 60.0
 
 
 @dataclass(frozen=True)
@@ -23,14 +35,58 @@ class OpenedRig:
 def open_rig(
     settings: RigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
 ) -> Iterator[OpenedRig]:
-    """Open the devices for as long as the context lasts; sizes are (width, height) in pixels."""
-    match settings.backend:
-        case "simulated":
+    """Open the devices for as long as the context lasts; sizes are (width, height) in pixels. Raises DeviceError."""
+    match settings:
+        case SimulatedRigSettings():
             yield _simulated(settings, camera_size, projector_size)
+        case AravisRigSettings():
+            with ExitStack() as devices:
+                yield OpenedRig(_real(settings, camera_size, projector_size, devices), None)
 
 
-def _simulated(settings: RigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]) -> OpenedRig:
+def _simulated(
+    settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
+) -> OpenedRig:
     room = SimulatedRoom(settings, camera_size, projector_size)
     projector = SimulatedProjector(room)
     identity = {"backend": "simulated", "seed": str(settings.seed), "pose": str(settings.pose)}
     return OpenedRig(Rig(projector, SimulatedCamera(room, projector), identity), room.calibration)
+
+
+def _real(
+    settings: AravisRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int], devices: ExitStack
+) -> Rig:
+    aravis = import_aravis()
+    projector = devices.enter_context(ScreenProjector(settings.screen, projector_size))
+    refresh_hz = settings.refresh_hz or projector.screen.refresh_hz or _USUAL_REFRESH_HZ
+    exposure_us, periods = whole_periods(settings.exposure_us, refresh_hz)
+    camera = devices.enter_context(aravis.AravisCamera(settings, camera_size, exposure_us))
+    known = settings.refresh_hz or projector.screen.refresh_hz
+    identity = {
+        "backend": "aravis",
+        **camera.identity,
+        "projector": str(projector.screen),
+        "renderer": projector.renderer,
+        "refresh": f"{refresh_hz:.5g} Hz{'' if known else ' (assumed: neither screen nor configuration says)'}",
+        "exposure in refresh periods": str(periods),
+    }
+    return synchronised(projector, camera, identity)
+
+
+def whole_periods(exposure_us: float, refresh_hz: float) -> tuple[float, int]:
+    """The exposure nearest to the wanted one that is a whole number of refresh periods, and that number.
+
+    A projector builds each picture up over a refresh period; any other exposure would cut some rows' pictures short.
+    """
+    period_us = 1e6 / refresh_hz
+    periods = max(1, round(exposure_us / period_us))
+    return periods * period_us, periods
+
+
+def import_aravis() -> ModuleType:
+    """The module `hw.aravis_camera`. Raises DeviceError, naming what to install, if what it needs is not there."""
+    try:
+        from hw import aravis_camera  # only now, for most users have no Aravis
+    except (ImportError, ValueError) as error:  # ValueError: gi is there, Aravis is not
+        raise DeviceError(MISSING_ARAVIS) from error
+    return aravis_camera

@@ -1,8 +1,8 @@
 """What can be configured about a rig. The field descriptions become the configuration reference."""
 
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
 class SimulatedRigSettings(BaseModel):
@@ -62,5 +62,60 @@ class SimulatedRigSettings(BaseModel):
     read_noise_electrons: float = Field(2.5, ge=0.0, description="Standard deviation of the read noise in electrons.")
 
 
+class AravisRigSettings(BaseModel):
+    """A GenICam camera (GigE Vision, USB3 Vision) reached through Aravis, and a projector that is a screen."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    backend: Literal["aravis"]
+    camera: str | None = Field(
+        None, min_length=1, description="Id, serial number or IP address; left out, the only camera there is."
+    )
+    exposure_us: float = Field(
+        100_000 / 3,
+        gt=0.0,
+        le=10_000_000.0,
+        description="Exposure in microseconds, rounded to a whole number of the projector's refresh periods.",
+    )
+    gain: float | None = Field(
+        None, description="Gain in the camera's own unit (most use dB); left out, the camera's is kept."
+    )
+    pixel_format: str = Field("Mono8", description="Mono or Bayer format of 8 to 16 bits, by its GenICam name.")
+    offset_px: tuple[int, int] | None = Field(
+        None, description="(x, y) of the image on the sensor, in pixels after binning; left out, it is centred."
+    )
+    binning: int = Field(1, ge=1, le=8, description="Sensor pixels that are combined to one, in either direction.")
+    trigger: Literal["software", "line", "free-run"] = Field(
+        "software", description="What starts an exposure; free-running cameras have frames discarded."
+    )
+    trigger_line: str = Field("Line1", min_length=1, description="Input that triggers, for trigger: line.")
+    packet_size: int | None = Field(
+        None, ge=576, le=16_000, description="Bytes in a GigE Vision packet; left out, it is negotiated."
+    )
+    screen: int | str | None = Field(
+        None,
+        description="Number, name or geometry (as in 1920x1080+1920+0) of the projector's screen; left out, the only "
+        "one of the projector's size.",
+    )
+    refresh_hz: float | None = Field(
+        None, ge=10.0, le=1000.0, description="Refresh rate of the projector; left out, that of the screen's mode."
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _camera_by_number(cls, data: Any) -> Any:
+        """Serial numbers look like numbers in YAML."""
+        if isinstance(data, dict) and type(data.get("camera")) is int:
+            return data | {"camera": str(data["camera"])}
+        return data
+
+
+def _with_backend(data: Any) -> Any:
+    """A rig of which nothing is said but its seed is simulated."""
+    return {"backend": "simulated"} | data if isinstance(data, dict) else data
+
+
 # What `rig:` in a configuration may be.
-RigSettings = SimulatedRigSettings
+RigSettings = Annotated[
+    SimulatedRigSettings | AravisRigSettings, Field(discriminator="backend"), BeforeValidator(_with_backend)
+]

@@ -2,15 +2,17 @@
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from calib.selfcalibration import PrincipalPoint
 from hw.settings import RigSettings
 from scanner.errors import InputError
-from scanner.patterns import Pattern, sequence_for
+from scanner.patterns import Pattern
+from scanner.presets import PRESETS, Preset, PresetName
 from scanner.validation import Flag, Number, Pair, Section, Whole, validate
 from scanner.yaml_file import parse_yaml, read_yaml
 
@@ -19,6 +21,9 @@ _CENTRE_SIGMA_OF_WIDTH = 0.03
 
 _LARGEST_SIDE_PX = 32768
 _MOST_EARLIER = 64
+
+Exposure = Annotated[Number, Field(gt=0, le=1e8)]
+Period = Annotated[Number, Field(ge=4, le=1024)]
 
 
 class _DeviceSettings(Section):
@@ -70,38 +75,46 @@ class ProjectorSettings(_DeviceSettings):
 class SequenceSettings(Section):
     """Which patterns are projected; a key that is given overrides the preset."""
 
-    preset: Literal["standard", "quick"] = Field(default="standard", description="The sequence to start from.")
+    preset: PresetName = Field(default="standard", description="The sequence to start from.")
     cell: Whole | None = Field(default=None, ge=1, le=1024, description="Finest Gray code stripe in projector pixels.")
     inverses: Flag | None = Field(default=None, description="Whether each Gray code is followed by its inverse.")
-    period: Number | None = Field(default=None, ge=4, le=1024, description="Period of the fringe in projector pixels.")
+    periods: tuple[Period, ...] | None = Field(
+        default=None, min_length=1, max_length=8, description="Periods of the fringes in projector pixels."
+    )
     shifts: Whole | None = Field(
-        default=None, ge=0, le=64, description="Steps of the fringe, 3 or more; 0 for no fringe."
+        default=None, ge=0, le=64, description="Steps of each fringe, 3 or more; 0 for no fringes."
+    )
+
+    exposures_us: tuple[Exposure, ...] = Field(
+        default=(), max_length=8, description="Exposures of each pattern; left out, the one that the rig is set to."
     )
 
     @model_validator(mode="after")
     def _decodable(self) -> "SequenceSettings":
-        values = self._values()
-        if values["shifts"] in (1, 2):
-            raise ValueError(f"shifts must be 3 or more, or 0 for no fringe, found {values['shifts']}")
-        if values["shifts"] and values["cell"] > values["period"]:
+        chosen = self._chosen
+        if chosen.shifts in (1, 2):
+            raise ValueError(f"shifts must be 3 or more, or 0 for no fringes, found {chosen.shifts}")
+        if len(set(chosen.periods)) < len(chosen.periods):
+            raise ValueError(f"periods must differ, found {', '.join(f'{period:g}' for period in chosen.periods)}")
+        if len(set(self.exposures_us)) < len(self.exposures_us) or len(self.exposures_us) == 1:
+            raise ValueError("exposures_us must be two or more that differ, or left out")
+        if chosen.shifts and chosen.cell > max(chosen.periods):
             raise ValueError(
-                f"cell ({values['cell']}) must not exceed period ({values['period']}), or fringes look alike"
+                f"cell ({chosen.cell}) must not exceed the longest period ({max(chosen.periods)}), "
+                "or fringes look alike"
             )
         return self
 
-    def _values(self) -> dict[str, Any]:
-        given = {key: getattr(self, key) for key in ("cell", "inverses", "period", "shifts")}
-        return _PRESETS[self.preset] | {key: value for key, value in given.items() if value is not None}
+    @property
+    def _chosen(self) -> Preset:
+        keys = ("cell", "inverses", "periods", "shifts")
+        return replace(
+            PRESETS[self.preset], **{key: value for key in keys if (value := getattr(self, key)) is not None}
+        )
 
     def patterns(self, projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
         """The sequence for a projector of (width, height)."""
-        return sequence_for(projector_size, **self._values())
-
-
-_PRESETS: dict[str, dict[str, Any]] = {
-    "standard": {"cell": 8, "inverses": True, "period": 16.0, "shifts": 8},
-    "quick": {"cell": 8, "inverses": False, "period": 16.0, "shifts": 4},
-}
+        return self._chosen.patterns(projector_size)
 
 
 class CornerSettings(Section):

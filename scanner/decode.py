@@ -4,10 +4,9 @@ Each frame is folded in as it arrives; what is kept of it are a few running imag
 to be chosen: noise, saturation and tolerances are measured from the capture.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from operator import itemgetter
-from typing import Any, cast
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
 
 import cv2
 import numpy as np
@@ -23,9 +22,12 @@ from scanner.decoding.checks_of_codes import check_codes
 from scanner.decoding.checks_of_frames import check_frames
 from scanner.decoding.checks_of_maps import check_fringes, check_maps
 from scanner.decoding.continuity import isolated
-from scanner.decoding.coordinate import AxisDecoder, Coordinate, MaskReason, Signals
+from scanner.decoding.coordinate import MaskReason
+from scanner.decoding.exposures import ExposureMerger, exposures_of
+from scanner.decoding.flicker import flicker_of
+from scanner.decoding.maps import Maps, coordinate_maps, signals_of
 from scanner.decoding.noise import NoiseModel, measure_noise, needs_neighbours
-from scanner.decoding.plan import AxisPlan, SequencePlan, plan_sequence
+from scanner.decoding.plan import SequencePlan, plan_sequence
 from scanner.decoding.sample import Sample
 from scanner.decoding.saturation import saturation_level
 from scanner.decoding.strips import in_strips
@@ -45,6 +47,7 @@ class Decoding:
     at the centre of the camera pixels that see it. `texture`: the scene fully lit, (H, W) or (H, W, 3), as the camera
     gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
     `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
+    `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
     `warnings`: sentences for the operator.
     """
 
@@ -54,26 +57,40 @@ class Decoding:
     noise: NoiseModel
     modulation: float | None
     warnings: tuple[str, ...]
+    flicker: float | None = None
 
 
 class Decoder:
     """Takes the frames of a sequence that is known in advance, one by one, and decodes them at the end.
 
+    Where each pattern follows itself as often as every other, its frames are those of several exposures, white first.
+
     Raises InputError if the patterns do not determine both coordinates of a projector of (width, height) pixels.
     """
 
     def __init__(self, patterns: Sequence[Pattern], projector_size: tuple[int, int]) -> None:
-        self._plan = plan_sequence(patterns, projector_size)
+        once, repeats = exposures_of(patterns)
+        self._plan = replace(plan_sequence(once, projector_size), repeats=repeats)
+        self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._count = 0
         self._held: tuple[Accumulators, Sample] | None = None
         self._texture: Image | None = None
 
-    def add(self, image: Image) -> None:
-        """Fold in the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit.
+    def add(self, image: Image, exposure_us: float | None = None) -> None:
+        """Fold in the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; its exposure matters if there are several.
 
-        Raises InputError if it is one frame too many, or not of the size and type of the others.
+        Raises InputError if it is one frame too many, or not of the size and type of the others, or if exposures do not
+        fit.
         """
         self._check_form(image)
+        if self._merger is None:
+            self._fold(image)
+            return
+        merged = self._merger.add(self._plan.name(self._count), image, exposure_us)
+        if merged is not None:
+            self._fold(merged)
+
+    def _fold(self, image: Image) -> None:
         grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
@@ -88,23 +105,26 @@ class Decoder:
         """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""
         if self._count < len(self._plan.patterns):
             raise InputError(
-                f"the sequence has {len(self._plan.patterns)} frames, found {self._count}; the first that is missing: "
-                f"{self._plan.name(self._count)}"
+                f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "
+                f"first that is missing: {self._plan.name(self._count)}"
             )
         if self._held is None or self._texture is None:
             raise RuntimeError("this decoder has finished already")
         held, self._held = self._held, None
+        if self._merger is not None:
+            held[0].log_exposure = self._merger.log_exposure
         measured = _measure(*held)
         # The running images are as large as the matches, and have served.
         del held
         matches, reasons = _match(self._plan, measured)
-        check_maps(self._plan, measured.x, measured.y, reasons)
-        warnings = tuple(warnings_of(reasons, measured.modulation))
-        return Decoding(matches, self._texture, reasons, measured.noise, measured.modulation, warnings)
+        check_maps(self._plan, measured.maps, reasons == MaskReason.KEPT)
+        warnings = tuple(warnings_of(reasons, measured.modulation, measured.flicker))
+        texture = self._texture if self._merger is None else self._merger.alike(self._texture)
+        return Decoding(matches, texture, reasons, measured.noise, measured.modulation, warnings, measured.flicker)
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.patterns):
-            raise InputError(f"the sequence has {self._count} frames, found one more")
+            raise InputError(f"the sequence has {self._plan.frame_count} frames, found one more")
         name = self._plan.name(self._count)
         if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or image.dtype not in _DEPTHS:
             raise InputError(
@@ -132,11 +152,11 @@ def _form(image: Image) -> str:
 class _Measured:
     """Both coordinates of every pixel, and what was found out on the way; `brightest` (H, W) grey."""
 
-    x: Coordinate
-    y: Coordinate
+    maps: Maps
     brightest: Image
     noise: NoiseModel
     modulation: float | None
+    flicker: float | None
 
 
 def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
@@ -148,72 +168,45 @@ def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     check_frames(plan, sample.levels, noise, saturation)
     check_codes(plan, accumulators.codes, noise, accumulators.middle)
 
-    thin = _signals(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
+    thin = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     decoders = calibrated_decoders(plan, noise, saturation, thin)
     for decoder, signals in zip(decoders, thin, strict=True):
         check_fringes(plan, decoder, signals)
-    x, y = _coordinates(accumulators, decoders)
-    return _Measured(x, y, accumulators.brightest, noise, modulation(decoders, thin))
-
-
-def _signals(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArray[Any]]) -> tuple[Signals, Signals]:
-    """The accumulated signals of x and y at some pixels; `select` takes these from an (H, W) image, as a 2-D array."""
-
-    def of_axis(axis: AxisPlan) -> Signals:
-        codes = [fold for fold in accumulators.codes if fold.code in axis.codes]
-        fringes = [fold for fold in accumulators.fringes if fold.fringe in axis.fringes]
-        return Signals(
-            [select(fold.words) for fold in codes],
-            [select(fold.least) for fold in codes],
-            [select(fold.contrast) for fold in codes],
-            [(select(fold.cosine), select(fold.sine)) for fold in fringes],
-            select(accumulators.brightest),
-            select(accumulators.middle),
-            select(accumulators.peak),
-        )
-
-    return of_axis(accumulators.plan.x), of_axis(accumulators.plan.y)
-
-
-def _coordinates(
-    accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]
-) -> tuple[Coordinate, Coordinate]:
-    """Both coordinates of all pixels."""
-    height, width = accumulators.middle.shape
-    x, y = Coordinate.empty((height, width)), Coordinate.empty((height, width))
-
-    def decode(rows: slice) -> None:
-        signals = _signals(accumulators, itemgetter(rows))
-        for decoder, part, whole in zip(decoders, signals, (x, y), strict=True):
-            whole.put(rows, decoder.decode(part))
-
-    in_strips(height, decode)
-    return x, y
+    maps = coordinate_maps(accumulators, decoders)
+    flicker = flicker_of(plan, sample.levels)
+    return _Measured(maps, accumulators.brightest, noise, modulation(decoders, thin), flicker)
 
 
 def _match(plan: SequencePlan, measured: _Measured) -> tuple[Matches, NDArray[np.uint8]]:
     """The matches, and for all pixels (H, W) the reason why they have none."""
-    x, y = measured.x, measured.y
-    # The first of two reasons is the smaller number; KEPT, which is 0, becomes the largest in between.
-    reasons = np.minimum(x.reason - np.uint8(1), y.reason - np.uint8(1)) + np.uint8(1)
+    maps = measured.maps
+    reasons = maps.reason
     kept = reasons == MaskReason.KEPT
     if not plan.fringes:
-        variance = np.float32(0.5) * (x.variance + y.variance)
-        cells = average_cells(kept, x.value, y.value, variance, measured.brightest)
+        cells = average_cells(kept, maps.x, maps.y, maps.variance, measured.brightest)
         reasons[cells.rejected] = MaskReason.ISOLATED
         return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
-    steps = tuple(0.0 if axis.fringes else axis.cell for axis in plan.axes)
-    reasons[isolated(kept, (x, y), steps)] = MaskReason.ISOLATED
-    return _pixel_matches(np.flatnonzero(reasons == MaskReason.KEPT), x, y), reasons
+    reasons[isolated(kept, maps.broken)] = MaskReason.ISOLATED
+    return _pixel_matches(reasons, maps), reasons
 
 
-def _pixel_matches(pixels: NDArray[np.int64], x: Coordinate, y: Coordinate) -> Matches:
-    """The matches of some pixels, given by their flat indices."""
-    camera_px, projector_px = np.empty((len(pixels), 2)), np.empty((len(pixels), 2))
-    np.divmod(pixels, x.value.shape[1], out=(camera_px[:, 1], camera_px[:, 0]), casting="unsafe")
-    variance = np.zeros(len(pixels))
-    for column, coordinate in enumerate((x, y)):
-        projector_px[:, column] = coordinate.value.reshape(-1)[pixels]
-        variance += coordinate.variance.reshape(-1)[pixels]
-    variance /= 2
-    return Matches(camera_px, projector_px, sigma_px=np.sqrt(variance, out=variance))
+def _pixel_matches(reasons: NDArray[np.uint8], maps: Maps) -> Matches:
+    """The matches of the pixels that `reasons` (H, W) keep, row by row."""
+    kept = reasons == MaskReason.KEPT
+    ends = np.cumsum(np.count_nonzero(kept, axis=1))
+    count = int(ends[-1])
+    camera_px, projector_px, sigma_px = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
+
+    def fill(rows: slice) -> None:
+        there = kept[rows]
+        part = slice(ends[rows.start] - np.count_nonzero(there[0]), ends[rows.stop - 1])
+        row, column = np.nonzero(there)
+        camera_px[part, 0] = column
+        camera_px[part, 1] = row
+        camera_px[part, 1] += rows.start
+        projector_px[part, 0] = maps.x[rows][there]
+        projector_px[part, 1] = maps.y[rows][there]
+        np.sqrt(maps.variance[rows][there], out=sigma_px[part])
+
+    in_strips(len(kept), fill)
+    return Matches(camera_px, projector_px, sigma_px=sigma_px)

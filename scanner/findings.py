@@ -170,5 +170,22 @@ def identity(metadata: Mapping[str, object]) -> dict[str, str]:
     """What a recording says about its devices and itself, as far as it fits on a line each."""
     devices = metadata.get("devices")
     named = {str(key): str(value) for key, value in devices.items()} if isinstance(devices, Mapping) else {}
+    named |= _synchronisation(metadata.get("synchronisation"))
     others = {key: value for key, value in metadata.items() if key not in _NOT_ABOUT_DEVICES}
     return named | {key: str(value) for key, value in others.items() if not isinstance(value, Mapping | list)}
+
+
+def _synchronisation(measured: object) -> dict[str, str]:
+    """What a rig of real devices has written down about taking turns, as far as it did."""
+    if not isinstance(measured, Mapping):
+        return {}
+    rows = {
+        "frames taken again": measured.get("retriggered_frames"),
+        "time per frame": _with_unit(measured.get("ms_per_frame"), "ms"),
+        "of it over exposure and latency": _with_unit(measured.get("overhead_percent"), "%"),
+    }
+    return {name: str(value) for name, value in rows.items() if value is not None}
+
+
+def _with_unit(value: object, unit: str) -> str | None:
+    return None if value is None else f"{value} {unit}"

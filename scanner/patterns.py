@@ -4,7 +4,7 @@ Coordinates are projector pixels, x to the right and y down, pixel centres at in
 format that other programs depend on (see docs/formats.md).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, log2
 from typing import Literal
@@ -74,8 +74,10 @@ Pattern = White | Black | Gray | Phase
 def draw(pattern: Pattern, size: tuple[int, int]) -> NDArray[np.uint8]:
     """The 8-bit image (height, width) of a pattern for a projector of `size` = (width, height)."""
     width, height = size
-    x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    return np.rint(255 * pattern.brightness(x, y)).astype(np.uint8)
+    # A row and a column, not all pixels: a live capture waits for its pictures, and most of them vary along one axis.
+    x, y = np.arange(width, dtype=np.float64)[None, :], np.arange(height, dtype=np.float64)[:, None]
+    levels = np.rint(255 * pattern.brightness(x, y)).astype(np.uint8)
+    return np.ascontiguousarray(np.broadcast_to(levels, (height, width)))
 
 
 def gray_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) -> Iterator[Gray]:
@@ -93,17 +95,22 @@ def phase_sequence(axis: Axis, period: float, shifts: int) -> Iterator[Phase]:
 
 
 def sequence_for(
-    size: tuple[int, int], *, cell: int = 8, inverses: bool = True, period: float = 16.0, shifts: int = 8
+    size: tuple[int, int],
+    *,
+    cell: int = 8,
+    inverses: bool = True,
+    periods: Sequence[float] = (16.0, 6.7),
+    shifts: int = 4,
 ) -> tuple[Pattern, ...]:
-    """White, black, then for each axis Gray code down to `cell` and a fringe of `period` in `shifts` steps.
+    """White, black, then for each axis Gray code down to `cell` and fringes of `periods` in `shifts` steps each.
 
-    A cell of half the period leaves a quarter period of slack on either side of each Gray edge, so that no fringe
-    order hangs on a single edge. `shifts` = 0 leaves the fringe out.
+    A cell of half the longest period leaves a quarter of that period as slack on either side of each Gray edge, so that
+    no fringe order hangs on a single edge. `shifts` = 0 leaves the fringes out.
     """
     patterns: list[Pattern] = [White(), Black()]
     axes: tuple[tuple[Axis, int], ...] = (("x", size[0]), ("y", size[1]))
     for axis, length in axes:
         patterns += gray_sequence(axis, length, cell, inverses=inverses)
-        if shifts:
+        for period in periods if shifts else ():
             patterns += phase_sequence(axis, period, shifts)
     return tuple(patterns)

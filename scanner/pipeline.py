@@ -59,7 +59,7 @@ def take(settings: RigSettings, config: Config, folder: Path, terminal: Terminal
             opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
         if opened.truth:
             write_calibration(folder / TRUTH_FILE, opened.truth)
-        live = capture(opened.rig, patterns)
+        live = capture(opened.rig, patterns, config.sequence.exposures_us)
         found = decode(record(live, folder / CAPTURE_FOLDER), terminal, "Capturing and decoding")
     found.truth = opened.truth
     return found
@@ -92,12 +92,17 @@ def decode(stream: Stream, terminal: Terminal, what: str) -> Findings:
     decoder = Decoder(stream.patterns, stream.projector_size)
     exposures_us = []
     for _, frame in terminal.track(stream.frames, len(stream.patterns), what):
-        decoder.add(frame.image)
+        decoder.add(frame.image, frame.exposure_us)
         exposures_us += [frame.exposure_us] if frame.exposure_us else []
     with terminal.step("Matching"):
         decoding = decoder.finish()
+    about = identity({**stream.metadata, **stream.account()})
     facts = CaptureFacts(
-        stream.camera_size, stream.projector_size, stream.patterns, identity(stream.metadata), tuple(exposures_us)
+        stream.camera_size,
+        stream.projector_size,
+        stream.patterns,
+        about,
+        tuple(exposures_us),
     )
     return Findings(facts, decoding.matches, decoding)
 

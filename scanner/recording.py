@@ -42,24 +42,28 @@ def record(stream: Stream, folder: Path) -> Stream:
 def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
     (folder / "frames").mkdir(parents=True)
     with (folder / CAPTURE_FILE).open("w", encoding="utf-8") as listing:
-        listing.write(_header(stream))
+        listing.write(_keys(_header(stream)) + "frames:\n")
         for index, (pattern, frame) in enumerate(stream.frames):
             file = f"frames/{index:03d}.png"
             write_png(folder / file, frame.image)
             listing.write(frame_line(file, pattern, **_read_back(frame)))
             listing.flush()
             yield pattern, frame
+        listing.write(_keys(stream.account()))
 
 
-def _header(stream: Stream) -> str:
-    keys = {
+def _keys(values: Mapping[str, object]) -> str:
+    return "".join(f"{key}: {flow_yaml(value)}\n" for key, value in values.items())
+
+
+def _header(stream: Stream) -> dict[str, object]:
+    return {
         "format": FORMAT,
         "projector": size_to_dict(stream.projector_size),
         "camera": size_to_dict(stream.camera_size),
         "captured": datetime.now(UTC).isoformat(timespec="seconds"),
         **stream.metadata,
     }
-    return "".join(f"{key}: {flow_yaml(value)}\n" for key, value in keys.items()) + "frames:\n"
 
 
 def _read_back(frame: Frame) -> dict[str, float | int]:
@@ -166,7 +170,9 @@ def open_capture(path: Path) -> Recording:
     patterns = tuple(frame.pattern.pattern() for frame in entry.frames)
     paths = tuple(_frame_path(listing, file) for file in files)
     _refuse_repeats(listing, paths, "shows the file", files)
-    _refuse_repeats(listing, patterns, "shows the pattern", [flow_yaml(pattern_to_dict(p)) for p in patterns])
+    exposures_us = [frame.read_back[0] for frame in entry.frames]
+    shown = list(zip(patterns, exposures_us, strict=True))
+    _refuse_repeats(listing, shown, "shows the pattern", [flow_yaml(pattern_to_dict(p)) for p in patterns])
     _refuse_extra_images(folder, set(paths))
     return Recording(
         folder,

@@ -99,6 +99,8 @@ def _keys_in_file(location: Sequence[int | str], data: object, *, missing: bool)
 def _suggestion(key: str, model: type[BaseModel]) -> str:
     """The known key most like `key`, by its full path or by its last part; else what is known at that place."""
     known = list(dict.fromkeys(known_keys(model)))
+    if key in known:
+        return "it belongs to another kind of this section"
     likeness = {candidate: max(_alike(key, candidate), _alike(_leaf(key), _leaf(candidate))) for candidate in known}
     best = max(known, key=lambda candidate: (likeness[candidate], _alike(key, candidate)))
     if likeness[best] >= _SIMILAR:

@@ -18,7 +18,7 @@ from hw.simulated.scene import Scene
 _CREASE_WIDTH_M = 0.06
 _ACROSS_CREASE_M = np.array([0.0, 0.003, 0.008, 0.015, 0.025, 0.04, _CREASE_WIDTH_M])
 _BEYOND_LIGHT_M = 0.15
-_ALONG_CREASE_PX = 6.0  # in projector pixels: the finest fringes in use are 16
+_ALONG_CREASE_PX = 2.0  # in projector pixels: the finest fringes in use are 6
 
 
 @dataclass(frozen=True)

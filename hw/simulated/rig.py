@@ -48,6 +48,7 @@ class SimulatedCamera:
         self._room = room
         self._projector = projector
         self._noise = np.random.default_rng([room.settings.seed, _NOISE_STREAM, room.settings.pose])
+        self._exposure_us = room.sensor.exposure_us
 
     @property
     def size(self) -> tuple[int, int]:
@@ -55,7 +56,12 @@ class SimulatedCamera:
         optics = self._room.room.camera.optics
         return optics.width, optics.height
 
+    def expose_for(self, exposure_us: float) -> None:
+        """Expose all frames from now on so long."""
+        self._exposure_us = exposure_us
+
     def grab(self) -> Frame:
         """One frame of what the projector shows now."""
         sensor = self._room.sensor
-        return Frame(sensor.read(self._projector.electrons_in_camera, self._noise), exposure_us=sensor.exposure_us)
+        electrons = self._projector.electrons_in_camera * np.float32(self._exposure_us / sensor.exposure_us)
+        return Frame(sensor.read(electrons, self._noise), exposure_us=self._exposure_us)

@@ -28,9 +28,8 @@ class SimulatedRoom:
     def __init__(
         self, settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
     ) -> None:
-        drawn = draw_room(settings)
         self.settings = settings
-        self.room = Room(drawn.scene, _resized(drawn.camera, camera_size), _resized(drawn.projector, projector_size))
+        self.room = place_room(settings, camera_size, projector_size)
         self.renderer = build_renderer(self.room, settings, np.random.default_rng([settings.seed, _RENDERING_STREAM]))
         white = np.full((projector_size[1], projector_size[0]), 255, np.uint8)
         self.sensor = build_sensor(settings, self.renderer.render(white))
@@ -47,6 +46,12 @@ class SimulatedRoom:
     def ground_truth(self) -> GroundTruth:
         """What is true of each camera pixel."""
         return true_view(self.room, self.renderer)
+
+
+def place_room(settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]) -> Room:
+    """The room of a seed, seen and lit by devices of given sizes, (width, height) in pixels."""
+    drawn = draw_room(settings)
+    return Room(drawn.scene, _resized(drawn.camera, camera_size), _resized(drawn.projector, projector_size))
 
 
 def _resized(device: PlacedDevice, size: tuple[int, int]) -> PlacedDevice:

@@ -7,7 +7,7 @@
 from argparse import ArgumentParser, Namespace
 from typing import Protocol
 
-from scanner.commands import calibrate, export, measure, patterns, replay, scan
+from scanner.commands import calibrate, devices, export, measure, patterns, replay, scan
 
 
 class Command(Protocol):
@@ -27,6 +27,7 @@ NAMED: dict[str, Command] = {
     "replay": replay,
     "calibrate": calibrate,
     "patterns": patterns,
+    "devices": devices,
     "export": export,
     "measure": measure,
 }

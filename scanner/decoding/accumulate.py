@@ -11,19 +11,23 @@ import cv2
 import numpy as np
 
 from calib.arrays import Image
-from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.arrays import Component, Floats32, Words
 from scanner.decoding.plan import Fringe, GrayCode, SequencePlan
+
+# Differences of so few frames of 8 bits fit into 16.
+_PLAIN = 64
 
 
 class GrayFold:
     """The code word of each pixel, with how far its bits were from their thresholds.
 
-    `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels.
+    `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels; `contrast`
+    is None where fringes tell what is lit.
     """
 
-    def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
+    def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool) -> None:
         self.code = code
-        self.contrast: Image = np.zeros(shape, dtype)
+        self.contrast: Image | None = np.zeros(shape, dtype) if contrast else None
         self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
         planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
         self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
@@ -37,44 +41,66 @@ class GrayFold:
         difference = cast(Image, cv2.absdiff(bright, dark))
         if half:
             difference = cast(Image, cv2.add(difference, difference))
-        np.maximum(self.contrast, difference, out=self.contrast)
+        if self.contrast is not None:
+            np.maximum(self.contrast, difference, out=self.contrast)
         np.minimum(self.least, difference, out=self.least)
 
     @cached_property
     def words(self) -> Words:
         """(H, W): bit 0 of the code in place bits − 1, as in the pattern; once all frames are in."""
-        if len(self._planes) == 1:
-            return self._planes[0]
-        merged = cast(Words, cv2.merge(self._planes))
-        words: Words = merged.view("<u2" if len(self._planes) == 2 else "<u4")[..., 0]
+        planes, self._planes = self._planes, []
+        if len(planes) == 1:
+            return planes[0]
+        merged = cast(Words, cv2.merge(planes))
+        words: Words = merged.view("<u2" if len(planes) == 2 else "<u4")[..., 0]
         return words
 
 
 class FringeFold:
-    """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts."""
+    """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
 
-    def __init__(self, fringe: Fringe, shape: tuple[int, int]) -> None:
+    `cosine` and `sine` times `scale` are in grey levels. Four shifts are plain differences of two frames, which need no
+    more than whole numbers; others are weighted sums.
+    """
+
+    def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
         self.fringe = fringe
-        self.cosine: Floats32 = np.zeros(shape, np.float32)
-        self.sine: Floats32 = np.zeros(shape, np.float32)
+        weights = fringe.weights[1:]
+        largest = float(np.abs(weights).max())
+        self._signs = np.rint(weights / largest).astype(np.int64)
+        self._is_plain = bool(np.allclose(self._signs * largest, weights, atol=1e-9)) and len(fringe.frames) <= _PLAIN
+        self.scale = largest if self._is_plain else 1.0
+        kept_as = np.dtype(np.float32) if not self._is_plain else np.dtype(np.int16 if dtype == np.uint8 else np.int32)
+        self.cosine: Component = np.zeros(shape, kept_as)
+        self.sine: Component = np.zeros(shape, kept_as)
 
     def fold(self, step: int, frame: Image) -> None:
         """Add the frame of one shift."""
-        for component, weight in zip((self.cosine, self.sine), self.fringe.weights[1:, step], strict=True):
-            cv2.addWeighted(component, 1, frame, float(weight), 0, dst=component, dtype=cv2.CV_32F)
+        for number, component in enumerate((self.cosine, self.sine)):
+            if not self._is_plain:
+                weight = float(self.fringe.weights[1 + number, step])
+                cv2.addWeighted(component, 1, frame, weight, 0, dst=component, dtype=cv2.CV_32F)
+            elif self._signs[number, step] > 0:
+                np.add(component, frame, out=component)
+            elif self._signs[number, step] < 0:
+                np.subtract(component, frame, out=component)
 
 
 class Accumulators:
     """All that is kept at full size of the frames seen so far.
 
-    `brightest` (H, W): the white frame or, without one, the maximum over all frames.
+    `brightest` (H, W): the white frame or, without one, the maximum over all frames. `log_exposure` (H, W): logarithm
+    of the pixels' exposures, relative to each other; None if they are all alike.
     """
 
     def __init__(self, plan: SequencePlan, first: Image) -> None:
         self.plan = plan
+        self.log_exposure: Floats32 | None = None
         shape = first.shape[0], first.shape[1]
-        self.codes = [GrayFold(code, shape, first.dtype) for code in plan.codes]
-        self.fringes = [FringeFold(fringe, shape) for fringe in plan.fringes]
+        self.codes = [
+            GrayFold(code, shape, first.dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
+        ]
+        self.fringes = [FringeFold(fringe, shape, first.dtype) for fringe in plan.fringes]
         self.brightest: Image = np.zeros_like(first)
         self._white: Image | None = None
         self._black: Image | None = None

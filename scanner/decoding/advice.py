@@ -10,10 +10,12 @@ from scanner.decoding.coordinate import MaskReason
 _LOW_MODULATION = 0.2
 _LARGE_SHARE = 0.1
 _FEW_MATCHED = 0.02
+# One per cent shifts a fringe of four steps by up to a six-hundredth of its period.
+_MUCH_FLICKER = 0.01
 
 
-def warnings_of(reasons: Reasons, modulation: float | None) -> Iterator[str]:
-    """Sentences about the `reasons` (H, W) of all pixels and the `modulation` of the finest fringes."""
+def warnings_of(reasons: Reasons, modulation: float | None, flicker: float | None) -> Iterator[str]:
+    """Sentences about the `reasons` (H, W) of all pixels, the `modulation` of the finest fringes, and the `flicker`."""
     count = np.bincount(reasons.reshape(-1), minlength=len(MaskReason))
     matched, dark = count[MaskReason.KEPT], count[MaskReason.DARK]
     lit = max(1, reasons.size - dark)
@@ -25,6 +27,11 @@ def warnings_of(reasons: Reasons, modulation: float | None) -> Iterator[str]:
         yield (
             f"At {count[MaskReason.INCONSISTENT] / lit:.0%} of the lit pixels the frames contradict each other: "
             "interreflection, or something moved."
+        )
+    if flicker is not None and flicker > _MUCH_FLICKER:
+        yield (
+            f"The brightness of the frames varies by {flicker:.1%}: expose for whole periods of the projector's "
+            "refresh, which are also whole turns of its colour wheel, and shut out other lamps."
         )
     if modulation is not None and modulation < _LOW_MODULATION:
         yield (

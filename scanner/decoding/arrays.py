@@ -6,5 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats32 = NDArray[np.float32]
+Component = NDArray[np.float32] | NDArray[np.int16] | NDArray[np.int32]
 Words = NDArray[np.unsignedinteger[Any]]
 Reasons = NDArray[np.uint8]

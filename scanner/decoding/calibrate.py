@@ -3,8 +3,6 @@
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from math import sqrt
 from typing import cast
 
 import cv2
@@ -12,14 +10,15 @@ import numpy as np
 
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.codes import interval_of
-from scanner.decoding.coordinate import AxisDecoder, Signals
+from scanner.decoding.coordinate import AxisDecoder, Signals, largest_variance
 from scanner.decoding.noise import NoiseModel
 from scanner.decoding.plan import AxisPlan, Fringe, SequencePlan
 from scanner.decoding.response import can_ripple, straightening
-from scanner.decoding.unwrap import GAUSSIAN_MEDIAN, Orders, measured_tolerances, widest_tolerances
+from scanner.decoding.unwrap import Orders, measured_tolerances, widest_tolerances
 
 # Over fewer cycles the phases of a scene need not be evenly spread.
 _ENOUGH_CYCLES = 8.0
+_NEARLY_ALL = 0.9
 
 
 def calibrated_decoders(
@@ -70,11 +69,17 @@ def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:
     if not decoder.plan.fringes:
         return decoder
     orders, variances = sample_orders(decoder, signals)
-    return replace(
-        decoder,
-        tolerances=measured_tolerances(decoder.plan, orders, variances),
-        systematic=_systematic(decoder.plan, orders, variances),
-    )
+    tolerances = measured_tolerances(decoder.plan, orders, variances)
+    return replace(decoder, tolerances=tolerances, finest=_finest_seen(decoder.plan, variances))
+
+
+def _finest_seen(plan: AxisPlan, variances: list[Floats32]) -> int:
+    """The number of the shortest fringe that is seen at nearly all pixels of a sample where the longest is."""
+    seen = 0
+    for number, (fringe, variance) in enumerate(zip(plan.fringes, variances, strict=True)):
+        if len(variance) and np.quantile(variance, _NEARLY_ALL) <= largest_variance(fringe):
+            seen = number
+    return seen
 
 
 @dataclass(frozen=True)
@@ -119,14 +124,3 @@ def _phases(decoder: AxisDecoder, signals: Signals) -> Iterator[_Phases]:
         if can_ripple(fringe) and len(coordinate):
             first, last = np.quantile(coordinate, (0.02, 0.98))
             yield _Phases(fringe, cast(Floats32, cv2.phase(*components))[lit], float(last - first) / fringe.period)
-
-
-def _systematic(plan: AxisPlan, orders: Orders, variances: list[Floats32]) -> float:
-    """How much more two periods disagree than noise makes them, in cycles, where few shifts let harmonics through."""
-    found = []
-    for fringes, noises, distance in zip(pairwise(plan.fringes), pairwise(variances), orders.distances(), strict=True):
-        if len(distance) and all(can_ripple(fringe) for fringe in fringes):
-            total = float(np.median(distance)) / GAUSSIAN_MEDIAN
-            excess = total**2 - float(np.median(noises[0] + noises[1]))
-            found.append(max(0.0, excess) / sum(fringe.period**2 for fringe in fringes))
-    return sqrt(np.mean(found)) if found else 0.0

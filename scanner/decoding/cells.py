@@ -39,9 +39,14 @@ def average_cells(kept: Bools, x: Floats32, y: Floats32, variance: Floats32, bri
     row, column = np.nonzero(kept)
     if not len(row):
         return CellMatches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), rejected)
-    across, cell_x = np.unique(x[kept], return_inverse=True)
-    down, cell_y = np.unique(y[kept], return_inverse=True)
-    cells, group, count = np.unique(cell_y * len(across) + cell_x, return_inverse=True, return_counts=True)
+    across, cell_x = _numbered(x[kept])
+    down, cell_y = _numbered(y[kept])
+    cell_of_pixel = cell_y * len(across) + cell_x
+    counts = np.bincount(cell_of_pixel, minlength=len(across) * len(down))
+    cells = np.flatnonzero(counts)
+    number = np.empty(len(counts), np.int64)
+    number[cells] = np.arange(len(cells))
+    group, count = number[cell_of_pixel], counts[cells]
     cell_y, cell_x = np.divmod(cells, len(across))
 
     weight = brightness[kept].astype(np.float64) + 1
@@ -51,9 +56,23 @@ def average_cells(kept: Bools, x: Floats32, y: Floats32, variance: Floats32, bri
     good = np.bincount(group, square) / count <= _SMALLEST_SPREAD + np.median(count)
     good &= _is_whole(cell_x, cell_y, count)
     rejected[row, column] = ~good[group]
-    projector_px = np.stack([across[cell_x], down[cell_y]], axis=1).astype(np.float64)
+    projector_px = np.stack([across[cell_x], down[cell_y]], axis=1)
     of_cell = np.bincount(group, variance[kept]) / count
     return CellMatches(camera_px[good], projector_px[good], (of_cell / count)[good], rejected)
+
+
+def _numbered(centres: Floats32) -> tuple[Floats, Ints]:
+    """The different centres of cells, rising, and the number among them of each of `centres` (N,).
+
+    Like numpy.unique, without sorting millions of numbers: centres are whole numbers of half pixels.
+    """
+    halves = np.rint(2 * centres).astype(np.int32)
+    first = int(halves.min())
+    halves -= first
+    there = np.flatnonzero(np.bincount(halves))
+    number = np.zeros(there[-1] + 1, np.int64)
+    number[there] = np.arange(len(there))
+    return (there + first) / 2.0, number[halves]
 
 
 def _is_whole(cell_x: Ints, cell_y: Ints, count: Ints) -> Bools:

@@ -20,7 +20,7 @@ from scanner.decoding.plan import GrayCode, SequencePlan
 from scanner.errors import InputError
 
 # Along this many rows and columns of the image pixels at most so far apart are compared.
-_LINES = 192
+_LINES = 128
 _FARTHEST_PX = 16
 _CERTAIN_SIGMAS = 3.0
 _LEAST_DIFFERENCE = 5.0

@@ -35,6 +35,8 @@ _WRONG_SHIFT = 0.4
 _MOST_UNEVEN = 2.0
 # The power of a fringe that its fit leaves over: a gamma of 2.2 makes 0.05, exchanged opposite or next shifts 0.5.
 _UNEXPLAINED = 0.25
+# Spread of a fringe's frames in standard deviations of the noise; a fringe that is just seen has 3.
+_BLURRED_AWAY = 2.0
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def _complements(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
 
 
 def _means(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
-    even = [fringe for fringe in plan.fringes if fringe.equal_steps]
+    even = [fringe for fringe in plan.fringes if fringe.equal_steps and _is_seen(fringe, shown)]
     if not even:
         return
     means = [np.mean(shown.levels[list(fringe.frames)], axis=0) for fringe in even]
@@ -125,6 +127,8 @@ def _means(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
 def _shifts(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
     """Measure amplitude and shift of each frame against the fringe that all of them make together."""
     for fringe in plan.fringes:
+        if not _is_seen(fringe, shown):
+            continue
         offset, cosine, sine = _components(fringe, shown)
         swings = shown.levels[list(fringe.frames)] - offset
         angles = 2 * np.pi * np.array(fringe.shifts)
@@ -141,6 +145,12 @@ def _shifts(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
         if wrong.any():
             suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
             yield f"{plan.names(suspects)} have another shift or period than their patterns"
+
+
+def _is_seen(fringe: Fringe, shown: _Shown) -> bool:
+    """Whether a fringe is more than noise: one that the lenses have blurred away shows nothing, right or wrong."""
+    levels = shown.levels[list(fringe.frames)]
+    return bool(np.median(np.std(levels, axis=0, ddof=1) / shown.sigma) > _BLURRED_AWAY)
 
 
 def _components(fringe: Fringe, shown: _Shown) -> tuple[Floats32, Floats32, Floats32]:

@@ -9,11 +9,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.arrays import Bools
-from scanner.decoding.arrays import Floats32, Reasons
+from calib.arrays import Bools, Ints
+from scanner.decoding.arrays import Floats32
 from scanner.decoding.calibrate import sample_orders
 from scanner.decoding.codes import interval_of
-from scanner.decoding.coordinate import AxisDecoder, Coordinate, MaskReason, Signals
+from scanner.decoding.coordinate import AxisDecoder, MaskReason, Signals
+from scanner.decoding.maps import Maps
 from scanner.decoding.plan import AxisPlan, SequencePlan
 from scanner.decoding.unwrap import widest_tolerances
 from scanner.errors import InputError
@@ -38,7 +39,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     lit = decoder.well_lit(signals) & ~interval.outside & ~interval.contradictory
     if np.count_nonzero(lit) < _FEWEST_PIXELS:
         return
-    for fringe, position in zip(axis.fringes, decoder.positions(signals), strict=True):
+    for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):
         expected = float(np.sinc(axis.cell / fringe.period))
         found = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
         if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and found < expected / 2:
@@ -47,7 +48,9 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
                 f"of these frames exchanged{_or_code(plan, axis)}?"
             )
     orders, _ = sample_orders(replace(decoder, tolerances=widest_tolerances(axis)), signals)
-    for (longer, shorter), distance in zip(pairwise(axis.fringes), orders.distances(), strict=True):
+    for (longer, shorter), distance in zip(
+        pairwise(axis.fringes[: decoder.finest + 1]), orders.distances(), strict=False
+    ):
         apart = float(np.median(distance))
         if apart > _UNRELATED_CYCLES * shorter.period:
             raise InputError(
@@ -58,17 +61,16 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
             )
 
 
-def check_maps(plan: SequencePlan, x: Coordinate, y: Coordinate, reasons: Reasons) -> None:
+def check_maps(plan: SequencePlan, maps: Maps, kept: Bools) -> None:
     """Raise InputError if most of what is lit contradicts itself, or if the map to the projector is mirrored.
 
-    `reasons` (H, W): after all masks.
+    `kept` (H, W): after all masks.
     """
-    kept = reasons == MaskReason.KEPT
-    for axis, coordinate in zip(plan.axes, (x, y), strict=True):
-        _check_share(plan, axis, coordinate, int(np.count_nonzero(kept)))
+    for axis, value, counts in zip(plan.axes, (maps.x, maps.y), maps.counts, strict=True):
+        _check_share(plan, axis, counts, int(np.count_nonzero(kept)))
         if axis.codes and axis.fringes:
-            _check_direction(plan, axis, coordinate.value, kept)
-    mirrored = _mirrored_axis(plan, x, y, kept)
+            _check_direction(plan, axis, value, kept)
+    mirrored = _mirrored_axis(plan, maps, kept)
     if mirrored is not None:
         frames = [frame for fringe in mirrored.fringes for frame in fringe.frames] or mirrored.frames
         raise InputError(
@@ -78,12 +80,12 @@ def check_maps(plan: SequencePlan, x: Coordinate, y: Coordinate, reasons: Reason
         )
 
 
-def _check_share(plan: SequencePlan, axis: AxisPlan, coordinate: Coordinate, kept: int) -> None:
-    for reason, what in (
-        (MaskReason.INCONSISTENT, "the frames contradict each other"),
-        (MaskReason.OUTSIDE, f"the codes are outside the projector's 0 … {axis.length - 1}"),
+def _check_share(plan: SequencePlan, axis: AxisPlan, counts: Ints, kept: int) -> None:
+    for reasons, what in (
+        ([MaskReason.INCONSISTENT, MaskReason.INDIRECT], "the frames contradict each other"),
+        ([MaskReason.OUTSIDE], f"the codes are outside the projector's 0 … {axis.length - 1}"),
     ):
-        bad = int(np.count_nonzero(coordinate.reason == reason))
+        bad = int(counts[reasons].sum())
         if bad > _FEWEST_PIXELS and bad > _MOST_BAD * (bad + kept):
             raise InputError(
                 f"along {axis.axis} {what} at {bad / (bad + kept):.0%} of the lit pixels; were frames exchanged, or is "
@@ -111,7 +113,7 @@ def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: 
         )
 
 
-def _mirrored_axis(plan: SequencePlan, x: Coordinate, y: Coordinate, kept: Bools) -> AxisPlan | None:
+def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | None:
     """The axis that runs backwards, if the map from camera to projector pixels changes orientation at most pixels."""
     reach = max(_reach(axis, kept.shape) for axis in plan.axes)
     if 2 * reach >= min(kept.shape):
@@ -121,8 +123,8 @@ def _mirrored_axis(plan: SequencePlan, x: Coordinate, y: Coordinate, kept: Bools
     whole = kept[left] & kept[right] & kept[above] & kept[below]
     if np.count_nonzero(whole) < _FEWEST_PIXELS:
         return None
-    x_u, y_u = ((c.value[right] - c.value[left])[whole] for c in (x, y))
-    x_v, y_v = ((c.value[below] - c.value[above])[whole] for c in (x, y))
+    x_u, y_u = ((value[right] - value[left])[whole] for value in (maps.x, maps.y))
+    x_v, y_v = ((value[below] - value[above])[whole] for value in (maps.x, maps.y))
     if np.mean(x_u * y_v < x_v * y_u) <= 0.5:
         return None
     # Devices stand roughly upright: the axis that is against the camera's own is the one that runs backwards.

@@ -9,6 +9,9 @@ from calib.arrays import Bools
 from scanner.decoding.arrays import Floats32, Words
 from scanner.decoding.plan import AxisPlan
 
+# A table of all words is looked up faster than their cells are computed, as long as it is small.
+_MOST_TABLE_BITS = 16
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -25,6 +28,18 @@ class Interval:
 
 def interval_of(plan: AxisPlan, words: Sequence[Words]) -> Interval:
     """The interval common to all Gray codes of an axis, given the words of each; without codes the whole axis."""
+    if len(plan.codes) != 1 or plan.codes[0].bits > _MOST_TABLE_BITS or words[0].size <= 1 << plan.codes[0].bits:
+        return _interval(plan, words)
+    table = _interval(plan, [np.arange(1 << plan.codes[0].bits, dtype=words[0].dtype)])
+    return Interval(
+        np.take(table.centre.ravel(), words[0]),
+        np.take(table.half.ravel(), words[0]),
+        np.take(table.outside.ravel(), words[0]),
+        np.zeros((1, 1), np.bool_),
+    )
+
+
+def _interval(plan: AxisPlan, words: Sequence[Words]) -> Interval:
     first, last = np.full((1, 1), -0.5, np.float32), np.full((1, 1), plan.length - 0.5, np.float32)
     low, high, outside = first, last, np.zeros((1, 1), np.bool_)
     for code, word in zip(plan.codes, words, strict=True):

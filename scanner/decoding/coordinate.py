@@ -14,6 +14,8 @@ from scanner.decoding.codes import Interval, interval_of
 from scanner.decoding.noise import NoiseModel
 from scanner.decoding.plan import AxisPlan, Fringe
 from scanner.decoding.response import TABLE_LENGTH
+from scanner.decoding.shading import log_amplitude
+from scanner.decoding.systematic import systematic_variances
 from scanner.decoding.unwrap import Orders, Tolerances, Wrapped, unwrap
 
 # A signal counts from five standard deviations on: an unlit pixel passes by chance once in three million times.
@@ -42,14 +44,18 @@ class MaskReason(IntEnum):
     """The code is that of no projector pixel."""
     ISOLATED = 6
     """It does not continue the surface that its neighbours see: an edge of surface or light, or a lone error."""
+    INDIRECT = 7
+    """Codes and fringes contradict each other where more light comes from other surfaces than from the projector."""
 
 
 @dataclass(frozen=True)
 class Signals:
     """What was accumulated for one axis at some pixels; all arrays of one 2-D shape.
 
-    Per code `words`, `least` and `contrast` as in `GrayFold`; per fringe its two components, longest period first.
+    Per code `words`, `least` and, without fringes, `contrast` as in `GrayFold`; per fringe its two components, longest
+    period first.
     `brightest`, `middle`: grey level when lit, and half-way between lit and unlit. `peak`: largest among the fringes.
+    `log_exposure`: None if all pixels have the same.
     """
 
     words: list[Words]
@@ -59,32 +65,28 @@ class Signals:
     brightest: Image
     middle: Image
     peak: Image
+    log_exposure: Floats32 | None = None
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """`value` in projector pixels with its `variance`, and the `reason` not to use it; arrays of one shape."""
+    """`value` in projector pixels with its `variance`, and the `reason` not to use it; arrays of one shape.
+
+    `log_amplitude`: of the finest fringes that are seen; None without fringes.
+    """
 
     value: Floats32
     variance: Floats32
     reason: Reasons
-
-    @classmethod
-    def empty(cls, shape: tuple[int, int]) -> "Coordinate":
-        """Room for the coordinates of (H, W) pixels."""
-        return cls(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.uint8))
-
-    def put(self, rows: slice, part: "Coordinate") -> None:
-        """Fill in some rows."""
-        self.value[rows], self.variance[rows], self.reason[rows] = part.value, part.variance, part.reason
+    log_amplitude: Floats32 | None = None
 
 
 @dataclass(frozen=True)
 class AxisDecoder:
     """Turns signals into one coordinate.
 
-    `ripple`: per fringe, what to add to its phase (a table over a cycle), or None. `systematic`: standard deviation, in
-    cycles, of what may be left of it.
+    `ripple`: per fringe, what to add to its phase (a table over a cycle), or None. `finest`: the number of the shortest
+    fringe that is seen where there is light.
     """
 
     plan: AxisPlan
@@ -92,7 +94,7 @@ class AxisDecoder:
     saturation: float
     ripple: tuple[Floats32 | None, ...]
     tolerances: Tolerances
-    systematic: float = 0.0
+    finest: int = 0
 
     def decode(self, signals: Signals) -> Coordinate:
         """The coordinate at every pixel of the signals."""
@@ -100,15 +102,22 @@ class AxisDecoder:
         decode = self._from_fringes if self.plan.fringes else self._from_codes
         coordinate = decode(signals, interval)
         reason = coordinate.reason
-        reason[(reason == MaskReason.KEPT) & interval.contradictory] = MaskReason.INCONSISTENT
-        reason[((reason == MaskReason.KEPT) | (reason == MaskReason.INCONSISTENT)) & interval.outside] = (
-            MaskReason.OUTSIDE
-        )
+        if interval.contradictory.any():
+            reason[(reason == MaskReason.KEPT) & interval.contradictory] = MaskReason.INCONSISTENT
+        if interval.outside.any():
+            undecided = (reason == MaskReason.KEPT) | (reason == MaskReason.INCONSISTENT)
+            reason[undecided & interval.outside] = MaskReason.OUTSIDE
         return coordinate
 
     def well_lit(self, signals: Signals) -> Bools:
-        """Where every fringe is seen and none is saturated."""
-        return ~(self._dark(self.fringe_variances(signals)) | (signals.peak >= self.saturation))
+        """Where the longest fringe is seen and none is saturated."""
+        return ~(self._dark(self.fringe_variances(signals)) | self._saturated(signals.peak))
+
+    def seen(self, variances: list[Floats32]) -> Bools:
+        """Where every fringe is seen, given the variances of their coordinates."""
+        seen = [v <= largest_variance(f) for f, v in zip(self.plan.fringes, variances, strict=True)]
+        result: Bools = np.all(seen, axis=0)
+        return result
 
     def positions(self, signals: Signals) -> list[Floats32]:
         """Per fringe, the position within its period in projector pixels."""
@@ -116,7 +125,8 @@ class AxisDecoder:
         for fringe, ripple, components in zip(self.plan.fringes, self.ripple, signals.fringes, strict=True):
             phase = cast(Floats32, cv2.phase(*components))
             if ripple is not None:
-                phase += ripple[(phase * np.float32(TABLE_LENGTH / (2 * pi))).astype(np.int32) % TABLE_LENGTH]
+                index = phase * np.float32(TABLE_LENGTH / (2 * pi))
+                phase += np.take(ripple, index.astype(np.uint16), mode="wrap")
             phase *= np.float32(fringe.period / (2 * pi))
             found.append(phase)
         return found
@@ -127,40 +137,62 @@ class AxisDecoder:
         return unwrap(self.plan, interval, wrapped, self.tolerances)
 
     def fringe_variances(self, signals: Signals) -> list[Floats32]:
-        """Per fringe, the variance of its coordinate.
+        """Per fringe, the variance of its coordinate by noise.
 
         σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal shifts.
         """
+        return self._variances(_powers(signals), signals)
+
+    def _variances(self, powers: list[Floats32], signals: Signals) -> list[Floats32]:
         level_variance = self.noise.variance(signals.middle)
         variances = []
-        for fringe, (cosine, sine) in zip(self.plan.fringes, signals.fringes, strict=True):
-            power = cosine * cosine
-            power += sine * sine
-            np.maximum(power, np.float32(1e-6), out=power)
-            np.divide(level_variance, power, out=power)
-            power *= np.float32((fringe.period / (2 * pi) * fringe.noise_gain) ** 2)
-            variances.append(power)
+        for fringe, power in zip(self.plan.fringes, powers, strict=True):
+            variance = level_variance / power
+            variance *= np.float32((fringe.period / (2 * pi) * fringe.noise_gain) ** 2)
+            variances.append(variance)
         return variances
 
     def _dark(self, variances: list[Floats32]) -> Bools:
-        dark: Bools = np.zeros(variances[0].shape, np.bool_)
-        for fringe, variance in zip(self.plan.fringes, variances, strict=True):
-            dark |= variance > _largest_variance(fringe, with_gray=bool(self.plan.codes))
+        """Where the longest fringe is not seen; the lenses blur the others more, and they are not needed."""
+        dark: Bools = variances[0] > largest_variance(self.plan.fringes[0], with_gray=bool(self.plan.codes))
         return dark
 
+    def _saturated(self, level: Image) -> Bools:
+        # In the image's own type, for comparing bytes with a float converts them all.
+        if self.saturation > np.iinfo(level.dtype).max:
+            return np.zeros(level.shape, np.bool_)
+        saturated: Bools = level >= level.dtype.type(self.saturation)
+        return saturated
+
     def _from_fringes(self, signals: Signals, interval: Interval) -> Coordinate:
-        variances = self.fringe_variances(signals)
+        powers = _powers(signals)
+        variances = self._variances(powers, signals)
         orders = self.orders(signals, interval, variances)
+        certain = orders.certain
         dark = self._dark(variances)
-        for fringe, variance in zip(self.plan.fringes, variances, strict=True):
-            variance += np.float32((self.systematic * fringe.period) ** 2)
+        bright = self._saturated(signals.peak)
+        periods = [fringe.period for fringe in self.plan.fringes]
+        if len(periods) > 1:
+            usable = certain & self.seen(variances) & ~dark & ~bright
+            systematic = systematic_variances(periods, orders.coordinates, variances, usable)
+            for variance, more in zip(variances, systematic, strict=True):
+                variance += more
         value, variance = _weighted_mean(orders.coordinates, variances)
         reason = np.zeros(value.shape, np.uint8)
-        reason[(value < -0.5 - _EDGE_PX) | (value > self.plan.length - 0.5 + _EDGE_PX)] = MaskReason.OUTSIDE
-        reason[~(orders.agree & orders.unique)] = MaskReason.INCONSISTENT
-        reason[signals.peak >= self.saturation] = MaskReason.SATURATED
+        centre, reach = np.float32((self.plan.length - 1) / 2), np.float32(self.plan.length / 2 + _EDGE_PX)
+        reason[np.abs(value - centre) > reach] = MaskReason.OUTSIDE
+        indirect = _mostly_indirect(signals, powers[0])
+        reason[~certain] = MaskReason.INCONSISTENT
+        reason[~certain & indirect] = MaskReason.INDIRECT
+        if len(periods) == 1:
+            # No second period would contradict a bit that global light has turned over.
+            reason[_may_be_turned_over(signals, powers[0], indirect)] = MaskReason.INDIRECT
+        reason[bright] = MaskReason.SATURATED
         reason[dark] = MaskReason.DARK
-        return Coordinate(value, variance, reason)
+        brightness = log_amplitude(powers[self.finest])
+        if signals.log_exposure is not None:
+            brightness -= signals.log_exposure
+        return Coordinate(value, variance, reason, brightness)
 
     def _from_codes(self, signals: Signals, interval: Interval) -> Coordinate:
         difference_sigma = np.float32(sqrt(2)) * self.noise.sigma(signals.middle)
@@ -174,7 +206,41 @@ class AxisDecoder:
         return Coordinate(interval.centre, np.float32(1 / 3) * interval.half * interval.half, reason)
 
 
-def _largest_variance(fringe: Fringe, *, with_gray: bool) -> float:
+def _mostly_indirect(signals: Signals, power: Floats32) -> Bools:
+    """Where the amplitude of the longest fringe, half of the direct light, is less than a quarter of all light.
+
+    Fringes too short for light to carry them around a corner separate direct from global light (Nayar et al., SIGGRAPH
+    2006).
+    """
+    half_of_all = signals.brightest.astype(np.float32)
+    half_of_all -= signals.middle
+    half_of_all *= half_of_all
+    indirect: Bools = half_of_all > 4 * power
+    return indirect
+
+
+def _may_be_turned_over(signals: Signals, power: Floats32, indirect: Bools) -> Bools:
+    """Where a bit's contrast is no more than what global light has in excess of direct light (Xu and Aliaga, 2007)."""
+    pixels = np.flatnonzero(indirect)
+    brightest, middle = (image.ravel()[pixels].astype(np.float32) for image in (signals.brightest, signals.middle))
+    excess = 2 * (brightest - middle) - 4 * np.sqrt(power.ravel()[pixels])
+    turned = np.zeros(indirect.shape, np.bool_)
+    for least in signals.least:
+        turned.ravel()[pixels] |= least.ravel()[pixels] <= excess
+    return turned
+
+
+def _powers(signals: Signals) -> list[Floats32]:
+    """Per fringe, the square of its amplitude."""
+    powers = []
+    for cosine, sine in signals.fringes:
+        power = cosine * cosine
+        power += sine * sine
+        powers.append(np.maximum(power, np.float32(1e-6), out=power))
+    return powers
+
+
+def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
     """The variance of a fringe that is just seen.
 
     Where a Gray code goes with it, its single bits must be seen too: they have √2 of a frame's noise, and a contrast of
@@ -185,11 +251,10 @@ def _largest_variance(fringe: Fringe, *, with_gray: bool) -> float:
 
 
 def _weighted_mean(coordinates: list[Floats32], variances: list[Floats32]) -> tuple[Floats32, Floats32]:
-    if len(coordinates) == 1:
-        return coordinates[0], variances[0]
-    weighted, weights = np.zeros_like(coordinates[0]), np.zeros_like(coordinates[0])
-    for coordinate, variance in zip(coordinates, variances, strict=True):
-        weight = np.reciprocal(variance)
-        weights += weight
-        weighted += weight * coordinate
-    return weighted / weights, np.reciprocal(weights)
+    """Each by the inverse of its variance, and the variance of the mean."""
+    value, variance = coordinates[0], variances[0]
+    for coordinate, own_variance in zip(coordinates[1:], variances[1:], strict=True):
+        share = variance / (variance + own_variance)
+        value = value + share * (coordinate - value)
+        variance = share * own_variance
+    return value, variance

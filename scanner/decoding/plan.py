@@ -104,13 +104,22 @@ class AxisPlan:
 
 @dataclass(frozen=True)
 class SequencePlan:
-    """The whole sequence. `white` and `black` are frame indices or None."""
+    """The whole sequence. `white` and `black` are frame indices or None.
+
+    Frames are counted as if each pattern had one; `repeats` is how many it has, of different exposures.
+    """
 
     patterns: tuple[Pattern, ...]
     x: AxisPlan
     y: AxisPlan
     white: int | None
     black: int | None
+    repeats: int = 1
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames the capture has."""
+        return self.repeats * len(self.patterns)
 
     @property
     def axes(self) -> tuple[AxisPlan, AxisPlan]:
@@ -137,7 +146,8 @@ class SequencePlan:
 
     def name(self, frame: int) -> str:
         """A frame and its pattern, for messages."""
-        return f"frame {frame} ({describe(self.patterns[frame])})"
+        number = frame * self.repeats
+        return f"frame {number} ({describe(self.patterns[frame])})"
 
     def names(self, frames: Sequence[int]) -> str:
         """Frames and their patterns, for messages."""

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from calib.arrays import Image
 from scanner.decoding.arrays import Floats32
 
-_MOST_PIXELS = 32768
+_MOST_PIXELS = 16384
 _STEP = 2
 _SEED = 20_240_229
 

@@ -3,13 +3,15 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
-_ROWS = 128
+_ROWS = 64
+
+Result = TypeVar("Result")
 
 
-def in_strips(height: int, work: Callable[[slice], None]) -> None:
-    """Call `work` with slices of rows that make up an image of `height` rows, some of them at the same time."""
-    strips = [slice(start, min(start + _ROWS, height)) for start in range(0, height, _ROWS)]
+def in_strips(height: int, work: Callable[[slice], Result], rows: int = _ROWS) -> list[Result]:
+    """What `work` returns for slices of so many rows that make up an image of `height`; some run at the same time."""
+    strips = [slice(start, min(start + rows, height)) for start in range(0, height, rows)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        # The results are asked for, because an error in a strip comes with its result.
-        list(pool.map(work, strips))
+        return list(pool.map(work, strips))

@@ -51,7 +51,7 @@ class Orders:
     """`coordinates`: per fringe, longest first, in projector pixels. `excess`: how far outside the interval.
 
     `agree`: some order explains all the phases and the interval; where none does, coordinates mean nothing.
-    `unique`: no other order explains them nearly as well.
+    `unique`: no other order explains them nearly as well; one element where there is none within reach.
     """
 
     coordinates: list[Floats32]
@@ -59,10 +59,16 @@ class Orders:
     agree: Bools
     unique: Bools
 
+    @property
+    def certain(self) -> Bools:
+        """Where one order agrees and no other."""
+        return self.agree if self.unique.size == 1 and self.unique.all() else self.agree & self.unique
+
     def __getitem__(self, chosen: Bools) -> "Orders":
         """The orders at the pixels of a mask."""
         coordinates = [coordinate[chosen] for coordinate in self.coordinates]
-        return Orders(coordinates, self.excess[chosen], self.agree[chosen], self.unique[chosen])
+        unique = np.broadcast_to(self.unique, chosen.shape)[chosen]
+        return Orders(coordinates, self.excess[chosen], self.agree[chosen], unique)
 
     def distances(self) -> list[Floats32]:
         """How far each shorter fringe is from the one before it, in projector pixels."""
@@ -104,12 +110,18 @@ def measured_tolerances(plan: AxisPlan, orders: Orders, variances: Sequence[Floa
 def unwrap(plan: AxisPlan, interval: Interval, wrapped: Sequence[Wrapped], tolerances: Tolerances) -> Orders:
     """The orders of the fringes of an axis, `wrapped` from the longest period to the shortest."""
     longest = np.float32(plan.fringes[0].period)
-    reach = interval.half + np.float32(_LIMIT * tolerances.interval_px)
+    reach = float(np.max(interval.half)) + _LIMIT * tolerances.interval_px
+    others = int(2 * reach / longest)
+    if not others:
+        # No more than one order is within reach, and that is the nearest.
+        nearest = nearest_order(wrapped[0].position, interval.centre, plan.fringes[0].period)
+        coordinates, cost, excess = _follow(plan, interval, nearest, wrapped, tolerances)
+        return Orders(coordinates, excess, np.isfinite(cost), np.ones((1, 1), np.bool_))
     first = wrapped[0].position
-    lowest = first + np.ceil((interval.centre - reach - first) / longest) * longest
-    best, best_cost, excess = _follow(plan, interval, lowest, wrapped, tolerances)
+    lowest = first + np.ceil((interval.centre - np.float32(reach) - first) / longest) * longest
+    best, best_cost, excess = _follow(plan, interval, lowest.copy(), wrapped, tolerances)
     second_cost = np.full_like(best_cost, np.inf)
-    for order in range(1, int(2 * np.max(reach) / longest) + 1):
+    for order in range(1, others + 1):
         found, cost, outside = _follow(plan, interval, lowest + np.float32(order) * longest, wrapped, tolerances)
         better = cost < best_cost
         second_cost = np.minimum(second_cost, np.maximum(cost, best_cost))
@@ -118,25 +130,39 @@ def unwrap(plan: AxisPlan, interval: Interval, wrapped: Sequence[Wrapped], toler
     return Orders(best, excess, np.isfinite(best_cost), ~(second_cost < best_cost + _CLEAR_MARGIN))
 
 
+def nearest_order(position: Floats32, target: Floats32, period: float) -> Floats32:
+    """The position within the period that is nearest to the target, of the same shape."""
+    coordinate: Floats32 = target - position
+    coordinate *= np.float32(1 / period)
+    np.rint(coordinate, out=coordinate)
+    coordinate *= np.float32(period)
+    coordinate += position
+    return coordinate
+
+
 def _follow(
     plan: AxisPlan, interval: Interval, first: Floats32, wrapped: Sequence[Wrapped], tolerances: Tolerances
 ) -> tuple[list[Floats32], Floats32, Floats32]:
     """One order of the longest fringe followed to the shortest: coordinates, cost (inf if contradicted), excess."""
-    excess: Floats32 = np.maximum(np.abs(first - interval.centre) - interval.half, np.float32(0))
-    cost = _cost(excess, wrapped[0].variance, tolerances.interval_px)
-    coordinates = [first.copy()]
+    excess: Floats32 = first - interval.centre
+    np.abs(excess, out=excess)
+    excess -= interval.half
+    np.maximum(excess, np.float32(0), out=excess)
+    cost = _cost(excess * excess, wrapped[0].variance, tolerances.interval_px)
+    coordinates = [first]
     for fringe, (longer, shorter), tolerance in zip(
         plan.fringes[1:], pairwise(wrapped), tolerances.fringe_px, strict=True
     ):
-        period = np.float32(fringe.period)
-        coordinate = shorter.position + np.rint((coordinates[-1] - shorter.position) / period) * period
-        cost += _cost(coordinate - coordinates[-1], longer.variance + shorter.variance, tolerance)
+        coordinate = nearest_order(shorter.position, coordinates[-1], fringe.period)
+        square = coordinate - coordinates[-1]
+        square *= square
+        cost += _cost(square, longer.variance + shorter.variance, tolerance)
         coordinates.append(coordinate)
     return coordinates, cost, excess
 
 
-def _cost(distance: Floats32, variance: Floats32, tolerance: float) -> Floats32:
-    ratio = distance * distance
-    ratio /= variance + np.float32(tolerance * tolerance)
-    ratio[ratio > _LIMIT * _LIMIT] = np.inf
-    return ratio
+def _cost(square: Floats32, variance: Floats32, tolerance: float) -> Floats32:
+    """The square of a distance over its variance; infinite beyond the limit. Overwrites the square."""
+    square /= variance + np.float32(tolerance * tolerance)
+    np.copyto(square, np.float32(np.inf), where=square > np.float32(_LIMIT * _LIMIT))
+    return square

@@ -35,6 +35,7 @@ _REASONS = {
     MaskReason.INCONSISTENT: ("codes and fringes contradict each other", maps.PURPLE),
     MaskReason.OUTSIDE: ("a code that no projector pixel has", maps.SKY_BLUE),
     MaskReason.ISOLATED: ("at an occlusion edge, or alone", maps.ORANGE),
+    MaskReason.INDIRECT: ("lit more by other surfaces than by the projector", maps.BLUE),
 }
 
 

@@ -38,11 +38,21 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         run("--help")
     assert caught.value.code == 0
     text = capsys.readouterr().out
-    for word in ("--config", "--out", "--masks", "--overwrite", "--quiet", "replay", "calibrate", "patterns"):
+    for word in (
+        "--config",
+        "--out",
+        "--masks",
+        "--overwrite",
+        "--quiet",
+        "replay",
+        "calibrate",
+        "patterns",
+        "devices",
+    ):
         assert word in text
 
 
-@pytest.mark.parametrize("command", ["replay", "calibrate", "patterns"])
+@pytest.mark.parametrize("command", ["replay", "calibrate", "patterns", "devices"])
 def test_each_command_has_help(capsys: pytest.CaptureFixture[str], command: str) -> None:
     with pytest.raises(SystemExit) as caught:
         run(command, "--help")
@@ -61,7 +71,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     ("arguments", "words"),
     [
         ((), ("nothing to do", "usage: scan", "replay")),
-        (("devices",), ("unknown command 'devices'", "--config FILE", "replay, calibrate, patterns")),
+        (("device",), ("unknown command 'device'", "--config FILE", "replay, calibrate, patterns, devices")),
         (("--confg", "room.yaml"), ("--config", "scan --help")),
         (("--out", "room"), ("--config",)),
         (("--config", "missing.yaml"), ("missing.yaml", "no such file")),
@@ -255,8 +265,8 @@ def test_what_a_scan_needs_is_asked_for(
 
 
 def test_the_module_is_the_command() -> None:
-    done = subprocess.run([sys.executable, "-m", "scanner", "devices"], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-m", "scanner", "device"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stdout == ""
-    assert done.stderr.startswith("scan: unknown command 'devices'")
+    assert done.stderr.startswith("scan: unknown command 'device'")
     assert len(done.stderr.splitlines()) == 1

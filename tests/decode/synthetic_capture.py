@@ -41,6 +41,7 @@ class Scene:
     colour: bool = False
     turn_deg: float = 4.0
     zoom: float = 0.8
+    box_brightness: float = 1.0
     seed: int = 1
 
     def wall(self, u: Light, v: Light) -> tuple[Light, Light]:
@@ -80,7 +81,7 @@ class Scene:
         x, y = (np.where(on_box, a, b).astype(np.float32) for a, b in zip(self.box(u, v), self.wall(u, v), strict=True))
         inside = (x > -0.5) & (x < self.projector[0] - 0.5) & (y > -0.5) & (y < self.projector[1] - 0.5)
         texture = 0.75 + 0.1 * np.sin(u / 9) * np.cos(v / 13) + 0.1 * ((u // 47 + v // 31) % 2)
-        albedo = np.where(on_box, 0.8 - 0.2 * ((v // 23) % 2), texture)
+        albedo = np.where(on_box, self.box_brightness * (0.8 - 0.2 * ((v // 23) % 2)), texture)
         return x, y, (albedo * inside * ~self.is_shadow(u, v)).astype(np.float32), on_box
 
     def frame(self, pattern: Pattern, number: int) -> Image:

@@ -8,6 +8,7 @@ from synthetic_capture import Scene, decode, dimmed
 
 from scanner.decode import MaskReason
 from scanner.patterns import White, sequence_for
+from scanner.presets import PRESETS, PresetName
 
 SCENE = Scene()
 STANDARD = sequence_for(SCENE.projector)
@@ -49,13 +50,44 @@ def test_a_condition(case: Case) -> None:
     errors = np.abs(case.scene.errors(decoding))
     assert case.median[0] < np.median(errors) < case.median[1]
     assert np.mean(decoding.reasons[case.scene.well_lit()] == MaskReason.KEPT) > 0.99
-    assert not decoding.warnings or case.name == "far away"
+    assert all("faint" in warning for warning in decoding.warnings)
+    assert not decoding.warnings or case.name in ("far away", "blurred projector")
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("gamma", [1.0, 2.2, 3.0])
+def test_no_gamma_ripples_a_preset(preset: PresetName, gamma: float) -> None:
+    scene = replace(SCENE, gamma=gamma, read_noise=0.2, electrons_per_level=1000.0)
+    decoding = scene.decode(PRESETS[preset].patterns(SCENE.projector))
+    for errors, coordinate in zip(scene.errors(decoding).T, decoding.matches.projector_px.T, strict=True):
+        for period in PRESETS[preset].periods:
+            phase = 2 * np.pi * coordinate / period
+            ripple = [2 * abs(np.mean(np.clip(errors, -0.5, 0.5) * np.exp(1j * k * phase))) for k in (1, 2, 3, 4, 8)]
+            assert 0 < max(ripple) < 0.02
+
+
+def test_flicker_is_measured_and_reported() -> None:
+    rng = np.random.default_rng(3)
+    for preset in PRESETS:
+        patterns = PRESETS[preset].patterns(SCENE.projector)
+        frames = SCENE.frames(patterns)
+        steady = decode(patterns, frames, SCENE.projector)
+        flickering = [np.rint(np.clip(f * rng.normal(1, 0.04), 0, 255)).astype(np.uint8) for f in frames]
+        found = decode(patterns, flickering, SCENE.projector)
+        if preset == "quick":
+            assert found.flicker is None, "two fringes say too little"
+            continue
+        assert steady.flicker is not None
+        assert found.flicker is not None
+        assert 0 <= steady.flicker < 0.006
+        assert 0.015 < found.flicker < 0.08
+        assert any("brightness of the frames varies" in warning for warning in found.warnings)
 
 
 @pytest.mark.parametrize("gamma", [1.8, 2.2, 3.0])
 def test_three_shifts_are_straightened_without_knowing_the_gamma(gamma: float) -> None:
     scene = replace(SCENE, gamma=gamma, read_noise=0.2, electrons_per_level=1000.0)
-    decoding = scene.decode(sequence_for(SCENE.projector, shifts=3))
+    decoding = scene.decode(sequence_for(SCENE.projector, periods=(16.0,), shifts=3))
     errors = scene.errors(decoding)[:, 0]
     phase = 2 * np.pi * decoding.matches.projector_px[:, 0] / 16
     ripple = 2 * abs(np.mean(np.clip(errors, -0.5, 0.5) * np.exp(3j * phase)))
@@ -76,7 +108,7 @@ def test_saturated_pixels_are_masked_and_the_rest_stays_right() -> None:
     scene = replace(SCENE, exposure=330.0)
     decoding = scene.decode(STANDARD)
     saturated = decoding.reasons == MaskReason.SATURATED
-    assert 0.5 < np.mean(saturated) < 0.95
+    assert 0.4 < np.mean(saturated) < 0.95
     assert np.all(decoding.texture[saturated] >= 250)
     assert np.quantile(np.abs(scene.errors(decoding)).max(axis=1), 0.99) < 0.5
     assert any("saturated" in warning for warning in decoding.warnings)
@@ -85,7 +117,7 @@ def test_saturated_pixels_are_masked_and_the_rest_stays_right() -> None:
 @pytest.mark.parametrize("bits", [10, 12, 16])
 def test_saturation_is_found_whatever_the_number_of_bits(bits: int) -> None:
     decoding = replace(SCENE, exposure=330.0, depth_bits=bits).decode(STANDARD)
-    assert 0.5 < np.mean(decoding.reasons == MaskReason.SATURATED) < 0.95
+    assert 0.4 < np.mean(decoding.reasons == MaskReason.SATURATED) < 0.95
 
 
 def test_what_is_too_dark_is_masked_not_guessed() -> None:

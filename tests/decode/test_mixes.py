@@ -7,6 +7,7 @@ import pytest
 from synthetic_capture import Scene, fringes
 
 from scanner.patterns import Black, Gray, Pattern, Phase, White, gray_sequence, phase_sequence, sequence_for
+from scanner.presets import PRESETS
 
 SCENE = Scene()
 
@@ -15,7 +16,7 @@ def without_white_and_black(patterns: tuple[Pattern, ...]) -> tuple[Pattern, ...
     return tuple(pattern for pattern in patterns if not isinstance(pattern, White | Black))
 
 
-def standard(**options: int | bool) -> tuple[Pattern, ...]:
+def standard(**options: int | bool | tuple[float, ...]) -> tuple[Pattern, ...]:
     return sequence_for(SCENE.projector, **options)
 
 
@@ -60,8 +61,11 @@ CASES = [
     Case("white, but no black", standard(inverses=False)[:1] + standard(inverses=False)[2:], (0.005, 0.03), 0.6, 0.999),
     Case("only the inverses", (White(), Black(), *codes(8)[1::2], *fringes([16], 8)), (0.005, 0.03), 0.6, 0.999),
     Case("frames in another order", tuple(reversed(standard())), (0.005, 0.03), 0.6, 0.999),
+    Case("one period in eight shifts", standard(periods=(16.0,), shifts=8), (0.005, 0.03), 0.6, 0.999),
+    Case("quick", PRESETS["quick"].patterns(SCENE.projector), (0.01, 0.04), 0.6, 0.999),
+    Case("concave", PRESETS["concave"].patterns(SCENE.projector), (0.005, 0.03), 0.6, 0.999),
     Case("three shifts", standard(shifts=3), (0.01, 0.06), 0.7, 0.998),
-    Case("four shifts", standard(shifts=4), (0.01, 0.04), 0.6, 0.999),
+    Case("five shifts", standard(shifts=5), (0.005, 0.03), 0.6, 0.999),
     Case("shifts at will", (*codes(8), *UNEVEN), (0.01, 0.05), 0.7, 0.999, replace(SCENE, gamma=1.0)),
     Case("offset cells", (*shifted(codes(8), 100, 6), *fringes([16], 5)), (0.01, 0.04), 0.6, 0.999),
     Case("two periods", (*codes(16), *fringes([16, 11], 6)), (0.005, 0.03), 0.6, 0.999),
@@ -108,7 +112,7 @@ def test_a_code_gives_one_match_per_cell() -> None:
 
 
 def test_sigma_is_the_error() -> None:
-    for patterns in (standard(), standard(shifts=3), fringes([21, 19, 17], 8)):
+    for patterns in (standard(), standard(periods=(16.0,), shifts=3), fringes([21, 19, 17], 8)):
         decoding = SCENE.decode(patterns)
         assert decoding.matches.sigma_px is not None
         ratio = SCENE.errors(decoding) / decoding.matches.sigma_px[:, None]

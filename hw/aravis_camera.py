@@ -1,0 +1,312 @@
+"""A GenICam camera (GigE Vision, USB3 Vision), reached through Aravis; the only file that imports gi.
+
+What was measured about Aravis 0.8 and is built upon here: an impossible setting is silently clipped unless ranges are
+checked; a second program opens the camera read-only without being told; a frame that lost packets arrives with a status
+instead of an error; a wait for a frame ignores Ctrl-C until it is over.
+"""
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from statistics import median
+from typing import Any, Self
+
+import gi
+
+gi.require_version("Aravis", "0.8")
+from gi.repository import Aravis, GLib  # noqa: E402  # only after the version is chosen
+
+from hw.cameras import CameraInfo, not_found  # noqa: E402
+from hw.errors import DeviceError, FrameLostError  # noqa: E402
+from hw.pixel_formats import PixelFormat, pixel_format  # noqa: E402
+from hw.rig import Frame  # noqa: E402
+from hw.settings import AravisRigSettings  # noqa: E402
+from hw.synchronisation import ATTEMPTS, TRIGGER_LAG_S  # noqa: E402
+
+_BUFFERS = 4
+_SLICE_S = 0.1  # Ctrl-C waits at most so long
+_LATEST_FRAME_S = 1.0  # a frame takes at most so long from the end of its exposure
+_QUIET_S = 0.5  # after a disturbance, the camera is given so long to deliver what is left of it
+_SLOW_TRIGGER_S = 0.2  # an unanswered command is repeated after 0.5 s, and the camera may have heard both
+_STALE_S = 0.005  # before the end of an exposure, what has arrived is looked through
+_IN_FLIGHT = 2  # frames of a free-running camera that may have begun before they were asked for: one exposed, one read
+_SETTING_TOLERANCE = 0.01
+_AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
+
+
+def list_cameras() -> list[CameraInfo]:
+    """All cameras that answer, with sensor size and formats of those that nobody else uses. Takes seconds."""
+    return [_with_abilities(info) for info in _discover()]
+
+
+def _discover() -> list[CameraInfo]:
+    Aravis.update_device_list()
+    return [
+        CameraInfo(
+            Aravis.get_device_id(index),
+            Aravis.get_device_vendor(index) or "",
+            Aravis.get_device_model(index) or "",
+            Aravis.get_device_serial_nbr(index) or "",
+            Aravis.get_device_address(index) or "",
+        )
+        for index in range(Aravis.get_n_devices())
+    ]
+
+
+def _with_abilities(info: CameraInfo) -> CameraInfo:
+    try:
+        camera = Aravis.Camera.new(info.device_id)
+        size = camera.get_sensor_size()
+        formats = tuple(camera.dup_available_pixel_formats_as_strings())
+    except GLib.Error:
+        return info  # it is there, but someone else uses it or the network does not let us in
+    return replace(info, sensor_size=(size.width, size.height), pixel_formats=formats)
+
+
+class AravisCamera:
+    """A camera from opening to closing (a context manager), with exposures triggered one at a time.
+
+    `size` is that of the frames, (width, height); `exposure_us` the wanted exposure. Raises DeviceError if there is no
+    such camera, if another program uses it, or if it does not accept a setting.
+    """
+
+    def __init__(self, settings: AravisRigSettings, size: tuple[int, int], exposure_us: float) -> None:
+        self.size = size
+        self.name = settings.camera or "that was found"
+        self._free_running = settings.trigger != "software"
+        self._disturbed = False
+        self._silent = False
+        self._triggered_s = 0.0
+        self._offsets_s: deque[float] = deque(maxlen=2 * ATTEMPTS - 3)  # retaken frames outvote it before they run out
+        self._arrived: Any | None = None
+        self._camera = _open(settings.camera)
+        with self._errors("cannot be set up"):
+            self.name = " ".join([self._camera.get_vendor_name(), self._camera.get_model_name(), _serial(self._camera)])
+            self._check_control()
+            self._format = self._configure(settings, exposure_us)
+            self.exposure_s = self._camera.get_exposure_time() / 1e6
+            self.highest_level = (1 << self._format.bits) - 1
+            self._stream = self._start(settings)
+            self.identity = self._read_back()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def expose(self) -> None:
+        """Expose one frame of what is before the camera from now on; returns when the exposure is over.
+
+        Raises DeviceError if the camera does not answer.
+        """
+        if self._disturbed:
+            self._run_dry()
+        self._drain()
+        if self._free_running:
+            for _ in range(_IN_FLIGHT):
+                self._recycle(self._pop(self.exposure_s + _LATEST_FRAME_S))
+            self._arrived = self._pop(self.exposure_s + _LATEST_FRAME_S)
+            return
+        self._triggered_s = time.monotonic()
+        with self._errors("does not answer"):
+            self._camera.software_trigger()
+        self._disturbed = time.monotonic() - self._triggered_s > _SLOW_TRIGGER_S
+        end = time.monotonic() + self.exposure_s
+        time.sleep(max(0.0, self.exposure_s - _STALE_S))
+        if time.monotonic() < end:
+            self._drain()  # what has arrived before the exposure is over is of an earlier one
+        time.sleep(max(0.0, end - time.monotonic()))
+
+    def collect(self) -> Frame:
+        """The frame that was exposed last. Raises FrameLostError if it does not arrive whole, DeviceError."""
+        if self._disturbed:
+            raise FrameLostError("the camera was slow to answer")
+        buffer, self._arrived = self._arrived if self._free_running else self._pop(_LATEST_FRAME_S), None
+        if buffer is None:
+            self._disturbed = True
+            self._check_control()
+            raise FrameLostError(f"no frame within {_LATEST_FRAME_S:.1f} s of its exposure")
+        try:
+            return self._frame(buffer)
+        finally:
+            self._recycle(buffer)
+
+    def grab(self) -> Frame:
+        """Expose and collect."""
+        self.expose()
+        return self.collect()
+
+    def close(self) -> None:
+        """Stop, and leave the camera to others."""
+        if not self._silent:
+            with suppress(GLib.Error):  # it may be gone by now; nobody waits for more frames
+                self._camera.stop_acquisition()
+        del self._stream
+        del self._camera
+
+    def _check_control(self) -> None:
+        if not self._camera.get_device().is_controller():
+            raise DeviceError(
+                f"camera {self.name}: another program controls it, or it has lost the connection. Close the other "
+                "program, check cable and power, then rerun."
+            )
+
+    def _configure(self, settings: AravisRigSettings, exposure_us: float) -> PixelFormat:
+        camera = self._camera
+        camera.set_range_check_policy(Aravis.RangeCheckPolicy.ENABLE)
+        camera.set_acquisition_mode(Aravis.AcquisitionMode.CONTINUOUS)
+        if settings.binning > 1 or camera.is_binning_available():
+            camera.set_binning(settings.binning, settings.binning)
+        camera.set_pixel_format_from_string(settings.pixel_format)
+        self._set_region(settings.offset_px)
+        for feature in _AUTOMATICS:
+            if camera.is_feature_available(feature):
+                camera.set_string(feature, "Off")
+        if camera.is_feature_available("GammaEnable"):
+            camera.set_boolean("GammaEnable", False)
+        camera.set_exposure_time(exposure_us)
+        self._expect("exposure in µs", exposure_us, camera.get_exposure_time())
+        if settings.gain is not None:
+            camera.set_gain(settings.gain)
+            self._expect("gain", settings.gain, camera.get_gain())
+        if settings.trigger == "free-run":
+            camera.clear_triggers()
+        else:
+            camera.set_trigger("Software" if settings.trigger == "software" else settings.trigger_line)
+        return pixel_format(camera.get_pixel_format_as_string())
+
+    def _set_region(self, offset_px: tuple[int, int] | None) -> None:
+        camera, (width, height) = self._camera, self.size
+        camera.set_region(0, 0, width, height)
+        if offset_px is None:
+            room = (camera.get_width_bounds().max - width, camera.get_height_bounds().max - height)
+            steps = (camera.get_x_offset_increment(), camera.get_y_offset_increment())
+            offset_px = (_centred(room[0], steps[0]), _centred(room[1], steps[1]))
+        if offset_px != (0, 0):
+            camera.set_region(*offset_px, width, height)
+        region = camera.get_region()
+        self._expect("width in pixels", width, region.width)
+        self._expect("height in pixels", height, region.height)
+
+    def _expect(self, what: str, wanted: float, found: float) -> None:
+        if abs(found - wanted) > _SETTING_TOLERANCE * abs(wanted):
+            raise DeviceError(
+                f"camera {self.name}: wanted {wanted:g} as {what}, but the camera made it {found:g}. "
+                "Change the configuration to what the camera can do."
+            )
+
+    def _start(self, settings: AravisRigSettings) -> Any:
+        camera = self._camera
+        if camera.is_gv_device():
+            if settings.packet_size is None:
+                camera.gv_auto_packet_size()
+            else:
+                camera.gv_set_packet_size(settings.packet_size)
+                self._expect("packet size", settings.packet_size, camera.gv_get_packet_size())
+        stream = camera.create_stream(None, None)
+        if camera.is_gv_device():
+            stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.AUTO)
+        for _ in range(_BUFFERS):
+            stream.push_buffer(Aravis.Buffer.new_allocate(camera.get_payload()))
+        camera.start_acquisition()
+        return stream
+
+    def _read_back(self) -> dict[str, str]:
+        camera, region = self._camera, self._camera.get_region()
+        facts = {
+            "camera": self.name,
+            "pixel format": str(self._format),
+            "region": f"{region.width} × {region.height} at ({region.x}, {region.y})",
+            "exposure": f"{1e3 * self.exposure_s:.4g} ms",
+        }
+        if camera.is_gain_available():
+            facts["gain"] = f"{camera.get_gain():g}"
+        if camera.is_binning_available():
+            binning = camera.get_binning()
+            facts["binning"] = f"{binning.dx} × {binning.dy}"
+        if camera.is_gv_device():
+            facts["address"] = camera.get_device().get_device_address().get_address().to_string()
+            facts["packet size"] = f"{camera.gv_get_packet_size()} bytes"
+        return facts
+
+    def _frame(self, buffer: Any) -> Frame:
+        status = buffer.get_status()
+        if status != Aravis.BufferStatus.SUCCESS:
+            raise FrameLostError(f"incomplete: {status.value_nick}")
+        width, height = buffer.get_image_width(), buffer.get_image_height()
+        if (width, height) != self.size:
+            raise FrameLostError(f"{width} × {height} instead of {self.size[0]} × {self.size[1]}")
+        timestamp_ns = buffer.get_timestamp()
+        if not self._free_running:
+            self._refuse_late(timestamp_ns / 1e9 - self._triggered_s)
+        image = self._format.image(buffer.get_data(), width, height)
+        return Frame(image, exposure_us=1e6 * self.exposure_s, timestamp_ns=timestamp_ns)
+
+    def _refuse_late(self, offset_s: float) -> None:
+        """Compare the camera's clock minus ours with what it usually is: a trigger that was obeyed late may have
+        exposed the next picture. Clocks drift and are set, which the median of the last frames follows.
+        """
+        usual_s = median(self._offsets_s) if self._offsets_s else offset_s
+        self._offsets_s.append(offset_s)
+        if offset_s - usual_s > TRIGGER_LAG_S:
+            raise FrameLostError(f"exposed {1e3 * (offset_s - usual_s):.0f} ms late")
+
+    def _pop(self, timeout_s: float) -> Any | None:
+        """The next buffer, whatever its status; None if the time is over. Answers Ctrl-C."""
+        deadline = time.monotonic() + timeout_s
+        while (left_s := deadline - time.monotonic()) > 0:
+            buffer = self._stream.timeout_pop_buffer(int(1e6 * min(left_s, _SLICE_S)))
+            if buffer is not None:
+                return buffer
+        return None
+
+    def _recycle(self, buffer: Any | None) -> None:
+        if buffer is not None:
+            self._stream.push_buffer(buffer)
+
+    def _drain(self) -> None:
+        while (buffer := self._stream.try_pop_buffer()) is not None:
+            self._stream.push_buffer(buffer)
+
+    def _run_dry(self) -> None:
+        """Wait until nothing has arrived for a while: a repeated trigger may have exposed frames that nobody wants."""
+        while (buffer := self._pop(self.exposure_s + _QUIET_S)) is not None and not self._free_running:
+            self._recycle(buffer)
+        self._recycle(buffer)
+        self._disturbed = False
+
+    @contextmanager
+    def _errors(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except (GLib.Error, ValueError) as error:
+            self._silent = isinstance(error, GLib.Error)
+            message = error.message if isinstance(error, GLib.Error) else str(error)
+            raise DeviceError(
+                f"camera {self.name}: {what}: {message}. Check cable and power, the configuration, and "
+                "what scan devices lists, then rerun."
+            ) from error
+
+
+def _centred(room: int, step: int) -> int:
+    return room // 2 // step * step
+
+
+def _serial(camera: Any) -> str:
+    return str(camera.get_device_serial_number())
+
+
+def _open(wanted: str | None) -> Any:
+    """The camera of that id, serial number or address; without any, the only one."""
+    if wanted is None:
+        found = _discover()
+        if len(found) != 1:
+            raise DeviceError(not_found("expected one camera, as rig.camera names none", found))
+        wanted = found[0].device_id
+    try:
+        return Aravis.Camera.new(wanted)
+    except GLib.Error as error:
+        raise DeviceError(not_found(f"no camera answers to {wanted!r} ({error.message})", _discover())) from error

@@ -1,0 +1,177 @@
+"""Black and white pictures that tell how late a projector's light follows its orders."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import cycle, islice
+from typing import Protocol
+
+import numpy as np
+
+from calib.arrays import Bools, Floats, Image
+from hw.errors import DeviceError, FrameLostError
+from hw.rig import Frame, Projector
+
+_LONGEST_LATENCY_S = 0.3
+_RESTING_FRAMES = 3
+_FLASHES = 4
+_FLASHES_AT_MOST = 50
+_LONGEST_FLASH_S = 5.0
+_AT_ONCE_S = 0.001
+_ATTEMPTS = 8
+_EDGE = 0.05  # less than this share of the light missing: the exposure began after the light had come
+_LEAST_TOLERANCE = 0.005  # share of the light: with a fringe of 16 px in 8 steps, a hundredth of a projector pixel
+_REHEARSED = 4
+_CLIPPED = 254 / 255  # of the highest level; demosaicing mixes clipped pixels with others
+
+
+LOST_ADVICE = (
+    "Check cable and power; give the camera a network interface of its own, with large packets (rig.packet_size) and a "
+    "large receive buffer; then rerun."
+)
+
+
+@dataclass(frozen=True)
+class _Arrival:
+    """When the light of a flash came: `seen` coming during an exposure, or else some time before the next began."""
+
+    after_s: float
+    seen: bool
+
+
+class FlashCamera(Protocol):
+    """What flashes need of a camera."""
+
+    name: str
+    exposure_s: float
+    highest_level: int
+
+    def grab(self) -> Frame:
+        """Expose, beginning now, and return the frame. Raises FrameLostError, DeviceError."""
+
+
+class Flashes:
+    """Measures, with frames of black and white pictures, what share of the light of a new picture an exposure missed.
+
+    Construction learns what the camera sees of resting pictures. Raises DeviceError if it sees no difference.
+    """
+
+    def __init__(self, projector: Projector, camera: FlashCamera) -> None:
+        self._projector = projector
+        self._camera = camera
+        width, height = projector.size
+        self._pictures = tuple(np.full((height, width), level, np.uint8) for level in (0, 255))
+        dark, bright = self._resting(0), self._resting(1)
+        self._shown = 1
+        self._lit = self._lit_pixels(dark, bright)
+        levels = np.array([[self._level(image) for image in images] for images in (dark, bright)])
+        self._dark, self._bright = levels.mean(axis=1)
+        noise = np.ptp(levels, axis=1).max() / (self._bright - self._dark)
+        self.tolerance = max(_LEAST_TOLERANCE, 3.0 * float(noise))
+
+    def latency_s(self) -> float:
+        """Seconds from the end of a flip until the light is all there, the longest of several flashes.
+
+        Of light that comes during an exposure, the missing share tells when it came. The first flash is followed by
+        exposures one after the other to see about when that is, the next are placed so that it comes amid an exposure.
+        Raises DeviceError if the light does not come, or frames do not arrive.
+        """
+        seen: list[float] = []
+        first_s = 0.0
+        for _ in range(_FLASHES_AT_MOST):
+            arrival = self._flash(first_s)
+            if arrival is None:
+                continue
+            if arrival.seen:
+                seen.append(arrival.after_s)
+            if len(seen) == _FLASHES:
+                return max(seen)
+            first_s = max(0.0, arrival.after_s - self._camera.exposure_s / 2)
+        raise DeviceError(
+            f"camera {self._camera.name}: {_FLASHES_AT_MOST} flashes did not tell when the projector's light comes: "
+            "frames were lost, or the light does not come evenly. Check the camera's cable and network, turn off the "
+            "projector's automatics, then rerun."
+        )
+
+    def largest_missing_share(self, frames: Callable[[Iterable[Image]], Iterator[Frame]]) -> float:
+        """Take frames of black and white in turns by `frames`; the largest share by which one differs from rest."""
+        targets = list(islice(cycle((1 - self._shown, self._shown)), _REHEARSED))
+        taken = frames(self._pictures[target] for target in targets)
+        shares = [abs(self._missing(frame.image, target)) for target, frame in zip(targets, taken, strict=True)]
+        self._shown = targets[-1]
+        return max(shares)
+
+    def _flash(self, first_s: float) -> "_Arrival | None":
+        """Change the picture, and expose from `first_s` after the flip until it rests; None if a lost frame hid it."""
+        self._shown = 1 - self._shown
+        self._projector.show(self._pictures[self._shown])
+        flipped_s = time.monotonic()
+        time.sleep(first_s)
+        arrival: _Arrival | None = None
+        hidden = False
+        while time.monotonic() - flipped_s < _LONGEST_FLASH_S:
+            begin_s = time.monotonic()
+            try:
+                missing = self._missing(self._camera.grab().image, self._shown)
+            except FrameLostError:
+                hidden = hidden or arrival is None
+                continue
+            if arrival is None and missing < 1 - _EDGE:
+                late_s = max(0.0, missing) * self._camera.exposure_s
+                at_once = begin_s - flipped_s < _AT_ONCE_S
+                arrival = _Arrival(begin_s - flipped_s + late_s, seen=missing > _EDGE or at_once)
+            if arrival is not None and missing < _EDGE:
+                return arrival if arrival.seen or not hidden else None
+        raise DeviceError(
+            f"projector: {_LONGEST_FLASH_S:.0f} s after a change of the picture, camera {self._camera.name} still does "
+            "not see the new one. Check that it looks at the projector's light, and that its frames arrive, then rerun."
+        )
+
+    def _grab(self) -> Image:
+        for _ in range(_ATTEMPTS):
+            try:
+                return self._camera.grab().image
+            except FrameLostError as error:
+                lost = error
+        raise DeviceError(
+            f"camera {self._camera.name}: its frames do not arrive ({lost}), {_ATTEMPTS} times in a row. {LOST_ADVICE}"
+        )
+
+    def _resting(self, which: int) -> list[Image]:
+        self._projector.show(self._pictures[which])
+        time.sleep(_LONGEST_LATENCY_S)
+        return [self._grab() for _ in range(_RESTING_FRAMES)]
+
+    def _lit_pixels(self, dark: list[Image], bright: list[Image]) -> Bools:
+        """Pixels that white lights well without clipping them, (H, W)."""
+        contrast = _grey(np.mean(bright, axis=0)) - _grey(np.mean(dark, axis=0))
+        noise = np.std(_grey(dark[1].astype(np.float64)) - _grey(dark[0].astype(np.float64)))
+        strong = float(np.percentile(contrast, 99))
+        if strong < 6 * noise or strong <= 0:
+            raise DeviceError(
+                f"camera {self._camera.name}: it sees no difference between a white and a black picture. Check lens "
+                "cap, aperture and exposure, that the projector is on and shows this screen, then rerun."
+            )
+        brightest = np.max(bright, axis=0)
+        clipped = brightest >= self._camera.highest_level * _CLIPPED
+        if clipped.ndim == 3:
+            clipped = clipped.any(axis=2)
+        lit: Bools = (contrast > strong / 2) & ~clipped
+        if not lit.any():
+            raise DeviceError(
+                f"camera {self._camera.name}: everything that white lights is overexposed. Close the aperture, lower "
+                "rig.gain or rig.exposure_us, then rerun."
+            )
+        return lit
+
+    def _level(self, image: Image) -> float:
+        return float(_grey(image)[self._lit].mean())
+
+    def _missing(self, image: Image, target: int) -> float:
+        """Which share of the way from the other picture to the target is missing: 0 at rest, 1 before any change."""
+        share = (self._level(image) - self._dark) / (self._bright - self._dark)
+        return float(1 - share if target == 1 else share)
+
+
+def _grey(image: Image | Floats) -> Floats:
+    return image.mean(axis=2) if image.ndim == 3 else np.asarray(image, np.float64)

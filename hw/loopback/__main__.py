@@ -1,0 +1,56 @@
+"""Serve a camera that sees a simulated room, lit by a virtual screen, until standard input closes.
+
+Started by `hw/loopback/launcher.py`. Prints 'ready' when it can be found, and again after each line of new `Conditions`
+(JSON) that it reads from standard input.
+"""
+
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from hw.errors import DeviceError
+from hw.loopback.camera import LoopbackCamera
+from hw.loopback.exposure import RoomSensor
+from hw.loopback.screen import ScreenHistory, XwdScreen
+from hw.loopback.settings import Conditions, LoopbackSettings
+from hw.simulated.simulation import SimulatedRoom
+
+
+def main() -> int:
+    """Serve; returns the exit code."""
+    options = _options()
+    settings = LoopbackSettings.model_validate_json(options.settings)
+    try:
+        _serve(options.screen, settings)
+    except (DeviceError, OSError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 3
+    return 0
+
+
+def _serve(screen_file: Path, settings: LoopbackSettings) -> None:
+    screen = XwdScreen(screen_file)
+    room = SimulatedRoom(settings.room, settings.camera_size, screen.size)
+    with ScreenHistory(screen, room.electrons) as history:
+        sensor = RoomSensor(room, history, settings.white_exposure_us)
+        with LoopbackCamera(settings.address, settings.serial, settings.camera_size, sensor.expose) as camera:
+            conditions = settings.conditions
+            while True:
+                sensor.latency_s = conditions.latency_ms / 1e3
+                camera.lose(conditions.lost_packets)
+                print("ready", flush=True)
+                line = sys.stdin.readline()
+                if not line:
+                    return  # whoever started us holds the other end, and its end is ours
+                conditions = Conditions.model_validate_json(line)
+
+
+def _options() -> Namespace:
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("--screen", type=Path, required=True, help="file in which Xvfb keeps its screen")
+    parser.add_argument("--settings", required=True, help="LoopbackSettings as JSON")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,79 @@
+"""One exposure of the simulated room: what a sensor makes of the light of all pictures that fall into it."""
+
+import time
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from hw.loopback.screen import ScreenHistory
+from hw.simulated.arrays import Light
+from hw.simulated.sensor import Sensor
+from hw.simulated.simulation import SimulatedRoom
+
+# GenICam's numbers of the pixel formats that Aravis' simulator offers (PFNC 2.4).
+MONO_8, MONO_16, RGB_8 = 0x01080001, 0x01100007, 0x02180014
+_MOSAICS = {0x01080008: "GRBG", 0x01080009: "RGGB", 0x0108000A: "GBRG", 0x0108000B: "BGGR"}
+# What a sensor's colour filters let through of the projector's white.
+_THROUGH_FILTER = {"R": 0.7, "G": 1.0, "B": 0.6}
+_DECIBELS_PER_FACTOR_TEN = 20.0
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the camera's registers say when an exposure is triggered; `region` is (x, y, width, height) in pixels."""
+
+    exposure_us: float
+    gain_db: float
+    pixel_format: int
+    region: tuple[int, int, int, int]
+
+
+class RoomSensor:
+    """Takes pictures of a simulated room that is lit by a screen with a display latency.
+
+    `latency_s`: how late the light follows the screen. The aperture is set so that white reaches 85 % of the range at
+    `white_exposure_us`, without gain. `screen` develops to expected electrons (H, W) of such an exposure.
+    """
+
+    def __init__(self, room: SimulatedRoom, screen: ScreenHistory, white_exposure_us: float) -> None:
+        self._sensor = room.sensor
+        self._screen = screen
+        self.latency_s = 0.0
+        self._white_exposure_us = white_exposure_us
+        self._rng = np.random.default_rng()
+
+    def expose(self, request: Request) -> bytes:
+        """Expose from now on, which takes its time, and return the frame as the camera sends it."""
+        begin_s = time.monotonic()
+        exposure_s = request.exposure_us / 1e6
+        self._screen.look()
+        time.sleep(max(0.0, begin_s + exposure_s - time.monotonic()))
+        self._screen.look()
+        first_s = begin_s - self.latency_s
+        x, y, width, height = request.region
+        part = np.s_[y : y + height, x : x + width]
+        electrons = np.zeros((height, width), np.float32)
+        for share, light in self._screen.shares(first_s, first_s + exposure_s):
+            electrons += np.float32(share * request.exposure_us / self._white_exposure_us) * light[part]
+        return self._digits(electrons, request)
+
+    def _digits(self, electrons: Light, request: Request) -> bytes:
+        sensor = self._amplified(16 if request.pixel_format == MONO_16 else 8, request.gain_db)
+        if request.pixel_format in _MOSAICS:
+            electrons = electrons * _mosaic(_MOSAICS[request.pixel_format], electrons.shape)
+        if request.pixel_format == RGB_8:
+            channels = [sensor.read(electrons * np.float32(_THROUGH_FILTER[name]), self._rng) for name in "RGB"]
+            return np.asarray(cv2.merge(channels)).tobytes()
+        return sensor.read(electrons, self._rng).tobytes()
+
+    def _amplified(self, bits: int, gain_db: float) -> Sensor:
+        """Gain makes fewer electrons fill the range."""
+        sensor = self._sensor
+        full_well = sensor.full_well_electrons / 10 ** (gain_db / _DECIBELS_PER_FACTOR_TEN)
+        return Sensor(sensor.blur_px, sensor.exposure_us, bits, full_well, sensor.read_noise_electrons)
+
+
+def _mosaic(order: str, shape: tuple[int, ...]) -> Light:
+    tile = np.array([_THROUGH_FILTER[name] for name in order], np.float32).reshape(2, 2)
+    return np.tile(tile, (-(-shape[0] // 2), -(-shape[1] // 2)))[: shape[0], : shape[1]]

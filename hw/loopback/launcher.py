@@ -1,0 +1,105 @@
+"""Starts and ends the processes of the loopback rig: the virtual screen and the camera that sees it."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from hw.errors import DeviceError
+from hw.loopback.settings import Conditions, LoopbackSettings
+
+
+@dataclass(frozen=True)
+class VirtualScreen:
+    """An X server without hardware: `display` is its name for DISPLAY, `file` where it keeps its pixels."""
+
+    display: str
+    file: Path
+    process: subprocess.Popen[bytes]
+
+
+@contextmanager
+def virtual_screen(size: tuple[int, int]) -> Iterator[VirtualScreen]:
+    """An X server with one screen of (width, height) for as long as the context lasts.
+
+    Raises DeviceError if there is no Xvfb, or it does not start.
+    """
+    if shutil.which("Xvfb") is None:
+        raise DeviceError("the loopback rig's projector needs Xvfb, which is not installed: apt-get install xvfb")
+    read_end, write_end = os.pipe()
+    with tempfile.TemporaryDirectory(prefix="loopback-") as folder, os.fdopen(read_end, "rb") as number:
+        command = ["Xvfb", "-displayfd", str(write_end), "-screen", "0", f"{size[0]}x{size[1]}x24"]
+        command += ["-fbdir", folder, "-nolisten", "tcp", "-noreset"]
+        process = subprocess.Popen(command, pass_fds=[write_end], stderr=subprocess.DEVNULL)
+        os.close(write_end)
+        try:
+            shown = number.readline().decode().strip()  # empty if it ended before it was ready
+            if not shown:
+                raise DeviceError(f"the loopback rig's projector: {' '.join(command)} ended with {process.wait()}")
+            yield VirtualScreen(f":{shown}", Path(folder) / "Xvfb_screen0", process)
+        finally:
+            process.terminate()
+            process.wait()
+
+
+class CameraProcess:
+    """A running camera process."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        self._await_ready()
+
+    def change(self, conditions: Conditions) -> None:
+        """Make it see and send under other conditions from now on. Raises DeviceError."""
+        assert self.process.stdin
+        self.process.stdin.write(conditions.model_dump_json() + "\n")
+        self.process.stdin.flush()
+        self._await_ready()
+
+    def _await_ready(self) -> None:
+        assert self.process.stdout
+        assert self.process.stderr
+        if self.process.stdout.readline() != "ready\n":
+            raise DeviceError(self.process.stderr.read().strip() or "the loopback camera failed")
+
+
+@contextmanager
+def camera_process(screen: VirtualScreen, settings: LoopbackSettings) -> Iterator[CameraProcess]:
+    """A camera that sees the screen's light in a room, in a process of its own, found by anyone once this yields.
+
+    Raises DeviceError if it does not start.
+    """
+    command = [sys.executable, "-m", "hw.loopback"]
+    command += ["--screen", str(screen.file), "--settings", settings.model_dump_json()]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
+        try:
+            yield CameraProcess(process)
+        finally:
+            process.kill()
+
+
+@contextmanager
+def loopback_rig(settings: LoopbackSettings, projector_size: tuple[int, int]) -> Iterator[VirtualScreen]:
+    """Screen and camera together; DISPLAY names the screen while the context lasts. Raises DeviceError."""
+    with virtual_screen(projector_size) as screen, shown_on(screen), camera_process(screen, settings):
+        yield screen
+
+
+@contextmanager
+def shown_on(screen: VirtualScreen) -> Iterator[None]:
+    """Windows of this process and its children open on that screen."""
+    before = os.environ.get("DISPLAY")
+    os.environ["DISPLAY"] = screen.display
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["DISPLAY"]
+        else:
+            os.environ["DISPLAY"] = before

@@ -1,0 +1,138 @@
+"""What a virtual screen shows, and showed a moment ago.
+
+`Xvfb -fbdir` keeps the screen in a memory-mapped file in the format of xwd (X11/XWDFile.h), which anyone may read.
+"""
+
+import mmap
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Image
+from hw.simulated.arrays import Light
+
+_HEADER_WORDS = 25
+_COLOUR_ENTRY_BYTES = 12
+_POLL_S = 0.002
+_REDRAWN_S = 0.001  # a swap of buffers is copied to the screen in about so long
+_MEMORY_S = 3.0
+
+
+class XwdScreen:
+    """The pixels of a screen of 24 bits in a file that its X server keeps up to date.
+
+    Raises ValueError if the file is something else, OSError if it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        with path.open("rb") as file:
+            self._memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        header = np.frombuffer(self._memory, ">u4", _HEADER_WORDS)
+        header_bytes, version, width, height = (int(header[k]) for k in (0, 1, 4, 5))
+        bits_per_pixel, bytes_per_line, colours = (int(header[k]) for k in (11, 12, 19))
+        if version != 7 or bits_per_pixel != 32:
+            raise ValueError(f"{path}: expected xwd version 7 with 32 bits, found {version} with {bits_per_pixel}")
+        self.size = (width, height)
+        start = header_bytes + colours * _COLOUR_ENTRY_BYTES
+        lines = np.frombuffer(self._memory, np.uint8, bytes_per_line * height, start).reshape(height, bytes_per_line)
+        self._pixels: NDArray[np.uint32] = lines[:, : 4 * width].view(np.uint32)
+
+    def pixels(self) -> NDArray[np.uint32]:
+        """A copy of what the screen shows now, (H, W), blue in the lowest byte."""
+        return self._pixels.copy()
+
+
+def green(pixels: NDArray[np.uint32]) -> Image:
+    """The green channel, (H, W) 8-bit; a projector of patterns shows grey, in which all channels are alike."""
+    return ((pixels >> 8) & 0xFF).astype(np.uint8)
+
+
+class Pixels(Protocol):
+    """A screen that can be looked at."""
+
+    def pixels(self) -> NDArray[np.uint32]:
+        """A copy of what it shows now."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The light of what the screen showed from `since_s` on (monotonic clock), or that light in the making."""
+
+    since_s: float
+    light: Future[Light]
+
+
+class ScreenHistory:
+    """The pictures of the last seconds, seen by looking every 2 ms while the `with` block runs.
+
+    A change is dated back to the last look that did not show it yet. So the light of a new picture is at most one look
+    early, however late the machine lets us look; it never falls into an exposure that was over before the change.
+    `develop` turns an image into light as soon as it is seen, so that it is ready when a camera wants it.
+    """
+
+    def __init__(self, screen: Pixels, develop: Callable[[Image], Light]) -> None:
+        self._screen = screen
+        self._develop = develop
+        self._studio = ThreadPoolExecutor(max_workers=1)
+        self._last = screen.pixels()
+        self._looked_s = time.monotonic()
+        self._pictures = deque([self._picture()])
+        self._lock = threading.Lock()
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self._thread.join()
+        self._studio.shutdown()
+
+    def look(self) -> None:
+        """Take note of what the screen shows now."""
+        with self._lock:
+            now_s = time.monotonic()
+            pixels = self._screen.pixels()
+            if not np.array_equal(pixels, self._last):
+                self._last = self._settled(pixels)
+                self._pictures.append(self._picture())
+                while len(self._pictures) > 1 and self._pictures[1].since_s < now_s - _MEMORY_S:
+                    self._pictures.popleft()
+            self._looked_s = now_s
+
+    def shares(self, begin_s: float, end_s: float) -> list[tuple[float, Light]]:
+        """The light of what was shown between two moments, each with its share of the time; these add up to one."""
+        with self._lock:
+            pictures = list(self._pictures)
+        until = [*(picture.since_s for picture in pictures[1:]), float("inf")]
+        since = [float("-inf"), *(picture.since_s for picture in pictures[1:])]
+        shown = [max(0.0, min(last, end_s) - max(first, begin_s)) for first, last in zip(since, until, strict=True)]
+        total_s = end_s - begin_s
+        seen = [(part / total_s, picture) for part, picture in zip(shown, pictures, strict=True) if part > 0]
+        return [(share, picture.light.result()) for share, picture in seen]
+
+    def _picture(self) -> Picture:
+        return Picture(self._looked_s, self._studio.submit(self._develop, green(self._last)))
+
+    def _settled(self, pixels: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        """What it shows when it has been redrawn; a real projector swaps whole pictures."""
+        while True:
+            time.sleep(_REDRAWN_S)
+            again = self._screen.pixels()
+            if np.array_equal(again, pixels):
+                return again
+            pixels = again
+
+    def _watch(self) -> None:
+        while not self._ending.wait(_POLL_S):
+            self.look()

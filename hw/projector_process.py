@@ -1,0 +1,158 @@
+"""The projector as the scanner sees it: a screen that a child process (`hw/pyglet_projector.py`) draws on."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
+from multiprocessing import Pipe
+from typing import Any, Self
+
+import numpy as np
+
+from calib.arrays import Image
+from hw.errors import DeviceError
+from hw.screens import Screen, choose_screen
+
+# Waits that end in an error; the first start after an installation compiles shaders and byte code.
+_START_TIMEOUT_S = 60.0
+_SHOW_TIMEOUT_S = 10.0
+
+MISSING_PYGLET = (
+    "the projector needs the package pyglet, which is not installed: pip install 'roomscan[rig]' (see docs/rig.md)"
+)
+
+
+class _WindowProcess:
+    """The child process and the connection to it."""
+
+    def __init__(self) -> None:
+        if importlib.util.find_spec("pyglet") is None:
+            raise DeviceError(MISSING_PYGLET)
+        self._connection, theirs = Pipe()
+        self._log = tempfile.TemporaryFile()  # a pipe would fill up and stop the child  # noqa: SIM115
+        descriptor = theirs.fileno()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "hw.pyglet_projector", str(descriptor)],
+            pass_fds=[descriptor],
+            stdin=subprocess.DEVNULL,
+            stdout=self._log,
+            stderr=self._log,
+        )
+        theirs.close()
+
+    def receive(self, timeout_s: float) -> Any:
+        """The value of the child's next answer. Raises DeviceError if it failed, died or did not answer."""
+        try:
+            if not self._connection.poll(timeout_s):
+                raise DeviceError(f"it has not answered for {timeout_s:.0f} s")
+            outcome, value = self._connection.recv()
+        except (EOFError, ConnectionError) as error:
+            raise DeviceError(f"its window is gone ({self._last_words()})") from error
+        if outcome == "failed":
+            raise DeviceError(value)
+        return value
+
+    def ask(self, command: str, argument: object, timeout_s: float) -> Any:
+        """Send a command and return the answer's value. Raises DeviceError."""
+        try:
+            self._connection.send((command, argument))
+        except ConnectionError as error:
+            raise DeviceError(f"its window is gone ({self._last_words()})") from error
+        return self.receive(timeout_s)
+
+    def end(self) -> None:
+        """Hang up and end the process, with which its window goes: nobody waits for pyglet to tidy up."""
+        self._connection.close()
+        self._process.kill()
+        self._process.wait()
+        self._log.close()
+
+    def _last_words(self) -> str:
+        self._process.wait(timeout=_SHOW_TIMEOUT_S)
+        self._log.seek(0)
+        lines = [line.strip() for line in self._log.read().decode(errors="replace").splitlines() if line.strip()]
+        return " ".join(lines[-2:]) if lines else f"exit code {self._process.returncode}"
+
+
+def _display() -> str:
+    return f"the display {os.environ['DISPLAY']!r}" if os.environ.get("DISPLAY") else "no display (DISPLAY is not set)"
+
+
+def list_screens() -> list[Screen]:
+    """All screens. Raises DeviceError if there is no desktop to ask, or no pyglet to ask with."""
+    process = _WindowProcess()
+    try:
+        screens: list[Screen] = process.receive(_START_TIMEOUT_S)
+    except DeviceError as error:
+        raise DeviceError(f"screens cannot be listed on {_display()}: {error}") from error
+    finally:
+        process.end()
+    return screens
+
+
+class ScreenProjector:
+    """A projector that is a screen of this computer, from opening to closing (a context manager).
+
+    `wanted`: the screen's number, name or geometry; None for the only one of `size`, (width, height). Raises
+    DeviceError if there is no such screen, if it has another size, or if it does not show exactly what it is told.
+    """
+
+    def __init__(self, wanted: int | str | None, size: tuple[int, int]) -> None:
+        self.size = size
+        self._name = f"projector on {_display()}"
+        self._process = _WindowProcess()
+        try:
+            self.screen = choose_screen(self._guarded_receive(), wanted, size)
+            self._name = f"projector on {self.screen}"
+            self.renderer = str(self._ask("open", self.screen, _START_TIMEOUT_S))
+        except BaseException:
+            self._process.end()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def prepare(self, image: Image) -> None:
+        """Draw an (H, W) 8-bit grey image where nobody sees it yet.
+
+        Raises ValueError if the image has another size, DeviceError if the window or its X server is gone.
+        """
+        width, height = self.size
+        if image.shape != (height, width) or image.dtype != np.uint8:
+            raise ValueError(f"expected an 8-bit grey image of {width} × {height}, found {image.dtype} {image.shape}")
+        self._ask("prepare", image, _SHOW_TIMEOUT_S)
+
+    def flip(self) -> None:
+        """Put what was prepared on the screen; returns when the graphics card has swapped it in. Raises DeviceError."""
+        self._ask("flip", None, _SHOW_TIMEOUT_S)
+
+    def show(self, image: Image) -> None:
+        """Prepare and flip."""
+        self.prepare(image)
+        self.flip()
+
+    def close(self) -> None:
+        """Take the window off the screen."""
+        self._process.end()
+
+    def _guarded_receive(self) -> list[Screen]:
+        try:
+            screens: list[Screen] = self._process.receive(_START_TIMEOUT_S)
+        except DeviceError as error:
+            raise self._explained(error) from error
+        return screens
+
+    def _ask(self, command: str, argument: object, timeout_s: float) -> Any:
+        try:
+            return self._process.ask(command, argument, timeout_s)
+        except DeviceError as error:
+            raise self._explained(error) from error
+
+    def _explained(self, error: DeviceError) -> DeviceError:
+        return DeviceError(
+            f"{self._name}: {error}. Check that the desktop runs and that the projector is on, then rerun."
+        )

@@ -1,0 +1,150 @@
+"""The window on the projector's screen, in a process of its own; the only file that imports pyglet.
+
+`python -m hw.pyglet_projector FD` is started by `hw/projector_process.py`, which sends commands through the connection
+FD. The process is what makes the end of an X server survivable: Xlib ends the process that it is in. It also leaves
+the caller's main thread alone, on which some systems insist for windows.
+"""
+
+import signal
+import sys
+from multiprocessing.connection import Connection
+
+import numpy as np
+import pyglet
+from pyglet import gl
+
+from calib.arrays import Image
+from hw.screens import Screen
+
+_IDLE_S = 0.05  # how often a window without orders looks after its events
+_PROBE_SEED = 1
+
+# pyglet looks for GPU features in the background otherwise; nothing here needs them.
+pyglet.options["shadow_window"] = False
+
+
+def screens() -> list[Screen]:
+    """All screens of the display, in the order of the desktop."""
+    found = []
+    for number, screen in enumerate(pyglet.display.get_display().get_screens()):
+        mode = screen.get_mode()
+        name = str(screen.get_monitor_name())
+        rate = float(mode.rate) if mode is not None and mode.rate else None  # virtual screens report 0
+        found.append(Screen(number, name, screen.x, screen.y, screen.width, screen.height, rate))
+    return found
+
+
+class FullScreenWindow:
+    """A window that covers a screen and shows images pixel by pixel.
+
+    Raises ValueError if it is not where and as large as it should be, or does not show exactly what it is told.
+    """
+
+    def __init__(self, screen: Screen) -> None:
+        target = pyglet.display.get_display().get_screens()[screen.number]
+        # Without a size, for pyglet would change the screen's mode to fit it.
+        self._window = pyglet.window.Window(fullscreen=True, screen=target, vsync=True, caption="projector")
+        self._window.set_mouse_visible(False)
+        self._screen = screen
+        self._settle()
+        self._check_place()
+        self._check_pixels()
+
+    @property
+    def renderer(self) -> str:
+        """What draws: the graphics driver's name for itself."""
+        return str(self._window.context.get_info().get_renderer())
+
+    @property
+    def closed(self) -> bool:
+        """Whether the operator has closed the window."""
+        return bool(self._window.has_exit)
+
+    def prepare(self, image: Image) -> None:
+        """Draw an (H, W) 8-bit image where nobody sees it yet: into the back buffer."""
+        height, width = image.shape
+        self._window.switch_to()
+        self._window.dispatch_events()
+        rgb = np.repeat(image[:, :, None], 3, axis=2).tobytes()
+        pyglet.image.ImageData(width, height, "RGB", rgb, pitch=-3 * width).blit(0, 0)
+        gl.glFinish()
+
+    def flip(self) -> None:
+        """Put what was prepared on the screen; returns when the graphics card has swapped it in."""
+        self._window.flip()
+        gl.glFinish()
+
+    def show(self, image: Image) -> None:
+        """Prepare and flip."""
+        self.prepare(image)
+        self.flip()
+
+    def look_after_events(self) -> None:
+        """Answer the window system, which takes a silent window for a hung one."""
+        self._window.switch_to()
+        self._window.dispatch_events()
+
+    def _settle(self) -> None:
+        """A few pictures, until the window manager has put the window in its place."""
+        black = np.zeros((self._screen.height, self._screen.width), np.uint8)
+        for _ in range(5):
+            self.show(black)
+
+    def _check_place(self) -> None:
+        expected = self._screen.geometry
+        (width, height), (x, y) = self._window.get_size(), self._window.get_location()
+        found = f"{width}x{height}+{x}+{y}"
+        if found != expected:
+            raise ValueError(f"the window should cover {expected}, but the window manager put it at {found}")
+        if self._window.get_framebuffer_size() != (width, height):
+            raise ValueError("the desktop scales this screen: set its scale to 100 %")
+
+    def _check_pixels(self) -> None:
+        """Show noise and read it back: a driver that scales, filters or corrects colours would spoil every pattern."""
+        size = (self._screen.height, self._screen.width)
+        probe = np.random.default_rng(_PROBE_SEED).integers(0, 256, size).astype(np.uint8)
+        self.show(probe)
+        shown = pyglet.image.get_buffer_manager().get_color_buffer().get_image_data().get_data("RGB", 3 * size[1])
+        read_back = np.frombuffer(shown, np.uint8).reshape(*size, 3)[::-1]
+        if not np.array_equal(read_back, np.repeat(probe[:, :, None], 3, axis=2)):
+            share = 100 * np.mean(np.any(read_back != probe[:, :, None], axis=2))
+            raise ValueError(
+                f"{share:.0f} % of the pixels were not drawn as told: turn off scaling, night light and colour profiles"
+            )
+
+
+def _serve(connection: Connection) -> None:
+    """Obey (command, argument) until the connection closes; every command is answered with ('done', value)."""
+    connection.send(("done", screens()))
+    command, screen = connection.recv()
+    if command != "open":
+        raise ValueError(f"expected to be told the screen, found {command!r}")
+    window = FullScreenWindow(screen)
+    connection.send(("done", window.renderer))
+    while True:
+        while not connection.poll(_IDLE_S):
+            window.look_after_events()
+        command, image = connection.recv()
+        if command == "prepare":
+            window.prepare(image)
+        else:
+            window.flip()
+        if window.closed:
+            raise ValueError("the window was closed")
+        connection.send(("done", None))
+
+
+def main(file_descriptor: int) -> None:
+    """Serve the process at the other end of a connection, and report what goes wrong as ('failed', reason)."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the scan, which then hangs up
+    with Connection(file_descriptor) as connection:
+        try:
+            _serve(connection)
+        except EOFError:
+            pass  # the scan has hung up
+        except Exception as error:  # whatever it is, the scan must learn of it
+            connection.send(("failed", f"{error}" or type(error).__name__))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

@@ -1,0 +1,62 @@
+"""The screens of a computer, one of which is the projector."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hw.errors import DeviceError
+
+
+@dataclass(frozen=True)
+class Screen:
+    """A screen of the desktop: its number, name, place and size in pixels; `refresh_hz` is None if it is not known."""
+
+    number: int
+    name: str
+    x: int
+    y: int
+    width: int
+    height: int
+    refresh_hz: float | None
+
+    @property
+    def geometry(self) -> str:
+        """Size and place as X11 writes them, as in 1920x1080+1920+0."""
+        return f"{self.width}x{self.height}+{self.x}+{self.y}"
+
+    def __str__(self) -> str:
+        rate = "refresh rate unknown" if self.refresh_hz is None else f"{self.refresh_hz:.4g} Hz"
+        return f"screen {self.number} '{self.name}', {self.geometry}, {rate}"
+
+
+def choose_screen(screens: Sequence[Screen], wanted: int | str | None, size: tuple[int, int]) -> Screen:
+    """The screen of that number, name or geometry; without any, the only one of `size` (width, height).
+
+    Raises DeviceError if there is none, or more than one, or if it has another size.
+    """
+    found = [screen for screen in screens if _is_wanted(screen, wanted, size)]
+    shown_size = f"{size[0]} × {size[1]}"
+    described = f"rig.screen: {wanted}" if wanted is not None else f"a screen of the projector's size, {shown_size}"
+    if len(found) != 1:
+        problem = f"no screen is {described}" if not found else f"{len(found)} screens are {described}"
+        raise DeviceError(
+            f"projector: {problem}. There are: {'; '.join(map(str, screens)) or 'none'}. Set rig.screen to the number, "
+            "name or geometry of the projector's, and projector.width and projector.height to its size."
+        )
+    (screen,) = found
+    if (screen.width, screen.height) != size:
+        raise DeviceError(
+            f"projector: {screen} is not {shown_size}, the size of the patterns. Pictures are never scaled: set the "
+            f"screen to the projector's own resolution, and projector.width and projector.height to the same."
+        )
+    return screen
+
+
+def _is_wanted(screen: Screen, wanted: int | str | None, size: tuple[int, int]) -> bool:
+    if wanted is None:
+        return (screen.width, screen.height) == size
+    if isinstance(wanted, int):
+        return screen.number == wanted
+    if re.fullmatch(r"\d+x\d+\+-?\d+\+-?\d+", wanted):
+        return screen.geometry == wanted
+    return screen.name == wanted

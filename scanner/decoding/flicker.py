@@ -1,0 +1,33 @@
+"""Brightness that changes from frame to frame: a projector's colour wheel or lamp, or the mains, against the exposure.
+
+Some frames must be equally bright taken together: a pattern with its inverse and white with black, and each fringe over
+its equal steps. How much they differ all over the image is flicker.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.plan import SequencePlan
+
+_FEWEST = 3
+
+
+def flicker_of(plan: SequencePlan, levels: Floats32) -> float | None:
+    """Standard deviation of the frames' brightness relative to its mean, from a sample (frames, P); None if unknown."""
+    pairs = [levels[list(pair)].mean(axis=0) for pair in plan.complements]
+    fringes = [fringe for fringe in plan.fringes if fringe.equal_steps]
+    means = [levels[list(fringe.frames)].mean(axis=0) for fringe in fringes]
+    found = [
+        _spread(groups) * np.sqrt(frames)
+        for groups, frames in ((pairs, 2), (means, min((len(fringe.frames) for fringe in fringes), default=1)))
+        if len(groups) >= _FEWEST
+    ]
+    return float(max(found)) if found else None
+
+
+def _spread(groups: Sequence[Floats32]) -> float:
+    usual = np.median(groups, axis=0)
+    lit = usual > np.median(usual)
+    return float(np.std([np.median(group[lit] / usual[lit]) for group in groups]))

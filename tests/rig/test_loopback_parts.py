@@ -1,0 +1,141 @@
+"""The parts of the loopback rig that need neither an X server nor Aravis."""
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hw.loopback.exposure import MONO_8, MONO_16, RGB_8, Request, RoomSensor
+from hw.loopback.screen import ScreenHistory, XwdScreen, green
+from hw.settings import SimulatedRigSettings
+from hw.simulated.sensor import Sensor
+
+SIZE = (6, 4)
+
+
+class FakeScreen:
+    """A screen on which a test draws."""
+
+    def __init__(self) -> None:
+        self.level = 0
+
+    def pixels(self) -> np.ndarray:
+        return np.full(SIZE[::-1], self.level * 0x010101, np.uint32)
+
+
+def as_light(image: np.ndarray) -> np.ndarray:
+    return image.astype(np.float32)
+
+
+def xwd(path: Path, pixels: np.ndarray, colours: int = 3, padding: int = 8) -> Path:
+    height, width = pixels.shape
+    words = [100 + 4, 7, 2, 24, width, height, 0, 0, 32, 0, 32, 32, 4 * width + padding, 4, 0, 0, 0, 8, 256, colours]
+    header = np.array([*words, width, height, 0, 0, 0], ">u4").tobytes() + b"name"
+    lines = np.pad(pixels.astype("<u4").view(np.uint8).reshape(height, -1), ((0, 0), (0, padding)))
+    path.write_bytes(header + bytes(12 * colours) + lines.tobytes())
+    return path
+
+
+def test_the_pixels_of_an_xwd_file(tmp_path):
+    grey = np.random.default_rng(0).integers(0, 256, (5, 7)).astype(np.uint32)
+    screen = XwdScreen(xwd(tmp_path / "screen", grey * 0x010101))
+    assert screen.size == (7, 5)
+    np.testing.assert_array_equal(green(screen.pixels()), grey)
+
+
+def test_another_file_is_no_screen(tmp_path):
+    path = tmp_path / "screen"
+    path.write_bytes(bytes(200))
+    with pytest.raises(ValueError, match="xwd version 7"):
+        XwdScreen(path)
+
+
+def test_an_exposure_mixes_the_pictures_that_fall_into_it():
+    screen = FakeScreen()
+    history = ScreenHistory(screen, as_light)
+    before = time.monotonic()
+    screen.level = 200
+    history.look()
+    after = time.monotonic()
+    (early, dark), (late, bright) = history.shares(before - 1.0, after + 3.0)
+    assert (dark.max(), bright.min()) == (0, 200)
+    assert early + late == pytest.approx(1)
+    assert early == pytest.approx(1 / 4, abs=0.05)
+    assert [light.max() for _, light in history.shares(before - 2, before - 1)] == [0]
+    assert [light.max() for _, light in history.shares(after, after + 1)] == [200]
+
+
+def test_a_change_never_falls_into_an_exposure_that_was_over_before_it():
+    screen = FakeScreen()
+    history = ScreenHistory(screen, as_light)
+    history.look()
+    end = time.monotonic()
+    history.look()
+    screen.level = 255
+    time.sleep(0.02)
+    history.look()
+    assert [light.max() for _, light in history.shares(end - 1, end)] == [0]
+
+
+def test_changes_are_seen_while_nobody_asks():
+    screen = FakeScreen()
+    with ScreenHistory(screen, as_light) as history:
+        for level in (50, 100, 150):
+            time.sleep(0.05)
+            screen.level = level
+        time.sleep(0.05)
+    now = time.monotonic()
+    assert [light.max() for _, light in history.shares(now - 1, now)] == [0, 50, 100, 150]
+
+
+class Wall:
+    """Stands in for a room: the camera sees the screen's light, a hundred electrons for each level."""
+
+    settings = SimulatedRigSettings()
+    sensor = Sensor(0.0, 1e4, 8, full_well_electrons=25_500.0, read_noise_electrons=1.0)
+
+
+def exposed(latency_s: float, request: Request, *, change_after_s: float | None = None) -> np.ndarray:
+    screen = FakeScreen()
+    with ScreenHistory(screen, lambda image: 100 * as_light(image)) as history:
+        sensor = RoomSensor(Wall(), history, white_exposure_us=20_000)
+        sensor.latency_s = latency_s
+        screen.level = 0 if change_after_s is not None else 100
+        time.sleep(0.02 + latency_s)
+        if change_after_s is not None:
+            threading.Timer(change_after_s, lambda: setattr(screen, "level", 100)).start()
+        data = sensor.expose(request)
+    kind = np.uint16 if request.pixel_format == MONO_16 else np.uint8
+    channels = (3,) if request.pixel_format == RGB_8 else ()
+    return np.frombuffer(data, kind).reshape(request.region[3], request.region[2], *channels)
+
+
+def test_a_longer_exposure_and_more_gain_are_brighter():
+    region = (0, 0, *SIZE)
+    plain = exposed(0.0, Request(20_000, 0, MONO_8, region)).mean()
+    assert plain == pytest.approx(100, abs=2)
+    assert exposed(0.0, Request(40_000, 0, MONO_8, region)).mean() == pytest.approx(2 * plain, rel=0.03)
+    assert exposed(0.0, Request(20_000, 6, MONO_8, region)).mean() == pytest.approx(1.995 * plain, rel=0.03)
+
+
+def test_the_pixel_format_and_the_region_act():
+    region = (2, 1, 3, 2)
+    fine = exposed(0.0, Request(20_000, 0, MONO_16, region))
+    assert fine.shape == (2, 3)
+    assert fine.mean() == pytest.approx(100 * 65535 / 255, rel=0.02)
+    colour = exposed(0.0, Request(20_000, 0, RGB_8, region))
+    assert colour.shape == (2, 3, 3)
+    red, green_, blue = colour.mean(axis=(0, 1))
+    assert green_ > red > blue
+    mosaic = exposed(0.0, Request(20_000, 0, 0x01080009, (0, 0, *SIZE)))
+    assert mosaic[0, 1] > mosaic[0, 0] > mosaic[1, 1]
+
+
+def test_light_comes_late():
+    """A picture that goes up amid an exposure is not in it if its light takes longer than the rest."""
+    request = Request(200_000, -20, MONO_8, (0, 0, *SIZE))
+    half = exposed(0.0, request, change_after_s=0.1).mean()
+    assert 30 < half < 70
+    assert exposed(0.15, request, change_after_s=0.1).mean() < 3

@@ -1,0 +1,53 @@
+import pytest
+
+from hw.errors import DeviceError
+from hw.open_rig import whole_periods
+from hw.screens import Screen, choose_screen
+
+DESK = Screen(0, "eDP-1", 0, 0, 1920, 1080, 60.0)
+BEAMER = Screen(1, "HDMI-1", 1920, 0, 1280, 720, 59.94)
+TWIN = Screen(2, "HDMI-2", 3200, 0, 1280, 720, None)
+
+
+@pytest.mark.parametrize("wanted", [1, "HDMI-1", "1280x720+1920+0", None])
+def test_a_screen_is_found(wanted):
+    assert choose_screen([DESK, BEAMER], wanted, (1280, 720)) == BEAMER
+
+
+@pytest.mark.parametrize(
+    ("screens", "wanted", "size", "words"),
+    [
+        (
+            [DESK],
+            None,
+            (1280, 720),
+            ("no screen is a screen of the projector's size, 1280 × 720", "eDP-1", "rig.screen"),
+        ),
+        ([DESK, BEAMER, TWIN], None, (1280, 720), ("2 screens", "HDMI-1", "HDMI-2")),
+        (
+            [DESK, BEAMER],
+            2,
+            (1280, 720),
+            ("no screen is rig.screen: 2", "screen 1 'HDMI-1', 1280x720+1920+0, 59.94 Hz"),
+        ),
+        ([DESK, BEAMER], "HDMI-2", (1280, 720), ("rig.screen: HDMI-2",)),
+        ([DESK, BEAMER], "1280x720+0+0", (1280, 720), ("rig.screen: 1280x720+0+0",)),
+        ([DESK, BEAMER], 0, (1280, 720), ("eDP-1", "is not 1280 × 720", "never scaled", "projector.width")),
+        ([], None, (1280, 720), ("There are: none",)),
+    ],
+)
+def test_no_doubtful_screen_is_used(screens, wanted, size, words):
+    with pytest.raises(DeviceError) as caught:
+        choose_screen(screens, wanted, size)
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("wanted_ms", "refresh_hz", "periods"),
+    [(33.3, 60.0, 2), (1.0, 60.0, 1), (24.9, 60.0, 1), (25.1, 60.0, 2), (33.3, 120.0, 4), (40.0, 59.94, 2)],
+)
+def test_exposures_are_whole_refresh_periods(wanted_ms, refresh_hz, periods):
+    exposure_us, found = whole_periods(1e3 * wanted_ms, refresh_hz)
+    assert found == periods
+    assert exposure_us == pytest.approx(periods * 1e6 / refresh_hz)
