@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.alignment import View, cells_of
 from calib.arrays import Bools
+from calib.corner_view import View, cells_of
 from scanner.cloud import Cloud
 
 

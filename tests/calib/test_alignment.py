@@ -6,9 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib.alignment import View, find_order
+from calib.alignment import find_order
 from calib.camera import Intrinsics
 from calib.corner import Corner
+from calib.corner_view import View
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 
