@@ -46,7 +46,7 @@ unit: $(VENV)/.dev try-rig
 	$(BIN)/pytest -n auto --dist loadgroup
 
 benchmark: $(VENV)/.dev try-rig
-	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	@for file in benchmarks/bench_*.py; do echo "== $$file"; OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file || exit 1; done
 
 $(BIN)/pip:
 	tools/make-venv $(PYTHON) $(VENV)

@@ -151,7 +151,7 @@ def main() -> None:
     for scale in (0.5, 1.0):
         size = round(arguments.width * scale), round(arguments.height * scale)
         table.add_row(*measure(size, (width, height), arguments.repeat))
-    console = Console()
+    console = Console(width=120)
     console.print(table)
     if arguments.peer_python:
         peers(arguments.peer_python, (arguments.width, arguments.height), (width, height), console)

@@ -14,21 +14,18 @@ from collections import defaultdict
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from cramer_rao import bound
 
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
-from calib.cells import Cells
-from calib.likelihood import Knowledge, evaluate
+from calib.likelihood import Knowledge
 from calib.matches import Matches
-from calib.model import CAMERA, PROJECTOR, Pose, State
-from calib.refine import covariance_of
 from calib.refusal import RefusalError
 from calib.selfcalibration import PrincipalPoint, self_calibrate
 from calib.synthetic import CaptureOptions, SyntheticCapture, random_capture
 
 CAMERA_SIZE, PROJECTOR_SIZE = (2448, 2048), (854, 480)
 WRONG_SIGMAS, USEFUL_SIGMA = 5.0, 0.01
-_BOUND_SAMPLE = 3000
 
 
 @dataclass(frozen=True)
@@ -139,37 +136,11 @@ def _joined(a: Matches, b: Matches) -> Matches:
     )
 
 
-def bound(view: View) -> float:
-    """The larger of the focals' relative sigmas by the Cramér–Rao bound, at the truth, with the true lens order."""
-    capture = view.capture
-    calibration, matches = capture.calibration, capture.matches[capture.matches.face >= 0]
-    sample = matches[:: max(1, len(matches) // _BOUND_SAMPLE)]
-    state = State(
-        _device(calibration.camera),
-        _device(calibration.projector),
-        calibration.rotation,
-        calibration.translation / calibration.baseline,
-        np.zeros((1, 3)),
-        (Pose(capture.corner.legs, capture.corner.vertex / calibration.baseline),),
-    )
+def best_sigma(view: View) -> float:
+    """The larger of the focals' relative sigmas by the Cramér–Rao bound."""
     point = view.principal_point
-    prior = Knowledge(CAMERA_SIZE, PROJECTOR_SIZE, point.px, point.sigma_px, view.squareness_deg).prior(state)
-    for column in (CAMERA.start + 4, PROJECTOR.start + 4):
-        prior = prior.with_known(column)
-    variance = np.full(len(sample), view.noise_px**2 * len(sample) / len(matches))
-    cells = _as_cells(sample)
-    fit = evaluate([cells], state, prior, [variance])
-    sigma = np.sqrt(np.diag(covariance_of(fit.information, prior.free)))
-    return float(max(sigma[CAMERA.start], sigma[PROJECTOR.start]))
-
-
-def _device(intrinsics: Intrinsics) -> np.ndarray:
-    return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion[:2]])
-
-
-def _as_cells(matches: Matches) -> Cells:
-    one = np.ones(len(matches))
-    return Cells(matches.camera_px, matches.projector_px, matches.face, one, one, 1.0, 0.0)
+    knowledge = Knowledge(CAMERA_SIZE, PROJECTOR_SIZE, point.px, point.sigma_px, view.squareness_deg)
+    return float(max(bound([view.capture], knowledge, view.noise_px)[:2]))
 
 
 def deviations(found: Calibration, truth: Calibration) -> np.ndarray:
@@ -243,7 +214,7 @@ def _count(view: View, tally: Tally, number: int | None) -> None:
         ).calibration
     except RefusalError as refusal:
         tally.refused += 1
-        if not view.impossible and (best := bound(view)) < USEFUL_SIGMA:
+        if not view.impossible and (best := best_sigma(view)) < USEFUL_SIGMA:
             tally.needlessly += 1
             if number is not None:
                 print(

@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing import Pipe
 from typing import Any, Self
 
@@ -29,6 +31,7 @@ class _WindowProcess:
     def __init__(self) -> None:
         if importlib.util.find_spec("pyglet") is None:
             raise DeviceError(MISSING_PYGLET)
+        self._unanswered = False
         self._connection, theirs = Pipe()
         self._log = tempfile.TemporaryFile()  # a pipe would fill up and stop the child  # noqa: SIM115
         descriptor = theirs.fileno()
@@ -53,13 +56,24 @@ class _WindowProcess:
             raise DeviceError(value)
         return value
 
-    def ask(self, command: str, argument: object, timeout_s: float) -> Any:
-        """Send a command and return the answer's value. Raises DeviceError."""
+    def tell(self, command: str, argument: object, timeout_s: float) -> None:
+        """Send a command, after the answer to the last, and leave its own answer for later. Raises DeviceError."""
+        self.settle(timeout_s)
         try:
             self._connection.send((command, argument))
         except ConnectionError as error:
             raise DeviceError(f"its window is gone ({self._last_words()})") from error
-        return self.receive(timeout_s)
+        self._unanswered = True
+
+    def settle(self, timeout_s: float) -> Any:
+        """Wait for the answer to the last command, unless it was there; its value. Raises DeviceError."""
+        unanswered, self._unanswered = self._unanswered, False
+        return self.receive(timeout_s) if unanswered else None
+
+    def ask(self, command: str, argument: object, timeout_s: float) -> Any:
+        """Send a command and return the answer's value. Raises DeviceError."""
+        self.tell(command, argument, timeout_s)
+        return self.settle(timeout_s)
 
     def end(self) -> None:
         """Hang up and end the process, with which its window goes: nobody waits for pyglet to tidy up."""
@@ -103,9 +117,12 @@ class ScreenProjector:
         self._name = f"projector on {_display()}"
         self._process = _WindowProcess()
         try:
-            self.screen = choose_screen(self._guarded_receive(), wanted, size)
+            with self._errors():
+                screens: list[Screen] = self._process.receive(_START_TIMEOUT_S)
+            self.screen = choose_screen(screens, wanted, size)
             self._name = f"projector on {self.screen}"
-            self.renderer = str(self._ask("open", self.screen, _START_TIMEOUT_S))
+            with self._errors():
+                self.renderer = str(self._process.ask("open", self.screen, _START_TIMEOUT_S))
         except BaseException:
             self._process.end()
             raise
@@ -117,18 +134,20 @@ class ScreenProjector:
         self.close()
 
     def prepare(self, image: Image) -> None:
-        """Draw an (H, W) 8-bit grey image where nobody sees it yet.
+        """Have an (H, W) 8-bit grey image drawn where nobody sees it yet, while the caller goes on.
 
         Raises ValueError if the image has another size, DeviceError if the window or its X server is gone.
         """
         width, height = self.size
         if image.shape != (height, width) or image.dtype != np.uint8:
             raise ValueError(f"expected an 8-bit grey image of {width} × {height}, found {image.dtype} {image.shape}")
-        self._ask("prepare", image, _SHOW_TIMEOUT_S)
+        with self._errors():
+            self._process.tell("prepare", image, _SHOW_TIMEOUT_S)
 
     def flip(self) -> None:
         """Put what was prepared on the screen; returns when the graphics card has swapped it in. Raises DeviceError."""
-        self._ask("flip", None, _SHOW_TIMEOUT_S)
+        with self._errors():
+            self._process.ask("flip", None, _SHOW_TIMEOUT_S)
 
     def show(self, image: Image) -> None:
         """Prepare and flip."""
@@ -139,20 +158,11 @@ class ScreenProjector:
         """Take the window off the screen."""
         self._process.end()
 
-    def _guarded_receive(self) -> list[Screen]:
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
         try:
-            screens: list[Screen] = self._process.receive(_START_TIMEOUT_S)
+            yield
         except DeviceError as error:
-            raise self._explained(error) from error
-        return screens
-
-    def _ask(self, command: str, argument: object, timeout_s: float) -> Any:
-        try:
-            return self._process.ask(command, argument, timeout_s)
-        except DeviceError as error:
-            raise self._explained(error) from error
-
-    def _explained(self, error: DeviceError) -> DeviceError:
-        return DeviceError(
-            f"{self._name}: {error}. Check that the desktop runs and that the projector is on, then rerun."
-        )
+            raise DeviceError(
+                f"{self._name}: {error}. Check that the desktop runs and that the projector is on, then rerun."
+            ) from error

@@ -1,0 +1,54 @@
+"""The Cramér–Rao bound of a synthetic capture: what no unbiased calibration can undercut."""
+
+import numpy as np
+
+from calib.camera import Intrinsics
+from calib.cells import Cells
+from calib.likelihood import Knowledge, evaluate
+from calib.matches import Matches
+from calib.model import CAMERA, PROJECTOR, Pose, State
+from calib.synthetic import SyntheticCapture
+from calib.valley import covariance_of
+
+_SAMPLE = 3000
+
+
+def bound(captures: list[SyntheticCapture], knowledge: Knowledge, noise_px: float) -> np.ndarray:
+    """Relative sigmas of (f_c, f_p, x_p, y_p), (4,), at the truth, each capture with a corner of its own.
+
+    Lens terms that are zero in truth are known to be.
+    """
+    truth = captures[0].calibration
+    state = State(
+        _device(truth.camera),
+        _device(truth.projector),
+        truth.rotation,
+        truth.translation / truth.baseline,
+        np.zeros((len(captures), 3)),
+        tuple(
+            Pose(capture.corner.legs, capture.corner.vertex / truth.baseline, i) for i, capture in enumerate(captures)
+        ),
+    )
+    prior = knowledge.prior(state)
+    for device, columns in ((state.camera, CAMERA), (state.projector, PROJECTOR)):
+        for column in np.flatnonzero(device[3:] == 0) + 3:
+            prior = prior.with_known(columns.start + int(column))
+    cells, variances = [], []
+    for capture in captures:
+        matches = capture.matches[capture.matches.face >= 0]
+        sample = matches[:: max(1, len(matches) // _SAMPLE)]
+        cells.append(_as_cells(sample))
+        variances.append(np.full(len(sample), noise_px**2 * len(sample) / len(matches)))
+    fit = evaluate(cells, state, prior, variances)
+    sigma = np.sqrt(np.diag(covariance_of(fit.information, prior.free)))
+    x, y = sigma[PROJECTOR][1:3] / np.array(truth.projector.principal_point_px)
+    return np.array([sigma[CAMERA.start], sigma[PROJECTOR.start], x, y])
+
+
+def _device(intrinsics: Intrinsics) -> np.ndarray:
+    return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion[:2]])
+
+
+def _as_cells(matches: Matches) -> Cells:
+    one = np.ones(len(matches))
+    return Cells(matches.camera_px, matches.projector_px, matches.face, one, one, 1.0, 0.0)
