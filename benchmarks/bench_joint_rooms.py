@@ -18,9 +18,10 @@ import numpy as np
 from bench_rooms import cloud_error, decoded
 from scipy.spatial import cKDTree
 
-from calib.alignment import View, find_order
+from calib.alignment import find_order
 from calib.arrays import Floats
 from calib.corner import Corner
+from calib.corner_view import View
 from calib.faces import find_faces
 from calib.matches import Matches
 from calib.refusal import RefusalError

@@ -8,17 +8,14 @@ and a rig is seldom moved and turned on its side at once.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import combinations, product
+from itertools import combinations
 from operator import itemgetter
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from calib.arrays import Bools, Floats, Ints
-from calib.camera import Intrinsics
-from calib.corner import Corner
+from calib.corner_view import View, cells_of
 
 _TURNS = (0, 1, 2)
 # Of the distance: neighbouring points are one patch, one piece of evidence; depths that differ by less are the same.
@@ -36,50 +33,6 @@ _UPRIGHT_SIGMA = np.radians(45.0)
 _DECIDED_NATS = float(np.log(1000.0))
 _MOST_REFUTED = 0.5
 _MOST_BEGUN = 3**6
-
-
-@dataclass(frozen=True)
-class View:
-    """What one capture saw of a corner.
-
-    `points` (H, W, 3) in the camera's frame on its pixel grid, NaN where there is none; `brightness` (H, W), or None;
-    `corner` in the same frame and unit.
-    """
-
-    points: NDArray[np.float32]
-    brightness: NDArray[np.float32] | None
-    camera: Intrinsics
-    corner: Corner
-
-    @cached_property
-    def axes(self) -> Floats:
-        """Right-handed orthonormal rows (3, 3) nearest to the corner's legs, in the camera's frame.
-
-        The nearest rotation (Schönemann 1966); legs that are numbered the left-handed way round change places first.
-        """
-        legs = self.corner.legs
-        u, _, vt = np.linalg.svd(legs if np.linalg.det(legs) > 0 else legs[[0, 2, 1]])
-        nearest: Floats = u @ vt
-        return nearest
-
-    @cached_property
-    def there(self) -> Bools:
-        """Which pixels have a point, (H, W)."""
-        return np.isfinite(self.points[..., 2])
-
-    @cached_property
-    def distance(self) -> float:
-        """Median distance of the points from the camera."""
-        return float(np.median(np.linalg.norm(self.points[self.there], axis=1))) if self.there.any() else 0.0
-
-    def in_corner(self, points: Floats, turn: int = 0) -> Floats:
-        """Points (N, 3) of the camera's frame in the corner's; `turn` renumbers its axes cyclically."""
-        return np.roll((points - self.corner.vertex) @ self.axes.T, turn, axis=1)
-
-    def in_camera(self, points: Floats, turn: int = 0) -> Floats:
-        """The inverse of `in_corner`."""
-        points_in_camera: Floats = np.roll(points, -turn, axis=1) @ self.axes + self.corner.vertex
-        return points_in_camera
 
 
 @dataclass(frozen=True)
@@ -155,7 +108,7 @@ def _cheapest(costs: Mapping[tuple[int, int, int], float], count: int) -> list[t
 
 
 def _upright(views: Sequence[View], turns: tuple[int, ...]) -> tuple[int, ...]:
-    """The same order, numbered so that the last axis is the one that points up most in the cameras' images."""
+    """The same order, numbered so that the last axis is the one that is most upright in the cameras' images."""
     up = np.mean([_up(view, turn) for view, turn in zip(views, turns, strict=True)], axis=0)
     shift = 2 - int(np.argmax(np.abs(up)))
     return tuple((turn + shift) % 3 for turn in turns)
@@ -187,19 +140,10 @@ def _patches(view: View) -> _Patches:
     return _Patches(points[first], np.min(np.abs(points[first]), axis=1) > size)
 
 
-def cells_of(points: Floats, size: float) -> Ints:
-    """A number for the cube of a grid with edges of `size` that each point (N, 3) is in, (N,)."""
-    cell = np.floor(points / size).astype(np.int64) if len(points) else np.zeros((0, 3), np.int64)
-    cell -= cell.min(axis=0, initial=0)
-    extent = cell.max(axis=0, initial=0) + 1
-    numbers: Ints = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
-    return numbers
-
-
 def _seen_by(view: View, patches: _Patches, turn: int) -> _Seen:
     """`turn`: that of the patches' corner relative to the view's."""
     points = view.in_camera(np.roll(patches.points, turn, axis=1))
-    nearest, farthest, sees = depths_around(view, points)
+    nearest, farthest, sees = view.depths_around(points)
     z = points[:, 2]
     through = sees & (nearest > (1 + _SAME_DEPTH) * z)
     meets = sees & ~through & (farthest > (1 - _SAME_DEPTH) * z)
@@ -207,70 +151,63 @@ def _seen_by(view: View, patches: _Patches, turn: int) -> _Seen:
     return _Seen(int(through.sum()), int((through & off).sum()), int((meets & off).sum()))
 
 
-def depths_around(view: View, points: Floats) -> tuple[Floats, Floats, Bools]:
-    """Least and greatest depth that a view has in the 3 × 3 pixels around the images of points (N, 3) of its frame.
-
-    And whether it has any there, (N,).
+@dataclass(frozen=True)
+class _Wall:
+    """What is painted on a face, as a picture over its two other axes: logarithms of the brightness, (h, w), without
+    what varies slowly, for that is the light. `known` (h, w): where a point was; `origin` (2,): the first pixel's
+    place.
     """
-    pixels = view.camera.project(points)
-    with np.errstate(invalid="ignore"):
-        sees = (points[:, 2] > 0) & np.all((pixels >= 0) & (pixels <= np.array(view.there.shape[::-1]) - 1.0), axis=1)
-    column, row = np.rint(pixels[sees]).astype(np.int64).T
-    height, width = view.there.shape
-    around = np.stack(
-        [
-            view.points[np.clip(row + dy, 0, height - 1), np.clip(column + dx, 0, width - 1), 2]
-            for dy, dx in product((-1, 0, 1), repeat=2)
-        ]
-    )
-    nearest, farthest = np.full(len(points), np.nan), np.full(len(points), np.nan)
-    nearest[sees] = np.fmin.reduce(around)
-    farthest[sees] = np.fmax.reduce(around)
-    return nearest, farthest, np.isfinite(nearest)
+
+    paint: Floats
+    known: Bools
+    origin: Ints
+
+    def within(self, low: Ints, high: Ints) -> tuple[Floats, Bools]:
+        """Paint, and where it is known, from place `low` (2,) up to `high` (2,), which the picture contains."""
+        rows, columns = (slice(*ends) for ends in zip(low - self.origin, high - self.origin, strict=True))
+        return self.paint[rows, columns], self.known[rows, columns]
 
 
-def _pictures_of_walls(view: View, pixel: float) -> list[tuple[Floats, Bools, Ints]] | None:
-    """For each face what is painted on it, as a picture over its two other axes, where it is known, and its origin.
-
-    Logarithms of the brightness, without what varies slowly: that is the light and not the paint.
-    """
+def _pictures_of_walls(view: View, pixel: float) -> list[_Wall] | None:
+    """One for each face; None where the brightness is not known."""
     if view.brightness is None or not view.there.any() or pixel == 0:
         return None
     points = view.in_corner(view.points[view.there].astype(np.float64))
     light = np.log(np.maximum(view.brightness[view.there].astype(np.float64), 1.0))
-    pictures = []
+    walls = []
     for face in range(3):
         on_wall = np.abs(points[:, face]) < _SAME_DEPTH * view.distance
-        at = np.floor(points[on_wall][:, [(face + 1) % 3, (face + 2) % 3]] / pixel).astype(np.int64)
-        origin = at.min(axis=0, initial=0)
-        shape = tuple(at.max(axis=0, initial=0) - origin + 1)
-        flat = np.ravel_multi_index(tuple((at - origin).T), shape)
-        count = np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
-        total = np.bincount(flat, light[on_wall], minlength=shape[0] * shape[1]).reshape(shape)
-        known = count > 0
-        picture = np.where(known, total / np.maximum(count, 1), 0.0)
-        local = uniform_filter(picture, _WINDOW) / np.maximum(uniform_filter(known.astype(np.float64), _WINDOW), 1e-9)
-        pictures.append((np.where(known, picture - local, 0.0), known, origin))
-    return pictures
+        places = np.floor(points[on_wall][:, [(face + 1) % 3, (face + 2) % 3]] / pixel).astype(np.int64)
+        walls.append(_picture_of_wall(places, light[on_wall]))
+    return walls
 
 
-def _cost_of_paint(
-    a: list[tuple[Floats, Bools, Ints]] | None, b: list[tuple[Floats, Bools, Ints]] | None, turn: int
-) -> float:
+def _picture_of_wall(places: Ints, light: Floats) -> _Wall:
+    """From whole-numbered places (N, 2) and the logarithm of the brightness there, (N,)."""
+    origin = places.min(axis=0, initial=0)
+    height, width = places.max(axis=0, initial=0) - origin + 1
+    flat = (places[:, 0] - origin[0]) * width + places[:, 1] - origin[1]
+    count = np.bincount(flat, minlength=height * width).reshape(height, width)
+    total = np.bincount(flat, light, minlength=height * width).reshape(height, width)
+    known = count > 0
+    mean = total / np.maximum(count, 1)
+    around = uniform_filter(mean, _WINDOW) / np.maximum(uniform_filter(known.astype(np.float64), _WINDOW), 1e-9)
+    return _Wall(np.where(known, mean - around, 0.0), known, origin)
+
+
+def _cost_of_paint(a: list[_Wall] | None, b: list[_Wall] | None, turn: int) -> float:
     """−log likelihood of the correlation r of the walls' pictures: ½ n log(1 − r²), if r is positive."""
     if a is None or b is None:
         return 0.0
     products, count = np.zeros(3), 0
     for face in range(3):
-        (first, known_first, from_first), (second, known_second, from_second) = a[(face + turn) % 3], b[face]
-        low = np.maximum(from_first, from_second)
-        high = np.minimum(from_first + first.shape, from_second + second.shape)
+        first, second = a[(face + turn) % 3], b[face]
+        low = np.maximum(first.origin, second.origin)
+        high = np.minimum(first.origin + first.paint.shape, second.origin + second.paint.shape)
         if np.any(high <= low):
             continue
-        in_first = tuple(slice(*ends) for ends in zip(low - from_first, high - from_first, strict=True))
-        in_second = tuple(slice(*ends) for ends in zip(low - from_second, high - from_second, strict=True))
-        both = known_first[in_first] & known_second[in_second]
-        x, y = first[in_first][both], second[in_second][both]
+        (x, known_x), (y, known_y) = first.within(low, high), second.within(low, high)
+        x, y = x[known_x & known_y], y[known_x & known_y]
         products += [x @ y, x @ x, y @ y]
         count += len(x)
     if not products[1] * products[2] > 0:

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.alignment import View, cells_of
 from calib.arrays import Bools
+from calib.corner_view import View, cells_of
 from scanner.cloud import Cloud
 
 
 @dataclass(frozen=True)
 class MergedCloud:
-    """Points in the corner's frame: origin at the vertex, axes along the legs, z along the one that points up most.
+    """Points in the corner's frame: origin at the vertex, axes along the legs, z along the most upright one.
 
     `points` (N, 3) in `unit`, `colours` (N, 3) RGB, `normals` (N, 3) facing the camera that saw the point. `grid`: at
     most one point in each cube with this edge. `turns`: for each capture, as of `View.in_corner`.

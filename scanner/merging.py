@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.alignment import Order, View, depths_around, find_order
+from calib.alignment import Order, find_order
 from calib.arrays import Floats, Image
 from calib.corner import Corner
+from calib.corner_view import View
 from scanner.cloud import Cloud
 from scanner.findings import Findings, Scan
 from scanner.merged_cloud import MergedCloud, merged
@@ -101,7 +102,7 @@ def consistency(clouds: Sequence[Cloud], views: Sequence[View], turns: Sequence[
 
 def _from_surface(cloud: Cloud, view: View, points: Floats) -> Floats:
     """Of points (N, 3) in a view's frame those that it saw, (M,): their distance along its normals, relative."""
-    nearest, farthest, sees = depths_around(view, points)
+    nearest, farthest, sees = view.depths_around(points)
     with np.errstate(invalid="ignore"):
         seen = points[sees & (nearest < 1.01 * points[:, 2]) & (farthest > 0.99 * points[:, 2])]
     column, row = np.rint(view.camera.project(seen)).astype(np.int64).T

@@ -18,7 +18,7 @@ from scanner.cli import main
 from scanner.config import load_config
 from scanner.errors import InputError
 from scanner.findings import Scan
-from scanner.matches_file import read_matches
+from scanner.given_captures import read_captures
 from scanner.recording import open_capture
 from scanner.terminal import Terminal
 
@@ -97,7 +97,9 @@ def test_a_device_that_fails_midway_costs_nothing_that_was_captured(
     whole, part = open_capture(kept / "captures/1/capture"), open_capture(kept / "capture")
     assert len(whole.patterns) == len(load_config(config).sequence.patterns(SIZE))
     assert part.patterns == whole.patterns[:3]
-    assert len(read_matches(kept / "captures/1")) > 0.5 * SIZE[0] * SIZE[1]
+    (found,) = read_captures([kept], SIZE, SIZE)  # as scan calibrate does
+    assert found.name == str(kept / "captures/1")
+    assert len(found.matches) > 0.5 * SIZE[0] * SIZE[1]
 
 
 @pytest.fixture

@@ -6,9 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib.alignment import View, find_order
+from calib.alignment import find_order
 from calib.camera import Intrinsics
 from calib.corner import Corner
+from calib.corner_view import View
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 
@@ -60,6 +61,16 @@ def test_bare_walls_of_one_colour_do_not_tell() -> None:
     order = find_order(views)
     assert not order.decided
     assert order.nats > 0  # nobody turns a rig on its side, but that is no proof
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_view_of_nothing_decides_nothing() -> None:
+    view = seen(0, 0, furniture=True)
+    nothing = replace(view, points=np.full_like(view.points, np.nan))
+    for views in ([view, nothing], [nothing, nothing]):
+        order = find_order(views)
+        assert not order.decided
+        assert order.refuted == 0
 
 
 def test_another_room_is_noticed() -> None:

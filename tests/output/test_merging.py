@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scene import CAMERA, PROJECTOR, Scene, room
 
-from calib.alignment import View, cells_of
 from calib.corner import Corner
+from calib.corner_view import View, cells_of
 from calib.selfcalibration import Profile, SelfCalibration
 from scanner.cloud import Cloud, build_cloud
 from scanner.findings import Findings, Scan

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scene import CAMERA, PROJECTOR, Scene, room
 
-from calib.alignment import View
 from calib.calibration import Calibration
 from calib.corner import Corner
+from calib.corner_view import View
 from calib.lens import unproject
 from calib.matches import Matches
 from calib.model import SHARED, State
