@@ -68,8 +68,11 @@ class _Seen:
     confirmed_off_walls: int
 
 
-def find_order(views: Sequence[View]) -> Order:
-    """The likeliest order of the axes of two or more views, and how sure it is."""
+def find_order(views: Sequence[View], angles_nats: float = 0.0) -> Order:
+    """The likeliest order of the axes of two or more views, and how sure it is.
+
+    `angles_nats`: by how much the angles of the corner favour the order in which the views come.
+    """
     patches = [_patches(view) for view in views]
     pixel = _WALL_PIXEL * float(np.median([view.distance for view in views]))
     walls = [_pictures_of_walls(view, pixel) for view in views]
@@ -82,6 +85,7 @@ def find_order(views: Sequence[View]) -> Order:
                 _NATS_PER_PATCH * sum(each.refuted for each in both)
                 + _cost_of_paint(walls[i], walls[j], turn)
                 + _cost_of_tilt(views[i], views[j], turn)
+                + (angles_nats if turn else 0.0)
             )
 
     (best, least), (_, next_least), *_ = _cheapest(costs, len(views))

@@ -57,7 +57,8 @@ class SelfCalibration:
 
     `matches` are labelled with their faces, `corner` is in the camera's frame, `residual_px` is the root mean square
     reprojection error of a match in the projector, `notes` are things that a person should know. `uncertainty` is None
-    for a method that knows none.
+    for a method that knows none. `order_nats`: of captures of one corner, by how much its angles make the order in
+    which the faces are numbered likelier than any other; 0 where they do not tell.
     """
 
     calibration: Calibration
@@ -68,6 +69,7 @@ class SelfCalibration:
     method: Method
     notes: tuple[str, ...] = ()
     uncertainty: Uncertainty | None = None
+    order_nats: float = 0.0
 
 
 def self_calibrate(
@@ -219,17 +221,21 @@ def _by_refinement(
     )
     notes = notes_on(refinement, knowledge)
     profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
+    sameness = refinement.sameness
+    order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
     results = []
     for i, matches in enumerate(captures):
         if len(captures) > 1:
-            shift = refinement.sameness.shifts[i] if refinement.sameness else 0
+            shift = sameness.shifts[i] if sameness and sameness.same else 0
             matches = _renumbered(matches, reflect=turned[i], shift=shift)
         corner, residual_px = before_the_matches(refinement.corner(i), calibration, matches)
         uncertainty = uncertainty_of(
             fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px
         )
         results.append(
-            SelfCalibration(calibration, matches, corner, profile, residual_px, "refined", notes, uncertainty)
+            SelfCalibration(
+                calibration, matches, corner, profile, residual_px, "refined", notes, uncertainty, order_nats
+            )
         )
     return tuple(results)
 

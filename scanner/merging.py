@@ -25,7 +25,8 @@ def merge(scan: Scan) -> None:
         scan.remarks_on_merging = ("The captures do not show the same corner, so their clouds were not merged.",)
         return
     views = [_view(found) for found in scan.captures]
-    order = find_order(views)
+    newest = scan.newest.solution
+    order = find_order(views, newest.order_nats if newest else 0.0)
     if not order.decided:
         scan.remarks_on_merging = (_why_not(order),)
         return

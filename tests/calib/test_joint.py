@@ -62,6 +62,7 @@ def test_two_captures_of_one_corner_measure_its_angles() -> None:
 def test_faces_are_numbered_alike_in_captures_of_one_corner() -> None:
     captures = random_captures(np.random.default_rng(3), 3, walls_off_deg=0.3, count=20_000, **RIG)
     found = _calibrate(captures, KNOWN)
+    assert found[0].order_nats > 7
     for result, capture in zip(found, captures, strict=True):
         # The angle opposite to each leg, by the truth in this capture's own numbers, carried to the numbers found.
         old, new = capture.matches.face, result.matches.face
