@@ -1,12 +1,14 @@
 """The Cramér–Rao bound of a synthetic capture: what no unbiased calibration can undercut."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from calib.camera import Intrinsics
 from calib.cells import Cells
 from calib.likelihood import Knowledge, evaluate
 from calib.matches import Matches
-from calib.model import CAMERA, PROJECTOR, Pose, State
+from calib.model import CAMERA, PROJECTOR, Pose, State, predict
 from calib.synthetic import SyntheticCapture
 from calib.valley import covariance_of
 
@@ -34,10 +36,11 @@ def bound(captures: list[SyntheticCapture], knowledge: Knowledge, noise_px: floa
         for column in np.flatnonzero(device[3:] == 0) + 3:
             prior = prior.with_known(columns.start + int(column))
     cells, variances = [], []
-    for capture in captures:
+    for i, capture in enumerate(captures):
         matches = capture.matches[capture.matches.face >= 0]
         sample = matches[:: max(1, len(matches) // _SAMPLE)]
-        cells.append(_as_cells(sample))
+        exact, _, _ = predict(state, sample.camera_px, sample.face, i)
+        cells.append(_as_cells(replace(sample, projector_px=exact)))
         variances.append(np.full(len(sample), noise_px**2 * len(sample) / len(matches)))
     fit = evaluate(cells, state, prior, variances)
     sigma = np.sqrt(np.diag(covariance_of(fit.information, prior.free)))

@@ -12,6 +12,7 @@ from calib.model import CAMERA, State
 CONVERGED = 1e-3  # in cost: a thirtieth of a sigma
 _STEPS = 40
 _DAMPING = 1e-7  # of a normal matrix scaled to unit diagonal
+_LEAST_DAMPING = 1e-13
 _LONGEST_STEP = 0.1  # of log f
 _HALVINGS = 4
 _SLOW = 0.1
@@ -79,7 +80,7 @@ def relax(
         trial = evaluate(captures, fit.state.moved(step), prior, variances)
         if trial.cost <= fit.cost:
             fit = trial
-            damping = max(damping / 30, 1e-14)
+            damping = max(damping / 30, _LEAST_DAMPING)
         elif damping > 1e4:
             break
         else:
@@ -88,13 +89,14 @@ def relax(
 
 
 def _newton(fit: Fit, prior: Prior, damping: float) -> tuple[Floats, float]:
-    """The damped Gauss–Newton step (size,) over the free columns, and the gain that the undamped one promises."""
+    """The damped Gauss–Newton step (size,) over the free columns, and the gain that it promises."""
     free = np.flatnonzero(prior.free)
     normal = fit.information[np.ix_(free, free)]
     scale = np.sqrt(np.diag(normal)) + 1e-12
-    values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
-    values = np.maximum(values, 1e-14)
-    downhill = vectors.T @ (fit.gradient[free] / scale)
+    damped = normal / np.outer(scale, scale)
+    damped[np.diag_indices(len(free))] += max(damping, _LEAST_DAMPING)
+    slope = fit.gradient[free] / scale
+    downhill = np.linalg.solve(damped, slope)
     step = np.zeros(len(prior.mean))
-    step[free] = -(vectors @ (downhill / (values + damping))) / scale
-    return step, float(np.sum(downhill**2 / values))
+    step[free] = -downhill / scale
+    return step, float(slope @ downhill)

@@ -17,7 +17,7 @@ from calib.transfer import Transfer, image_of_corner, intrinsic_matrices, transf
 
 _POINTS_IN_FRONT = 0.99
 _SAMPLE_PER_FACE = 200
-_BRACKETS = 3
+_BRACKETS = 2
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def bounded_search(objective: Objective, focal_px: Floats, values: Floats) -> fl
             lambda focal: min(float(exact_search(objective, np.array([focal]))[0]), 1e9),
             bounds=bounds,
             method="bounded",
-            options={"xatol": 1e-4},
+            options={"xatol": 1e-2},
         )
         found.append((float(result.fun), float(result.x)))
     return min(found)[1]

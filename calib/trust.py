@@ -22,7 +22,7 @@ _CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
 _TENSION_SIGMAS = 4.0
 _SIGNIFICANT = 0.9999
 _MISFIT_PX, _MISFIT_OF_NOISE = 0.1, 0.3
-_PLAUSIBLE_FOCAL = (0.2, 10.0)  # in projector widths
+_PLAUSIBLE_FOCALS = {"camera": (0.3, 4.0), "projector": (0.2, 10.0)}  # in image widths
 
 
 def no_corner(captures: Sequence[Cells]) -> RefusalError:
@@ -60,13 +60,17 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
     _refuse_ambiguous(fit, refinement.others, np.array([*relative.values(), *centre]))
-    field = float(fit.state.projector[0]) / knowledge.projector_size[0]
-    if not _PLAUSIBLE_FOCAL[0] < field < _PLAUSIBLE_FOCAL[1]:
-        raise RefusalError(
-            f"The solution has a projector whose focal length is {field:.2g} times its width, which no projector has"
-            + _because(_reasons(refinement)),
-            "The faces may not be square to each other, or frames and patterns do not belong together. " + MOVE,
-        )
+    for name, parameters, size in (
+        ("camera", fit.state.camera, knowledge.camera_size),
+        ("projector", fit.state.projector, knowledge.projector_size),
+    ):
+        field = float(parameters[0]) / max(size)
+        if not _PLAUSIBLE_FOCALS[name][0] < field < _PLAUSIBLE_FOCALS[name][1]:
+            raise RefusalError(
+                f"The solution has a {name} with a focal length of {field:.2g} image widths, which hardly any has"
+                + _because(_reasons(refinement)),
+                "The faces may not be square to each other, or frames and patterns do not belong together. " + MOVE,
+            )
     _refuse_misfit(refinement)
     _refuse_skew(refinement, knowledge)
 

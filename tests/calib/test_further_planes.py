@@ -21,7 +21,9 @@ def _with_planes(
     rays = truth.camera.unproject(matches.camera_px)
     for i, height in enumerate(heights):
         chosen = np.flatnonzero((matches.face == i) & (rng.random(len(face)) < 0.3))
-        tilt = Rotation.from_rotvec(np.radians(tilt_deg) * capture.corner.legs[(i + 1) % 3]).as_matrix()
+        tilt = Rotation.from_rotvec(
+            np.radians(tilt_deg / 2) * (capture.corner.legs.sum(axis=0) - capture.corner.legs[i])
+        ).as_matrix()
         normal = tilt @ capture.corner.normals[i]
         depth = (normal @ capture.corner.vertex + height) / (rays[chosen] @ normal)
         points = rays[chosen] * depth[:, None]
@@ -46,7 +48,7 @@ def _sigma(found: SelfCalibration) -> float:
     return float(found.calibration.sigma["camera_focal_px"]) / found.calibration.camera.focal_px[0]  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.parametrize("seed", [3, 8])
 def test_planes_along_the_faces_lower_the_sigma(seed: int) -> None:
     rng = np.random.default_rng(seed)
     capture = random_capture(rng, walls_off_deg=0.3, distance=(1.5, 2.5))
