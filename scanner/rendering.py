@@ -18,8 +18,8 @@ RGB = tuple[int, int, int]
 Floats32 = NDArray[np.float32]
 
 _SUPERSAMPLING = 2
-# Of the picture before it is shrunk. Points of other surfaces, or seen from behind, are not all wasted.
-_POINTS_PER_PIXEL = 0.5
+# Of the picture as it is shown. More would hide each other.
+_POINTS_PER_PIXEL = 1.0
 _LARGEST_SPLAT = 6
 _DENSITY_CELL = 12
 _MARGIN = 0.04
@@ -96,33 +96,38 @@ def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wirefr
     """
     points, axes = _thinned(cloud, size), view.axes.astype(np.float32)
     front = np.flatnonzero(points.normals @ axes[2] < 0)
-    seen = points.points[front] @ axes.T
     # From far to near: what is drawn later hides what was drawn before.
-    order = np.argsort(seen[:, 2])[::-1]
-    front, seen = front[order], seen[order]
+    front = front[np.argsort(points.points.take(front, axis=0) @ -axes[2])]
+    seen = points.points.take(front, axis=0) @ axes.T
     drawn = [wireframe.segments @ view.axes.T for wireframe in wireframes]
     low, high = _bounds(seen, drawn)
     scale = _SUPERSAMPLING * min(size[0] / (high - low)[0], size[1] / (high - low)[1])
     shape = tuple(int(np.ceil(extent * scale)) for extent in (high - low)[::-1])
     pixels = (seen[:, :2] - low.astype(np.float32)) * np.float32(scale)
-    inside = np.all((pixels >= 0) & (pixels < shape[::-1]), axis=1)
-    colours = _shaded(points.colours[front], points.normals[front], view)
-    picture = _filled(_splat(pixels[inside], colours[inside], (shape[0], shape[1])))
+    x, y = pixels.T
+    inside = np.flatnonzero((x >= 0) & (y >= 0) & (x < shape[1]) & (y < shape[0]))
+    pixels, front = pixels.take(inside, axis=0), front[inside]
+    colours = _shaded(points.colours.take(front, axis=0), points.normals.take(front, axis=0), view)
+    picture = _filled(_splat(pixels, colours, (shape[0], shape[1])))
     for wireframe, segments in zip(wireframes, drawn, strict=True):
         ends = np.rint((segments[..., :2] - low) * scale).astype(np.int32)
         width = _LINE_WIDTH_PX * _SUPERSAMPLING
-        cv2.polylines(picture, list(ends), False, (*wireframe.colour, 255), width, cv2.LINE_AA)
+        cv2.polylines(picture, list(ends), False, (*wireframe.colour, 255), width)
     return _shrunk(picture)
 
 
 def _thinned(cloud: Cloud | MergedCloud, size: tuple[int, int]) -> _Points:
     """As many points as a picture of `size` = (width, height) can show, evenly out of all."""
     there = cloud.there
-    most = _POINTS_PER_PIXEL * size[0] * size[1] * _SUPERSAMPLING**2
+    most = _POINTS_PER_PIXEL * size[0] * size[1]
     excess = max(1.0, np.count_nonzero(there) / most)
     chosen = (slice(None, None, ceil(excess ** (1 / there.ndim))),) * there.ndim
     there = there[chosen]
-    return _Points(cloud.points[chosen][there], cloud.normals[chosen][there], cloud.colours[chosen][there])
+    pixels = np.flatnonzero(there)
+    points, normals, colours = (
+        values[chosen].reshape(-1, 3).take(pixels, axis=0) for values in (cloud.points, cloud.normals, cloud.colours)
+    )
+    return _Points(points, normals, colours)
 
 
 def _bounds(seen: Floats32, drawn: list[Floats]) -> tuple[Floats, Floats]:
@@ -141,7 +146,8 @@ def _shaded(colours: NDArray[np.uint8], normals: NDArray[np.float32], view: View
     lamp = -forward - 0.5 * right - 0.6 * down
     lamp_direction = (lamp / np.linalg.norm(lamp)).astype(np.float32)
     light = np.float32(0.45) + np.float32(0.55) * np.clip(normals @ lamp_direction, 0, 1)
-    white = max(1.0, float(np.percentile(colours, 99))) if len(colours) else 1.0
+    cumulated = np.cumsum(np.bincount(colours.ravel(), minlength=256))
+    white = max(1, int(np.searchsorted(cumulated, 0.99 * cumulated[-1])))
     stretched = (1.05 * 255 * np.clip(np.arange(256) / white, 0, 1) ** 0.8).astype(np.float32)[colours]
     stretched *= light[:, None]
     return np.asarray(np.rint(np.minimum(stretched, np.float32(255))), dtype=np.uint8)
@@ -180,24 +186,22 @@ def _splat_sides(pixels: Floats32, shape: tuple[int, int]) -> Ints:
 
 
 def _filled(picture: RGBA) -> RGBA:
-    """Transparent pixels that are mostly surrounded by opaque ones take the mean of those."""
+    """Transparent pixels, which are black, take the mean of the opaque ones that they are mostly surrounded by."""
     for _ in range(_FILL_PASSES):
-        opaque = (picture[..., 3:] > 0).astype(np.float32)
-        around = cv2.boxFilter(
-            np.concatenate([picture[..., :3] * opaque, opaque], axis=-1), -1, (3, 3), normalize=False
-        )
-        gap = (opaque[..., 0] == 0) & (around[..., 3] >= _SURROUNDED)
-        picture[gap, :3] = np.rint(around[gap, :3] / around[gap, 3:])
-        picture[gap, 3] = 255
+        around = cv2.boxFilter(picture, cv2.CV_16U, (3, 3), normalize=False)
+        gap = np.nonzero((picture[..., 3] == 0) & (around[..., 3] >= 255 * _SURROUNDED))
+        filling = around[gap].astype(np.float32)
+        picture[gap] = np.rint(255 * filling / filling[:, 3:])
     return picture
 
 
 def _shrunk(picture: RGBA) -> RGBA:
-    """Average over the supersampled pixels, weighted by opacity so that no black creeps in at the edges."""
+    """Average over the supersampled pixels.
+
+    Transparent pixels are black, so that colours are means times opacity, and are divided by it.
+    """
     size = (picture.shape[1] // _SUPERSAMPLING, picture.shape[0] // _SUPERSAMPLING)
-    alpha = picture[..., 3:].astype(np.float32) / 255
-    weighted = np.concatenate([picture[..., :3] * alpha, alpha], axis=-1)
-    small = cv2.resize(weighted, size, interpolation=cv2.INTER_AREA)
-    opaque = small[..., 3:]
-    colour = small[..., :3] / np.maximum(opaque, 1e-6)
-    return np.asarray(np.rint(np.concatenate([colour, 255 * opaque], axis=-1)), dtype=np.uint8)
+    small = cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    edge = np.nonzero((small[..., 3] > 0) & (small[..., 3] < 255))
+    small[*edge, :3] *= 255 / small[edge][:, 3:]
+    return np.asarray(np.rint(small), np.uint8)
