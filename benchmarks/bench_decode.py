@@ -29,7 +29,7 @@ from scanner.patterns import Pattern, draw, gray_sequence, phase_sequence, seque
 _INDIRECT = 0.1
 _WHITE = 180.0
 _AMBIENT = 10.0
-_BYTES_PER_MATCH = 40
+_BYTES_PER_MATCH = 20
 _PERIODS, _SHIFTS = (21.0, 19.0), 4
 
 

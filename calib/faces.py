@@ -126,10 +126,10 @@ def _label_matches(matches: Matches, surfels: Surfels, segments: Segments) -> In
 
     def label(start: int) -> None:
         part = slice(start, start + _CHUNK)
-        camera_px = matches.camera_px[part]
-        cell = surfels.grid.cell(camera_px)
-        x, u = homogeneous(view.camera.ideal(camera_px)), view.projector.ideal(matches.projector_px[part])
-        spread = sigma[cell] if matches.sigma_px is None else scale * matches.sigma_px[part]
+        some = matches[part]
+        cell = surfels.grid.cell(some.camera_px)
+        x, u = homogeneous(view.camera.ideal(some.camera_px)), view.projector.ideal(some.projector_px)
+        spread = sigma[cell] if some.sigma_px is None else scale * some.sigma_px
         limit = (spread**2 + segments.model_px**2) / view.projector.unit_px**2
         best, second = np.full(len(x), np.inf), np.full(len(x), np.inf)
         for index, homography in enumerate(homographies):

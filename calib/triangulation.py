@@ -39,7 +39,8 @@ def intersect(matches: Matches, calibration: Calibration) -> Intersections:
     met = Intersections(np.empty((count, 3)), np.empty((count, 2)), np.empty(count), np.empty(count, np.bool_))
 
     def fill(at: slice) -> None:
-        _intersect_piece(matches.camera_px[at], matches.projector_px[at], calibration, met[at])
+        part = matches[at]
+        _intersect_piece(part.camera_px, part.projector_px, calibration, met[at])
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         # Walking through the results raises what went wrong.

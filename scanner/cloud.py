@@ -78,7 +78,8 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
     met = intersect(matches, calibration)
     usable = np.flatnonzero(inside & met.in_front)
     index, residual = (row * np.int32(width) + column)[usable], met.residual_px[usable]
-    agreement = judge(matches.camera_px.take(usable, axis=0), met.foot_px.take(usable, axis=0), residual, calibration)
+    seen_px = matches.camera_px.take(usable, axis=0).astype(np.float64, copy=False)
+    agreement = judge(seen_px, met.foot_px.take(usable, axis=0), residual, calibration)
     chosen = _best_per_pixel(index, residual, agreement.agrees)
 
     points = np.full((height, width, 3), np.nan, dtype=np.float32)

@@ -124,15 +124,18 @@ def _thinned(cloud: Cloud | MergedCloud, size: tuple[int, int]) -> _Points:
     chosen = (slice(None, None, ceil(excess ** (1 / there.ndim))),) * there.ndim
     there = there[chosen]
     pixels = np.flatnonzero(there)
-    points, normals, colours = (
-        values[chosen].reshape(-1, 3).take(pixels, axis=0) for values in (cloud.points, cloud.normals, cloud.colours)
+    return _Points(
+        cloud.points[chosen].reshape(-1, 3).take(pixels, axis=0),
+        cloud.normals[chosen].reshape(-1, 3).take(pixels, axis=0),
+        cloud.colours[chosen].reshape(-1, 3).take(pixels, axis=0),
     )
-    return _Points(points, normals, colours)
 
 
 def _bounds(seen: Floats32, drawn: list[Floats]) -> tuple[Floats, Floats]:
     """Corners of the picture in the view's plane, (2,) each: all but stray points, all lines, and a margin."""
-    ends = [np.percentile(seen[:, :2], (0.2, 99.8), axis=0)] if len(seen) else [np.zeros((1, 2)), np.ones((1, 2))]
+    ends = [np.array([[0.0, 0.0], [1.0, 1.0]])]
+    if len(seen):
+        ends = [np.asarray(np.percentile(seen[:, :2], (0.2, 99.8), axis=0), np.float64)]
     ends += [segments.reshape(-1, 3)[:, :2] for segments in drawn]
     everything = np.concatenate(ends)
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -182,7 +185,9 @@ def _splat_sides(pixels: Floats32, shape: tuple[int, int]) -> Ints:
     count = np.bincount(cell)
     spacing = np.zeros(len(count))
     spacing[count > 0] = _DENSITY_CELL / np.sqrt(count[count > 0])
-    return np.clip(np.ceil(1.2 * spacing), 1, _LARGEST_SPLAT).astype(np.int32)[cell]
+    sides: Ints = np.clip(np.ceil(1.2 * spacing), 1, _LARGEST_SPLAT).astype(np.int32)
+    of_points: Ints = sides[cell]
+    return of_points
 
 
 def _filled(picture: RGBA) -> RGBA:
@@ -201,7 +206,9 @@ def _shrunk(picture: RGBA) -> RGBA:
     Transparent pixels are black, so that colours are means times opacity, and are divided by it.
     """
     size = (picture.shape[1] // _SUPERSAMPLING, picture.shape[0] // _SUPERSAMPLING)
-    small = cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    small = np.asarray(cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
     edge = np.nonzero((small[..., 3] > 0) & (small[..., 3] < 255))
-    small[*edge, :3] *= 255 / small[edge][:, 3:]
+    mixed = small[edge]
+    mixed[:, :3] *= 255 / mixed[:, 3:]
+    small[edge] = mixed
     return np.asarray(np.rint(small), np.uint8)
