@@ -137,7 +137,9 @@ class Decoder:
 
     def _note_texture(self, image: Image) -> None:
         """Keep the white frame or, if there is none, the brightest that each pixel was."""
-        if self._texture is None or self._count == self._plan.white:
+        if self._count == self._plan.white and image.ndim == 2 and self._held is not None:
+            self._texture = self._held[0].brightest
+        elif self._texture is None or self._count == self._plan.white:
             self._texture = image.copy()
         elif self._plan.white is None:
             cv2.max(self._texture, image, dst=self._texture)
@@ -167,6 +169,7 @@ def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     noise = measure_noise(plan, sample, saturation)
     check_frames(plan, sample.levels, noise, saturation)
     check_codes(plan, accumulators.codes, noise, accumulators.middle)
+    accumulators.forget_contrasts()
 
     thin = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     decoders = calibrated_decoders(plan, noise, saturation, thin)
