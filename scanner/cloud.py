@@ -13,7 +13,6 @@ from calib.triangulation import intersect
 from scanner.agreement import judge
 from scanner.surface import surface
 
-
 _NO_TEXTURE_GREY = 200
 _WHITE_PERCENTILE = 99.9
 

@@ -52,8 +52,8 @@ class MaskReason(IntEnum):
 class Signals:
     """What was accumulated for one axis at some pixels; all arrays of one 2-D shape.
 
-    Per code `words`, `least` unless fringes contradict wrong bits, and, without fringes, `contrast` as in `GrayFold`; per fringe its two components, longest
-    period first.
+    Per code `words`, `least` unless fringes contradict wrong bits, and, without fringes, `contrast` as in `GrayFold`;
+    per fringe its two components, longest period first.
     `brightest`, `middle`: grey level when lit, and half-way between lit and unlit. `peak`: largest among the fringes.
     `log_exposure`: None if all pixels have the same.
     """
