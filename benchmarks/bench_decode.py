@@ -13,7 +13,7 @@ import subprocess
 import tempfile
 import time
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -23,32 +23,38 @@ from rich.table import Table
 
 from calib.arrays import Image
 from scanner.decode import Decoder
+from scanner.decoding.arrays import Floats32
 from scanner.patterns import Pattern, draw, gray_sequence, phase_sequence, sequence_for
 
 _INDIRECT = 0.1
 _WHITE = 180.0
 _AMBIENT = 10.0
-_BYTES_PER_MATCH = 40
+_BYTES_PER_MATCH = 20
 _PERIODS, _SHIFTS = (21.0, 19.0), 4
 
 
 def render(patterns: tuple[Pattern, ...], projector: tuple[int, int], size: tuple[int, int]) -> list[Image]:
     """Frames (H, W) of a wavy, textured wall with a shadow, with noise."""
     width, height = size
-    rng = np.random.default_rng(1)
     u, v = np.meshgrid(np.linspace(0, 1, width, dtype=np.float32), np.linspace(0, 1, height, dtype=np.float32))
     x = projector[0] * (0.05 + 0.9 * u + 0.01 * np.sin(7 * v)) - 0.5
     y = projector[1] * (0.05 + 0.9 * v + 0.01 * np.sin(9 * u)) - 0.5
     albedo = 0.7 + 0.2 * np.sin(40 * u) * np.cos(30 * v)
     albedo[(np.abs(u - 0.6) < 0.1) & (np.abs(v - 0.5) < 0.2)] = 0
-    noise = [rng.normal(0, 1.2, (height, width)).astype(np.float32) for _ in range(3)]
-    frames: list[Image] = []
+    return [*seen_by_camera(patterns, projector, np.stack([x, y], axis=-1), albedo)]
+
+
+def seen_by_camera(
+    patterns: tuple[Pattern, ...], projector: tuple[int, int], projector_px: Floats32, albedo: Floats32
+) -> Iterator[Image]:
+    """Frames (H, W), given which projector pixel (H, W, 2) each camera pixel sees, and how much it reflects (H, W)."""
+    rng = np.random.default_rng(1)
+    noise = [rng.normal(0, 1.2, albedo.shape).astype(np.float32) for _ in range(3)]
     for number, pattern in enumerate(patterns):
         shown = cv2.GaussianBlur((draw(pattern, projector) / np.float32(255)) ** np.float32(2.2), (0, 0), 0.6)
-        seen = albedo * (cv2.remap(shown, x, y, cv2.INTER_LINEAR) + _INDIRECT * shown.mean())
+        seen = albedo * (cv2.remap(shown, projector_px, None, cv2.INTER_LINEAR) + _INDIRECT * shown.mean())
         levels = _WHITE * seen + _AMBIENT + np.roll(noise[number % 3], 7919 * number)
-        frames.append(np.clip(np.rint(levels), 0, 255).astype(np.uint8))
-    return frames
+        yield np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
 
 def timed(action: Callable[[], object]) -> float:

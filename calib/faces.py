@@ -1,5 +1,7 @@
 """Dense matches → planar faces, and which three of them form the corner. No calibration, no masks."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -24,7 +26,7 @@ _MOST_DIRECTION_SIGMA_DEG = 0.2
 _GATE = 3.7  # a 2-D normal error of more sigmas than that: 1 in 940
 # A match that two planes explain is given to neither unless one is e^4.5 times as likely.
 _CLEARER_BY = 9.0
-_CHUNK = 1 << 17
+_CHUNK = 1 << 13
 
 
 @dataclass(frozen=True)
@@ -121,23 +123,32 @@ def _label_matches(matches: Matches, surfels: Surfels, segments: Segments) -> In
     sigma = _cell_sigma(surfels)
     scale = 1.0 if matches.sigma_px is None else float(np.median(surfels.sigma_px) / np.median(matches.sigma_px))
     plane = np.full(len(matches), NO_PLANE, np.int32)
-    for start in range(0, len(matches), _CHUNK):
+
+    def label(start: int) -> None:
         part = slice(start, start + _CHUNK)
-        camera_px = matches.camera_px[part]
-        cell = surfels.grid.cell(camera_px)
-        x, u = homogeneous(view.camera.ideal(camera_px)), view.projector.ideal(matches.projector_px[part])
-        spread = sigma[cell] if matches.sigma_px is None else scale * matches.sigma_px[part]
+        some = matches[part]
+        cell = surfels.grid.cell(some.camera_px)
+        x, u = homogeneous(view.camera.ideal(some.camera_px)), view.projector.ideal(some.projector_px)
+        spread = sigma[cell] if some.sigma_px is None else scale * some.sigma_px
         limit = (spread**2 + segments.model_px**2) / view.projector.unit_px**2
         best, second = np.full(len(x), np.inf), np.full(len(x), np.inf)
         for index, homography in enumerate(homographies):
             near = np.flatnonzero(nearby[index, cell])
-            predicted = x[near] @ homography.T
-            error = np.sum((predicted[:, :2] / predicted[:, 2:] - u[near]) ** 2, axis=1) / limit[near]
+            if not len(near):
+                continue
+            predicted = homography @ x.take(near, axis=0).T
+            off = predicted[:2] / predicted[2] - u.take(near, axis=0).T
+            error = (off[0] * off[0] + off[1] * off[1]) / limit[near]
             better = error < best[near]
             second[near] = np.where(better, best[near], np.minimum(second[near], error))
             best[near[better]] = error[better]
             plane[start + near[better]] = index
         plane[part][(best > _GATE**2) | (second < best + _CLEARER_BY)] = NO_PLANE
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        # Walking through the results raises what went wrong.
+        for _ in pool.map(label, range(0, len(matches), _CHUNK)):
+            pass
     return plane
 
 

@@ -98,9 +98,8 @@ def face_grams(matches: Matches) -> FaceGrams:
     """Accumulate the Gram matrices of the faces 0, 1, 2. Raises TooFewMatchesError below four each."""
     if matches.face is None:
         raise ValueError("these matches have no face labels")
-    labelled = matches.face >= 0
-    camera_scale = normalisation(matches.camera_px[labelled])
-    projector_scale = normalisation(matches.projector_px[labelled])
+    labelled = matches[matches.face >= 0]
+    camera_scale, projector_scale = normalisation(labelled.camera_px), normalisation(labelled.projector_px)
 
     def of_face(label: int) -> tuple[Floats, Floats]:
         face = matches.on_face(label)

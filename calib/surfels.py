@@ -72,7 +72,7 @@ def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.
     full = np.count_nonzero(members >= 0, axis=1) >= _FEWEST_PER_CELL
     cell, members = cell[full], members[full]
 
-    camera, projector = matches.camera_px[members], matches.projector_px[members]
+    camera, projector = (pixels[members].astype(np.float64) for pixels in (matches.camera_px, matches.projector_px))
     present = members >= 0
     residual = _best_trial(camera, projector, present, rng)
     for _ in range(2):

@@ -5,6 +5,8 @@ images; what the decoder got wrong does not. Only the second is a reason to drop
 estimated from the matches themselves and taken off before judging.
 """
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +70,15 @@ def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calib
         weighted = basis * (huber / np.maximum(huber, error))
         # On a single plane the two images are one homography apart and the terms nearly dependent: least norm then.
         solution = np.asarray(np.linalg.lstsq(weighted @ basis.T, weighted @ observed, rcond=1e-10)[0])
-    return np.concatenate([solution @ _cubic_terms(camera_px[at], foot_px[at], calibration) for at in pieces(count)])
+    trend = np.empty(count)
+
+    def fill(at: slice) -> None:
+        np.dot(solution, _cubic_terms(camera_px[at], foot_px[at], calibration), out=trend[at])
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for _ in pool.map(fill, pieces(count)):
+            pass
+    return trend
 
 
 def _cubic_terms(camera_px: Floats, foot_px: Floats, calibration: Calibration) -> Floats:

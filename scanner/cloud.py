@@ -2,17 +2,16 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Bools, Floats, Image
+from calib.arrays import Bools, Floats, Image, Ints
 from calib.calibration import Calibration
 from calib.matches import Matches
 from calib.triangulation import intersect
 from scanner.agreement import judge
 from scanner.surface import surface
-
-Ints64 = NDArray[np.int64]
 
 _NO_TEXTURE_GREY = 200
 _WHITE_PERCENTILE = 99.9
@@ -73,20 +72,21 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
     if texture is not None and texture.shape[:2] != (height, width):
         found = f"{texture.shape[1]} × {texture.shape[0]}"
         raise ValueError(f"the texture must have the camera's size {width} × {height}, found {found}")
-    pixel = np.rint(matches.camera_px).astype(np.int64)
-    inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
+    column, row = (np.rint(matches.camera_px[:, axis]).astype(np.int32) for axis in (0, 1))
+    inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
     met = intersect(matches, calibration)
-    usable = inside & met.in_front
-    index, residual = (pixel[:, 1] * width + pixel[:, 0])[usable], met.residual_px[usable]
-    agreement = judge(matches.camera_px[usable], met.foot_px[usable], residual, calibration)
+    usable = np.flatnonzero(inside & met.in_front)
+    index, residual = (row * np.int32(width) + column)[usable], met.residual_px[usable]
+    seen_px = matches.camera_px.take(usable, axis=0).astype(np.float64, copy=False)
+    agreement = judge(seen_px, met.foot_px.take(usable, axis=0), residual, calibration)
     chosen = _best_per_pixel(index, residual, agreement.agrees)
 
     points = np.full((height, width, 3), np.nan, dtype=np.float32)
-    points.reshape(-1, 3)[index[chosen]] = met.points[usable][chosen]
+    points.reshape(-1, 3)[index[chosen]] = met.points.take(usable[chosen], axis=0)
     on_surface = surface(points, float(np.mean(calibration.camera.focal_px)))
-    points[on_surface.isolated] = np.nan
-    on_surface.normals[on_surface.isolated] = np.nan
-    isolated = int(on_surface.isolated.sum())
+    isolated = np.nonzero(on_surface.isolated)
+    points[isolated] = np.nan
+    on_surface.normals[isolated] = np.nan
     return Cloud(
         points=points,
         colours=_colours(texture, np.isfinite(points[..., 2])),
@@ -95,12 +95,12 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
         unit=calibration.unit,
         statistics=CloudStatistics(
             matched=len(matches),
-            kept=len(chosen) - isolated,
+            kept=len(chosen) - len(isolated[0]),
             outside_image=int((~inside).sum()),
             behind=int((inside & ~met.in_front).sum()),
             disagreeing=int((~agreement.agrees).sum()),
             shared_pixel=int(agreement.agrees.sum()) - len(chosen),
-            isolated=isolated,
+            isolated=len(isolated[0]),
             limit_px=agreement.limit_px,
             calibration_px=_spread(agreement.trend_px[agreement.agrees]),
             decoder_px=agreement.noise_px,
@@ -108,17 +108,18 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
     )
 
 
-def _best_per_pixel(index: Ints64, residual: Floats, agrees: Bools) -> Ints64:
+def _best_per_pixel(index: Ints, residual: Floats, agrees: Bools) -> Ints:
     """Which of the matches at pixels `index` (N,) to keep: of those that agree, the best of each pixel."""
     candidates = np.flatnonzero(agrees)
-    if not len(candidates) or np.bincount(index[candidates]).max() == 1:
+    # Nearly always matches come row by row, one for each pixel.
+    if np.all(np.diff(index[candidates]) > 0):
         return candidates
     order = candidates[np.lexsort((np.abs(residual[candidates]), index[candidates]))]
     first = np.unique(index[order], return_index=True)[1]
     return order[first]
 
 
-def _residual_map(index: Ints64, residual: Floats, shape: tuple[int, int]) -> NDArray[np.float32]:
+def _residual_map(index: Ints, residual: Floats, shape: tuple[int, int]) -> NDArray[np.float32]:
     grid = np.full(shape[0] * shape[1], np.nan, dtype=np.float32)
     grid[index] = residual
     return grid.reshape(shape)
@@ -133,8 +134,9 @@ def _colours(texture: Image | None, there: Bools) -> NDArray[np.uint8]:
         bright = np.rint(np.minimum(texture * (255.0 / top), 255.0)).astype(np.uint8)
     else:
         bright = texture.astype(np.uint8, copy=False)
-    rgb = bright[..., ::-1] if bright.ndim == 3 else np.repeat(bright[..., None], 3, axis=2)
-    return np.where(there[..., None], rgb, np.uint8(0))
+    rgb = cv2.cvtColor(bright, cv2.COLOR_BGR2RGB if bright.ndim == 3 else cv2.COLOR_GRAY2RGB)
+    rgb[~there] = 0
+    return np.asarray(rgb, np.uint8)
 
 
 def _spread(values: Floats) -> float:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Image
+from calib.arrays import Floats, Image
 from calib.matches import Matches
 from scanner.decoding.accumulate import Accumulators
 from scanner.decoding.advice import warnings_of
@@ -137,7 +137,9 @@ class Decoder:
 
     def _note_texture(self, image: Image) -> None:
         """Keep the white frame or, if there is none, the brightest that each pixel was."""
-        if self._texture is None or self._count == self._plan.white:
+        if self._count == self._plan.white and image.ndim == 2 and self._held is not None:
+            self._texture = self._held[0].brightest
+        elif self._texture is None or self._count == self._plan.white:
             self._texture = image.copy()
         elif self._plan.white is None:
             cv2.max(self._texture, image, dst=self._texture)
@@ -167,6 +169,7 @@ def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     noise = measure_noise(plan, sample, saturation)
     check_frames(plan, sample.levels, noise, saturation)
     check_codes(plan, accumulators.codes, noise, accumulators.middle)
+    accumulators.forget_contrasts()
 
     thin = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     decoders = calibrated_decoders(plan, noise, saturation, thin)
@@ -191,22 +194,25 @@ def _match(plan: SequencePlan, measured: _Measured) -> tuple[Matches, NDArray[np
 
 
 def _pixel_matches(reasons: NDArray[np.uint8], maps: Maps) -> Matches:
-    """The matches of the pixels that `reasons` (H, W) keep, row by row."""
+    """The matches of the pixels that `reasons` (H, W) keep, row by row.
+
+    Single precision is exact for the camera's pixels, and all that the maps have for the projector's.
+    """
     kept = reasons == MaskReason.KEPT
     ends = np.cumsum(np.count_nonzero(kept, axis=1))
     count = int(ends[-1])
-    camera_px, projector_px, sigma_px = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
+    camera_px, projector_px = np.empty((count, 2), np.float32), np.empty((count, 2), np.float32)
+    sigma_px = np.empty(count, np.float32)
 
     def fill(rows: slice) -> None:
-        there = kept[rows]
-        part = slice(ends[rows.start] - np.count_nonzero(there[0]), ends[rows.stop - 1])
-        row, column = np.nonzero(there)
+        there = np.flatnonzero(kept[rows])
+        part = slice(ends[rows.stop - 1] - len(there), ends[rows.stop - 1])
+        row, column = np.divmod(there.astype(np.int32), np.int32(kept.shape[1]))
         camera_px[part, 0] = column
-        camera_px[part, 1] = row
-        camera_px[part, 1] += rows.start
-        projector_px[part, 0] = maps.x[rows][there]
-        projector_px[part, 1] = maps.y[rows][there]
-        np.sqrt(maps.variance[rows][there], out=sigma_px[part])
+        camera_px[part, 1] = row + np.int32(rows.start)
+        projector_px[part, 0] = maps.x[rows].ravel()[there]
+        projector_px[part, 1] = maps.y[rows].ravel()[there]
+        np.sqrt(maps.variance[rows].ravel()[there], out=sigma_px[part])
 
     in_strips(len(kept), fill)
-    return Matches(camera_px, projector_px, sigma_px=sigma_px)
+    return Matches(cast(Floats, camera_px), cast(Floats, projector_px), sigma_px=cast(Floats, sigma_px))

@@ -1,7 +1,9 @@
 """What is found out about captures, and the files that tell it."""
 
 import logging
+import os
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,18 +118,22 @@ def save(scan: Scan, folder: Path, refusal: RefusalError | None = None) -> None:
     """
     for remark in scan.remarks:
         log.info(remark)
-    for index, found in enumerate(scan.captures):
-        place = folder_of(folder, index, len(scan.captures))
-        place.mkdir(parents=True, exist_ok=True)
-        write_matches(place / MATCHES_FILE, found.matches, found.plane)
-        if refusal is None and found.calibration and found.cloud:
-            write_calibration(place / CALIBRATION_FILE, found.calibration)
-            write_ply(place / CLOUD_FILE, found.cloud)
-    if scan.merged is not None and refusal is None:
-        write_merged_ply(folder / MERGED_FILE, scan.merged)
-    for index, found in enumerate(scan.captures):
-        place = folder_of(folder, index, len(scan.captures))
-        write_report(place / REPORT_FILE, _report_input(scan, found, place, refusal))
+    places = [folder_of(folder, index, len(scan.captures)) for index in range(len(scan.captures))]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        written = []
+        for place, found in zip(places, scan.captures, strict=True):
+            place.mkdir(parents=True, exist_ok=True)
+            written.append(pool.submit(write_matches, place / MATCHES_FILE, found.matches, found.plane))
+            if refusal is None and found.calibration and found.cloud:
+                write_calibration(place / CALIBRATION_FILE, found.calibration)
+                written.append(pool.submit(write_ply, place / CLOUD_FILE, found.cloud))
+        if scan.merged is not None and refusal is None:
+            written.append(pool.submit(write_merged_ply, folder / MERGED_FILE, scan.merged))
+        # The files are still being written while the reports that list them are made.
+        for place, found in zip(places, scan.captures, strict=True):
+            write_report(place / REPORT_FILE, _report_input(scan, found, place, refusal))
+        for each in written:
+            each.result()
 
 
 def _report_input(scan: Scan, found: Findings, folder: Path, refusal: RefusalError | None) -> ReportInput:
@@ -142,13 +148,23 @@ def _report_input(scan: Scan, found: Findings, folder: Path, refusal: RefusalErr
         refusal=refusal,
         truth=scan.newest.truth,
         warnings=found.decoding.warnings if found.decoding else (),
-        files=tuple(sorted(path.name for path in folder.iterdir())),
+        files=_files(scan, found, folder, refusal),
         photograph=found.photograph,
         together=len(scan.captures),
         captures=_rows(scan) if newest and len(scan.captures) > 1 else (),
         merged=scan.merged if newest and not refusal else None,
         remarks=scan.remarks_on_merging if newest else (_ONE_OF_SEVERAL,),
     )
+
+
+def _files(scan: Scan, found: Findings, folder: Path, refusal: RefusalError | None) -> tuple[str, ...]:
+    """The names of what is in a capture's folder, or will be, beside the report."""
+    names = {MATCHES_FILE, *(path.name for path in folder.iterdir())}
+    if refusal is None and found.cloud:
+        names.add(CLOUD_FILE)
+    if refusal is None and found is scan.newest and scan.merged is not None:
+        names.add(MERGED_FILE)
+    return tuple(sorted(names - {REPORT_FILE}))
 
 
 def _rows(scan: Scan) -> tuple[CaptureRow, ...]:

@@ -7,13 +7,11 @@ import numpy as np
 from scanner.cloud import Cloud
 from scanner.merged_cloud import MergedCloud
 
-_VERTEX = np.dtype(
-    [
-        *((name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")),
-        *((name, "u1") for name in ("red", "green", "blue")),
-    ]
+_VERTEX = np.dtype([("point", "<f4", 3), ("normal", "<f4", 3), ("colour", "u1", 3)])
+_PROPERTIES = (
+    *(f"float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
+    *(f"uchar {name}" for name in ("red", "green", "blue")),
 )
-_TYPE_NAMES = {"f": "float", "u": "uchar"}
 
 
 def write_ply(path: Path, cloud: Cloud) -> None:
@@ -30,19 +28,13 @@ def write_merged_ply(path: Path, cloud: MergedCloud) -> None:
 
 
 def _write(path: Path, cloud: Cloud | MergedCloud, frame: str) -> None:
-    there = cloud.there
-    vertices = np.empty(int(there.sum()), dtype=_VERTEX)
-    for names, values in (
-        (("x", "y", "z"), cloud.points),
-        (("nx", "ny", "nz"), cloud.normals),
-        (("red", "green", "blue"), cloud.colours),
-    ):
-        chosen = values[there]
-        for axis, name in enumerate(names):
-            vertices[name] = chosen[:, axis]
+    there = np.flatnonzero(cloud.there)
+    vertices = np.empty(len(there), dtype=_VERTEX)
+    for name, values in (("point", cloud.points), ("normal", cloud.normals), ("colour", cloud.colours)):
+        vertices[name] = values.reshape(-1, 3).take(there, axis=0)
     with path.open("wb") as file:
         file.write(_header(len(vertices), cloud.unit, frame))
-        file.write(vertices.tobytes())
+        file.write(vertices.data)
 
 
 def _header(count: int, unit: str, frame: str) -> bytes:
@@ -53,7 +45,7 @@ def _header(count: int, unit: str, frame: str) -> bytes:
         f"comment unit {' '.join(unit.split())} (of x, y, z)",
         f"comment {frame}",
         f"element vertex {count}",
-        *(f"property {_TYPE_NAMES[_VERTEX[name].kind]} {name}" for name in _VERTEX.names or ()),
+        *(f"property {name}" for name in _PROPERTIES),
         "end_header",
     ]
     return "".join(f"{line}\n" for line in lines).encode("ascii", errors="replace")

@@ -8,6 +8,8 @@ Lengths are judged in footprints: the distance that one pixel's step covers at t
 the camera. That makes them independent of the unit and of the scene's size.
 """
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import cos, radians
 
@@ -20,7 +22,7 @@ from calib.arrays import Bools, Floats
 
 _SMALLEST_WINDOW, _LARGEST_WINDOW = 7, 15
 _WANTED_NORMAL_RAD = 0.05
-_STRIP_ROWS = 64
+_STRIP_ROWS = 32
 _NEIGHBOURS = 12
 _FEWEST_NEIGHBOURS = 4
 # A surface seen at more than 85° from its normal cannot be told from an occlusion edge.
@@ -96,7 +98,8 @@ def _window_planes(points: NDArray[np.float32], focal_px: float, window: int) ->
     normals = np.full_like(points, np.nan)
     roughness = np.full(points.shape[:2], np.nan, dtype=np.float32)
     count = np.zeros(points.shape[:2], dtype=np.float32)
-    for top in range(0, height, _STRIP_ROWS):
+
+    def fit(top: int) -> None:
         bottom = min(top + _STRIP_ROWS, height)
         first, last = max(0, top - halo), min(height, bottom + halo)
         strip = _strip_planes(points[first:last], focal_px, window)
@@ -104,6 +107,11 @@ def _window_planes(points: NDArray[np.float32], focal_px: float, window: int) ->
         normals[top:bottom] = strip.normals[inner]
         roughness[top:bottom] = strip.roughness[inner]
         count[top:bottom] = strip.count[inner]
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        # Walking through the results raises what went wrong.
+        for _ in pool.map(fit, range(0, height, _STRIP_ROWS)):
+            pass
     return _WindowPlanes(normals, roughness, count)
 
 

@@ -140,6 +140,13 @@ class Accumulators:
             self._threshold = _mean(self.brightest, self._darkest)
         self._fold_alone()
 
+    def forget_contrasts(self) -> None:
+        """Free the bits' distances from their thresholds where the fringes contradict wrong bits anyway."""
+        for axis in self.plan.axes:
+            for fold in self.codes:
+                if axis.corrects_bits and fold.code in axis.codes:
+                    fold.least = fold.least[:0].copy()
+
     @property
     def peak(self) -> Image:
         """(H, W): the largest grey levels among the fringes, or among all frames where there are no fringes."""
@@ -148,7 +155,8 @@ class Accumulators:
     @cached_property
     def middle(self) -> Image:
         """(H, W): grey level half-way between lit and unlit, once all frames are in."""
-        return self.brightest // 2 if self._black is None else _mean(self.brightest, self._black)
+        black, self._black = self._black, None
+        return self.brightest // 2 if black is None else _mean(self.brightest, black)
 
     def _add_of_pair(self, index: int, grey: Image) -> None:
         fold, bit, (normal, inverse) = self._pairs[index]

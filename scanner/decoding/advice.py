@@ -16,7 +16,8 @@ _MUCH_FLICKER = 0.01
 
 def warnings_of(reasons: Reasons, modulation: float | None, flicker: float | None) -> Iterator[str]:
     """Sentences about the `reasons` (H, W) of all pixels, the `modulation` of the finest fringes, and the `flicker`."""
-    count = np.bincount(reasons.reshape(-1), minlength=len(MaskReason))
+    # np.bincount would make an eight times larger copy of the whole map.
+    count = {reason: int(np.count_nonzero(reasons == reason)) for reason in MaskReason}
     matched, dark = count[MaskReason.KEPT], count[MaskReason.DARK]
     lit = max(1, reasons.size - dark)
     if matched < _FEW_MATCHED * reasons.size:

@@ -52,8 +52,8 @@ class MaskReason(IntEnum):
 class Signals:
     """What was accumulated for one axis at some pixels; all arrays of one 2-D shape.
 
-    Per code `words`, `least` and, without fringes, `contrast` as in `GrayFold`; per fringe its two components, longest
-    period first.
+    Per code `words`, `least` unless fringes contradict wrong bits, and, without fringes, `contrast` as in `GrayFold`;
+    per fringe its two components, longest period first.
     `brightest`, `middle`: grey level when lit, and half-way between lit and unlit. `peak`: largest among the fringes.
     `log_exposure`: None if all pixels have the same.
     """
@@ -184,7 +184,7 @@ class AxisDecoder:
         indirect = _mostly_indirect(signals, powers[0])
         reason[~certain] = MaskReason.INCONSISTENT
         reason[~certain & indirect] = MaskReason.INDIRECT
-        if len(periods) == 1:
+        if not self.plan.corrects_bits:
             # No second period would contradict a bit that global light has turned over.
             reason[_may_be_turned_over(signals, powers[0], indirect)] = MaskReason.INDIRECT
         reason[bright] = MaskReason.SATURATED

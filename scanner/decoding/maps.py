@@ -46,7 +46,7 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
         fringes = [fold for fold in accumulators.fringes if fold.fringe in axis.fringes]
         return Signals(
             [select(fold.words) for fold in codes],
-            [select(fold.least) for fold in codes],
+            [select(fold.least) for fold in codes if not axis.corrects_bits],
             [select(fold.contrast) for fold in codes if fold.contrast is not None],
             [(_in_levels(select(fold.cosine), fold), _in_levels(select(fold.sine), fold)) for fold in fringes],
             select(accumulators.brightest),

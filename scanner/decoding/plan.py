@@ -96,6 +96,11 @@ class AxisPlan:
         return min((code.cell for code in self.codes), default=self.length)
 
     @property
+    def corrects_bits(self) -> bool:
+        """Whether a second period contradicts a wrong bit of the Gray code."""
+        return len(self.fringes) > 1
+
+    @property
     def frames(self) -> list[int]:
         """All frames of this axis, in order."""
         of_codes = [frame for code in self.codes for frame in code.frames]

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-_ROWS = 64
+_ROWS = 32
 
 Result = TypeVar("Result")
 

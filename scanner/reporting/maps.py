@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.arrays import Bools, Floats, Image
 from calib.camera import Intrinsics
 from calib.corner import Corner
-from calib.matches import Matches
+from calib.matches import NO_FACE, Matches
 
 # Okabe & Ito (2008): told apart by every kind of colour vision, and in print.
 ORANGE, SKY_BLUE, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
@@ -25,6 +25,7 @@ _FACE_OPACITY = 0.5
 # Noise compresses badly; this many steps are as many as an eye tells apart in a map of it.
 _RESIDUAL_STEPS = 25
 _EDGE_SAMPLES = 400
+_LETTER_SAMPLE = 20_000
 
 Pixels = NDArray[np.uint8]
 
@@ -103,15 +104,15 @@ def _reduced_size(width: int, height: int) -> tuple[int, int]:
 def faces_over(background: Pixels, matches: Matches, camera: tuple[int, int]) -> Pixels:
     """Faces in colour over a grey `background` (H, W, 3); `camera` is the (width, height) of the matches' image."""
     height, width = background.shape[:2]
-    grey = np.repeat(background.mean(axis=2, keepdims=True), 3, axis=2)
     assert matches.face is not None
-    labels = np.full((height, width), -1, dtype=np.int64)
-    scale = np.array([width / camera[0], height / camera[1]])
-    on_face = matches.face >= 0
-    at = np.floor((matches.camera_px[on_face] + 0.5) * scale).astype(np.int64)
-    inside = np.all((at >= 0) & (at < (width, height)), axis=1)
-    labels[at[inside, 1], at[inside, 0]] = matches.face[on_face][inside]
-    picture = grey
+    labels = np.full((height, width), NO_FACE, dtype=np.int32)
+    column, row = (
+        np.floor((matches.camera_px[:, axis] + 0.5) * (small / full)).astype(np.int32)
+        for axis, (small, full) in enumerate(zip((width, height), camera, strict=True))
+    )
+    shown = np.flatnonzero((matches.face >= 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height))
+    labels[row[shown], column[shown]] = matches.face[shown]
+    picture = np.repeat(background.mean(axis=2, keepdims=True), 3, axis=2)
     for face, colour in enumerate(FACE_COLOURS):
         opacity = _FACE_OPACITY * _closed(labels == face)[..., None]
         picture = (1 - opacity) * picture + opacity * np.array(colour)
@@ -135,9 +136,9 @@ def face_overlay(
     assert matches.face is not None
     letters = []
     for face, name in enumerate(FACE_NAMES):
-        pixels = matches.camera_px[matches.face == face]
-        if len(pixels):
-            x, y = np.median(pixels, axis=0)
+        members = np.flatnonzero(matches.face == face)
+        if len(members):
+            x, y = np.median(matches.camera_px[members[:: max(1, len(members) // _LETTER_SAMPLE)]], axis=0)
             letters.append((name, float(x), float(y)))
     edges = []
     if corner is not None and camera is not None:

@@ -1,6 +1,8 @@
 """The report's sections as values that the template only has to lay out."""
 
+import os
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,14 +166,16 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
     forward = np.array([0.0, 0.0, 1.0])
     views = standard_views(forward, _up(report))
     frusta = rig_frusta(calibration, _FRUSTUM_LENGTH * _typical_depth(cloud), maps.BLUE, maps.VERMILION)
-    return tuple(
-        picture(
-            render(cloud, view, _VIEW_SIZE, [] if name == "front" else frusta),
+
+    def show(name: str) -> Picture:
+        return picture(
+            render(cloud, views[name], _VIEW_SIZE, [] if name == "front" else frusta),
             f"the point cloud, {name} view",
             caption=_VIEW_CAPTIONS[name] + (_CORNER_CAPTIONS[name] if report.solution else ""),
         )
-        for name, view in views.items()
-    )
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return tuple(pool.map(show, views))
 
 
 def _up(report: ReportInput) -> Floats:

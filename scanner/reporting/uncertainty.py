@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from calib.matches import Matches
 from calib.model import CAMERA, PROJECTOR
+from calib.pixel_index import NONE
 from calib.selfcalibration import SelfCalibration
 from calib.triangulation import intersect
 from calib.uncertainty import Uncertainty
@@ -49,11 +50,14 @@ def _relative_sigmas(
     """Of one match in each cell of a coarse grid over the image: sigma in per cent of its distance, NaN for none."""
     width, height = camera_size
     step = max(1, int(np.ceil(np.sqrt(width * height / _SAMPLES))))
-    cell = np.floor((matches.camera_px + 0.5) / step).astype(np.int64)
+    column, row = (np.floor((matches.camera_px[:, axis] + 0.5) / step).astype(np.int32) for axis in (0, 1))
     shape = (height - 1) // step + 1, (width - 1) // step + 1
-    inside = np.flatnonzero(np.all((cell >= 0) & (cell < shape[::-1]), axis=1))
-    flat, first = np.unique(cell[inside, 1] * shape[1] + cell[inside, 0], return_index=True)
-    sample = matches[inside[first].astype(np.int32)]
+    inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0]))
+    # The last of several values for one place is kept: backwards, that is the first match.
+    first = np.full(shape[0] * shape[1], NONE, np.int64)
+    first[(row * np.int32(shape[1]) + column)[inside[::-1]]] = inside[::-1]
+    flat = np.flatnonzero(first != NONE)
+    sample = matches[first[flat]]
     met = intersect(sample, solution.calibration)
     sigma = np.linalg.norm(uncertainty.of_points(sample), axis=1)
     relative = np.where(met.in_front, sigma / np.linalg.norm(met.points, axis=1), np.nan)
