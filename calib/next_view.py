@@ -19,9 +19,9 @@ from calib.model import CAMERA, PER_POSE, SHARED, Pose, State, predict
 from calib.refine import Refinement
 from calib.valley import covariance_of, inverse_of
 
-_TURNS_DEG = (-30.0, -15.0, 0.0, 15.0, 30.0)
+_TURNS_DEG = (-25.0, 0.0, 25.0)
 _DISTANCES = (0.75, 1.0, 1.3)
-_COLUMNS = 24
+_COLUMNS = 16
 _LEAST_SLANT = 0.12  # sine of the angle between a device's view of the vertex and a face
 _LEAST_SHARE = 0.03  # of the rays that both devices see, on each face
 

@@ -17,7 +17,7 @@ from calib.transfer import Transfer, image_of_corner, intrinsic_matrices, transf
 
 _POINTS_IN_FRONT = 0.99
 _SAMPLE_PER_FACE = 200
-_BRACKETS = 2
+_BRACKETS, _PROMISING = 3, 2.0
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,8 @@ def bounded_search(objective: Objective, focal_px: Floats, values: Floats) -> fl
     """The best focal: Brent's bounded minimiser in the brackets around the lowest minima of a sampled curve."""
     padded = np.concatenate([[np.inf], values, [np.inf]])
     low = np.flatnonzero(np.isfinite(values) & (values <= padded[:-2]) & (values <= padded[2:]))
-    minima = [int(i) for i in low[np.argsort(values[low])][:_BRACKETS]]
+    promising = low[values[low] <= _PROMISING * values[low].min()]
+    minima = [int(i) for i in promising[np.argsort(values[promising])][:_BRACKETS]]
     found = [(float(values[i]), float(focal_px[i])) for i in minima]
     for i in minima:
         bounds = (float(focal_px[max(i - 1, 0)]), float(focal_px[min(i + 1, len(focal_px) - 1)]))

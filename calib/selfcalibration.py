@@ -29,7 +29,7 @@ Method = Literal["refined", "paper"]
 
 # Trial focals, in units of the longer side of the camera's image: from a 120° to a 14° field of view.
 _SHORTEST, _LONGEST = 0.3, 4.0
-_PAPER_TRIALS, _SWEEP_TRIALS = 64, 28
+_PAPER_TRIALS, _SWEEP_TRIALS = 64, 24
 
 _CLOSED_CYCLE = 0.1  # paper's objective, in camera focals
 
