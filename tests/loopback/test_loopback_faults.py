@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -118,7 +119,9 @@ def test_the_screen_dies(config, rig, room, capsys):
 
 def test_ctrl_c(config, rig, room):
     command = [sys.executable, "-m", "scanner", "--config", str(config), "--out", str(config.with_name("result"))]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    # What runs in a shell's background is started deaf to Ctrl-C, and its children inherit that.
+    listening = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listening)
     after_frames(5, config, lambda: process.send_signal(signal.SIGINT))
     message = process.communicate(timeout=60)[1]
     assert process.returncode == 130
