@@ -1,9 +1,13 @@
 """The capture folder: `capture.yaml` and a frame for each pattern. Written as frames arrive, checked before use."""
 
+import os
 import shutil
 from collections.abc import Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from errno import ENOSPC
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -41,15 +45,33 @@ def record(stream: Stream, folder: Path) -> Stream:
 
 def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
     (folder / "frames").mkdir(parents=True)
-    with (folder / CAPTURE_FILE).open("w", encoding="utf-8") as listing:
-        listing.write(_keys(_header(stream)) + "frames:\n")
+    with (folder / CAPTURE_FILE).open("wb", buffering=0) as listing:
+        _append(listing, _keys(_header(stream)) + "frames:\n")
         for index, (pattern, frame) in enumerate(stream.frames):
             file = f"frames/{index:03d}.png"
-            write_png(folder / file, frame.image)
-            listing.write(frame_line(file, pattern, **_read_back(frame)))
-            listing.flush()
+            with _both_or_neither(listing, folder / file):
+                write_png(folder / file, frame.image)
+                _append(listing, frame_line(file, pattern, **_read_back(frame)))
             yield pattern, frame
-        listing.write(_keys(stream.account()))
+        _append(listing, _keys(stream.account()))
+
+
+@contextmanager
+def _both_or_neither(listing: FileIO, image: Path) -> Iterator[None]:
+    """An image and its line in the listing belong together, also when Ctrl-C or a full disk comes between them."""
+    end = listing.tell()
+    try:
+        yield
+    except BaseException:
+        listing.truncate(end)
+        image.unlink(missing_ok=True)
+        raise
+
+
+def _append(listing: FileIO, text: str) -> None:
+    data = text.encode()
+    if listing.write(data) != len(data):
+        raise OSError(ENOSPC, os.strerror(ENOSPC), listing.name)
 
 
 def _keys(values: Mapping[str, object]) -> str:

@@ -1,7 +1,11 @@
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from errno import ENOSPC
+from itertools import count, islice
 from pathlib import Path
+from types import FrameType
 
 import cv2
 import numpy as np
@@ -10,6 +14,7 @@ from conftest import PATTERNS, SIZE, read_listing, write_capture, write_listing
 
 from hw.errors import DeviceError
 from hw.rig import Frame
+from scanner import images, recording
 from scanner.capture import Stream
 from scanner.errors import InputError
 from scanner.images import write_png
@@ -69,6 +74,52 @@ def test_a_device_that_fails_leaves_a_capture_of_the_frames_so_far(tmp_path: Pat
     with pytest.raises(DeviceError, match="lamp"):
         list(record(stream_of(failing()), tmp_path / "capture").frames)
     assert open_capture(tmp_path / "capture").patterns == PATTERNS[:1]
+
+
+def interrupt_at_line(number: int) -> Callable[[FrameType, str, object], object]:
+    """A trace function that presses Ctrl-C at the so-many-th line run of the modules that write a capture."""
+    lines = count()
+
+    def trace(frame: FrameType, event: str, _: object) -> object:
+        if frame.f_code.co_filename not in (recording.__file__, images.__file__):
+            return None
+        if event == "line" and next(lines) == number:
+            raise KeyboardInterrupt
+        return trace
+
+    return trace
+
+
+def test_whenever_ctrl_c_comes_listing_and_frames_agree(tmp_path: Path) -> None:
+    for number in count():
+        folder = tmp_path / str(number)
+        frames = record(stream_of(islice(photographs(), 4)), folder).frames
+        next(frames)
+        before = sys.gettrace()
+        sys.settrace(interrupt_at_line(number))
+        try:
+            rest = sum(1 for _ in frames)
+        except KeyboardInterrupt:
+            rest = None
+        finally:
+            sys.settrace(before)
+        assert 1 <= len(open_capture(folder).patterns) <= 4
+        if rest == 3:
+            break
+    assert number > 50, "the interruptions did not reach into the writing"
+
+
+def test_a_full_disk_leaves_the_frames_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def half_written(path: Path, image: np.ndarray) -> None:
+        write_png(path, image)
+        if path.name == "002.png":
+            path.write_bytes(path.read_bytes()[:20])
+            raise OSError(ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(recording, "write_png", half_written)
+    with pytest.raises(OSError, match="space"):
+        list(record(stream_of(photographs()), tmp_path / "capture").frames)
+    assert len(read_all(tmp_path / "capture")) == 2
 
 
 def test_a_capture_opens_by_its_listing_too(capture_folder: Path) -> None:

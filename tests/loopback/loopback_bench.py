@@ -69,8 +69,12 @@ def scan(config: Path, *more: str) -> tuple[int, Path]:
 def after_frames(count: int, config: Path, act: Callable[[], object]) -> None:
     """Do something as soon as a running scan has recorded so many frames."""
 
+    def recorded() -> int:
+        listings = config.parent.glob(".result*/capture/capture.yaml")
+        return sum(listing.read_text().count("file:") for listing in listings)
+
     def watch() -> None:
-        while len(list(config.parent.glob(".result*/capture/frames/*.png"))) < count:
+        while recorded() < count:
             time.sleep(0.005)
         act()
 
