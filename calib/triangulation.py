@@ -1,8 +1,5 @@
 """Matches and a calibration → points."""
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +7,7 @@ import numpy as np
 from calib.arrays import Bools, Floats
 from calib.calibration import Calibration
 from calib.matches import Matches
-
-# Pieces of this many matches stay in the processor's cache: several times as fast as all at once.
-_PIECE = 1 << 13
+from calib.pieces import by_columns, in_pieces
 
 
 @dataclass(frozen=True)
@@ -82,17 +77,3 @@ def intersect_rays(camera_px: Floats, projector_px: Floats, calibration: Calibra
 def _dot(a: Floats, b: Floats) -> Floats:
     products: Floats = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return products
-
-
-def in_pieces(count: int, work: Callable[[slice], None]) -> None:
-    """Call `work` for slices that make up `count` elements, each small enough for a processor's cache, in threads."""
-    slices = [slice(start, start + _PIECE) for start in range(0, max(1, count), _PIECE)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        # Walking through the results raises what went wrong.
-        for _ in pool.map(work, slices):
-            pass
-
-
-def by_columns(pixels: Floats) -> Floats:
-    """The same (N, 2) in double precision, with each column in one piece of memory."""
-    return np.asfortranarray(pixels, dtype=np.float64)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from calib.arrays import Bools, Image, Ints
 from calib.calibration import Calibration
 from calib.matches import Matches
-from calib.triangulation import by_columns, in_pieces, intersect_rays
+from calib.pieces import by_columns, in_pieces
+from calib.triangulation import intersect_rays
 from scanner.agreement import Misses, expected_misses
 from scanner.surface import surface
 
@@ -135,9 +136,8 @@ def _triangulate(matches: Matches, calibration: Calibration) -> _Met:
     pixel, fate = np.empty(count, np.int32), np.empty(count, np.uint8)
     points, residual_px = np.empty((count, 3), np.float32), np.empty(count, np.float32)
     misses = _expected_misses(matches, calibration)
-    squares: list[float] = []
 
-    def fill(at: slice) -> None:
+    def fill(at: slice) -> float:
         camera_px = by_columns(matches.camera_px[at])
         met = intersect_rays(camera_px, matches.projector_px[at], calibration)
         column, row = np.rint(camera_px.T)
@@ -148,10 +148,10 @@ def _triangulate(matches: Matches, calibration: Calibration) -> _Met:
         pixel[at] = np.where(inside, row * size[0] + column, 0)
         points[at], residual_px[at] = met.points, met.residual_px
         fate[at] = inside.astype(np.uint8) + usable + agrees
-        squares.append(float(np.sum(trend_px * trend_px, where=agrees)))
+        return float(np.sum(trend_px * trend_px, where=agrees))
 
-    in_pieces(count, fill)
-    return _Met(pixel, points, residual_px, fate, misses, sum(squares))
+    squared_trend = sum(in_pieces(count, fill))
+    return _Met(pixel, points, residual_px, fate, misses, squared_trend)
 
 
 def _expected_misses(matches: Matches, calibration: Calibration) -> Misses:
