@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from hw.errors import DeviceError
 from hw.rig import Frame, Rig, exposure_control
 from scanner.patterns import Pattern, draw
+from scanner.projector_response import ProjectorResponse
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,16 @@ class Stream:
     account: Callable[[], Mapping[str, object]] = dict
 
 
-def capture(rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, ...] = ()) -> Stream:
+def capture(
+    rig: Rig,
+    patterns: tuple[Pattern, ...],
+    exposures_us: tuple[float, ...] = (),
+    response: ProjectorResponse | None = None,
+) -> Stream:
     """Project each pattern and grab a frame of it, or one at each of `exposures_us`, when the frame is asked for.
+
+    With a known `response` the projector is sent what makes its light proportional to the pattern. That is what the
+    recording's patterns describe: it does not matter to who reads it how the light came about.
 
     Raises DeviceError if the camera cannot expose for what is wanted, or makes the same of two exposures. Walking
     through `frames` raises DeviceError if a device fails or the camera delivers frames of another size.
@@ -33,15 +42,18 @@ def capture(rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, 
     if exposures_us:
         _try_exposures(rig, exposures_us)
     repeated = tuple(pattern for pattern in patterns for _ in exposures_us or (None,))
-    frames = _frames(rig, repeated, exposures_us)
-    return Stream(repeated, rig.projector.size, rig.camera.size, frames, {"devices": rig.identity}, rig.account)
+    frames = _frames(rig, repeated, exposures_us, response)
+    devices = rig.identity if response is None else rig.identity | {"response": f"gamma {response.gamma:.2f}, undone"}
+    return Stream(repeated, rig.projector.size, rig.camera.size, frames, {"devices": devices}, rig.account)
 
 
 def _frames(
-    rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, ...]
+    rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, ...], response: ProjectorResponse | None
 ) -> Iterator[tuple[Pattern, Frame]]:
     width, height = rig.camera.size
     pictures = (draw(pattern, rig.projector.size) for pattern in patterns)
+    if response is not None:
+        pictures = (response.compensation[picture] for picture in pictures)
     for pattern, frame in zip(patterns, rig.photograph(pictures, exposures_us), strict=True):
         if frame.image.shape[:2] != (height, width):
             found = f"{frame.image.shape[1]} × {frame.image.shape[0]}"
