@@ -124,7 +124,7 @@ def _check_view(rig: Rig, config: Config, terminal: Terminal, light: Light, chec
         checking.add(focus_row(samples, tell_apart(samples), finest_period_px(_scanned(rig, config))))
     checking.pictures["contrast"] = contrast_picture(meter.fringes(), light.well_lit)
     with terminal.step("Calibrating"):
-        row, failure = view.view_row(quick, config)
+        row, failure = view.view_row(quick, decoded, config)
     checking.add(row)
     checking.failure = failure
 
