@@ -71,7 +71,7 @@ def _guilty(lenses: Lenses, period_px: float) -> list[str]:
         ("projector", lenses.projector2, lenses.projector2_sigma),
         ("camera", lenses.camera2, lenses.camera2_sigma),
     ):
-        doubt = _SURE_SIGMAS * float(np.hypot(sigma, _MODEL * lenses.total_px**2 / _SURE_SIGMAS))
+        doubt = _SURE_SIGMAS * sigma + lenses.doubt2 + _MODEL * lenses.total_px**2
         if not isnan(part) and amplitude_left(part - doubt, period_px) < LEAST_AMPLITUDE:
             guilty.append(name)
     return guilty
@@ -80,7 +80,7 @@ def _guilty(lenses: Lenses, period_px: float) -> list[str]:
 def _split_in_words(lenses: Lenses) -> str:
     total = f"a blur of {lenses.total_px:.1f} px"
     parts = np.maximum([lenses.projector2, lenses.camera2], 0.0)
-    doubt = _SURE_SIGMAS * float(np.hypot(lenses.projector2_sigma, lenses.camera2_sigma))
+    doubt = _SURE_SIGMAS * float(np.hypot(lenses.projector2_sigma, lenses.camera2_sigma)) + lenses.doubt2
     if not doubt < max(lenses.total_px**2, parts.max()):
         return f"{total}; which lens it comes from cannot be told"
     projector, camera = np.sqrt(parts)

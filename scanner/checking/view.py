@@ -87,7 +87,8 @@ class Coverage:
     """How much of either picture serves, and where the served part has its middle, −½ … ½ from the centre, x and y.
 
     `camera`: share of the camera's pixels that have a match; `projector`: share of the projector's light that the
-    camera sees. `seen`: (rows, columns), the squares of the projector's picture that it sees.
+    camera sees. `seen`: (rows, columns), the squares of the projector's picture that it sees. `span`: projector pixels
+    per camera pixel, on average.
     """
 
     camera: float
@@ -95,6 +96,7 @@ class Coverage:
     projector: float
     projector_middle: tuple[float, float]
     seen: Bools
+    span: float
 
 
 def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage:
@@ -108,12 +110,14 @@ def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage
     seen[row, column] = True
     middle = (decoding.matches.camera_px.mean(axis=0) + 0.5) / (width, height) - 0.5
     seen_y, seen_x = np.nonzero(seen)
+    spanned = seen.mean() * projector_size[0] * projector_size[1] / max(1, len(decoding.matches))
     return Coverage(
         float(np.mean(decoding.reasons == MaskReason.KEPT)),
         (float(middle[0]), float(middle[1])),
         float(seen.mean()),
         (float(np.mean(seen_x + 0.5) / across - 0.5), float(np.mean(seen_y + 0.5) / down - 0.5)),
         seen,
+        float(np.sqrt(spanned)),
     )
 
 

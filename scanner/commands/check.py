@@ -21,6 +21,7 @@ from scanner.checking.table import table_of
 from scanner.commands import options
 from scanner.config import load_config
 from scanner.config_file import set_keys
+from scanner.log import keep_off_the_terminal
 from scanner.result import refuse_occupied
 from scanner.terminal import Terminal
 
@@ -44,6 +45,7 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError, DeviceError, RefusalError."""
     config = load_config(args.config, args.set)
     terminal = Terminal(quiet=args.quiet)
+    keep_off_the_terminal()
     config.principal_point(config.camera_size)
     if args.out:
         refuse_occupied(args.out)
