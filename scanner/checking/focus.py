@@ -135,8 +135,8 @@ class Lenses:
     """Blur of both lenses: `total_px`, the median of both together, in projector pixels, and the share of each.
 
     `projector2`, `camera2`: what each adds to the square of the total, with the standard deviations `projector2_sigma`,
-    `camera2_sigma`; NaN where the view does not tell them apart at all. `doubt2`: what a lens that is no Gaussian may
-    have made up of either.
+    `camera2_sigma`; NaN where the view does not tell them apart at all. `doubt2`: what lenses that are no Gaussians
+    may have moved from one to the other. `span`: projector pixels per camera pixel, median.
     """
 
     total_px: float
@@ -144,7 +144,8 @@ class Lenses:
     camera2: float
     projector2_sigma: float
     camera2_sigma: float
-    doubt2: float = 0.0
+    doubt2: float
+    span: float
 
 
 def tell_apart(samples: BlurSamples) -> Lenses | None:
@@ -157,15 +158,19 @@ def tell_apart(samples: BlurSamples) -> Lenses | None:
     number: Ints = block[:, 1] * _BLOCKS + block[:, 0]
     groups = np.unique(number)
     total_px = float(np.sqrt(max(0.0, total2)))
-    doubt2 = float(np.median(samples.doubt2))
+    # What is taken for blur that grows with the span is the more doubtful, the less the spans differ.
+    lever = float(np.std(samples.span**2) / usual)
+    doubt2 = float(np.median(samples.doubt2)) / lever if lever > 0 else float("inf")
     if len(groups) < 3:
         unknown = float("nan")
-        return Lenses(total_px, unknown, unknown, unknown, unknown, doubt2)
-    whole = _split(samples, np.ones(len(number), np.bool_), usual)
+        return Lenses(total_px, unknown, unknown, unknown, unknown, doubt2, float(np.sqrt(usual)))
     parts = np.array([_split(samples, number != group, usual) for group in groups])
     # Jackknife (Efron and Tibshirani 1993, eq. 11.5).
     spread = np.sqrt((len(groups) - 1) / len(groups) * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0))
-    return Lenses(total_px, float(whole[0]), float(whole[1]), float(spread[0]), float(spread[1]), doubt2)
+    projector2, camera2 = _split(samples, np.ones(len(number), np.bool_), usual)
+    return Lenses(
+        total_px, float(projector2), float(camera2), float(spread[0]), float(spread[1]), doubt2, float(np.sqrt(usual))
+    )
 
 
 def _split(samples: BlurSamples, chosen: Bools, usual: float) -> Floats:

@@ -169,14 +169,15 @@ def view_row(quick: Capture, decoded: Capture, config: Config) -> tuple[CheckRow
 
     `decoded` is the quick capture, or a coarse one where that shows too little. Raises InputError.
     """
-    before = "" if quick.findings else f"the quick sequence does not decode ({quick.problem}); from coarse stripes, "
+    before = "" if quick.findings else f"the quick sequence does not decode ({quick.problem}). From coarse stripes: "
     if decoded.findings is None:
         row = CheckRow(_VIEW, State.FAILED, f"the frames do not decode: {decoded.problem}", _UNREADABLE)
         return row, refusal_of(row)
     try:
         solution = predict(decoded.findings, config)
     except RefusalError as refusal:
-        return CheckRow(_VIEW, State.FAILED, before + refusal.reason, refusal.advice), refusal
+        advice = f"{_UNREADABLE} {refusal.advice}" if before else refusal.advice
+        return CheckRow(_VIEW, State.FAILED, before + refusal.reason, advice), refusal
     sigmas = relative_sigmas(solution)
     shown = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
     finding = f"{before}focal lengths will be known to about {shown}"
