@@ -91,7 +91,8 @@ def _changed(text: str, section: str, name: str, shown: str) -> str | None:
         return None
     old = _value_of(inner, name)
     if old is not None:
-        return text[: old.start_mark.index] + shown + text[_end_of(old, text) :]
+        begin, end = int(old.start_mark.index), _end_of(old, text)
+        return text[:begin] + (" " if begin == end else "") + shown + text[end:]
     if inner.flow_style:
         last = inner.value[-1][1]
         end = _end_of(last, text)

@@ -1,12 +1,12 @@
 """One small simulated room for all tests here; making it takes seconds."""
 
 import pytest
-from check_bench import CAMERA, PROJECTOR, changed, config, rig_in
+from check_bench import CAMERA, PERIOD_US, PROJECTOR, changed, config, rig_in
 
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.checking.check import check_rig
-from scanner.checking.report import CheckReport
+from scanner.checking.report import CheckReport, CheckRow
 from scanner.terminal import Terminal
 
 
@@ -16,6 +16,13 @@ def room() -> SimulatedRoom:
 
 
 @pytest.fixture(scope="session")
-def usual(room: SimulatedRoom) -> CheckReport:
+def rows_of_usual() -> list[CheckRow]:
+    """The rows of the usual check in the order in which they came."""
+    return []
+
+
+@pytest.fixture(scope="session")
+def usual(room: SimulatedRoom, rows_of_usual: list[CheckRow]) -> CheckReport:
     """A check of the rig as it should be: whole refresh periods."""
-    return check_rig(rig_in(changed(room, exposure_us=1e6 / 60)), config(), Terminal(quiet=True))
+    rig = rig_in(changed(room, exposure_us=PERIOD_US))
+    return check_rig(rig, config(), Terminal(quiet=True), rows_of_usual.append)

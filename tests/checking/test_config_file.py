@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanner.config import load_config
@@ -73,19 +73,19 @@ VALUES = st.recursive(
 )
 
 
-@given(st.dictionaries(KEYS, VALUES, min_size=1, max_size=4), st.sampled_from([None, True, False]), st.booleans())
+@settings(max_examples=60)
+@given(st.dictionaries(KEYS, VALUES, min_size=1, max_size=4), st.booleans(), st.booleans())
 def test_whatever_the_file_is_like_it_means_the_same_but_for_the_key(section, flow, there):
-    given_data = {"one": 1, "rig": section | ({"exposure_us": 1} if there else {}), "two": [2, {"three": 3}]}
-    text = yaml.safe_dump(given_data, default_flow_style=flow, allow_unicode=True)
-    if flow is True:
-        text = "# flow\n" + "".join(
-            f"{key}: {yaml.safe_dump(value, default_flow_style=True)}"
-            for key, value in given_data.items()
-            if isinstance(value, dict | list)
-        )
-        given_data.pop("one")
+    data = {"one": 1, "rig": section | ({"exposure_us": 1} if there else {}), "two": [2, {"three": 3}]}
+    parts = [yaml.safe_dump({key: value}, default_flow_style=False, allow_unicode=True) for key, value in data.items()]
+    if flow:
+        parts[1] = f"rig: {yaml.safe_dump(data['rig'], default_flow_style=True, allow_unicode=True)}"
+    text = "# begin\n" + "# between\n".join(parts) + "# end\n"
     changed = with_key(text, "rig.exposure_us", 16666.7, "room.yaml")
-    assert yaml.safe_load(changed) == given_data | {"rig": given_data["rig"] | {"exposure_us": 16666.7}}
+    assert yaml.safe_load(changed) == data | {"rig": data["rig"] | {"exposure_us": 16666.7}}
+    assert changed.startswith("# begin\n")
+    assert changed.endswith("# end\n")
+    assert changed.count("# between\n") == text.count("# between\n")
 
 
 CONFIG = """\
