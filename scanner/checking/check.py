@@ -121,9 +121,9 @@ def _check_view(rig: Rig, config: Config, terminal: Terminal, light: Light, chec
         checking.add(view.coverage_row(coverage, decoded.decoding))
         checking.pictures["coverage"] = coverage_picture(light, matched)
         usable = matched & ~light.clipped
-        samples = sample_blur(meter.fringes(), usable, view.projector_map(decoded.decoding))
+        samples = sample_blur(meter.fringes, usable, view.projector_map(decoded.decoding))
         checking.add(focus_row(samples, tell_apart(samples), finest_period_px(_scanned(rig, config))))
-    checking.pictures["contrast"] = contrast_picture(meter.fringes(), usable)
+    checking.pictures["contrast"] = contrast_picture(meter.fringes, usable)
     with terminal.step("Calibrating"):
         row, failure = view.view_row(quick, decoded, config)
     checking.add(row)
