@@ -107,10 +107,32 @@ def _check(rig: Rig, config: Config, terminal: Terminal, checking: Checking) -> 
 
 
 def _check_view(rig: Rig, config: Config, terminal: Terminal, light: Light, checking: Checking) -> None:
+    """From a quick capture; the configured one follows where the quick one is refused, which takes longer."""
     meter = FringeMeter()
     quick = view.take_quick(rig, config, meter, terminal)
     checking.add(*transfer_rows(rig))
-    decoded = quick if quick.decoding else view.take_coarse(rig, config, terminal)
+    with terminal.step("Calibrating"):
+        row, failure = view.view_row(quick, config)
+    scanned = view.take_configured(rig, config, terminal) if failure else None
+    if scanned:
+        with terminal.step("Calibrating"):
+            row, failure = view.view_row(scanned, config, as_configured=True)
+    decoded = quick if quick.decoding else scanned if scanned and scanned.decoding else None
+    _check_lenses(rig, config, terminal, light, checking, decoded or view.take_coarse(rig, config, terminal), meter)
+    checking.add(row)
+    checking.failure = failure
+
+
+def _check_lenses(
+    rig: Rig,
+    config: Config,
+    terminal: Terminal,
+    light: Light,
+    checking: Checking,
+    decoded: view.Capture,
+    meter: FringeMeter,
+) -> None:
+    """Coverage and focus: of where each pixel looks, and of more fringes beside those that `meter` has seen."""
     usable = light.well_lit
     coverage = view.coverage_of(decoded.decoding, rig.projector.size) if decoded.decoding else None
     periods = {period_for(coverage.span if coverage else 1.0), LONG_PERIOD_PX}
@@ -121,13 +143,9 @@ def _check_view(rig: Rig, config: Config, terminal: Terminal, light: Light, chec
         checking.add(view.coverage_row(coverage, decoded.decoding))
         checking.pictures["coverage"] = coverage_picture(light, matched)
         usable = matched & ~light.clipped
-        samples = sample_blur(meter.fringes(), usable, view.projector_map(decoded.decoding))
+        samples = sample_blur(meter.fringes, usable, view.projector_map(decoded.decoding))
         checking.add(focus_row(samples, tell_apart(samples), finest_period_px(_scanned(rig, config))))
-    checking.pictures["contrast"] = contrast_picture(meter.fringes(), usable)
-    with terminal.step("Calibrating"):
-        row, failure = view.view_row(quick, decoded, config)
-    checking.add(row)
-    checking.failure = failure
+    checking.pictures["contrast"] = contrast_picture(meter.fringes, usable)
 
 
 def _scanned(rig: Rig, config: Config) -> tuple[Pattern, ...]:

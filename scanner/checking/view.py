@@ -22,9 +22,10 @@ from scanner.findings import Findings, Scan
 from scanner.given_captures import read_captures
 from scanner.patterns import Pattern
 from scanner.pipeline import decode
-from scanner.presets import PRESETS, Preset
+from scanner.presets import PRESETS, Preset, PresetName
 from scanner.terminal import Terminal
 
+_QUICK: PresetName = "quick"
 _VIEW, _COVERAGE = "view", "coverage"
 # The quick capture's sigma is that of the scan within a factor of two: beyond half of what is refused, a scan may be.
 _RISKY_SIGMA = USEFUL_SIGMA / 2
@@ -56,7 +57,15 @@ class Capture:
 
 def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Terminal) -> Capture:
     """Capture the quick sequence while `meter` looks on. Raises DeviceError."""
-    return _take(rig, config, PRESETS["quick"].patterns(rig.projector.size), meter, terminal, "Capturing quickly")
+    return _take(rig, config, PRESETS[_QUICK].patterns(rig.projector.size), meter, terminal, "Capturing quickly")
+
+
+def take_configured(rig: Rig, config: Config, terminal: Terminal) -> Capture | None:
+    """Capture what a scan would; None if that is the quick sequence. Raises DeviceError."""
+    patterns = config.sequence.patterns(rig.projector.size)
+    if patterns == PRESETS[_QUICK].patterns(rig.projector.size):
+        return None
+    return _take(rig, config, patterns, FringeMeter(), terminal, "Capturing as a scan would")
 
 
 def take_coarse(rig: Rig, config: Config, terminal: Terminal) -> Capture:
@@ -164,27 +173,26 @@ def predict(findings: Findings, config: Config) -> SelfCalibration:
     return findings.solution
 
 
-def view_row(quick: Capture, decoded: Capture, config: Config) -> tuple[CheckRow, RefusalError | None]:
+def view_row(seen: Capture, config: Config, *, as_configured: bool = False) -> tuple[CheckRow, RefusalError | None]:
     """How well this view will calibrate, and why a scan would be refused, if it would.
 
-    `decoded` is the quick capture, or a coarse one where that shows too little. Raises InputError.
+    `as_configured`: `seen` is not the quick capture, of which too little could be had. Raises InputError.
     """
-    before = "" if quick.findings else f"the quick sequence does not decode ({quick.problem}). From coarse stripes: "
-    if decoded.findings is None:
-        row = CheckRow(_VIEW, State.FAILED, f"the frames do not decode: {decoded.problem}", _UNREADABLE)
+    if seen.findings is None:
+        row = CheckRow(_VIEW, State.FAILED, f"the frames do not decode: {seen.problem}", _UNREADABLE)
         return row, refusal_of(row)
     try:
-        solution = predict(decoded.findings, config)
+        solution = predict(seen.findings, config)
     except RefusalError as refusal:
-        advice = f"{_UNREADABLE} {refusal.advice}" if before else refusal.advice
-        return CheckRow(_VIEW, State.FAILED, before + refusal.reason, advice), refusal
+        return CheckRow(_VIEW, State.FAILED, refusal.reason, refusal.advice), refusal
     sigmas = relative_sigmas(solution)
     shown = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
-    finding = f"{before}focal lengths will be known to about {shown}"
+    finding = f"focal lengths will be known to about {shown}"
     if max(sigmas.values()) > _RISKY_SIGMA:
         notes = [note for note in solution.notes if note.startswith(FURTHER_CAPTURE)]
         return CheckRow(_VIEW, State.POOR, finding, " ".join(notes) or MOVE), None
-    if before:
+    if as_configured:
+        finding += f"; the {_QUICK} sequence would not do"
         return CheckRow(_VIEW, State.POOR, finding, _UNREADABLE), None
     return CheckRow(_VIEW, State.OK, finding), None
 
