@@ -7,7 +7,7 @@
 from argparse import ArgumentParser, Namespace
 from typing import Protocol
 
-from scanner.commands import calibrate, devices, export, measure, patterns, replay, scan
+from scanner.commands import calibrate, devices, export, measure, patterns, replay, scan, view
 
 
 class Command(Protocol):
@@ -30,4 +30,5 @@ NAMED: dict[str, Command] = {
     "devices": devices,
     "export": export,
     "measure": measure,
+    "view": view,
 }

@@ -34,11 +34,11 @@ def measure(scan: FinishedScan, sphere_diameters: list[float], pixel_pairs: list
     """
     distances = tuple(_pixel_distance(scan, pair) for pair in pixel_pairs)
     spheres = measure_spheres(scan, sphere_diameters)
-    faces, angles = _faces(scan)
+    faces, angles = measure_faces(scan)
     return Measurements(scan.unit, spheres, faces, angles, centre_distances(spheres) + distances)
 
 
-def _faces(scan: FinishedScan) -> tuple[tuple[FaceMeasurement, ...], tuple[AngleMeasurement, ...]]:
+def measure_faces(scan: FinishedScan) -> tuple[tuple[FaceMeasurement, ...], tuple[AngleMeasurement, ...]]:
     """Flatness of the corner's faces and the angles between them; nothing if the matches have no labels."""
     if scan.matches.face is None:
         return (), ()
