@@ -12,6 +12,8 @@ from scanner.viewing.result import ViewedCloud
 
 _SAMPLED = 20_000
 _TICKS_WANTED = 4
+# The view's middle: from the cloud's so far towards the devices.
+_TOWARDS_RIG = 0.35
 
 
 @dataclass(frozen=True)
@@ -33,16 +35,22 @@ def viewpoint(cloud: ViewedCloud) -> Viewpoint:
     """From behind, above and beside the newest camera into the corner; without a camera, towards the cloud's origin."""
     points = _some(cloud)
     middle, size = np.median(points, axis=0), typical_size(cloud)
-    if cloud.rigs:
-        eye = cloud.rigs[0].position
-        ahead = middle - eye
-    else:
+    if not cloud.rigs:
         ahead = -middle if np.any(middle) else np.array([1.0, 1.0, -1.0])
-        eye = middle - 2 * size * ahead / np.linalg.norm(ahead)
-    level = ahead - (ahead @ cloud.up) * cloud.up
+        ahead = ahead / np.linalg.norm(ahead)
+        return Viewpoint(middle - 3 * size * ahead, middle, cloud.up)
+    devices = [centre for rig in cloud.rigs for centre in (rig.position, rig.projector_centre)]
+    eye, between = cloud.rigs[0].position, np.mean(devices, axis=0)
+    level = middle - eye
+    level = level - (level @ cloud.up) * cloud.up
     level /= np.linalg.norm(level)
     aside = np.cross(level, cloud.up)
-    return Viewpoint(eye + size * (0.7 * cloud.up - 0.8 * level + 0.5 * aside), middle, cloud.up)
+    # On the far side of the camera from the projector neither stands before the other.
+    aside *= -1.0 if (between - eye) @ aside > 0 else 1.0
+    target = middle + _TOWARDS_RIG * (between - middle)
+    spread = max(float(np.linalg.norm(centre - target)) for centre in devices)
+    away = 0.75 * max(size, spread)
+    return Viewpoint(eye + away * (cloud.up - level + 0.6 * aside), target, cloud.up)
 
 
 def _some(cloud: ViewedCloud) -> Floats:

@@ -39,6 +39,11 @@ class PlacedRig:
     position: Floats
     picture: NDArray[np.uint8]
 
+    @property
+    def projector_centre(self) -> Floats:
+        """Where the projector is in the cloud's frame, (3,)."""
+        return self.to_cloud(self.calibration.projector_centre)
+
     def to_cloud(self, points: Floats) -> Floats:
         """Points (..., 3) of the camera's frame in the cloud's."""
         return points @ self.rotation.T + self.position

@@ -25,7 +25,7 @@ from scanner.viewing.texts import angle_name
 
 # The browser's camera is made for scenes of a few units: clouds of any unit are drawn in this size.
 _DRAWN_SIZE = 2.0
-_FRUSTUM_OF_SIZE = 0.3
+_FRUSTUM_OF_SIZE = 0.25
 _FACE_OPACITY = 0.22
 _INK = (40, 40, 40)
 _LINE_PX = 2.0
@@ -127,7 +127,7 @@ class Scene:
         of_camera = picture_corners(calibration.camera, depth)
         in_projector = picture_corners(calibration.projector, depth)
         to_camera = calibration.rotation.T
-        centre = rig.to_cloud(calibration.projector_centre)
+        centre = rig.projector_centre
         of_projector = rig.to_cloud(in_projector @ to_camera.T + calibration.projector_centre)
         self._lines(f"{name}/camera", frustum_lines(of_camera) @ rig.rotation.T + rig.position, BLUE)
         self._lines(f"{name}/projector", _pyramid(centre, of_projector), VERMILION)
@@ -167,7 +167,7 @@ class Scene:
                 receive_shadow=False,
             )
             self._lines(f"{FACES}/outline {face.name}", np.stack([outline, np.roll(outline, -1, axis=0)], 1), colour)
-            self._label(f"{LABELS}/face {face.name}", f"Face {face.name}", outline[2], "center-center")
+            self._label(f"{LABELS}/face {face.name}", f"Face {face.name}", outline.mean(axis=0), "center-center")
         ends = {face.name: outline for face, outline in zip(corner.faces, outlines, strict=True)}
         for angle in corner.angles:
             first, second = (ends[name] for name in angle.faces)
@@ -193,7 +193,8 @@ class Scene:
         lines = ruler_lines(vertex, edge, across, reach)
         self._lines(f"{FACES}/ruler", lines, _INK)
         step = nice_step(reach)
-        self._label(f"{LABELS}/ruler", shown.length(step), vertex + step * edge, "top-center")
+        text = f"{shown.factor * step:g} {shown.name}"
+        self._label(f"{LABELS}/ruler", text, vertex + step * edge, "top-center")
 
     def _lines(self, name: str, segments: Floats, colour: tuple[int, int, int]) -> None:
         points = self._drawn(segments)
