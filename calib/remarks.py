@@ -8,6 +8,9 @@ from calib.next_view import best_next_view
 from calib.refine import Refinement
 from calib.trust import signed
 
+# How the note on what a further capture would gain begins.
+FURTHER_CAPTURE = "A further capture of this corner"
+
 _WORTH_A_CAPTURE = 0.7
 _TERMS = ("no radial term", "one radial term", "two radial terms")
 
@@ -50,7 +53,7 @@ def _on_next_view(refinement: Refinement, knowledge: Knowledge) -> list[str]:
     if view is None or view.sigma > _WORTH_A_CAPTURE * sigma:
         return []
     return [
-        f"A further capture of this corner, the rig moved {view.words}, would lower the sigma of the camera's focal "
+        f"{FURTHER_CAPTURE}, the rig moved {view.words}, would lower the sigma of the camera's focal "
         f"length from {100 * sigma:.2g} % to about {100 * view.sigma:.2g} %."
     ]
 

@@ -17,7 +17,7 @@ from calib.sweep import Family
 
 MOVE = "Move the rig so that all three faces are seen large and at different slants by both devices, and scan again."
 
-_USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley either
+USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley either
 _CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
 _TENSION_SIGMAS = 4.0
 _SIGNIFICANT = 0.9999
@@ -51,7 +51,7 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
     sigma = np.sqrt(np.diag(refinement.covariance))
     relative = {"camera": float(sigma[CAMERA.start]), "projector": float(sigma[PROJECTOR.start])}
     for device, value in relative.items():
-        if not value < _USEFUL_SIGMA:
+        if not value < USEFUL_SIGMA:
             raise RefusalError(
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
                 + _because(_reasons(refinement)),
@@ -77,7 +77,7 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
 
 def _where_to_go(refinement: Refinement, knowledge: Knowledge) -> str:
     view = best_next_view(refinement, knowledge)
-    if view is None or view.sigma > _USEFUL_SIGMA:
+    if view is None or view.sigma > USEFUL_SIGMA:
         return MOVE
     return (
         f"Capture this corner again with the rig moved {view.words}, and calibrate from both captures: the camera's "

@@ -6,7 +6,7 @@ instead of an error; a wait for a frame ignores Ctrl-C until it is over.
 """
 
 import time
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -20,6 +20,7 @@ from gi.repository import Aravis, GLib  # noqa: E402  # only after the version i
 
 from hw.cameras import CameraInfo, not_found  # noqa: E402
 from hw.errors import DeviceError, FrameLostError  # noqa: E402
+from hw.exposures import whole_periods  # noqa: E402
 from hw.pixel_formats import PixelFormat, pixel_format  # noqa: E402
 from hw.rig import Frame  # noqa: E402
 from hw.settings import AravisRigSettings  # noqa: E402
@@ -68,18 +69,24 @@ def _with_abilities(info: CameraInfo) -> CameraInfo:
 class AravisCamera:
     """A camera from opening to closing (a context manager), with exposures triggered one at a time.
 
-    `size` is that of the frames, (width, height); `exposure_us` the wanted exposure. Raises DeviceError if there is no
-    such camera, if another program uses it, or if it does not accept a setting.
+    `size` is that of the frames, (width, height); `exposure_us` the wanted exposure, `refresh_hz` what later ones are
+    rounded to whole periods of. Raises DeviceError if there is no such camera, if another program uses it, or if it
+    does not accept a setting.
     """
 
-    def __init__(self, settings: AravisRigSettings, size: tuple[int, int], exposure_us: float) -> None:
+    def __init__(
+        self, settings: AravisRigSettings, size: tuple[int, int], exposure_us: float, refresh_hz: float | None = None
+    ) -> None:
         self.size = size
         self.name = settings.camera or "that was found"
         self._free_running = settings.trigger != "software"
         self._disturbed = False
         self._silent = False
         self._triggered_s = 0.0
-        self._offsets_s: deque[float] = deque(maxlen=2 * ATTEMPTS - 3)  # retaken frames outvote it before they run out
+        # Of each exposure, for some cameras' clocks note its end. Retaken frames outvote the deque before they run out.
+        self._offsets_s: dict[float, deque[float]] = defaultdict(lambda: deque(maxlen=2 * ATTEMPTS - 3))
+        self._refresh_hz = refresh_hz
+        self._discarded = _IN_FLIGHT
         self._arrived: Any | None = None
         self._camera = _open(settings.camera)
         with self._errors("cannot be set up"):
@@ -87,6 +94,8 @@ class AravisCamera:
             self._check_control()
             self._format = self._configure(settings, exposure_us)
             self.exposure_s = self._camera.get_exposure_time() / 1e6
+            limits = self._camera.get_exposure_time_bounds()
+            self.exposure_limits_us = (float(limits.min), float(limits.max))
             self.highest_level = (1 << self._format.bits) - 1
             self._stream = self._start(settings)
             self.identity = self._read_back()
@@ -97,6 +106,34 @@ class AravisCamera:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def exposure_us(self) -> float:
+        """The exposure of all frames from now on, as the camera says."""
+        return float(1e6 * self.exposure_s)
+
+    def expose_for(self, exposure_us: float) -> float:
+        """Expose all frames from now on for the nearest whole number of refresh periods; returns how long that is.
+
+        Raises DeviceError if it is out of the camera's range, or if the camera makes something else of it.
+        """
+        if self._refresh_hz is not None:
+            exposure_us, _ = whole_periods(exposure_us, self._refresh_hz)
+        shortest, longest = self.exposure_limits_us
+        if not shortest <= exposure_us <= longest:
+            raise DeviceError(
+                f"camera {self.name}: an exposure of {exposure_us:.0f} µs is wanted, but it can make {shortest:.0f} to "
+                f"{longest:.0f} µs. Change rig.exposure_us or sequence.exposures_us to what the camera can do."
+            )
+        if abs(exposure_us - self.exposure_us) <= _SETTING_TOLERANCE * exposure_us:
+            return self.exposure_us
+        with self._errors("does not change its exposure"):
+            self._camera.set_exposure_time(exposure_us)
+            found_us = self._camera.get_exposure_time()
+        self._expect("exposure in µs", exposure_us, found_us)
+        self.exposure_s = found_us / 1e6
+        self._discarded = _IN_FLIGHT + 1  # one more may have begun with the exposure before
+        return self.exposure_us
+
     def expose(self) -> None:
         """Expose one frame of what is before the camera from now on; returns when the exposure is over.
 
@@ -106,9 +143,10 @@ class AravisCamera:
             self._run_dry()
         self._drain()
         if self._free_running:
-            for _ in range(_IN_FLIGHT):
+            for _ in range(self._discarded):
                 self._recycle(self._pop(self.exposure_s + _LATEST_FRAME_S))
             self._arrived = self._pop(self.exposure_s + _LATEST_FRAME_S)
+            self._discarded = _IN_FLIGHT
             return
         self._triggered_s = time.monotonic()
         with self._errors("does not answer"):
@@ -249,8 +287,9 @@ class AravisCamera:
         """Compare the camera's clock minus ours with what it usually is: a trigger that was obeyed late may have
         exposed the next picture. Clocks drift and are set, which the median of the last frames follows.
         """
-        usual_s = median(self._offsets_s) if self._offsets_s else offset_s
-        self._offsets_s.append(offset_s)
+        offsets_s = self._offsets_s[self.exposure_s]
+        usual_s = median(offsets_s) if offsets_s else offset_s
+        offsets_s.append(offset_s)
         if offset_s - usual_s > TRIGGER_LAG_S:
             raise FrameLostError(f"exposed {1e3 * (offset_s - usual_s):.0f} ms late")
 

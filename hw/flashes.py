@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from calib.arrays import Bools, Floats, Image
-from hw.errors import DeviceError, FrameLostError
+from hw.errors import DeviceError, FrameLostError, OverexposedError
 from hw.rig import Frame, Projector
 
 _LONGEST_LATENCY_S = 0.3
@@ -44,7 +44,10 @@ class FlashCamera(Protocol):
 
     name: str
     exposure_s: float
-    highest_level: int
+
+    @property
+    def highest_level(self) -> int:
+        """The largest number that a pixel can have."""
 
     def grab(self) -> Frame:
         """Expose, beginning now, and return the frame. Raises FrameLostError, DeviceError."""
@@ -158,7 +161,7 @@ class Flashes:
             clipped = clipped.any(axis=2)
         lit: Bools = (contrast > strong / 2) & ~clipped
         if not lit.any():
-            raise DeviceError(
+            raise OverexposedError(
                 f"camera {self._camera.name}: everything that white lights is overexposed. Close the aperture, lower "
                 "rig.gain or rig.exposure_us, then rerun."
             )

@@ -7,6 +7,7 @@ from types import ModuleType
 
 from calib.calibration import Calibration
 from hw.errors import DeviceError
+from hw.exposures import whole_periods
 from hw.projector_process import ScreenProjector
 from hw.rig import Rig
 from hw.settings import AravisRigSettings, RigSettings, SimulatedRigSettings
@@ -50,7 +51,8 @@ def _simulated(
     room = SimulatedRoom(settings, camera_size, projector_size)
     projector = SimulatedProjector(room)
     identity = {"backend": "simulated", "seed": str(settings.seed), "pose": str(settings.pose)}
-    return OpenedRig(Rig(projector, SimulatedCamera(room, projector), identity), room.calibration)
+    rig = Rig(projector, SimulatedCamera(room, projector), identity, settings.refresh_hz)
+    return OpenedRig(rig, room.calibration)
 
 
 def _real(
@@ -60,7 +62,7 @@ def _real(
     projector = devices.enter_context(ScreenProjector(settings.screen, projector_size))
     refresh_hz = settings.refresh_hz or projector.screen.refresh_hz or _USUAL_REFRESH_HZ
     exposure_us, periods = whole_periods(settings.exposure_us, refresh_hz)
-    camera = devices.enter_context(aravis.AravisCamera(settings, camera_size, exposure_us))
+    camera = devices.enter_context(aravis.AravisCamera(settings, camera_size, exposure_us, refresh_hz))
     known = settings.refresh_hz or projector.screen.refresh_hz
     identity = {
         "backend": "aravis",
@@ -70,17 +72,7 @@ def _real(
         "refresh": f"{refresh_hz:.5g} Hz{'' if known else ' (assumed: neither screen nor configuration says)'}",
         "exposure in refresh periods": str(periods),
     }
-    return synchronised(projector, camera, identity)
-
-
-def whole_periods(exposure_us: float, refresh_hz: float) -> tuple[float, int]:
-    """The exposure nearest to the wanted one that is a whole number of refresh periods, and that number.
-
-    A projector builds each picture up over a refresh period; any other exposure would cut some rows' pictures short.
-    """
-    period_us = 1e6 / refresh_hz
-    periods = max(1, round(exposure_us / period_us))
-    return periods * period_us, periods
+    return synchronised(projector, camera, identity, refresh_hz)
 
 
 def import_aravis() -> ModuleType:

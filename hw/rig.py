@@ -1,10 +1,12 @@
 """The two interfaces that every rig implements, real or simulated, and nothing about patterns."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import cycle
 from typing import Protocol, runtime_checkable
 
 from calib.arrays import Image
+from hw.errors import DeviceError
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,10 @@ class Camera(Protocol):
     def size(self) -> tuple[int, int]:
         """Width and height in pixels."""
 
+    @property
+    def highest_level(self) -> int:
+        """The largest number that a pixel can have."""
+
     def grab(self) -> Frame:
         """Expose and return one frame of what the projector shows now. Raises DeviceError if the device fails."""
 
@@ -45,30 +51,53 @@ class Camera(Protocol):
 class ExposureControl(Protocol):
     """What a camera also has if its exposure can be changed between frames."""
 
-    def expose_for(self, exposure_us: float) -> None:
-        """Expose all frames from now on so long. Raises DeviceError if the camera cannot."""
+    @property
+    def exposure_us(self) -> float:
+        """The exposure of all frames from now on, in microseconds."""
+
+    @property
+    def exposure_limits_us(self) -> tuple[float, float]:
+        """The shortest and the longest exposure that the camera can make."""
+
+    def expose_for(self, exposure_us: float) -> float:
+        """Expose all frames from now on so long; returns what it came to, for a camera may round.
+
+        Raises DeviceError if the camera cannot.
+        """
 
 
 @dataclass(frozen=True)
 class Rig:
     """A projector and a camera that do not move against each other.
 
-    `identity` names the devices, with their settings as read back, for the recording's metadata.
+    `identity` names the devices, with their settings as read back, for the recording's metadata. `refresh_hz`: how many
+    pictures the projector builds up in a second; exposures should last for whole ones. None if that does not matter.
     """
 
     projector: Projector
     camera: Camera
     identity: dict[str, str] = field(default_factory=dict)
+    refresh_hz: float | None = None
 
-    def photograph(self, images: Iterable[Image]) -> Iterator[Frame]:
+    def photograph(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
         """Show images one after the other, and yield a frame of each; the frame is taken when it is asked for.
 
-        Raises what the devices raise.
+        `exposures_us` take turns; without any, the camera's exposure stays as it is. Raises what the devices raise, and
+        DeviceError if there are exposures that the camera cannot change to.
         """
-        for image in images:
+        for image, exposure_us in zip(images, cycle(exposures_us or (None,)), strict=False):
+            if exposure_us is not None:
+                exposure_control(self.camera).expose_for(exposure_us)
             self.projector.show(image)
             yield self.camera.grab()
 
     def account(self) -> Mapping[str, object]:
         """What is worth recording of the frames taken so far, beside the frames themselves."""
         return {}
+
+
+def exposure_control(camera: object) -> ExposureControl:
+    """The camera, whose exposure can be changed. Raises DeviceError if it cannot."""
+    if not isinstance(camera, ExposureControl):
+        raise DeviceError("this camera's exposure cannot be changed during a capture; leave sequence.exposures_us out")
+    return camera

@@ -30,6 +30,16 @@ class SimulatedRigSettings(BaseModel):
         le=0.95,
         description="Mean share of light that walls and floor reflect; left out, each has its own (0.35 to 0.8).",
     )
+    refresh_hz: float = Field(
+        60.0, ge=10.0, le=1000.0, description="How many pictures the projector builds up in a second."
+    )
+    pulsation: float = Field(
+        0.0,
+        ge=0.0,
+        le=1.0,
+        description="How much the light pulsates within a refresh period, relative to its mean: exposures that are no "
+        "whole number of periods flicker.",
+    )
     ambient: float = Field(
         0.05,
         ge=0.0,

@@ -11,15 +11,15 @@ starts on its way while the frame of the last one is still being transferred.
 
 import logging
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, cycle
 from typing import Protocol
 
 from calib.arrays import Image
 from hw.errors import DeviceError, FrameLostError
 from hw.flashes import LOST_ADVICE, Flashes
-from hw.rig import Camera, Frame, Projector, Rig
+from hw.rig import Camera, Frame, Projector, Rig, exposure_control
 
 log = logging.getLogger(__name__)
 
@@ -44,14 +44,10 @@ class BufferedProjector(Projector, Protocol):
 
 
 class TriggeredCamera(Camera, Protocol):
-    """A camera whose frame is on its way while the next picture is shown already.
-
-    `highest_level`: the largest number that a pixel can have.
-    """
+    """A camera whose frame is on its way while the next picture is shown already."""
 
     name: str
     exposure_s: float
-    highest_level: int
 
     def expose(self) -> None:
         """Expose one frame, beginning now; returns when the exposure is over. Raises DeviceError."""
@@ -98,8 +94,12 @@ class Turns:
         """Time from one frame to the next, whatever was done with it included; 0 before the first."""
         return self._elapsed_s / max(1, self._taken)
 
-    def frames(self, images: Iterable[Image]) -> Iterator[Frame]:
-        """A frame of each image; taken when it is asked for. Raises DeviceError, and whatever `images` raises."""
+    def frames(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
+        """A frame of each image, the exposures (if there are any) taking turns; taken when it is asked for.
+
+        Raises DeviceError, and whatever `images` raises.
+        """
+        exposures = cycle(exposures_us or (None,))
         begin_s, self._taken, self.retriggered = time.monotonic(), 0, 0
         upcoming: Iterator[Image | None] = chain(images, [None])
         image = self._prepare(next(upcoming))
@@ -107,6 +107,7 @@ class Turns:
             self._flip()
         while image is not None:
             following = self._prepare(next(upcoming))
+            self._set_exposure(next(exposures))
             self._expose()
             if self._overlaps and following is not None:
                 self._flip()
@@ -124,6 +125,11 @@ class Turns:
     def _flip(self) -> None:
         self._projector.flip()
         self._flipped_s = time.monotonic()
+
+    def _set_exposure(self, exposure_us: float | None) -> None:
+        """Before an exposure, when the frame before it has arrived: no frame has parts of two."""
+        if exposure_us is not None:
+            exposure_control(self._camera).expose_for(exposure_us)
 
     def _expose(self) -> None:
         time.sleep(max(0.0, self._flipped_s + self._delay_s - time.monotonic()))
@@ -193,9 +199,9 @@ class SynchronisedRig(Rig):
     timing: Timing
     turns: Turns
 
-    def photograph(self, images: Iterable[Image]) -> Iterator[Frame]:
+    def photograph(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
         """A frame of each image, taken when it is asked for and its light is on the wall. Raises DeviceError."""
-        return self.turns.frames(images)
+        return self.turns.frames(images, exposures_us)
 
     def account(self) -> Mapping[str, object]:
         """What synchronisation measured, and what the frames so far cost over what was unavoidable."""
@@ -216,9 +222,11 @@ class SynchronisedRig(Rig):
         return self.turns.seconds_per_frame / (self.turns.exposure_s + self.timing.latency_s) - 1
 
 
-def synchronised(projector: BufferedProjector, camera: TriggeredCamera, identity: dict[str, str]) -> SynchronisedRig:
+def synchronised(
+    projector: BufferedProjector, camera: TriggeredCamera, identity: dict[str, str], refresh_hz: float | None = None
+) -> SynchronisedRig:
     """A rig whose latency has been measured. Raises DeviceError."""
     timing = measure(projector, camera)
     known = identity | {"light after a flip": f"{1e3 * timing.latency_s:.1f} ms (measured)"}
     turns = Turns(projector, camera, timing)
-    return SynchronisedRig(projector, camera, known, timing=timing, turns=turns)
+    return SynchronisedRig(projector, camera, known, refresh_hz, timing=timing, turns=turns)

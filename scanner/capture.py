@@ -2,12 +2,11 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import cycle
 
-from calib.arrays import Image
 from hw.errors import DeviceError
-from hw.rig import ExposureControl, Frame, Rig
+from hw.rig import Frame, Rig, exposure_control
 from scanner.patterns import Pattern, draw
+from scanner.projector_response import ProjectorResponse
 
 
 @dataclass(frozen=True)
@@ -26,36 +25,50 @@ class Stream:
     account: Callable[[], Mapping[str, object]] = dict
 
 
-def capture(rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, ...] = ()) -> Stream:
+def capture(
+    rig: Rig,
+    patterns: tuple[Pattern, ...],
+    exposures_us: tuple[float, ...] = (),
+    response: ProjectorResponse | None = None,
+) -> Stream:
     """Project each pattern and grab a frame of it, or one at each of `exposures_us`, when the frame is asked for.
 
-    Raises DeviceError if the camera cannot change its exposure. Walking through `frames` raises DeviceError if a device
-    fails or the camera delivers frames of another size.
+    With a known `response` the projector is sent what makes its light proportional to the pattern. That is what the
+    recording's patterns describe: it does not matter to who reads it how the light came about.
+
+    Raises DeviceError if the camera cannot expose for what is wanted, or makes the same of two exposures. Walking
+    through `frames` raises DeviceError if a device fails or the camera delivers frames of another size.
     """
-    if exposures_us and not isinstance(rig.camera, ExposureControl):
-        raise DeviceError("this camera's exposure cannot be changed during a capture; leave sequence.exposures_us out")
+    if exposures_us:
+        _try_exposures(rig, exposures_us)
     repeated = tuple(pattern for pattern in patterns for _ in exposures_us or (None,))
-    frames = _frames(rig, repeated, exposures_us)
-    return Stream(repeated, rig.projector.size, rig.camera.size, frames, {"devices": rig.identity}, rig.account)
+    frames = _frames(rig, repeated, exposures_us, response)
+    devices = rig.identity if response is None else rig.identity | {"response": f"gamma {response.gamma:.2f}, undone"}
+    return Stream(repeated, rig.projector.size, rig.camera.size, frames, {"devices": devices}, rig.account)
 
 
 def _frames(
-    rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, ...]
+    rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, ...], response: ProjectorResponse | None
 ) -> Iterator[tuple[Pattern, Frame]]:
     width, height = rig.camera.size
     pictures = (draw(pattern, rig.projector.size) for pattern in patterns)
-    taken = _bracketed(rig, pictures, exposures_us) if exposures_us else rig.photograph(pictures)
-    for pattern, frame in zip(patterns, taken, strict=True):
+    if response is not None:
+        pictures = (response.compensation[picture] for picture in pictures)
+    for pattern, frame in zip(patterns, rig.photograph(pictures, exposures_us), strict=True):
         if frame.image.shape[:2] != (height, width):
             found = f"{frame.image.shape[1]} × {frame.image.shape[0]}"
             raise DeviceError(f"the camera says that its frames are {width} × {height}, but delivered one of {found}")
         yield pattern, frame
 
 
-def _bracketed(rig: Rig, pictures: Iterator[Image], exposures_us: tuple[float, ...]) -> Iterator[Frame]:
-    """A frame of each picture, the exposures taking turns; each picture comes once for each exposure."""
-    for picture, exposure_us in zip(pictures, cycle(exposures_us), strict=False):
-        assert isinstance(rig.camera, ExposureControl)
-        rig.camera.expose_for(exposure_us)
-        rig.projector.show(picture)
-        yield rig.camera.grab()
+def _try_exposures(rig: Rig, exposures_us: tuple[float, ...]) -> None:
+    """What the camera cannot do is said before the first frame. Raises DeviceError."""
+    camera = exposure_control(rig.camera)
+    became = [camera.expose_for(exposure_us) for exposure_us in exposures_us]
+    for number, (wanted, found) in enumerate(zip(exposures_us, became, strict=True)):
+        if found in became[:number]:
+            other = exposures_us[became.index(found)]
+            raise DeviceError(
+                f"the camera makes the same of {other:g} and {wanted:g} µs in sequence.exposures_us, {found:.0f} µs: "
+                "exposures are whole numbers of the projector's refresh periods; choose some that are further apart"
+            )

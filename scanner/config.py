@@ -13,6 +13,7 @@ from hw.settings import RigSettings
 from scanner.errors import InputError
 from scanner.patterns import Pattern
 from scanner.presets import PRESETS, Preset, PresetName
+from scanner.projector_response import ProjectorResponse
 from scanner.validation import Flag, Number, Pair, Section, Whole, validate
 from scanner.yaml_file import parse_yaml, read_yaml
 
@@ -69,7 +70,26 @@ class CameraSettings(_DeviceSettings):
 
 
 class ProjectorSettings(_DeviceSettings):
-    """The projector's image."""
+    """The projector's image, and how bright it makes its grey levels."""
+
+    response: tuple[Number, ...] | None = Field(
+        default=None,
+        min_length=2,
+        max_length=256,
+        description="Light at equally spaced grey levels, from 0 for black to 1 for white, as scan check measures it; "
+        "pictures are then sent so that fringes are true sines. Left out, the decoder straightens what gamma bends.",
+    )
+
+    @model_validator(mode="after")
+    def _rising(self) -> "ProjectorSettings":
+        if self.response is not None:
+            ProjectorResponse(self.response)
+        return self
+
+    @property
+    def known_response(self) -> ProjectorResponse | None:
+        """What scan check has measured, if it is in the configuration."""
+        return None if self.response is None else ProjectorResponse(self.response)
 
 
 class SequenceSettings(Section):
@@ -146,7 +166,7 @@ class Config(Section):
 
     rig: RigSettings | None = Field(default=None, description="The devices.")
     camera: CameraSettings = Field(default=CameraSettings(), description="The camera's image and optics.")
-    projector: ProjectorSettings = Field(default=ProjectorSettings(), description="The size of the projector's image.")
+    projector: ProjectorSettings = Field(default=ProjectorSettings(), description="The projector's image and response.")
     sequence: SequenceSettings = Field(default=SequenceSettings(), description="The patterns to project.")
     method: Literal["refined", "paper"] = Field(
         default="refined", description="Maximum likelihood with lens distortion, or the paper's objective alone."

@@ -59,7 +59,7 @@ def take(settings: RigSettings, config: Config, folder: Path, terminal: Terminal
             opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
         if opened.truth:
             write_calibration(folder / TRUTH_FILE, opened.truth)
-        live = capture(opened.rig, patterns, config.sequence.exposures_us)
+        live = capture(opened.rig, patterns, config.sequence.exposures_us, config.projector.known_response)
         found = decode(record(live, folder / CAPTURE_FOLDER), terminal, "Capturing and decoding")
     found.truth = opened.truth
     return found

@@ -3,12 +3,16 @@
 import numpy as np
 
 from calib.arrays import Image
+from hw.errors import DeviceError
 from hw.rig import Frame
 from hw.simulated.arrays import Light
 from hw.simulated.simulation import SimulatedRoom
 
 # Random numbers of the camera's noise; the room's have other streams.
 _NOISE_STREAM = 101
+_PULSE_STREAM = 102
+
+_EXPOSURE_LIMITS_US = (10.0, 1e7)
 
 
 class SimulatedProjector:
@@ -48,6 +52,7 @@ class SimulatedCamera:
         self._room = room
         self._projector = projector
         self._noise = np.random.default_rng([room.settings.seed, _NOISE_STREAM, room.settings.pose])
+        self._pulses = np.random.default_rng([room.settings.seed, _PULSE_STREAM, room.settings.pose])
         self._exposure_us = room.sensor.exposure_us
 
     @property
@@ -56,12 +61,44 @@ class SimulatedCamera:
         optics = self._room.room.camera.optics
         return optics.width, optics.height
 
-    def expose_for(self, exposure_us: float) -> None:
-        """Expose all frames from now on so long."""
+    @property
+    def highest_level(self) -> int:
+        """The largest number that a pixel can have."""
+        return int(2**self._room.sensor.bit_depth - 1)
+
+    @property
+    def exposure_us(self) -> float:
+        """The exposure of all frames from now on."""
+        return self._exposure_us
+
+    @property
+    def exposure_limits_us(self) -> tuple[float, float]:
+        """The shortest and the longest exposure, those of ordinary machine-vision cameras."""
+        return _EXPOSURE_LIMITS_US
+
+    def expose_for(self, exposure_us: float) -> float:
+        """Expose all frames from now on so long. Raises DeviceError beyond the limits."""
+        shortest, longest = _EXPOSURE_LIMITS_US
+        if not shortest <= exposure_us <= longest:
+            raise DeviceError(
+                f"the simulated camera exposes for {shortest:.0f} to {longest:.0f} µs, not for {exposure_us:.0f}"
+            )
         self._exposure_us = exposure_us
+        return exposure_us
 
     def grab(self) -> Frame:
         """One frame of what the projector shows now."""
         sensor = self._room.sensor
-        electrons = self._projector.electrons_in_camera * np.float32(self._exposure_us / sensor.exposure_us)
+        longer = self._exposure_us / sensor.exposure_us
+        electrons = self._projector.electrons_in_camera * np.float32(longer * self._pulse())
         return Frame(sensor.read(electrons, self._noise), exposure_us=self._exposure_us)
+
+    def _pulse(self) -> float:
+        """How bright light that pulsates comes out in this frame; of whole periods every frame sees the same."""
+        settings = self._room.settings
+        if settings.pulsation == 0:
+            return 1.0
+        periods = self._exposure_us / 1e6 * settings.refresh_hz
+        # Mean of 1 + m cos(2πt + φ) over an exposure of that many periods, beginning at any moment.
+        seen = settings.pulsation * np.sinc(periods)
+        return float(1 + seen * np.cos(self._pulses.uniform(0, 2 * np.pi)))

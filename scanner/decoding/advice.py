@@ -11,7 +11,7 @@ _LOW_MODULATION = 0.2
 _LARGE_SHARE = 0.1
 _FEW_MATCHED = 0.02
 # One per cent shifts a fringe of four steps by up to a six-hundredth of its period.
-_MUCH_FLICKER = 0.01
+MUCH_FLICKER = 0.01
 
 
 def warnings_of(reasons: Reasons, modulation: float | None, flicker: float | None) -> Iterator[str]:
@@ -29,7 +29,7 @@ def warnings_of(reasons: Reasons, modulation: float | None, flicker: float | Non
             f"At {count[MaskReason.INCONSISTENT] / lit:.0%} of the lit pixels the frames contradict each other: "
             "interreflection, or something moved."
         )
-    if flicker is not None and flicker > _MUCH_FLICKER:
+    if flicker is not None and flicker > MUCH_FLICKER:
         yield (
             f"The brightness of the frames varies by {flicker:.1%}: expose for whole periods of the projector's "
             "refresh, which are also whole turns of its colour wheel, and shut out other lamps."

@@ -1,7 +1,7 @@
 import pytest
 
 from hw.errors import DeviceError
-from hw.open_rig import whole_periods
+from hw.exposures import whole_periods
 from hw.screens import Screen, choose_screen
 
 DESK = Screen(0, "eDP-1", 0, 0, 1920, 1080, 60.0)

@@ -1,0 +1,140 @@
+"""The check from top to bottom. The rows come as they are found, so that a page can show them one by one."""
+
+import logging
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+
+from calib.refusal import RefusalError
+from hw.errors import DeviceError
+from hw.rig import Rig
+from scanner.capture import capture
+from scanner.checking import view
+from scanner.checking.devices import device_rows, opened
+from scanner.checking.exposure import exposure_row, propose_exposure
+from scanner.checking.focus import sample_blur, tell_apart
+from scanner.checking.focus_row import finest_period_px, focus_row
+from scanner.checking.fringes import STEPS, FringeMeter
+from scanner.checking.light import Light, light_rows, photograph_light
+from scanner.checking.pictures import contrast_picture, coverage_picture, saturation_picture
+from scanner.checking.report import CheckReport, CheckRow, Pixels, State
+from scanner.checking.response import measure_ramp, response_row
+from scanner.config import Config
+from scanner.decode import MaskReason
+from scanner.patterns import Pattern, phase_sequence
+from scanner.terminal import Terminal
+
+OnRow = Callable[[CheckRow], None]
+
+log = logging.getLogger(__name__)
+
+_WHITES, _BLACKS = 6, 4
+# Beside the quick sequence's own: the shortest that every projector can draw as a sine, and one that hardly any lens
+# blurs. Not whole numbers, as in the presets.
+_PERIODS_PX = (4.3, 24.6)
+
+
+def check(config: Config, terminal: Terminal, on_row: OnRow | None = None) -> CheckReport:
+    """Open the configured rig and check it; `on_row` is called with each row as soon as it is known.
+
+    A device that fails is a row. Raises InputError if the configuration names no rig or no sizes, or if earlier
+    captures that it names cannot be read.
+    """
+    with ExitStack() as devices:
+        try:
+            with terminal.step("Preparing the rig"):
+                rig = devices.enter_context(opened(config))
+        except DeviceError as error:
+            checking = Checking(on_row)
+            checking.fail(error)
+            return checking.report()
+        return check_rig(rig, config, terminal, on_row)
+
+
+def check_rig(rig: Rig, config: Config, terminal: Terminal, on_row: OnRow | None = None) -> CheckReport:
+    """Check a rig that is open, as `check` does. Its camera is left at the exposure that is proposed."""
+    checking = Checking(on_row)
+    try:
+        _check(rig, config, terminal, checking)
+    except DeviceError as error:
+        checking.fail(error)
+    return checking.report()
+
+
+class Checking:
+    """What is known so far."""
+
+    def __init__(self, on_row: OnRow | None) -> None:
+        self.rows: list[CheckRow] = []
+        self.exposure_us: float | None = None
+        self.response: tuple[float, ...] | None = None
+        self.pictures: dict[str, Pixels] = {}
+        self.failure: DeviceError | RefusalError | None = None
+        self._on_row = on_row
+
+    def add(self, *rows: CheckRow) -> None:
+        """Take rows in."""
+        for row in rows:
+            log.info("%s: %s: %s %s", row.name, row.state.value, row.finding, row.advice)
+            self.rows.append(row)
+            if self._on_row:
+                self._on_row(row)
+
+    def fail(self, error: DeviceError) -> None:
+        """A device has ended the check."""
+        self.failure = error
+        self.add(CheckRow("devices", State.FAILED, str(error)))
+
+    def report(self) -> CheckReport:
+        """What came of it."""
+        return CheckReport(tuple(self.rows), self.exposure_us, self.response, self.pictures, self.failure)
+
+
+def _check(rig: Rig, config: Config, terminal: Terminal, checking: Checking) -> None:
+    checking.add(*device_rows(rig))
+    with terminal.step("Trying exposures"):
+        proposal = propose_exposure(rig)
+    checking.exposure_us = proposal.exposure_us
+    checking.add(exposure_row(proposal, rig.refresh_hz, bracketed=bool(config.sequence.exposures_us)))
+    with terminal.step("Looking at light and dark"):
+        light = photograph_light(rig, _WHITES, _BLACKS)
+        ramp = measure_ramp(rig, light)
+    checking.pictures["saturation"] = saturation_picture(light)
+    checking.add(*light_rows(light))
+    if ramp is None:
+        checking.add(view.nothing_lit())
+        checking.failure = view.refusal_of(checking.rows[-1])
+        return
+    checking.response = ramp.response.light if ramp.response else None
+    checking.add(response_row(ramp))
+    _check_view(rig, config, terminal, light, checking)
+
+
+def _check_view(rig: Rig, config: Config, terminal: Terminal, light: Light, checking: Checking) -> None:
+    meter = FringeMeter()
+    quick = view.take_quick(rig, config, meter, terminal)
+    for _ in terminal.track(_more_fringes(rig, config, meter), 2 * STEPS * len(_PERIODS_PX), "Looking at stripes"):
+        pass
+    decoded = quick if quick.decoding else view.take_coarse(rig, config, terminal)
+    if decoded.decoding:
+        coverage = view.coverage_of(decoded.decoding, rig.projector.size)
+        matched = decoded.decoding.reasons == MaskReason.KEPT
+        checking.add(view.coverage_row(coverage, decoded.decoding))
+        checking.pictures["coverage"] = coverage_picture(light, matched)
+        samples = sample_blur(meter.fringes(), matched & light.well_lit, view.projector_map(decoded.decoding))
+        checking.add(focus_row(samples, tell_apart(samples), finest_period_px(_scanned(rig, config))))
+    checking.pictures["contrast"] = contrast_picture(meter.fringes(), light.well_lit)
+    with terminal.step("Calibrating"):
+        row, failure = view.view_row(quick, config)
+    checking.add(row)
+    checking.failure = failure
+
+
+def _scanned(rig: Rig, config: Config) -> tuple[Pattern, ...]:
+    return config.sequence.patterns(rig.projector.size)
+
+
+def _more_fringes(rig: Rig, config: Config, meter: FringeMeter) -> Iterable[object]:
+    patterns: list[Pattern] = []
+    for period in _PERIODS_PX:
+        patterns += [*phase_sequence("x", period, STEPS), *phase_sequence("y", period, STEPS)]
+    return meter.watch(capture(rig, tuple(patterns), response=config.projector.known_response).frames)

@@ -1,0 +1,55 @@
+"""Whether both devices are there, and how they work together."""
+
+import logging
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+from hw.errors import OverexposedError
+from hw.open_rig import open_rig
+from hw.rig import Rig
+from hw.settings import AravisRigSettings
+from hw.synchronisation import SynchronisedRig
+from scanner.checking.report import CheckRow, State
+from scanner.config import Config
+
+log = logging.getLogger(__name__)
+
+# A rig whose picture is all white cannot be synchronised; with so much less light it can, or the next time.
+_SHORTER = 0.25
+# Less than the refresh period of most projectors, which no exposure is shorter than.
+_SHORTEST_US = 10_000.0
+
+
+@contextmanager
+def opened(config: Config) -> Iterator[Rig]:
+    """The configured rig, with a shorter exposure than configured where that is too bright to begin with.
+
+    Raises InputError if the configuration names no rig or no sizes, DeviceError if the rig does not open.
+    """
+    settings = config.required_rig
+    with ExitStack() as devices:
+        while True:
+            try:
+                rig = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size)).rig
+                break
+            except OverexposedError:
+                if not isinstance(settings, AravisRigSettings) or settings.exposure_us < _SHORTEST_US:
+                    raise
+                shorter_us = _SHORTER * settings.exposure_us
+                log.info("overexposed at %.0f µs, trying %.0f µs", settings.exposure_us, shorter_us)
+                settings = settings.model_copy(update={"exposure_us": shorter_us})
+        yield rig
+
+
+def device_rows(rig: Rig) -> Iterator[CheckRow]:
+    """What the devices are, and how late the light follows."""
+    camera, projector = rig.camera.size, rig.projector.size
+    yield CheckRow("camera", State.OK, f"{rig.identity.get('camera', 'simulated')}, {camera[0]} × {camera[1]} pixels")
+    about = rig.identity.get("projector", "simulated")
+    yield CheckRow("projector", State.OK, f"{about}, {projector[0]} × {projector[1]} pixels")
+    refresh = "" if rig.refresh_hz is None else f", a refresh every {1e3 / rig.refresh_hz:.1f} ms"
+    if isinstance(rig, SynchronisedRig):
+        light = f"light comes {1e3 * rig.timing.latency_s:.0f} ms after a picture is sent"
+    else:
+        light = "light comes at once"
+    yield CheckRow("latency", State.OK, light + refresh)

@@ -1,0 +1,172 @@
+"""Which exposure uses the camera's range well, and nowhere more than that."""
+
+from dataclasses import dataclass
+from math import floor
+
+import numpy as np
+
+from hw.rig import ExposureControl, Rig
+from scanner.checking.light import Light, photograph_light
+from scanner.checking.limits import LEAST_SHARE
+from scanner.checking.report import CheckRow, State
+
+_NAME = "exposure"
+# Shiny spots may clip: so small a share of the lit pixels is masked without loss.
+_SPARED = 0.001
+# Shot noise of the brightest pixels stays below the top: so many standard deviations of it are left free.
+_HEADROOM_SIGMAS = 4.0
+# Where the picture is clipped nobody knows how much is too much: so much less is tried next.
+_LESS = 0.25
+# Where nothing is seen, so much more.
+_MORE = 4.0
+_ROUNDS = 8
+# Of an exposure: less is no change.
+_SAME = 0.02
+# Longer ones make a scan of 44 frames last more than a minute, and light is better had from the aperture or the gain.
+_LONGEST_US = 1e6
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a white picture looks like at an exposure: the share of the lit pixels that are clipped, and the level of
+    the brightest of the others, relative to the highest; NaN where nothing is lit. `headroom`: what noise needs.
+    """
+
+    exposure_us: float
+    clipped: float
+    brightest: float
+    headroom: float
+
+    @property
+    def is_clipped(self) -> bool:
+        """More than shiny spots."""
+        return self.clipped > _SPARED
+
+    @property
+    def is_dark(self) -> bool:
+        """Nothing is lit."""
+        return bool(np.isnan(self.brightest))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """The exposure to use, None if the camera cannot make it; the looks at the `first` and at the `last` one tried."""
+
+    exposure_us: float | None
+    first: Seen
+    last: Seen
+
+
+def look(light: Light, exposure_us: float) -> Seen:
+    """What white and black frames tell about their exposure."""
+    lit = int(light.lit.sum())
+    if lit == 0:
+        return Seen(exposure_us, 0.0, float("nan"), 0.0)
+    levels = light.mean_white[light.lit]
+    brightest = float(np.quantile(levels, 1 - _SPARED))
+    bright = light.well_lit & (light.mean_white > LEAST_SHARE * brightest)
+    noise = 0.0
+    if bright.any():
+        difference = light.white[1].astype(np.float64)[bright] - light.white[0].astype(np.float64)[bright]
+        noise = float(np.median(np.abs(difference - np.median(difference)))) * 1.4826 / np.sqrt(2)
+    return Seen(
+        exposure_us,
+        float(light.clipped.sum()) / lit,
+        brightest / light.highest,
+        _HEADROOM_SIGMAS * noise / light.highest,
+    )
+
+
+def propose_exposure(rig: Rig) -> Proposal:
+    """Try exposures until one suits; the camera is left at it. Raises DeviceError.
+
+    A camera whose exposure cannot be changed is looked at once.
+    """
+    camera = rig.camera
+    if not isinstance(camera, ExposureControl):
+        first = look(photograph_light(rig, 2, 2), 0.0)
+        return Proposal(None, first, first)
+    first = seen = look(photograph_light(rig, 2, 2), camera.exposure_us)
+    too_long_us = float("inf")
+    for _ in range(_ROUNDS):
+        if seen.is_clipped:
+            too_long_us = min(too_long_us, seen.exposure_us)
+        wanted_us = _next(seen, camera.exposure_limits_us, rig.refresh_hz, too_long_us)
+        if abs(wanted_us - seen.exposure_us) <= _SAME * seen.exposure_us:
+            break
+        exposure_us = camera.expose_for(wanted_us)
+        seen = look(photograph_light(rig, 2, 2), exposure_us)
+    usable = not (seen.is_clipped or seen.is_dark)
+    return Proposal(seen.exposure_us if usable else None, first, seen)
+
+
+def _next(seen: Seen, limits_us: tuple[float, float], refresh_hz: float | None, too_long_us: float) -> float:
+    """The exposure to try after one that looked like that, within limits and below one that was too long."""
+    period_us = 1e6 / refresh_hz if refresh_hz else 0.0
+    if seen.is_clipped:
+        wanted_us = _LESS * seen.exposure_us
+    elif seen.is_dark:
+        wanted_us = _MORE * seen.exposure_us
+    else:
+        wanted_us = seen.exposure_us * (1 - seen.headroom) / seen.brightest
+    shortest_us, longest_us = max(limits_us[0], period_us), min(limits_us[1], _LONGEST_US)
+    below_us = too_long_us - period_us if period_us else (1 - _SAME) * too_long_us
+    wanted_us = max(shortest_us, min(wanted_us, longest_us, below_us))
+    return max(1, floor(wanted_us / period_us * (1 + 1e-6))) * period_us if period_us else wanted_us
+
+
+def exposure_row(proposal: Proposal, refresh_hz: float | None, *, bracketed: bool) -> CheckRow:
+    """How the configured exposure is, and which is better; `bracketed`: the sequence has exposures of its own."""
+    first = proposal.first
+    finding = _described(first)
+    if first.is_dark and proposal.exposure_us is None:
+        return CheckRow(_NAME, State.FAILED, finding, "Check lens cap, aperture, and that the projector is on.")
+    if proposal.exposure_us is None:
+        return CheckRow(_NAME, State.POOR, finding, _beyond_the_camera(proposal.last))
+    better = f"{_shown(proposal.exposure_us, refresh_hz)}: {_described(proposal.last)}"
+    if bracketed:
+        return CheckRow(_NAME, State.OK, f"sequence.exposures_us is used; a single one would be {better}")
+    if first.is_clipped or first.is_dark or first.exposure_us < LEAST_SHARE * proposal.exposure_us:
+        return CheckRow(_NAME, State.POOR, finding, f"Better {better}. --write sets it.")
+    if proposal.last.brightest < LEAST_SHARE * (1 - proposal.last.headroom) and not _is_coarse(proposal, refresh_hz):
+        return CheckRow(
+            _NAME, State.POOR, f"{better}", "Open the aperture or raise the gain: longer ones take too long."
+        )
+    return CheckRow(_NAME, State.OK, f"{_shown(first.exposure_us, refresh_hz)}, {finding}")
+
+
+def _is_coarse(proposal: Proposal, refresh_hz: float | None) -> bool:
+    """Whether the next longer exposure, a refresh period more, would be too long."""
+    if refresh_hz is None or proposal.exposure_us is None:
+        return False
+    longer = 1 + 1e6 / refresh_hz / proposal.exposure_us
+    return longer * proposal.last.brightest > 1 - proposal.last.headroom
+
+
+def _beyond_the_camera(last: Seen) -> str:
+    if last.is_clipped:
+        return (
+            "Even the shortest exposure for a whole refresh period is too bright: close the aperture, lower the gain."
+        )
+    return "Set the camera's exposure by hand: the program cannot."
+
+
+def _shown(exposure_us: float, refresh_hz: float | None) -> str:
+    if refresh_hz is None:
+        return f"{exposure_us / 1e3:.4g} ms"
+    periods = exposure_us * refresh_hz / 1e6
+    whole = abs(periods - round(periods)) < _SAME
+    count = (
+        f"{periods:.0f} refresh period{'' if round(periods) == 1 else 's'}"
+        if whole
+        else f"{periods:.2g} refresh periods"
+    )
+    return f"{exposure_us / 1e3:.4g} ms ({count})"
+
+
+def _described(seen: Seen) -> str:
+    if seen.is_dark:
+        return "no difference between a white and a black picture"
+    if seen.is_clipped:
+        return f"{100 * seen.clipped:.2g} % of what is lit is clipped"
+    return f"white reaches {100 * seen.brightest:.0f} % of the range"

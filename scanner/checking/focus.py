@@ -1,0 +1,156 @@
+"""Blur of the two lenses, from how much fainter short fringes are than long ones.
+
+A Gaussian blur of standard deviation σ leaves exp(−2π²σ²/λ²) of a fringe of period λ (its modulation transfer). The
+projector's blur is the same number of projector pixels everywhere; the camera's, seen from the projector, grows with
+how many projector pixels a camera pixel spans across the stripes. That differs between the axes and from face to face
+of a corner, and so tells the two lenses apart: blur² = projector² + camera² · span².
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from calib.arrays import Bools, Floats, Ints
+from scanner.checking.fringes import Fringe, cell_size
+from scanner.patterns import Axis
+
+# Fringes count where their power is so many times the noise of its own mean.
+_SEEN = 5.0
+_FEWEST_OF_CELL = 0.5
+# A cell across an edge is not the picture of one plane.
+_STRAIGHT_PX = 0.5
+_FEWEST_CELLS = 12
+_BLOCKS = 4
+_AXES: tuple[Axis, Axis] = ("x", "y")
+
+
+@dataclass(frozen=True)
+class BlurSamples:
+    """Blur (N,) in projector pixels squared of cells of the camera's image, each along one axis.
+
+    `span` (N,): projector pixels per camera pixel across the stripes. `where` (N, 2): the cell's centre in the camera's
+    image, 0 … 1 from left to right and from top to bottom. `lost`: share of the cells in which even the longest
+    fringes of a pair were gone.
+    """
+
+    blur2: Floats
+    span: Floats
+    where: Floats
+    lost: float
+
+
+def sample_blur(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools, projector_px: Floats) -> BlurSamples:
+    """From fringes of two or more periods, where pixels are `usable` (H, W) and `projector_px` (H, W, 2) is known."""
+    height, width = usable.shape
+    size = cell_size(usable.shape)
+    blur2, span, where = [], [], []
+    cells = 0
+    for top in range(0, height - size + 1, size):
+        for left in range(0, width - size + 1, size):
+            part = np.s_[top : top + size, left : left + size]
+            good = usable[part] & np.isfinite(projector_px[part]).all(axis=2)
+            if good.mean() < _FEWEST_OF_CELL:
+                continue
+            slope = _slope(projector_px[part], good)
+            if slope is None:
+                continue
+            for number, axis in enumerate(_AXES):
+                cells += 1
+                found = _blur2(fringes, axis, part, good, slope[number])
+                if found is not None:
+                    blur2.append(found)
+                    span.append(float(np.linalg.norm(slope[number])))
+                    where.append([(left + size / 2) / width, (top + size / 2) / height])
+    lost = 1 - len(blur2) / cells if cells else 0.0
+    return BlurSamples(np.array(blur2), np.array(span), np.array(where).reshape(-1, 2), lost)
+
+
+def _slope(projector_px: Floats, good: Bools) -> Floats | None:
+    """Projector pixels per camera pixel, (2, 2): the row of each projector axis; None where no plane is seen."""
+    row, column = np.nonzero(good)
+    design = np.stack([np.ones(len(row)), column - column.mean(), row - row.mean()], axis=1)
+    target = projector_px[good]
+    solution, *_ = np.linalg.lstsq(design, target, rcond=None)
+    off = np.abs(target - design @ solution).max(axis=1)
+    slope: Floats = solution[1:].T
+    return slope if np.median(off) < _STRAIGHT_PX else None
+
+
+def _blur2(
+    fringes: Mapping[tuple[Axis, float], Fringe], axis: Axis, part: tuple[slice, slice], good: Bools, slope: Floats
+) -> float | None:
+    """From the shortest two neighbouring periods that are seen in a cell; None if no two are."""
+    periods = sorted(period for direction, period in fringes if direction == axis)
+    powers = {period: _power(fringes[axis, period], part, good) for period in periods}
+    for short, long in pairwise(periods):
+        short_power, long_power = powers[short], powers[long]
+        if short_power is None or long_power is None:
+            continue
+        # Pixels of both devices are squares, whose own blur is no lens's.
+        expected = _squares(short, slope) / _squares(long, slope)
+        transfer = np.sqrt(short_power / long_power) / expected
+        return float(-np.log(transfer) / (2 * np.pi**2 * (1 / short**2 - 1 / long**2)))
+    return None
+
+
+def _power(fringe: Fringe, part: tuple[slice, slice], good: Bools) -> float | None:
+    power, noise = fringe.power[part][good], fringe.noise[part][good]
+    excess = float(power.mean() - noise.mean())
+    uncertain = float(np.sqrt((power.var() + noise.var()) / len(power)))
+    # Neighbouring pixels of a fringe have nearly the same power, so its scatter is mostly noise.
+    return excess if excess > _SEEN * uncertain else None
+
+
+def _squares(period: float, slope: Floats) -> float:
+    """What the averaging of a projector pixel and of a camera pixel leaves of a fringe."""
+    return float(np.sinc(1 / period) * np.prod(np.sinc(slope / period)))
+
+
+@dataclass(frozen=True)
+class Lenses:
+    """Blur of both lenses: `total_px`, the median of both together, in projector pixels, and the share of each.
+
+    `projector2`, `camera2`: what each adds to the square of the total, with the standard deviations `projector2_sigma`,
+    `camera2_sigma`; NaN where the view does not tell them apart at all.
+    """
+
+    total_px: float
+    projector2: float
+    camera2: float
+    projector2_sigma: float
+    camera2_sigma: float
+
+
+def tell_apart(samples: BlurSamples) -> Lenses | None:
+    """Split the blur by least squares, with a jackknife over blocks of the image; None if there are too few samples."""
+    if len(samples.blur2) < _FEWEST_CELLS:
+        return None
+    total2 = float(np.median(samples.blur2))
+    usual = float(np.median(samples.span**2))
+    block = (samples.where * _BLOCKS).astype(np.int32).clip(0, _BLOCKS - 1)
+    number: Ints = block[:, 1] * _BLOCKS + block[:, 0]
+    groups = np.unique(number)
+    total_px = float(np.sqrt(max(0.0, total2)))
+    if len(groups) < 3:
+        return Lenses(total_px, *[float("nan")] * 4)
+    whole = _split(samples, np.ones(len(number), np.bool_), usual)
+    parts = np.array([_split(samples, number != group, usual) for group in groups])
+    # Jackknife (Efron and Tibshirani 1993, eq. 11.5).
+    spread = np.sqrt((len(groups) - 1) / len(groups) * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0))
+    return Lenses(total_px, float(whole[0]), float(whole[1]), float(spread[0]), float(spread[1]))
+
+
+def _split(samples: BlurSamples, chosen: Bools, usual: float) -> Floats:
+    """(projector's, camera's) part of the squared blur at a span whose square is `usual`."""
+    relative = samples.span[chosen] ** 2 / usual
+    design = np.stack([np.ones(len(relative)), relative], axis=1)
+    target = samples.blur2[chosen]
+    weight = np.ones(len(target))
+    for _ in range(10):  # reweighted against cells across edges (Huber)
+        solution, *_ = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=None)
+        off = np.abs(target - design @ solution)
+        scale = 1.4826 * float(np.median(off)) + 1e-9
+        weight = np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(off, 1e-12)))
+    return np.asarray(solution, np.float64)

@@ -1,0 +1,103 @@
+"""Whether the lenses are sharp enough for the stripes that a scan shows, and which of them is not."""
+
+from collections.abc import Sequence
+from math import exp, isnan, pi
+
+import numpy as np
+
+from calib.arrays import Floats
+from scanner.checking.focus import BlurSamples, Lenses
+from scanner.checking.limits import LEAST_AMPLITUDE
+from scanner.checking.report import CheckRow, State
+from scanner.patterns import Gray, Pattern, Phase
+
+_NAME = "focus"
+# Either lens at its limit.
+_LEAST_OF_BOTH = LEAST_AMPLITUDE**2
+_SURE_SIGMAS = 2.0
+# Of the total: a lens is no Gaussian, and what that makes of the split is not in its scatter.
+_MODEL = 0.15
+# Where stripes in a part of the picture keep so much less than elsewhere, the operator should hear of it.
+_WORST_SHARE = 0.1
+_MIDDLE = 1 / 6
+
+
+def finest_period_px(patterns: Sequence[Pattern]) -> float:
+    """The shortest period of a sequence in projector pixels; a Gray code's stripes are two cells to a period."""
+    fringes = [pattern.period for pattern in patterns if isinstance(pattern, Phase)]
+    codes = [2.0 * pattern.cell for pattern in patterns if isinstance(pattern, Gray)]
+    return min(fringes or codes)
+
+
+def amplitude_left(blur2: float, period_px: float) -> float:
+    """What a Gaussian blur of that square, in projector pixels, leaves of a sine (1: all)."""
+    return exp(-2 * pi**2 * max(0.0, blur2) / period_px**2)
+
+
+def focus_row(samples: BlurSamples, lenses: Lenses | None, period_px: float) -> CheckRow:
+    """Judge the lenses by the finest period that a scan is going to show."""
+    if lenses is None:
+        return CheckRow(
+            _NAME,
+            State.FAILED if samples.lost > 0.5 else State.POOR,
+            "stripes are blurred away, or too few are seen to tell",
+            "Focus the projector on the corner until single pixels can be told on the wall, then the camera.",
+        )
+    left = amplitude_left(lenses.total_px**2, period_px)
+    finding = f"{100 * left:.0f} % is left of stripes of {period_px:g} px, {_split_in_words(lenses)}"
+    finding += _worst_in_words(samples, period_px)
+    guilty = _guilty(lenses, period_px)
+    if left >= _LEAST_OF_BOTH and not guilty:
+        return CheckRow(_NAME, State.OK, finding)
+    return CheckRow(_NAME, State.POOR, finding, _advice(guilty))
+
+
+def _advice(guilty: list[str]) -> str:
+    shifting = " A projector that moves its pixels to show more of them (4K enhancement) blurs too: turn that off."
+    if not guilty:
+        return (
+            "Which lens it is cannot be told from this view. Focus the projector until single pixels can be told on "
+            "the wall, then the camera; check again after each." + shifting
+        )
+    lens = " and ".join(guilty)
+    aperture = " A smaller aperture of the camera's gives more depth of focus." if "camera" in guilty else ""
+    return f"Focus the {lens}.{aperture}" + (shifting if "projector" in guilty else "")
+
+
+def _guilty(lenses: Lenses, period_px: float) -> list[str]:
+    """The lenses that surely leave less than a lens should."""
+    guilty = []
+    for name, part, sigma in (
+        ("projector", lenses.projector2, lenses.projector2_sigma),
+        ("camera", lenses.camera2, lenses.camera2_sigma),
+    ):
+        doubt = _SURE_SIGMAS * float(np.hypot(sigma, _MODEL * lenses.total_px**2 / _SURE_SIGMAS))
+        if not isnan(part) and amplitude_left(part - doubt, period_px) < LEAST_AMPLITUDE:
+            guilty.append(name)
+    return guilty
+
+
+def _split_in_words(lenses: Lenses) -> str:
+    total = f"a blur of {lenses.total_px:.1f} px"
+    parts = np.maximum([lenses.projector2, lenses.camera2], 0.0)
+    doubt = _SURE_SIGMAS * float(np.hypot(lenses.projector2_sigma, lenses.camera2_sigma))
+    if not doubt < max(lenses.total_px**2, parts.max()):
+        return f"{total}; which lens it comes from cannot be told"
+    projector, camera = np.sqrt(parts)
+    return f"{total}: the projector's {projector:.1f}, the camera's {camera:.1f}"
+
+
+def _worst_in_words(samples: BlurSamples, period_px: float) -> str:
+    limit = float(np.quantile(samples.blur2, 1 - _WORST_SHARE))
+    worst = amplitude_left(limit, period_px)
+    if worst >= LEAST_AMPLITUDE * amplitude_left(float(np.median(samples.blur2)), period_px):
+        return ""
+    middle = samples.where[samples.blur2 >= limit].mean(axis=0) - 0.5
+    return f"; only {100 * worst:.0f} % {_place(middle)} of the image"
+
+
+def _place(middle: Floats) -> str:
+    across = ["left", "", "right"][int(np.digitize(middle[0], [-_MIDDLE, _MIDDLE]))]
+    down = ["upper", "", "lower"][int(np.digitize(middle[1], [-_MIDDLE, _MIDDLE]))]
+    words = " ".join(word for word in (down, across) if word)
+    return f"in the {words} part" if words else "in parts"

@@ -1,0 +1,151 @@
+"""What white and black pictures tell: where there is light, how much is the room's own, and whether it flickers."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calib.arrays import Bools, Floats, Image
+from hw.rig import Rig
+from scanner.checking.limits import LEAST_AMPLITUDE, TOLERATED_LOSS
+from scanner.checking.report import CheckRow, State
+from scanner.decoding.advice import MUCH_FLICKER
+
+# A signal counts from five standard deviations on, as in the decoder.
+_SEEN = 5.0
+# What is lit by the projector itself is at least so bright, relative to its brightest parts; light that reaches other
+# surfaces by way of the first is fainter, unless these are next to each other.
+_DIRECT = 0.1
+_BRIGHT_PERCENTILE = 99.0
+# JPEG and demosaicing spread clipped pixels over their neighbours' levels.
+_CLIPPED = 254 / 255
+_NORMAL_MAD = 1.4826
+
+
+def grey(image: Image) -> Floats:
+    """(H, W) of a grey or colour image, in its grey levels."""
+    values = np.asarray(image, np.float64)
+    return values.mean(axis=2) if values.ndim == 3 else values
+
+
+def brightest_channel(image: Image) -> Image:
+    """(H, W): where one colour is clipped, the pixel is."""
+    return image.max(axis=2) if image.ndim == 3 else image
+
+
+def _mean(images: Sequence[Image]) -> Floats:
+    return np.asarray(np.mean([grey(image) for image in images], axis=0), np.float64)
+
+
+@dataclass(frozen=True)
+class Light:
+    """Frames of white and of black pictures, two or more of each; `highest` is the largest level of a pixel."""
+
+    white: tuple[Image, ...]
+    black: tuple[Image, ...]
+    highest: int
+
+    @cached_property
+    def mean_white(self) -> Floats:
+        """(H, W) in grey levels."""
+        return _mean(self.white)
+
+    @cached_property
+    def mean_black(self) -> Floats:
+        """(H, W) in grey levels."""
+        return _mean(self.black)
+
+    @cached_property
+    def lit(self) -> Bools:
+        """(H, W): where the projector's light falls directly, as far as brightness tells; nowhere if noise is all."""
+        contrast = self.mean_white - self.mean_black
+        bright = float(np.percentile(contrast, _BRIGHT_PERCENTILE))
+        difference = grey(self.black[1]) - grey(self.black[0])
+        noise = max(1.0, _NORMAL_MAD * float(np.median(np.abs(difference - np.median(difference)))))
+        lit: Bools = contrast > max(_DIRECT * bright, _SEEN * noise)
+        return lit
+
+    @cached_property
+    def clipped(self) -> Bools:
+        """(H, W): lit, and as bright as can be in a white frame."""
+        peak = np.max([brightest_channel(image) for image in self.white], axis=0)
+        clipped: Bools = (peak >= _CLIPPED * self.highest) & self.lit
+        return clipped
+
+    @property
+    def well_lit(self) -> Bools:
+        """(H, W): lit and nowhere clipped."""
+        return self.lit & ~self.clipped
+
+
+def photograph_light(rig: Rig, whites: int, blacks: int) -> Light:
+    """Take so many frames of white, then of black. Raises DeviceError."""
+    width, height = rig.projector.size
+    pictures = [np.full((height, width), level, np.uint8) for level in (255, 0)]
+    frames = list(rig.photograph([pictures[0]] * whites + [pictures[1]] * blacks))
+    images = tuple(frame.image for frame in frames)
+    return Light(images[:whites], images[whites:], rig.camera.highest_level)
+
+
+def light_rows(light: Light) -> Iterator[CheckRow]:
+    """Ambient light and flicker, if anything is lit."""
+    if light.well_lit.any():
+        yield _ambient(light)
+        yield _flicker(light)
+
+
+def ambient_share(light: Light) -> float:
+    """Median brightness of a black frame relative to a white one, where the projector's light falls."""
+    return float(np.median(light.mean_black[light.well_lit] / light.mean_white[light.well_lit]))
+
+
+def _ambient(light: Light) -> CheckRow:
+    """Ambient light takes range from the fringes and adds its own shot noise.
+
+    With the white level held just below saturation, a share a of ambient light leaves an amplitude of 1 − a of what
+    darkness would give, while the noise stays that of the white level or below.
+    """
+    share = ambient_share(light)
+    finding = f"a black picture is {100 * share:.1f} % as bright as a white one"
+    if 1 - share >= LEAST_AMPLITUDE:
+        return CheckRow("ambient light", State.OK, finding)
+    return CheckRow(
+        "ambient light",
+        State.POOR,
+        finding,
+        "Darken the room, or use a brighter projector; then check the exposure again.",
+    )
+
+
+@dataclass(frozen=True)
+class Flicker:
+    """Standard deviations of the brightness of frames of one picture, relative to white: of `white` and of `black`."""
+
+    white: float
+    black: float
+
+
+def flicker_of(light: Light) -> Flicker:
+    """How much frames that should be alike differ as a whole; their pixels' noise averages out."""
+    level = float(light.mean_white[light.well_lit].mean())
+    spreads = [
+        float(np.std([grey(image)[light.well_lit].mean() for image in images], ddof=1)) / level
+        for images in (light.white, light.black)
+    ]
+    return Flicker(*spreads)
+
+
+def _flicker(light: Light) -> CheckRow:
+    flicker = flicker_of(light)
+    finding = f"white frames differ by {100 * flicker.white:.2g} %"
+    if flicker.white <= MUCH_FLICKER:
+        return CheckRow("flicker", State.OK, finding)
+    if TOLERATED_LOSS * flicker.black >= flicker.white:
+        advice = "Black frames do so as well: turn off lamps on the mains, or expose for whole periods of it."
+    else:
+        advice = (
+            "Black frames do not: the projector's light pulsates (colour wheel, dimmed lamp). Expose for whole refresh "
+            "periods, better for several; turn off dynamic contrast and eco mode."
+        )
+    return CheckRow("flicker", State.POOR, finding, advice)

@@ -1,0 +1,205 @@
+"""A quick capture: how much of the light the camera sees, and what this view of a corner will calibrate."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import Bools, Floats
+from calib.refusal import RefusalError
+from calib.remarks import FURTHER_CAPTURE
+from calib.selfcalibration import SelfCalibration
+from calib.trust import MOVE, USEFUL_SIGMA
+from hw.rig import Rig
+from scanner.calibrating import self_calibration
+from scanner.capture import capture
+from scanner.checking.fringes import FringeMeter
+from scanner.checking.limits import LEAST_SHARE
+from scanner.checking.report import CheckRow, State
+from scanner.config import Config
+from scanner.decode import Decoding, MaskReason
+from scanner.errors import InputError
+from scanner.findings import Findings, Scan
+from scanner.given_captures import read_captures
+from scanner.patterns import Pattern
+from scanner.pipeline import decode
+from scanner.presets import PRESETS, Preset
+from scanner.terminal import Terminal
+
+_VIEW, _COVERAGE = "view", "coverage"
+# The quick capture's sigma is that of the scan within a factor of two: beyond half of what is refused, a scan may be.
+_RISKY_SIGMA = USEFUL_SIGMA / 2
+# The projector's picture is divided into so many squares across; a square that no camera pixel matches is not seen.
+_SQUARES_ACROSS = 32
+# Of the camera's pixels: a quarter of the width and of the height. Lens terms and the principal point show in what is
+# seen far from the image's centre, and in less of it there is no such place.
+_LEAST_OF_CAMERA = 1 / 16
+# Off centre by more than this share of a picture's side: enough to say which way to turn.
+_OFF_CENTRE = 0.05
+# Stripes that survive a blur of several pixels, where the quick ones do not.
+_COARSE = Preset(cell=16, inverses=True, periods=(32.7,), shifts=4)
+_UNREADABLE = "Correct what the lines above say about light and focus, keep the scene still, and check again."
+_NAMES = {MaskReason.SATURATED: "clipped", MaskReason.INCONSISTENT: "contradictory", MaskReason.INDIRECT: "indirect"}
+
+
+@dataclass(frozen=True)
+class QuickCapture:
+    """What a short sequence showed; `findings` is None and `problem` says why where its frames do not decode."""
+
+    findings: Findings | None
+    problem: str = ""
+
+    @property
+    def decoding(self) -> Decoding | None:
+        """What was decoded."""
+        return self.findings.decoding if self.findings else None
+
+
+def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Terminal) -> QuickCapture:
+    """Capture the quick sequence while `meter` looks on. Raises DeviceError."""
+    return _take(rig, config, PRESETS["quick"].patterns(rig.projector.size), meter, terminal, "Capturing quickly")
+
+
+def take_coarse(rig: Rig, config: Config, terminal: Terminal) -> QuickCapture:
+    """Capture a sequence that blur does less to, to learn at least which pixels see which. Raises DeviceError."""
+    return _take(rig, config, _COARSE.patterns(rig.projector.size), FringeMeter(), terminal, "Capturing coarsely")
+
+
+def _take(
+    rig: Rig, config: Config, patterns: tuple[Pattern, ...], meter: FringeMeter, terminal: Terminal, what: str
+) -> QuickCapture:
+    stream = capture(rig, patterns, response=config.projector.known_response)
+    try:
+        return QuickCapture(decode(replace(stream, frames=meter.watch(stream.frames)), terminal, what))
+    except InputError as error:
+        return QuickCapture(None, str(error))
+
+
+def projector_map(decoding: Decoding) -> Floats:
+    """The projector pixel (H, W, 2) that each camera pixel sees, NaN where none is known."""
+    found = np.full((*decoding.reasons.shape, 2), np.nan)
+    column, row = np.rint(decoding.matches.camera_px).astype(np.int64).T
+    found[row, column] = decoding.matches.projector_px
+    return found
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How much of either picture serves, and where the served part has its middle, −½ … ½ from the centre, x and y.
+
+    `camera`: share of the camera's pixels that have a match; `projector`: share of the projector's light that the
+    camera sees. `seen`: (rows, columns), the squares of the projector's picture that it sees.
+    """
+
+    camera: float
+    camera_middle: tuple[float, float]
+    projector: float
+    projector_middle: tuple[float, float]
+    seen: Bools
+
+
+def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage:
+    """From the matches of a capture; there has to be one."""
+    height, width = decoding.reasons.shape
+    across = _SQUARES_ACROSS
+    down = max(1, round(across * projector_size[1] / projector_size[0]))
+    position = (decoding.matches.projector_px + 0.5) / np.array(projector_size)
+    column, row = (position * (across, down)).astype(np.int64).clip(0, (across - 1, down - 1)).T
+    seen = np.zeros((down, across), np.bool_)
+    seen[row, column] = True
+    middle = (decoding.matches.camera_px.mean(axis=0) + 0.5) / (width, height) - 0.5
+    seen_y, seen_x = np.nonzero(seen)
+    return Coverage(
+        float(np.mean(decoding.reasons == MaskReason.KEPT)),
+        (float(middle[0]), float(middle[1])),
+        float(seen.mean()),
+        (float(np.mean(seen_x + 0.5) / across - 0.5), float(np.mean(seen_y + 0.5) / down - 0.5)),
+        seen,
+    )
+
+
+def coverage_row(coverage: Coverage, decoding: Decoding) -> CheckRow:
+    """How much of the two pictures overlaps, and which way to turn what does not."""
+    finding = (
+        f"{100 * coverage.camera:.0f} % of the camera's pixels see the projector's light, and the camera sees "
+        f"{100 * coverage.projector:.0f} % of it"
+    )
+    lit = max(1, int(np.sum(decoding.reasons != MaskReason.DARK)))
+    lost = {name: float(np.sum(decoding.reasons == reason)) / lit for reason, name in _NAMES.items()}
+    worst = max(lost, key=lambda name: lost[name])
+    if lost[worst] > 1 - LEAST_SHARE:
+        finding += f"; {100 * lost[worst]:.0f} % of the lit pixels are {worst}"
+    advice = []
+    if coverage.camera < _LEAST_OF_CAMERA:
+        advice.append(_turned("the camera", coverage.camera_middle, "Move the camera closer, or use a longer lens"))
+    if coverage.projector < LEAST_SHARE:
+        advice.append(_turned("the projector", coverage.projector_middle, "Move the camera back, or use a wider lens"))
+    return CheckRow(_COVERAGE, State.POOR if advice else State.OK, finding, " ".join(advice))
+
+
+def _turned(device: str, middle: tuple[float, float], otherwise: str) -> str:
+    """Which way the device has to look for the middle of what it shares to come into the middle of its picture."""
+    ways = []
+    for offset, (less, more) in zip(middle, (("left", "right"), ("up", "down")), strict=True):
+        if abs(offset) > _OFF_CENTRE:
+            ways.append(more if offset > 0 else less)
+    if not ways:
+        return f"{otherwise}."
+    return f"Turn {device} to the {' and '.join(ways)}, as seen from behind it.".replace("to the up", "up").replace(
+        "to the down", "down"
+    )
+
+
+def predict(findings: Findings, config: Config) -> SelfCalibration:
+    """What the quick capture calibrates, together with earlier ones if the configuration names some.
+
+    Raises RefusalError, InputError.
+    """
+    earlier = read_captures(config.earlier, findings.facts.camera_size, findings.facts.projector_size)
+    self_calibration(Scan([*earlier, findings]), config.model_copy(update={"method": "refined"}))
+    assert findings.solution is not None
+    return findings.solution
+
+
+def view_row(quick: QuickCapture, config: Config) -> tuple[CheckRow, RefusalError | None]:
+    """How well this view will calibrate, and why a scan would be refused, if it would. Raises InputError."""
+    if quick.findings is None:
+        row = CheckRow(_VIEW, State.FAILED, quick.problem, _UNREADABLE)
+        return row, refusal_of(row)
+    try:
+        solution = predict(quick.findings, config)
+    except RefusalError as refusal:
+        return CheckRow(_VIEW, State.FAILED, refusal.reason, refusal.advice), refusal
+    sigmas = relative_sigmas(solution)
+    shown = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
+    finding = f"focal lengths will be known to about {shown}"
+    if max(sigmas.values()) <= _RISKY_SIGMA:
+        return CheckRow(_VIEW, State.OK, finding), None
+    notes = [note for note in solution.notes if note.startswith(FURTHER_CAPTURE)]
+    return CheckRow(_VIEW, State.POOR, finding, " ".join(notes) or MOVE), None
+
+
+def nothing_lit() -> CheckRow:
+    """Where a white picture looks like a black one."""
+    return CheckRow(
+        _COVERAGE,
+        State.FAILED,
+        "the camera sees no difference between a white and a black picture",
+        "Point it at the projector's light; check lens cap, aperture and exposure, and that the projector is on.",
+    )
+
+
+def refusal_of(row: CheckRow) -> RefusalError:
+    """A failed row as the reason why a scan would be refused."""
+    return RefusalError(f"{row.finding[:1].upper()}{row.finding[1:].rstrip('.')}.", row.advice)
+
+
+def relative_sigmas(solution: SelfCalibration) -> dict[str, float]:
+    """Of both focal lengths, by device."""
+    calibration = solution.calibration
+    focals = {"camera": calibration.camera.focal_px[0], "projector": calibration.projector.focal_px[0]}
+    sigmas = {}
+    for device, focal_px in focals.items():
+        sigma = calibration.sigma[f"{device}_focal_px"]
+        assert isinstance(sigma, float)
+        sigmas[device] = sigma / focal_px
+    return sigmas
