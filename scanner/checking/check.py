@@ -21,7 +21,7 @@ from scanner.checking.response import measure_ramp, response_row
 from scanner.config import Config
 from scanner.decode import MaskReason
 from scanner.patterns import Pattern, phase_sequence
-from scanner.terminal import Terminal
+from scanner.progress import Progress
 
 OnRow = Callable[[CheckRow], None]
 
@@ -33,7 +33,7 @@ _WHITES, _BLACKS = 6, 4
 _PERIODS_PX = (4.3, 24.6)
 
 
-def check(config: Config, terminal: Terminal, on_row: OnRow | None = None) -> CheckReport:
+def check(config: Config, terminal: Progress, on_row: OnRow | None = None) -> CheckReport:
     """Open the configured rig and check it; `on_row` is called with each row as soon as it is known.
 
     A device that fails is a row. Raises InputError if the configuration names no rig or no sizes, or if earlier
@@ -50,7 +50,7 @@ def check(config: Config, terminal: Terminal, on_row: OnRow | None = None) -> Ch
         return check_rig(rig, config, terminal, on_row)
 
 
-def check_rig(rig: Rig, config: Config, terminal: Terminal, on_row: OnRow | None = None) -> CheckReport:
+def check_rig(rig: Rig, config: Config, terminal: Progress, on_row: OnRow | None = None) -> CheckReport:
     """Check a rig that is open, as `check` does. Its camera is left at the exposure that is proposed."""
     checking = Checking(on_row)
     try:
@@ -89,7 +89,7 @@ class Checking:
         return CheckReport(tuple(self.rows), self.exposure_us, self.response, self.pictures, self.failure)
 
 
-def _check(rig: Rig, config: Config, terminal: Terminal, checking: Checking) -> None:
+def _check(rig: Rig, config: Config, terminal: Progress, checking: Checking) -> None:
     checking.add(*device_rows(rig))
     with terminal.step("Trying exposures"):
         proposal = propose_exposure(rig)
@@ -109,7 +109,7 @@ def _check(rig: Rig, config: Config, terminal: Terminal, checking: Checking) -> 
     _check_view(rig, config, terminal, light, checking)
 
 
-def _check_view(rig: Rig, config: Config, terminal: Terminal, light: Light, checking: Checking) -> None:
+def _check_view(rig: Rig, config: Config, terminal: Progress, light: Light, checking: Checking) -> None:
     meter = FringeMeter()
     quick = view.take_quick(rig, config, meter, terminal)
     for _ in terminal.track(_more_fringes(rig, config, meter), 2 * STEPS * len(_PERIODS_PX), "Looking at stripes"):

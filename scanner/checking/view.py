@@ -23,7 +23,7 @@ from scanner.given_captures import read_captures
 from scanner.patterns import Pattern
 from scanner.pipeline import decode
 from scanner.presets import PRESETS, Preset
-from scanner.terminal import Terminal
+from scanner.progress import Progress
 
 _VIEW, _COVERAGE = "view", "coverage"
 # The quick capture's sigma is that of the scan within a factor of two: beyond half of what is refused, a scan may be.
@@ -54,18 +54,18 @@ class QuickCapture:
         return self.findings.decoding if self.findings else None
 
 
-def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Terminal) -> QuickCapture:
+def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress) -> QuickCapture:
     """Capture the quick sequence while `meter` looks on. Raises DeviceError."""
     return _take(rig, config, PRESETS["quick"].patterns(rig.projector.size), meter, terminal, "Capturing quickly")
 
 
-def take_coarse(rig: Rig, config: Config, terminal: Terminal) -> QuickCapture:
+def take_coarse(rig: Rig, config: Config, terminal: Progress) -> QuickCapture:
     """Capture a sequence that blur does less to, to learn at least which pixels see which. Raises DeviceError."""
     return _take(rig, config, _COARSE.patterns(rig.projector.size), FringeMeter(), terminal, "Capturing coarsely")
 
 
 def _take(
-    rig: Rig, config: Config, patterns: tuple[Pattern, ...], meter: FringeMeter, terminal: Terminal, what: str
+    rig: Rig, config: Config, patterns: tuple[Pattern, ...], meter: FringeMeter, terminal: Progress, what: str
 ) -> QuickCapture:
     stream = capture(rig, patterns, response=config.projector.known_response)
     try:

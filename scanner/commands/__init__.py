@@ -7,7 +7,7 @@
 from argparse import ArgumentParser, Namespace
 from typing import Protocol
 
-from scanner.commands import calibrate, devices, export, measure, patterns, replay, scan, view
+from scanner.commands import calibrate, console, devices, export, measure, patterns, replay, scan, view
 
 
 class Command(Protocol):
@@ -31,4 +31,5 @@ NAMED: dict[str, Command] = {
     "export": export,
     "measure": measure,
     "view": view,
+    "console": console,
 }
