@@ -63,4 +63,3 @@ def _parser(command: Command) -> ArgumentParser:
 _OTHER_COMMANDS = "other commands:\n" + "\n".join(
     f"  scan {name:<10} {(command.__doc__ or '').splitlines()[0]}" for name, command in NAMED.items()
 )
-

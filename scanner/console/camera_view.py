@@ -10,16 +10,15 @@ from viser import uplot
 
 from hw.rig import ExposureControl, Frame, Rig
 from hw.settings import AravisRigSettings, RigSettings
-from scanner.console.picture import CLIPPED_COLOUR, HISTOGRAM_BINS, exposed, histogram, shown
+from scanner.console.picture import HISTOGRAM_BINS, exposed, histogram, shown
 from scanner.console.settings import Picture
 from scanner.quantities import percent
-from scanner.reporting.maps import css_colour
+from scanner.reporting.maps import Pixels, data_uri
 
-_NOTHING = np.full((9, 16, 3), 225, np.uint8)
 _EVERY_S = 0.15  # a page and a network have to keep up
 _LONGEST_MS = 10_000.0
-_JPEG_QUALITY = 80
 _FONT = "12px sans-serif"
+_LINE, _FILL = "#444444", "#bbbbbb"
 
 Change = Callable[..., None]
 
@@ -31,12 +30,12 @@ class CameraView:
         self._change = change
         self._highest_level = 255
         self._shown_s = 0.0
-        self._image = gui.add_image(_NOTHING, label="What the camera sees", jpeg_quality=_JPEG_QUALITY)
+        self._image = gui.add_html("")
         self._told = gui.add_markdown("No frame yet.")
         self._mark = gui.add_checkbox("Mark clipped", initial_value=True, hint="Clipped pixels in orange-red")
         self._picture = gui.add_dropdown("Projector shows", [picture.value for picture in Picture])
         self._exposure = gui.add_number("Exposure, ms", 0.0, min=0.0, max=_LONGEST_MS, step=0.1)
-        self._gain = self._gain_number(gui, settings)
+        self._add_gain(gui, settings)
         self._histogram = _histogram_plot(gui)
         self._picture.on_update(lambda _: change(picture=Picture(self._picture.value)))
         self._exposure.on_update(self._on_exposure)
@@ -60,7 +59,7 @@ class CameraView:
         if now_s - self._shown_s < _EVERY_S:
             return
         self._shown_s = now_s
-        self._image.image = shown(frame.image, self._highest_level, mark_clipped=self._mark.value)
+        self._image.content = _html(shown(frame.image, self._highest_level, mark_clipped=self._mark.value))
         found = exposed(frame.image, self._highest_level)
         exposure = "" if frame.exposure_us is None else f"Exposed for {frame.exposure_us / 1000:.4g} ms. "
         self._told.content = (
@@ -74,31 +73,33 @@ class CameraView:
         if event.client is not None and self._exposure.value > 0:  # else it was set by the program, to what is so
             self._change(exposure_us=1000 * float(self._exposure.value))
 
-    def _gain_number(self, gui: viser.GuiApi, settings: RigSettings) -> viser.GuiNumberHandle[float] | None:
-        """Only real cameras have a gain."""
+    def _add_gain(self, gui: viser.GuiApi, settings: RigSettings) -> None:
+        """Only real cameras have one."""
         if not isinstance(settings, AravisRigSettings):
-            return None
+            return
         gain = gui.add_number("Gain", float(settings.gain or 0.0), step=0.1, hint="In the camera's own unit, mostly dB")
+        gain.on_update(lambda event: self._change(gain=float(gain.value)) if event.client else None)
 
-        @gain.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:
-                self._change(gain=float(gain.value))
 
-        return gain
+def _html(picture: Pixels) -> str:
+    """The picture as wide as the panel. Viser's own image complains in the browser's console when it changes fast."""
+    return f'<img alt="what the camera sees" style="width:100%; display:block" src="{data_uri(picture, jpeg=True)}">'
 
 
 def _histogram_plot(gui: viser.GuiApi) -> viser.GuiUplotHandle:
     levels = np.linspace(0, 100, HISTOGRAM_BINS)
-    axis = {"font": _FONT, "labelFont": _FONT}
     return gui.add_uplot(
         (levels, np.ones(HISTOGRAM_BINS)),
         (
-            uplot.Series(label="brightness, %"),
-            uplot.Series(label="pixels", stroke=css_colour(CLIPPED_COLOUR), fill="#d55e0033", width=1),
+            uplot.Series(label="brightness"),
+            uplot.Series(label="pixels", stroke=_LINE, fill=_FILL, width=1),
         ),
         scales={"x": uplot.Scale(time=False, auto=False, range=(0, 100)), "y": uplot.Scale(distr=3, log=10)},
-        axes=(uplot.Axis(label="brightness, % of the range", **axis), uplot.Axis(label="pixels", **axis)),
+        axes=(
+            uplot.Axis(label="brightness, % of the camera's range", font=_FONT, labelFont=_FONT),
+            uplot.Axis(show=False),
+        ),
         legend=uplot.Legend(show=False),
-        aspect=2.2,
+        padding=(8, 16, 0, 16),
+        aspect=2.5,
     )

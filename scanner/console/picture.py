@@ -42,7 +42,7 @@ def exposed(image: Image, highest_level: int) -> Exposed:
 
 
 def histogram(image: Image, highest_level: int) -> tuple[Floats, Floats]:
-    """Middles of equal ranges of grey levels in per cent of the highest, and how many pixels are in each, (64,) each."""
+    """Middles of equal ranges of grey levels, in per cent of all, and how many pixels are in each, (64,) both."""
     counts, edges = np.histogram(_brightest(image), HISTOGRAM_BINS, range=(0, highest_level + 1))
     middles: Floats = 100 * (edges[:-1] + edges[1:]) / 2 / (highest_level + 1)
     return middles, counts.astype(np.float64)

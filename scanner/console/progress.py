@@ -48,9 +48,8 @@ class StagedProgress:
         log.info("%s: %d", what, total)
         self._tell(Stage(what, 0, total))
         for done, item in enumerate(items, start=1):
-            match item:
-                case (_, Frame() as frame):
-                    self._on_frame(frame)
+            if isinstance(item, tuple) and isinstance(item[-1], Frame):  # (pattern, frame)
+                self._on_frame(item[-1])
             yield item
             self._tell(Stage(what, done, total))
 

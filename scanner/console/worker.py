@@ -1,7 +1,6 @@
 """One thread that owns the rig, and does one thing at a time: live image, check, or scan."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path

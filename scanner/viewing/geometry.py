@@ -12,8 +12,11 @@ from scanner.viewing.result import ViewedCloud
 
 _SAMPLED = 20_000
 _TICKS_WANTED = 4
-# The view's middle: from the cloud's so far towards the devices.
-_TOWARDS_RIG = 0.35
+FIELD_OF_VIEW_RAD = float(np.radians(50.0))
+# Of the window between two panels, width over height.
+_ASPECT = 0.8
+_MARGIN = 1.1
+_ABOVE, _BESIDE = 0.7, 0.5
 
 
 @dataclass(frozen=True)
@@ -32,25 +35,30 @@ def typical_size(cloud: ViewedCloud) -> float:
 
 
 def viewpoint(cloud: ViewedCloud) -> Viewpoint:
-    """From behind, above and beside the newest camera into the corner; without a camera, towards the cloud's origin."""
+    """From behind, above and beside the newest camera into the corner, so that cloud and devices are all in view."""
     points = _some(cloud)
-    middle, size = np.median(points, axis=0), typical_size(cloud)
-    if not cloud.rigs:
-        ahead = -middle if np.any(middle) else np.array([1.0, 1.0, -1.0])
-        ahead = ahead / np.linalg.norm(ahead)
-        return Viewpoint(middle - 3 * size * ahead, middle, cloud.up)
-    devices = [centre for rig in cloud.rigs for centre in (rig.position, rig.projector_centre)]
-    eye, between = cloud.rigs[0].position, np.mean(devices, axis=0)
+    middle = np.median(points, axis=0)
+    devices = np.array([centre for rig in cloud.rigs for centre in (rig.position, rig.projector_centre)]).reshape(-1, 3)
+    eye = cloud.rigs[0].position if cloud.rigs else np.zeros(3)
     level = middle - eye
     level = level - (level @ cloud.up) * cloud.up
     level /= np.linalg.norm(level)
     aside = np.cross(level, cloud.up)
     # On the far side of the camera from the projector neither stands before the other.
-    aside *= -1.0 if (between - eye) @ aside > 0 else 1.0
-    target = middle + _TOWARDS_RIG * (between - middle)
-    spread = max(float(np.linalg.norm(centre - target)) for centre in devices)
-    away = 0.75 * max(size, spread)
-    return Viewpoint(eye + away * (cloud.up - level + 0.6 * aside), target, cloud.up)
+    aside *= -1.0 if len(devices) and (devices.mean(axis=0) - eye) @ aside > 0 else 1.0
+    backward = _ABOVE * cloud.up - level + _BESIDE * aside
+    backward /= np.linalg.norm(backward)
+    right = np.cross(cloud.up, backward)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(backward, right), backward])
+    near = np.linalg.norm(points - middle, axis=1) <= 2 * typical_size(cloud)  # strays may be out of sight
+    seen = np.concatenate([points[near], devices]) @ axes.T
+    centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    seen -= centre
+    half = np.tan(FIELD_OF_VIEW_RAD / 2) / _MARGIN
+    distance = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / (half * _ASPECT, half), axis=1)))
+    target = centre @ axes
+    return Viewpoint(target + distance * backward, target, cloud.up)
 
 
 def _some(cloud: ViewedCloud) -> Floats:

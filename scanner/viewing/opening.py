@@ -1,4 +1,4 @@
-"""The page's address, and what is asked of it before anything is opened; without viser this can still say what to do."""
+"""The page's address, and what is asked of it before anything is opened: without viser this still says what to do."""
 
 import errno
 import socket
@@ -27,10 +27,16 @@ def require_viser() -> None:
 def add_address(parser: ArgumentParser) -> None:
     """`--host`, `--port` and `--no-browser`."""
     parser.add_argument(
-        "--host", default=LOCAL, metavar="ADDRESS", help=f"address to serve the page at (default: {LOCAL}, this computer)"
+        "--host",
+        default=LOCAL,
+        metavar="ADDRESS",
+        help=f"address to serve the page at (default: {LOCAL}, this computer)",
     )
     parser.add_argument(
-        "--port", type=int, metavar="N", help=f"port to serve it at (default: the first that is free from {DEFAULT_PORT})"
+        "--port",
+        type=int,
+        metavar="N",
+        help=f"port to serve it at (default: {DEFAULT_PORT}, or the next that is free)",
     )
     parser.add_argument("--no-browser", action="store_true", help="only print the address, open no browser")
 
@@ -56,7 +62,9 @@ def _is_free(host: str, port: int) -> bool:
     except socket.gaierror as error:
         raise InputError(f"--host {host}: no such address: {error.strerror}") from error
     except PermissionError as error:
-        raise InputError(f"--port {port}: {error.strerror}; ports below 1024 are the system's, choose another") from error
+        raise InputError(
+            f"--port {port}: {error.strerror}; ports below 1024 are the system's, choose another"
+        ) from error
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             return False

@@ -154,7 +154,7 @@ def _up(corner: MeasuredCorner | None) -> Floats:
 
 
 def _placed(scan: FinishedScan, found: MeasuredCorner, tree: cKDTree, picture: NDArray[np.uint8]) -> PlacedRig:
-    """The rig of a capture in the frame of the merged cloud: the corner's, its axes numbered as fits the points best."""
+    """The rig of a capture in the frame of the merged cloud: the corner's, its axes numbered as fits best."""
     legs = found.corner.legs
     u, _, vt = np.linalg.svd(legs if np.linalg.det(legs) > 0 else legs[[0, 2, 1]])
     axes = u @ vt

@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 import viser
 from numpy.typing import NDArray
-from viser.transforms import SO3
+from scipy.spatial.transform import Rotation
 
 from calib.arrays import Floats
 from scanner.measuring.shown import shown_unit
 from scanner.reporting.maps import BLUE, FACE_COLOURS, VERMILION
 from scanner.viewing.colouring import Colouring, coloured
 from scanner.viewing.geometry import (
+    FIELD_OF_VIEW_RAD,
     frustum_lines,
     nice_step,
     picture_corners,
@@ -26,10 +27,9 @@ from scanner.viewing.texts import angle_name
 # The browser's camera is made for scenes of a few units: clouds of any unit are drawn in this size.
 _DRAWN_SIZE = 2.0
 _FRUSTUM_OF_SIZE = 0.25
-_FACE_OPACITY = 0.22
+_FACE_OPACITY = 0.15
 _INK = (40, 40, 40)
 _LINE_PX = 2.0
-_FIELD_OF_VIEW_RAD = np.radians(50.0)
 _POINT_OF_SIZE = 0.7
 
 CLOUD, RIGS, FACES, LABELS = "/cloud", "/rigs", "/faces", "/labels"
@@ -81,13 +81,13 @@ class Scene:
         self._scene.set_up_direction(view.up)
         position, target = self._drawn(view.position), self._drawn(view.target)
         first = self._server.initial_camera
-        first.up, first.position, first.look_at, first.fov = view.up, position, target, float(_FIELD_OF_VIEW_RAD)
+        first.up, first.position, first.look_at, first.fov = view.up, position, target, FIELD_OF_VIEW_RAD
         for client in self._server.get_clients().values():
             with client.atomic():
                 client.camera.up_direction = view.up
                 client.camera.position = position
                 client.camera.look_at = target
-                client.camera.fov = float(_FIELD_OF_VIEW_RAD)
+                client.camera.fov = FIELD_OF_VIEW_RAD
 
     def draw_points(self, count: int, colouring: Colouring) -> Shown:
         """Draw `count` of the cloud's points, spread evenly."""
@@ -173,7 +173,7 @@ class Scene:
             first, second = (ends[name] for name in angle.faces)
             text = f"{angle_name(angle.faces)}: {angle.angle_deg:.2f}°"
             self._label(f"{LABELS}/{text}", text, _end_of_common_edge(first, second), "center-center")
-        self._label(f"{LABELS}/vertex", "Vertex", vertex, "top-center")
+        self._label(f"{LABELS}/vertex", "Vertex", vertex, "bottom-center")
         self._scene.add_icosphere(f"{FACES}/vertex", 0.012 * _DRAWN_SIZE, color=_INK, position=self._drawn(vertex))
 
     def _draw_ruler(self, cloud: ViewedCloud) -> None:
@@ -216,5 +216,7 @@ def _end_of_common_edge(first: Floats, second: Floats) -> Floats:
     return first[0] + 2 / 3 * (end - first[0])
 
 
-def _quaternion(rotation: Floats) -> NDArray[np.float64]:
-    return np.asarray(SO3.from_matrix(rotation).wxyz)
+def _quaternion(rotation: Floats) -> Floats:
+    """w, x, y, z."""
+    wxyz: Floats = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    return wxyz
