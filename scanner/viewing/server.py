@@ -11,9 +11,10 @@ import viser
 from scanner.terminal import Terminal
 from scanner.viewing.opening import address, free_port, warning
 
-# Of the client's own texts some are smaller than 12 px; its units follow the root's font.
+# Of the client's own texts some are smaller than 12 px, and some paler than is legible; its units follow the root's font.
 _READABLE = """<style>
 :root { font-size: 16px !important; }
+label { color: #333 !important; letter-spacing: normal !important; }
 .mantine-Slider-markLabel, .mantine-Slider-label { font-size: 12px !important; }
 </style>"""
 _BRAND = (0, 90, 150)
