@@ -64,8 +64,9 @@ class ConsolePage:
         busy = status.activity in (Activity.CHECKING, Activity.SCANNING)
         self._told.content = status_text(status)
         self._bar.visible = busy
-        self._bar.value = status.stage.percent if status.stage else 0.0
-        self._bar.animated = status.stage is not None and not status.stage.total
+        counted = status.stage is not None and status.stage.total > 0
+        self._bar.value = status.stage.percent if status.stage and counted else 100.0
+        self._bar.animated = not counted  # what cannot be counted moves without getting on
         for button in (self._check, self._scan, self._live):
             button.disabled = busy
         self._cancel.disabled = not busy or status.cancelling

@@ -62,7 +62,8 @@ def corner_text(corner: MeasuredCorner | None, unit: str) -> str:
 def _corner_lines(corner: MeasuredCorner, unit: str) -> Iterator[str]:
     shown = shown_unit(unit)
     for angle in corner.angles:
-        yield f"- {angle_name(angle.faces)}: {angle.angle_deg:.2f}° ± {angle.sigma_deg:.2f}°"
+        measured = Quantity(angle_name(angle.faces), angle.angle_deg, "°", angle.sigma_deg)
+        yield f"- {measured.name}: {measured.shown(measured.value)}° ± {measured.shown(measured.sigma)}°"
     for face in corner.faces:
         yield f"- Face {face.name}: flat to {shown.error(face.errors.mean_absolute)} (mean absolute distance)"
     yield ""
