@@ -10,6 +10,7 @@ from browsing import PATIENCE_MS, Served, Visit, visiting
 from playwright.sync_api import Browser, expect
 
 from scanner.calibration_file import read_calibration
+from scanner.cli import main
 from scanner.recording import open_capture
 
 pytestmark = pytest.mark.xdist_group("browser")
@@ -142,9 +143,7 @@ def test_ctrl_c_ends_it_and_keeps_a_running_capture(console: Console) -> None:
     assert "Traceback" not in said
 
 
-def test_what_is_missing_is_said_before_there_is_a_page(tmp_path: Path) -> None:
+def test_what_is_missing_is_said_before_there_is_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "room.yaml").write_text("rig: {backend: simulated}\n")
-    with Served(tmp_path, "console", "--config", "room.yaml") as served:
-        code, said = served.interrupt()
-    assert code == 2
-    assert "give the size of its image" in said
+    assert main(["console", "--config", str(tmp_path / "room.yaml"), "--no-browser"]) == 2
+    assert "give the size of its image" in capsys.readouterr().err

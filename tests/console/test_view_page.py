@@ -9,6 +9,7 @@ from playwright.sync_api import Browser
 from result_folder import write_result
 
 from calib.camera import Intrinsics
+from scanner.cli import main
 
 pytestmark = pytest.mark.xdist_group("browser")
 
@@ -69,8 +70,6 @@ def test_ctrl_c_ends_it(served: Served, visit: Visit) -> None:
     assert "Traceback" not in said
 
 
-def test_a_folder_that_is_no_result(tmp_path: Path) -> None:
-    with Served(tmp_path, "view", tmp_path) as served:
-        code, said = served.interrupt()
-    assert code == 2
-    assert "expected a result folder" in said
+def test_a_folder_that_is_no_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["view", str(tmp_path), "--no-browser"]) == 2
+    assert "expected a result folder" in capsys.readouterr().err
