@@ -90,6 +90,11 @@ class Turns:
         return self._camera.exposure_s
 
     @property
+    def taken(self) -> int:
+        """How many frames there have been."""
+        return self._taken
+
+    @property
     def seconds_per_frame(self) -> float:
         """Time from one frame to the next, whatever was done with it included; 0 before the first."""
         return self._elapsed_s / max(1, self._taken)

@@ -6,6 +6,12 @@ from pathlib import Path
 _LOGGERS = ("scanner", "hw", "calib", "py.warnings")
 
 
+def keep_off_the_terminal() -> None:
+    """Where no file takes the log, what is logged as a warning is not printed either: commands say what matters."""
+    for name in _LOGGERS:
+        logging.getLogger(name).addHandler(logging.NullHandler())
+
+
 class LogFile:
     """What the program logs while the `with` block runs, Python's warnings, and the error that ends it, in a file."""
 

@@ -140,6 +140,12 @@ class OutputFolder:
                 parent.rmdir()
 
 
+def refuse_occupied(out: Path) -> None:
+    """Raise InputError if there is something at `out` already, other than an empty folder."""
+    if _is_occupied(out):
+        _refuse_to_lose(out, overwrite=False)
+
+
 def _is_occupied(path: Path) -> bool:
     """An empty folder is as good as none: nothing can be lost, and a rename replaces it."""
     if path.is_dir() and not path.is_symlink():

@@ -9,9 +9,9 @@ from hw.errors import DeviceError
 from hw.rig import Rig
 from scanner.capture import capture
 from scanner.checking import view
-from scanner.checking.devices import device_rows, opened
+from scanner.checking.devices import device_rows, opened, transfer_rows
 from scanner.checking.exposure import exposure_row, propose_exposure
-from scanner.checking.focus import sample_blur, tell_apart
+from scanner.checking.focus import LONG_PERIOD_PX, period_for, sample_blur, tell_apart
 from scanner.checking.focus_row import finest_period_px, focus_row
 from scanner.checking.fringes import STEPS, FringeMeter
 from scanner.checking.light import Light, light_rows, photograph_light
@@ -28,9 +28,6 @@ OnRow = Callable[[CheckRow], None]
 log = logging.getLogger(__name__)
 
 _WHITES, _BLACKS = 6, 4
-# Beside the quick sequence's own: the shortest that every projector can draw as a sine, and one that hardly any lens
-# blurs. Not whole numbers, as in the presets.
-_PERIODS_PX = (4.3, 24.6)
 
 
 def check(config: Config, terminal: Progress, on_row: OnRow | None = None) -> CheckReport:
@@ -112,19 +109,23 @@ def _check(rig: Rig, config: Config, terminal: Progress, checking: Checking) -> 
 def _check_view(rig: Rig, config: Config, terminal: Progress, light: Light, checking: Checking) -> None:
     meter = FringeMeter()
     quick = view.take_quick(rig, config, meter, terminal)
-    for _ in terminal.track(_more_fringes(rig, config, meter), 2 * STEPS * len(_PERIODS_PX), "Looking at stripes"):
-        pass
+    checking.add(*transfer_rows(rig))
     decoded = quick if quick.decoding else view.take_coarse(rig, config, terminal)
-    if decoded.decoding:
-        coverage = view.coverage_of(decoded.decoding, rig.projector.size)
+    usable = light.well_lit
+    coverage = view.coverage_of(decoded.decoding, rig.projector.size) if decoded.decoding else None
+    periods = {period_for(coverage.span if coverage else 1.0), LONG_PERIOD_PX}
+    for _ in terminal.track(_more_fringes(rig, config, meter, periods), 2 * STEPS * len(periods), "Looking at stripes"):
+        pass
+    if decoded.decoding and coverage:
         matched = decoded.decoding.reasons == MaskReason.KEPT
         checking.add(view.coverage_row(coverage, decoded.decoding))
         checking.pictures["coverage"] = coverage_picture(light, matched)
-        samples = sample_blur(meter.fringes(), matched & light.well_lit, view.projector_map(decoded.decoding))
+        usable = matched & ~light.clipped
+        samples = sample_blur(meter.fringes(), usable, view.projector_map(decoded.decoding))
         checking.add(focus_row(samples, tell_apart(samples), finest_period_px(_scanned(rig, config))))
-    checking.pictures["contrast"] = contrast_picture(meter.fringes(), light.well_lit)
+    checking.pictures["contrast"] = contrast_picture(meter.fringes(), usable)
     with terminal.step("Calibrating"):
-        row, failure = view.view_row(quick, config)
+        row, failure = view.view_row(quick, decoded, config)
     checking.add(row)
     checking.failure = failure
 
@@ -133,8 +134,8 @@ def _scanned(rig: Rig, config: Config) -> tuple[Pattern, ...]:
     return config.sequence.patterns(rig.projector.size)
 
 
-def _more_fringes(rig: Rig, config: Config, meter: FringeMeter) -> Iterable[object]:
+def _more_fringes(rig: Rig, config: Config, meter: FringeMeter, periods: Iterable[float]) -> Iterable[object]:
     patterns: list[Pattern] = []
-    for period in _PERIODS_PX:
+    for period in sorted(periods):
         patterns += [*phase_sequence("x", period, STEPS), *phase_sequence("y", period, STEPS)]
     return meter.watch(capture(rig, tuple(patterns), response=config.projector.known_response).frames)

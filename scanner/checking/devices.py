@@ -5,12 +5,16 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from hw.errors import OverexposedError
+from hw.flashes import LOST_ADVICE
 from hw.open_rig import open_rig
 from hw.rig import Rig
 from hw.settings import AravisRigSettings
 from hw.synchronisation import SynchronisedRig
 from scanner.checking.report import CheckRow, State
 from scanner.config import Config
+
+# Frames that are lost are taken again, which costs time only; so many say that something is wrong.
+_MANY_RETAKEN = 0.1
 
 log = logging.getLogger(__name__)
 
@@ -53,3 +57,15 @@ def device_rows(rig: Rig) -> Iterator[CheckRow]:
     else:
         light = "light comes at once"
     yield CheckRow("latency", State.OK, light + refresh)
+
+
+def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
+    """Whether the frames of the last capture came at the first attempt; nothing for rigs that lose none."""
+    if not isinstance(rig, SynchronisedRig):
+        return
+    taken, again = rig.turns.taken, rig.turns.retriggered
+    per_frame = f"{1e3 * rig.turns.seconds_per_frame:.0f} ms per frame"
+    if again <= _MANY_RETAKEN * taken:
+        yield CheckRow("transfer", State.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
+    else:
+        yield CheckRow("transfer", State.POOR, f"{per_frame}, {again} of {taken} frames were lost first", LOST_ADVICE)

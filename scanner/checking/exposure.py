@@ -6,9 +6,10 @@ from math import floor
 import numpy as np
 
 from hw.rig import ExposureControl, Rig
-from scanner.checking.light import Light, photograph_light
+from scanner.checking.light import CLIPPED, Light, flicker_of, photograph_light
 from scanner.checking.limits import LEAST_SHARE
 from scanner.checking.report import CheckRow, State
+from scanner.decoding.advice import MUCH_FLICKER
 
 _NAME = "exposure"
 # Shiny spots may clip: so small a share of the lit pixels is masked without loss.
@@ -20,6 +21,9 @@ _LESS = 0.25
 # Where nothing is seen, so much more.
 _MORE = 4.0
 _ROUNDS = 8
+# Of a refresh period: cameras keep time in whole microseconds.
+_ROUNDING = 0.001
+_WHITES, _BLACKS = 4, 2
 # Of an exposure: less is no change.
 _SAME = 0.02
 # Longer ones make a scan of 44 frames last more than a minute, and light is better had from the aperture or the gain.
@@ -30,12 +34,14 @@ _LONGEST_US = 1e6
 class Seen:
     """What a white picture looks like at an exposure: the share of the lit pixels that are clipped, and the level of
     the brightest of the others, relative to the highest; NaN where nothing is lit. `headroom`: what noise needs.
+    `flicker`: how much white frames differ.
     """
 
     exposure_us: float
     clipped: float
     brightest: float
     headroom: float
+    flicker: float = 0.0
 
     @property
     def is_clipped(self) -> bool:
@@ -45,7 +51,7 @@ class Seen:
     @property
     def is_dark(self) -> bool:
         """Nothing is lit."""
-        return bool(np.isnan(self.brightest))
+        return bool(np.isnan(self.brightest)) and not self.is_clipped
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,8 @@ def look(light: Light, exposure_us: float) -> Seen:
     """What white and black frames tell about their exposure."""
     lit = int(light.lit.sum())
     if lit == 0:
-        return Seen(exposure_us, 0.0, float("nan"), 0.0)
+        everything = float(np.median(light.mean_white) >= CLIPPED * light.highest)  # black pictures are white, too
+        return Seen(exposure_us, everything, float("nan"), 0.0)
     levels = light.mean_white[light.lit]
     brightest = float(np.quantile(levels, 1 - _SPARED))
     bright = light.well_lit & (light.mean_white > LEAST_SHARE * brightest)
@@ -74,6 +81,7 @@ def look(light: Light, exposure_us: float) -> Seen:
         float(light.clipped.sum()) / lit,
         brightest / light.highest,
         _HEADROOM_SIGMAS * noise / light.highest,
+        flicker_of(light).white if light.well_lit.any() else 0.0,
     )
 
 
@@ -84,9 +92,9 @@ def propose_exposure(rig: Rig) -> Proposal:
     """
     camera = rig.camera
     if not isinstance(camera, ExposureControl):
-        first = look(photograph_light(rig, 2, 2), 0.0)
+        first = look(photograph_light(rig, _WHITES, _BLACKS), 0.0)
         return Proposal(None, first, first)
-    first = seen = look(photograph_light(rig, 2, 2), camera.exposure_us)
+    first = seen = look(photograph_light(rig, _WHITES, _BLACKS), camera.exposure_us)
     too_long_us = float("inf")
     for _ in range(_ROUNDS):
         if seen.is_clipped:
@@ -95,7 +103,7 @@ def propose_exposure(rig: Rig) -> Proposal:
         if abs(wanted_us - seen.exposure_us) <= _SAME * seen.exposure_us:
             break
         exposure_us = camera.expose_for(wanted_us)
-        seen = look(photograph_light(rig, 2, 2), exposure_us)
+        seen = look(photograph_light(rig, _WHITES, _BLACKS), exposure_us)
     usable = not (seen.is_clipped or seen.is_dark)
     return Proposal(seen.exposure_us if usable else None, first, seen)
 
@@ -110,9 +118,8 @@ def _next(seen: Seen, limits_us: tuple[float, float], refresh_hz: float | None, 
     else:
         wanted_us = seen.exposure_us * (1 - seen.headroom) / seen.brightest
     shortest_us, longest_us = max(limits_us[0], period_us), min(limits_us[1], _LONGEST_US)
-    below_us = too_long_us - period_us if period_us else (1 - _SAME) * too_long_us
-    wanted_us = max(shortest_us, min(wanted_us, longest_us, below_us))
-    return max(1, floor(wanted_us / period_us * (1 + 1e-6))) * period_us if period_us else wanted_us
+    wanted_us = max(shortest_us, min(wanted_us, longest_us, (1 - _SAME) * too_long_us))
+    return max(1, floor(wanted_us / period_us + _ROUNDING)) * period_us if period_us else wanted_us
 
 
 def exposure_row(proposal: Proposal, refresh_hz: float | None, *, bracketed: bool) -> CheckRow:
@@ -127,6 +134,9 @@ def exposure_row(proposal: Proposal, refresh_hz: float | None, *, bracketed: boo
     if bracketed:
         return CheckRow(_NAME, State.OK, f"sequence.exposures_us is used; a single one would be {better}")
     if first.is_clipped or first.is_dark or first.exposure_us < LEAST_SHARE * proposal.exposure_us:
+        return CheckRow(_NAME, State.POOR, finding, f"Better {better}. --write sets it.")
+    if first.flicker > MUCH_FLICKER > proposal.last.flicker:
+        finding = f"{_shown(first.exposure_us, refresh_hz)}, white frames differ by {100 * first.flicker:.2g} %"
         return CheckRow(_NAME, State.POOR, finding, f"Better {better}. --write sets it.")
     if proposal.last.brightest < LEAST_SHARE * (1 - proposal.last.headroom) and not _is_coarse(proposal, refresh_hz):
         return CheckRow(

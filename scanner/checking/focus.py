@@ -22,7 +22,17 @@ _FEWEST_OF_CELL = 0.5
 # A cell across an edge is not the picture of one plane.
 _STRAIGHT_PX = 0.5
 _FEWEST_CELLS = 12
+# A period spans so many camera pixels at least: with fewer, it is sampled too coarsely for an amplitude.
+_CAMERA_PIXELS = 3.0
+# Of a fringe's amplitude: pixels are not quite squares, and lenses no Gaussians.
+_MODEL_ERROR = 0.03
 _BLOCKS = 4
+# Beside the quick sequence's own: those that projectors can draw as sines, and one that hardly any lens blurs. Not
+# whole numbers, as in the presets.
+_SHORT_PERIODS_PX = (4.3, 6.1, 8.6)
+LONG_PERIOD_PX = 24.6
+# How much more than on average a camera pixel spans on the faces that are seen at a slant.
+_UNEVEN = 1.3
 _AXES: tuple[Axis, Axis] = ("x", "y")
 
 
@@ -31,13 +41,14 @@ class BlurSamples:
     """Blur (N,) in projector pixels squared of cells of the camera's image, each along one axis.
 
     `span` (N,): projector pixels per camera pixel across the stripes. `where` (N, 2): the cell's centre in the camera's
-    image, 0 … 1 from left to right and from top to bottom. `lost`: share of the cells in which even the longest
-    fringes of a pair were gone.
+    image, 0 … 1 from left to right and from top to bottom. `doubt2` (N,): what of `blur2` a lens that is no Gaussian
+    may have made up. `lost`: share of the cells in which even the longest fringes of a pair were gone.
     """
 
     blur2: Floats
     span: Floats
     where: Floats
+    doubt2: Floats
     lost: float
 
 
@@ -45,7 +56,7 @@ def sample_blur(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools, pro
     """From fringes of two or more periods, where pixels are `usable` (H, W) and `projector_px` (H, W, 2) is known."""
     height, width = usable.shape
     size = cell_size(usable.shape)
-    blur2, span, where = [], [], []
+    blur2, span, where, doubt2 = [], [], [], []
     cells = 0
     for top in range(0, height - size + 1, size):
         for left in range(0, width - size + 1, size):
@@ -60,11 +71,12 @@ def sample_blur(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools, pro
                 cells += 1
                 found = _blur2(fringes, axis, part, good, slope[number])
                 if found is not None:
-                    blur2.append(found)
+                    blur2.append(found[0])
+                    doubt2.append(found[1])
                     span.append(float(np.linalg.norm(slope[number])))
                     where.append([(left + size / 2) / width, (top + size / 2) / height])
     lost = 1 - len(blur2) / cells if cells else 0.0
-    return BlurSamples(np.array(blur2), np.array(span), np.array(where).reshape(-1, 2), lost)
+    return BlurSamples(np.array(blur2), np.array(span), np.array(where).reshape(-1, 2), np.array(doubt2), lost)
 
 
 def _slope(projector_px: Floats, good: Bools) -> Floats | None:
@@ -78,11 +90,20 @@ def _slope(projector_px: Floats, good: Bools) -> Floats | None:
     return slope if np.median(off) < _STRAIGHT_PX else None
 
 
+def period_for(span: float) -> float:
+    """The shortest useful period in projector pixels where a camera pixel spans so many, on average over an image."""
+    return next((period for period in _SHORT_PERIODS_PX if period >= _CAMERA_PIXELS * _UNEVEN * span), LONG_PERIOD_PX)
+
+
 def _blur2(
     fringes: Mapping[tuple[Axis, float], Fringe], axis: Axis, part: tuple[slice, slice], good: Bools, slope: Floats
-) -> float | None:
-    """From the shortest two neighbouring periods that are seen in a cell; None if no two are."""
-    periods = sorted(period for direction, period in fringes if direction == axis)
+) -> tuple[float, float] | None:
+    """Squared blur and the doubt about it, from the shortest two neighbouring periods that are resolved in a cell.
+
+    None if no two are.
+    """
+    resolved_px = _CAMERA_PIXELS * float(np.linalg.norm(slope))
+    periods = sorted(period for direction, period in fringes if direction == axis and period >= resolved_px)
     powers = {period: _power(fringes[axis, period], part, good) for period in periods}
     for short, long in pairwise(periods):
         short_power, long_power = powers[short], powers[long]
@@ -91,7 +112,8 @@ def _blur2(
         # Pixels of both devices are squares, whose own blur is no lens's.
         expected = _squares(short, slope) / _squares(long, slope)
         transfer = np.sqrt(short_power / long_power) / expected
-        return float(-np.log(transfer) / (2 * np.pi**2 * (1 / short**2 - 1 / long**2)))
+        lever = 2 * np.pi**2 * (1 / short**2 - 1 / long**2)
+        return float(-np.log(transfer) / lever), _MODEL_ERROR / lever
     return None
 
 
@@ -113,7 +135,8 @@ class Lenses:
     """Blur of both lenses: `total_px`, the median of both together, in projector pixels, and the share of each.
 
     `projector2`, `camera2`: what each adds to the square of the total, with the standard deviations `projector2_sigma`,
-    `camera2_sigma`; NaN where the view does not tell them apart at all.
+    `camera2_sigma`; NaN where the view does not tell them apart at all. `doubt2`: what lenses that are no Gaussians
+    may have moved from one to the other. `span`: projector pixels per camera pixel, median.
     """
 
     total_px: float
@@ -121,6 +144,8 @@ class Lenses:
     camera2: float
     projector2_sigma: float
     camera2_sigma: float
+    doubt2: float
+    span: float
 
 
 def tell_apart(samples: BlurSamples) -> Lenses | None:
@@ -133,13 +158,19 @@ def tell_apart(samples: BlurSamples) -> Lenses | None:
     number: Ints = block[:, 1] * _BLOCKS + block[:, 0]
     groups = np.unique(number)
     total_px = float(np.sqrt(max(0.0, total2)))
+    # What is taken for blur that grows with the span is the more doubtful, the less the spans differ.
+    lever = float(np.std(samples.span**2) / usual)
+    doubt2 = float(np.median(samples.doubt2)) / lever if lever > 0 else float("inf")
     if len(groups) < 3:
-        return Lenses(total_px, *[float("nan")] * 4)
-    whole = _split(samples, np.ones(len(number), np.bool_), usual)
+        unknown = float("nan")
+        return Lenses(total_px, unknown, unknown, unknown, unknown, doubt2, float(np.sqrt(usual)))
     parts = np.array([_split(samples, number != group, usual) for group in groups])
     # Jackknife (Efron and Tibshirani 1993, eq. 11.5).
     spread = np.sqrt((len(groups) - 1) / len(groups) * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0))
-    return Lenses(total_px, float(whole[0]), float(whole[1]), float(spread[0]), float(spread[1]))
+    projector2, camera2 = _split(samples, np.ones(len(number), np.bool_), usual)
+    return Lenses(
+        total_px, float(projector2), float(camera2), float(spread[0]), float(spread[1]), doubt2, float(np.sqrt(usual))
+    )
 
 
 def _split(samples: BlurSamples, chosen: Bools, usual: float) -> Floats:

@@ -17,6 +17,8 @@ _LEAST_OF_BOTH = LEAST_AMPLITUDE**2
 _SURE_SIGMAS = 2.0
 # Of the total: a lens is no Gaussian, and what that makes of the split is not in its scatter.
 _MODEL = 0.15
+# In the device's own pixels: so sharp a lens leaves half of stripes of two pixels, and focusing gains no more.
+_SHARP_PX = 0.7
 # Where stripes in a part of the picture keep so much less than elsewhere, the operator should hear of it.
 _WORST_SHARE = 0.1
 _MIDDLE = 1 / 6
@@ -49,11 +51,16 @@ def focus_row(samples: BlurSamples, lenses: Lenses | None, period_px: float) -> 
     guilty = _guilty(lenses, period_px)
     if left >= _LEAST_OF_BOTH and not guilty:
         return CheckRow(_NAME, State.OK, finding)
-    return CheckRow(_NAME, State.POOR, finding, _advice(guilty))
+    return CheckRow(_NAME, State.POOR, finding, _advice(guilty, lenses))
 
 
-def _advice(guilty: list[str]) -> str:
+def _advice(guilty: list[str], lenses: Lenses) -> str:
     shifting = " A projector that moves its pixels to show more of them (4K enhancement) blurs too: turn that off."
+    if not guilty and lenses.total_px < _SHARP_PX * (1 + lenses.span):
+        return (
+            "Both lenses are as sharp as the pixels, which are too coarse for these stripes: move the camera closer, "
+            "use a camera of more pixels, or longer sequence.periods."
+        )
     if not guilty:
         return (
             "Which lens it is cannot be told from this view. Focus the projector until single pixels can be told on "
@@ -67,12 +74,13 @@ def _advice(guilty: list[str]) -> str:
 def _guilty(lenses: Lenses, period_px: float) -> list[str]:
     """The lenses that surely leave less than a lens should."""
     guilty = []
-    for name, part, sigma in (
-        ("projector", lenses.projector2, lenses.projector2_sigma),
-        ("camera", lenses.camera2, lenses.camera2_sigma),
+    for name, part, sigma, pixel in (
+        ("projector", lenses.projector2, lenses.projector2_sigma, 1.0),
+        ("camera", lenses.camera2, lenses.camera2_sigma, lenses.span),
     ):
-        doubt = _SURE_SIGMAS * float(np.hypot(sigma, _MODEL * lenses.total_px**2 / _SURE_SIGMAS))
-        if not isnan(part) and amplitude_left(part - doubt, period_px) < LEAST_AMPLITUDE:
+        doubt = _SURE_SIGMAS * sigma + lenses.doubt2 + _MODEL * lenses.total_px**2
+        blurred = amplitude_left(part - doubt, period_px) < LEAST_AMPLITUDE
+        if not isnan(part) and blurred and part - doubt > (_SHARP_PX * pixel) ** 2:
             guilty.append(name)
     return guilty
 
@@ -80,8 +88,8 @@ def _guilty(lenses: Lenses, period_px: float) -> list[str]:
 def _split_in_words(lenses: Lenses) -> str:
     total = f"a blur of {lenses.total_px:.1f} px"
     parts = np.maximum([lenses.projector2, lenses.camera2], 0.0)
-    doubt = _SURE_SIGMAS * float(np.hypot(lenses.projector2_sigma, lenses.camera2_sigma))
-    if not doubt < max(lenses.total_px**2, parts.max()):
+    doubt = _SURE_SIGMAS * float(np.hypot(lenses.projector2_sigma, lenses.camera2_sigma)) + lenses.doubt2
+    if not doubt < max(lenses.total_px**2, float(parts.max())):
         return f"{total}; which lens it comes from cannot be told"
     projector, camera = np.sqrt(parts)
     return f"{total}: the projector's {projector:.1f}, the camera's {camera:.1f}"
@@ -90,7 +98,8 @@ def _split_in_words(lenses: Lenses) -> str:
 def _worst_in_words(samples: BlurSamples, period_px: float) -> str:
     limit = float(np.quantile(samples.blur2, 1 - _WORST_SHARE))
     worst = amplitude_left(limit, period_px)
-    if worst >= LEAST_AMPLITUDE * amplitude_left(float(np.median(samples.blur2)), period_px):
+    usual = amplitude_left(float(np.median(samples.blur2)), period_px)
+    if worst >= LEAST_AMPLITUDE * usual or usual < _LEAST_OF_BOTH:
         return ""
     middle = samples.where[samples.blur2 >= limit].mean(axis=0) - 0.5
     return f"; only {100 * worst:.0f} % {_place(middle)} of the image"

@@ -19,7 +19,7 @@ _SEEN = 5.0
 _DIRECT = 0.1
 _BRIGHT_PERCENTILE = 99.0
 # JPEG and demosaicing spread clipped pixels over their neighbours' levels.
-_CLIPPED = 254 / 255
+CLIPPED = 254 / 255
 _NORMAL_MAD = 1.4826
 
 
@@ -70,7 +70,7 @@ class Light:
     def clipped(self) -> Bools:
         """(H, W): lit, and as bright as can be in a white frame."""
         peak = np.max([brightest_channel(image) for image in self.white], axis=0)
-        clipped: Bools = (peak >= _CLIPPED * self.highest) & self.lit
+        clipped: Bools = (peak >= CLIPPED * self.highest) & self.lit
         return clipped
 
     @property

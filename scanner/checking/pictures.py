@@ -16,10 +16,11 @@ from scanner.patterns import Axis
 from scanner.reporting.maps import BLUE, ORANGE, SKY_BLUE, VERMILION, photograph
 
 _OPACITY = 0.45
-_COLOURS = "cividis"
+_COLOURS = "viridis"
 _LEGEND_PX = 34
 _TEXT_SCALE = 0.5
-_UNKNOWN = 40
+_UNKNOWN = 0
+_LONGEST_SIDE_PX = 1000
 
 
 def saturation_picture(light: Light) -> Pixels:
@@ -35,16 +36,19 @@ def coverage_picture(light: Light, matched: Bools) -> Pixels:
     picture = _grey_picture(light)
     picture = _tinted(picture, _reduced(matched, picture), SKY_BLUE)
     picture = _tinted(picture, _reduced(light.lit & ~matched, picture), ORANGE)
-    return _with_legend(picture, ((SKY_BLUE, "matched"), (ORANGE, "lit, without a match")))
+    return _with_legend(picture, ((SKY_BLUE, "matched"), (ORANGE, "bright, without a match")))
 
 
 def contrast_picture(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools) -> Pixels:
-    """How much of the finest stripes is left relative to the longest, dark for 0 and bright for all; grey: unknown."""
+    """How much of the finest stripes is left relative to the longest, dark for 0 and bright for all; black: unknown."""
     size = cell_size(usable.shape)
     ratios = [_ratio(fringes, axis, usable, size) for axis in ("x", "y")]
     left = np.minimum(*ratios)
     colours = np.asarray(matplotlib.colormaps[_COLOURS](np.clip(np.nan_to_num(left), 0, 1)))[..., :3]
     picture = np.where(np.isfinite(left)[..., None], 255 * colours, _UNKNOWN).astype(np.uint8)
+    factor = max(1.0, max(usable.shape) / _LONGEST_SIDE_PX)
+    size_px = (round(usable.shape[1] / factor), round(usable.shape[0] / factor))
+    picture = np.asarray(cv2.resize(picture, size_px, interpolation=cv2.INTER_NEAREST), np.uint8)
     periods = sorted({period for _, period in fringes})
     text = f"left of stripes of {periods[0]:g} px, relative to {periods[-1]:g} px; the fainter of two directions"
     return _with_scale(picture, text)

@@ -42,8 +42,8 @@ _NAMES = {MaskReason.SATURATED: "clipped", MaskReason.INCONSISTENT: "contradicto
 
 
 @dataclass(frozen=True)
-class QuickCapture:
-    """What a short sequence showed; `findings` is None and `problem` says why where its frames do not decode."""
+class Capture:
+    """What a sequence showed; `findings` is None and `problem` says why where its frames do not decode."""
 
     findings: Findings | None
     problem: str = ""
@@ -54,24 +54,24 @@ class QuickCapture:
         return self.findings.decoding if self.findings else None
 
 
-def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress) -> QuickCapture:
+def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress) -> Capture:
     """Capture the quick sequence while `meter` looks on. Raises DeviceError."""
     return _take(rig, config, PRESETS["quick"].patterns(rig.projector.size), meter, terminal, "Capturing quickly")
 
 
-def take_coarse(rig: Rig, config: Config, terminal: Progress) -> QuickCapture:
+def take_coarse(rig: Rig, config: Config, terminal: Progress) -> Capture:
     """Capture a sequence that blur does less to, to learn at least which pixels see which. Raises DeviceError."""
     return _take(rig, config, _COARSE.patterns(rig.projector.size), FringeMeter(), terminal, "Capturing coarsely")
 
 
 def _take(
     rig: Rig, config: Config, patterns: tuple[Pattern, ...], meter: FringeMeter, terminal: Progress, what: str
-) -> QuickCapture:
+) -> Capture:
     stream = capture(rig, patterns, response=config.projector.known_response)
     try:
-        return QuickCapture(decode(replace(stream, frames=meter.watch(stream.frames)), terminal, what))
+        return Capture(decode(replace(stream, frames=meter.watch(stream.frames)), terminal, what))
     except InputError as error:
-        return QuickCapture(None, str(error))
+        return Capture(None, str(error).partition(";")[0])  # the rest is about files
 
 
 def projector_map(decoding: Decoding) -> Floats:
@@ -87,7 +87,8 @@ class Coverage:
     """How much of either picture serves, and where the served part has its middle, −½ … ½ from the centre, x and y.
 
     `camera`: share of the camera's pixels that have a match; `projector`: share of the projector's light that the
-    camera sees. `seen`: (rows, columns), the squares of the projector's picture that it sees.
+    camera sees. `seen`: (rows, columns), the squares of the projector's picture that it sees. `span`: projector pixels
+    per camera pixel, on average.
     """
 
     camera: float
@@ -95,6 +96,7 @@ class Coverage:
     projector: float
     projector_middle: tuple[float, float]
     seen: Bools
+    span: float
 
 
 def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage:
@@ -108,12 +110,14 @@ def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage
     seen[row, column] = True
     middle = (decoding.matches.camera_px.mean(axis=0) + 0.5) / (width, height) - 0.5
     seen_y, seen_x = np.nonzero(seen)
+    spanned = seen.mean() * projector_size[0] * projector_size[1] / max(1, len(decoding.matches))
     return Coverage(
         float(np.mean(decoding.reasons == MaskReason.KEPT)),
         (float(middle[0]), float(middle[1])),
         float(seen.mean()),
         (float(np.mean(seen_x + 0.5) / across - 0.5), float(np.mean(seen_y + 0.5) / down - 0.5)),
         seen,
+        float(np.sqrt(spanned)),
     )
 
 
@@ -160,22 +164,29 @@ def predict(findings: Findings, config: Config) -> SelfCalibration:
     return findings.solution
 
 
-def view_row(quick: QuickCapture, config: Config) -> tuple[CheckRow, RefusalError | None]:
-    """How well this view will calibrate, and why a scan would be refused, if it would. Raises InputError."""
-    if quick.findings is None:
-        row = CheckRow(_VIEW, State.FAILED, quick.problem, _UNREADABLE)
+def view_row(quick: Capture, decoded: Capture, config: Config) -> tuple[CheckRow, RefusalError | None]:
+    """How well this view will calibrate, and why a scan would be refused, if it would.
+
+    `decoded` is the quick capture, or a coarse one where that shows too little. Raises InputError.
+    """
+    before = "" if quick.findings else f"the quick sequence does not decode ({quick.problem}). From coarse stripes: "
+    if decoded.findings is None:
+        row = CheckRow(_VIEW, State.FAILED, f"the frames do not decode: {decoded.problem}", _UNREADABLE)
         return row, refusal_of(row)
     try:
-        solution = predict(quick.findings, config)
+        solution = predict(decoded.findings, config)
     except RefusalError as refusal:
-        return CheckRow(_VIEW, State.FAILED, refusal.reason, refusal.advice), refusal
+        advice = f"{_UNREADABLE} {refusal.advice}" if before else refusal.advice
+        return CheckRow(_VIEW, State.FAILED, before + refusal.reason, advice), refusal
     sigmas = relative_sigmas(solution)
     shown = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
-    finding = f"focal lengths will be known to about {shown}"
-    if max(sigmas.values()) <= _RISKY_SIGMA:
-        return CheckRow(_VIEW, State.OK, finding), None
-    notes = [note for note in solution.notes if note.startswith(FURTHER_CAPTURE)]
-    return CheckRow(_VIEW, State.POOR, finding, " ".join(notes) or MOVE), None
+    finding = f"{before}focal lengths will be known to about {shown}"
+    if max(sigmas.values()) > _RISKY_SIGMA:
+        notes = [note for note in solution.notes if note.startswith(FURTHER_CAPTURE)]
+        return CheckRow(_VIEW, State.POOR, finding, " ".join(notes) or MOVE), None
+    if before:
+        return CheckRow(_VIEW, State.POOR, finding, _UNREADABLE), None
+    return CheckRow(_VIEW, State.OK, finding), None
 
 
 def nothing_lit() -> CheckRow:

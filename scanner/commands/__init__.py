@@ -7,7 +7,7 @@
 from argparse import ArgumentParser, Namespace
 from typing import Protocol
 
-from scanner.commands import calibrate, console, devices, export, measure, patterns, replay, scan, view
+from scanner.commands import calibrate, check, console, devices, export, measure, patterns, replay, scan, view
 
 
 class Command(Protocol):
@@ -28,6 +28,7 @@ NAMED: dict[str, Command] = {
     "calibrate": calibrate,
     "patterns": patterns,
     "devices": devices,
+    "check": check,
     "export": export,
     "measure": measure,
     "view": view,

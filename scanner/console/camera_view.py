@@ -83,7 +83,8 @@ class CameraView:
 
 def _html(picture: Pixels) -> str:
     """The picture as wide as the panel. Viser's own image complains in the browser's console when it changes fast."""
-    return f'<img alt="what the camera sees" style="width:100%; padding:0 0.7em; box-sizing:border-box" src="{data_uri(picture, jpeg=True)}">'
+    style = "width:100%; padding:0 0.7em; box-sizing:border-box"
+    return f'<img alt="what the camera sees" style="{style}" src="{data_uri(picture, jpeg=True)}">'
 
 
 def _histogram_plot(gui: viser.GuiApi) -> viser.GuiUplotHandle:

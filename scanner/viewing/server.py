@@ -11,7 +11,7 @@ import viser
 from scanner.terminal import Terminal
 from scanner.viewing.opening import address, free_port, warning
 
-# Of the client's own texts some are smaller than 12 px, and some paler than is legible; its units follow the root's font.
+# Some of the client's own texts are smaller than 12 px or too pale; its units follow the root's font.
 _READABLE = """<style>
 :root { font-size: 16px !important; }
 label { color: #333 !important; letter-spacing: normal !important; }

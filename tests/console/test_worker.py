@@ -109,9 +109,7 @@ def page() -> Notebook:
 
 
 @pytest.fixture
-def worker(
-    wall: Wall, page: Notebook, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Worker]:
+def worker(wall: Wall, page: Notebook, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Worker]:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "wall.yaml").write_text(CONFIG)
     worker = Worker(Settings(Path("wall.yaml")), page)
@@ -193,9 +191,7 @@ def test_a_refused_scan_says_why_and_where_the_matches_are(worker: Worker, page:
     assert page.results == []
 
 
-def test_a_bug_is_a_message_with_a_file(
-    worker: Worker, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_bug_is_a_message_with_a_file(worker: Worker, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError("division by zero")
 

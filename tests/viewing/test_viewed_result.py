@@ -16,7 +16,14 @@ from scanner.errors import InputError
 from scanner.merged_cloud import merged
 from scanner.ply import write_merged_ply
 from scanner.viewing.colouring import Colouring, coloured, possible_colourings
-from scanner.viewing.geometry import FIELD_OF_VIEW_RAD, frustum_lines, nice_step, picture_corners, ruler_lines, viewpoint
+from scanner.viewing.geometry import (
+    FIELD_OF_VIEW_RAD,
+    frustum_lines,
+    nice_step,
+    picture_corners,
+    ruler_lines,
+    viewpoint,
+)
 from scanner.viewing.result import ALL_CAPTURES, ViewedCloud, ViewedResult
 
 
@@ -90,7 +97,9 @@ def test_points_can_be_coloured_by_what_is_known(written: Written, cloud: Viewed
 def test_the_sigma_of_depth_is_that_of_the_errors(written: Written, cloud: ViewedCloud) -> None:
     assert cloud.scan is not None
     chosen = cloud.order[:5000]
-    true = {tuple(pixel): point for pixel, point in zip(written.scene.matches.camera_px, written.scene.points, strict=True)}
+    true = {
+        tuple(pixel): point for pixel, point in zip(written.scene.matches.camera_px, written.scene.points, strict=True)
+    }
     depth = np.array([true[tuple(pixel)][2] for pixel in cloud.scan.matches.camera_px[chosen]])
     errors = (cloud.points[chosen, 2] - depth) / cloud.depth_sigma(chosen)
     # Of the two coordinates' noise, the part along the epipolar line moves the point.
@@ -165,7 +174,9 @@ def test_frusta_end_where_the_picture_is_seen() -> None:
     assert np.all(lines[:4, 0] == 0)
 
 
-@pytest.mark.parametrize(("length", "step"), [(1.0, 0.2), (2.0, 0.5), (4.0, 1.0), (9.9, 2.0), (0.041, 0.01), (1700, 200)])
+@pytest.mark.parametrize(
+    ("length", "step"), [(1.0, 0.2), (2.0, 0.5), (4.0, 1.0), (9.9, 2.0), (0.041, 0.01), (1700, 200)]
+)
 def test_rulers_have_nice_steps(length: float, step: float) -> None:
     assert nice_step(length) == pytest.approx(step)
     lines = ruler_lines(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), length)

@@ -1,0 +1,73 @@
+"""Look at the rig before a scan: devices, exposure, light, focus, and how well this view will calibrate.
+
+Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
+projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
+these lines change, and the file as it was is kept beside it as FILE.bak.
+
+Exit codes: 0 if a scan would work, be it poorly; 3 if a device fails; 4 if a scan of this view would be refused. What
+is known is shown in any case.
+"""
+
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from rich.markup import escape
+
+from scanner.checking.check import check
+from scanner.checking.document import write_check
+from scanner.checking.report import CheckReport
+from scanner.checking.table import table_of
+from scanner.commands import options
+from scanner.config import load_config
+from scanner.config_file import set_keys
+from scanner.log import keep_off_the_terminal
+from scanner.result import refuse_occupied
+from scanner.terminal import Terminal
+
+# Of a microsecond no camera knows more, and of the light no average.
+_EXPOSURE_DIGITS, _LIGHT_DIGITS = 1, 5
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments."""
+    options.add_config(parser, required=True)
+    parser.add_argument(
+        "--write", action="store_true", help="put the exposure and the projector's response into the configuration file"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder to make, for check.yaml and pictures (default: nothing is kept)"
+    )
+    options.add_quiet(parser)
+
+
+def run(args: Namespace) -> None:
+    """Do the work. Raises InputError, DeviceError, RefusalError."""
+    config = load_config(args.config, args.set)
+    terminal = Terminal(quiet=args.quiet)
+    keep_off_the_terminal()
+    config.principal_point(config.camera_size)
+    if args.out:
+        refuse_occupied(args.out)
+    report = check(config, terminal)
+    terminal.show(table_of(report, sys.stdout.encoding))
+    if args.out:
+        write_check(args.out, report)
+        terminal.show(escape(f"Written: {args.out}"))
+    if args.write:
+        terminal.show(escape(_write(args.config, report)))
+    if report.failure:
+        raise report.failure
+
+
+def _write(path: Path, report: CheckReport) -> str:
+    """Put what was found out into the configuration file; what to tell of it. Raises InputError."""
+    values: dict[str, object] = {}
+    if report.exposure_us is not None:
+        values["rig.exposure_us"] = round(report.exposure_us, _EXPOSURE_DIGITS)
+    if report.response is not None:
+        values["projector.response"] = [round(light, _LIGHT_DIGITS) for light in report.response]
+    if not values:
+        return f"{path} is as it was: there is nothing to write into it"
+    backup = set_keys(path, values)
+    return f"{path}: {' and '.join(values)} set; as it was it is kept in {backup.name}"
