@@ -1,6 +1,6 @@
 """Make docs/images/console.png from a result:  python docs/make_console_picture.py scans/room-sim
 
-Opens `scan console` on the simulated rig in a real browser, with the live image on, and the result beside it.
+Opens `scan console` on the simulated rig in a real browser, with a live image of its camera, and the result beside it.
 """
 
 import argparse
@@ -22,17 +22,18 @@ _FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable
 _SIZE = {"width": 1500, "height": 900}
 _PATIENCE_MS = 120_000
 _SETTLING_MS = 6_000
-_LEVELS = 12  # of a colour: photographs and point clouds need no more, and a file of a third of the size
+_LEVELS = 40  # of a colour: photographs and point clouds need no more, and the file is half as large
 
 
 def photograph(page: Page) -> np.ndarray:
     """Wait for the live image, open the only earlier result, and take the page's picture, BGR."""
     expect(page.get_by_alt_text("what the camera sees")).to_be_visible(timeout=_PATIENCE_MS)
+    page.locator(".mantine-Notification-closeButton").dispatch_event("click")  # that this browser draws in software
     page.get_by_role("button", name="Open", exact=True).click()
-    expect(page.get_by_text("Points shown")).to_be_visible(timeout=_PATIENCE_MS)
-    page.locator(".mantine-Notification-closeButton").first.click()  # that this browser draws in software
+    expect(page.get_by_text("Points, %")).to_be_visible(timeout=_PATIENCE_MS)
+    page.get_by_role("button", name="Stop the live image").dispatch_event("click")  # drawing both is slow in software
     page.wait_for_timeout(_SETTLING_MS)
-    return cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    return cv2.imdecode(np.frombuffer(page.screenshot(timeout=_PATIENCE_MS), np.uint8), cv2.IMREAD_COLOR)
 
 
 def main() -> None:
@@ -57,7 +58,9 @@ def main() -> None:
             served.send_signal(signal.SIGINT)
             served.wait()
     step = 255 / (_LEVELS - 1)
-    cv2.imwrite(str(_TARGET), np.rint(np.rint(picture / step) * step), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    cv2.imwrite(
+        str(_TARGET), np.rint(np.rint(picture / step) * step).astype(np.uint8), [cv2.IMWRITE_PNG_COMPRESSION, 9]
+    )
     print(_TARGET)
 
 

@@ -33,7 +33,7 @@ class CameraView:
         self._image = gui.add_html("")
         self._told = gui.add_markdown("No frame yet.")
         self._mark = gui.add_checkbox("Mark clipped", initial_value=True, hint="Clipped pixels in orange-red")
-        self._picture = gui.add_dropdown("Projector shows", [picture.value for picture in Picture])
+        self._picture = gui.add_dropdown("Projector", [picture.value for picture in Picture])
         self._exposure = gui.add_number("Exposure, ms", 0.0, min=0.0, max=_LONGEST_MS, step=0.1)
         self._add_gain(gui, settings)
         self._histogram = _histogram_plot(gui)

@@ -11,7 +11,7 @@ from scanner.viewing.result import ViewedCloud, ViewedResult
 from scanner.viewing.scene import FACES, LABELS, RIGS, Scene
 from scanner.viewing.texts import calibration_text, corner_text, escaped, verdict_text
 
-_PARTS = {"Camera and projector": RIGS, "Faces and ruler": FACES, "Names": LABELS}
+_PARTS = {"Devices": RIGS, "Faces, ruler": FACES, "Names": LABELS}
 _WHOLE_PERCENT = 100
 
 
@@ -63,7 +63,7 @@ class ResultPanel:
             self._name.on_update(lambda _: self._show(result.cloud(self._name.value)))
         self._colouring = self._gui.add_dropdown("Colour", [Colouring.CAMERA.value])
         self._percent = self._gui.add_slider(
-            "Points shown, %", min=1, max=_WHOLE_PERCENT, step=1, initial_value=_first_percent(cloud)
+            "Points, %", min=1, max=_WHOLE_PERCENT, step=1, initial_value=_first_percent(cloud)
         )
         self._statement = self._gui.add_markdown("")
         self._colouring.on_update(lambda _: self._redraw())

@@ -30,7 +30,7 @@ _FRUSTUM_OF_SIZE = 0.25
 _FACE_OPACITY = 0.15
 _INK = (40, 40, 40)
 _LINE_PX = 2.0
-_POINT_OF_SIZE = 0.7
+_POINT_OF_SIZE = 0.9
 
 CLOUD, RIGS, FACES, LABELS = "/cloud", "/rigs", "/faces", "/labels"
 

@@ -63,7 +63,7 @@ def test_the_live_image_follows_the_exposure(console: Console) -> None:
     assert visit.page.get_by_text("Clipped: 0.0 %").count() == 0
     visit.set_number("Exposure, ms", "20")
     visit.wait_for("Exposed for 20 ms. Clipped: 0.0 %")
-    visit.choose("Projector shows", "Black")
+    visit.choose("Projector", "Black")
     visit.wait_for("median 0 % of the range")
 
 
@@ -74,7 +74,7 @@ def test_a_scan_shows_progress_then_the_cloud(console: Console) -> None:
     visit.wait_for("Scanning")
     expect(visit.page.get_by_role("progressbar")).to_be_visible()
     expect(visit.page.get_by_role("button", name="Check", exact=True)).to_be_disabled()
-    visit.wait_for("Points shown")
+    visit.wait_for("Points, %")
     for text in ("Calibrated", "focal length, px", "Angle A–B: ", "This rig is simulated"):
         visit.wait_for(text)
     visit.page.wait_for_timeout(1500)

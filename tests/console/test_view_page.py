@@ -27,7 +27,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def visit(served: Served, browser: Browser) -> Iterator[Visit]:
     with visiting(browser, served.address) as visit:
-        visit.wait_for("Points shown")
+        visit.wait_for("Points, %")
         yield visit
 
 
@@ -41,8 +41,8 @@ def test_the_cloud_is_in_the_picture_and_can_be_hidden(visit: Visit) -> None:
     visit.page.wait_for_timeout(1000)
     with_everything = visit.colours_in_scene()
     assert with_everything > 50
-    for part in ("Camera and projector", "Faces and ruler", "Names"):
-        visit.page.get_by_label(part).uncheck()
+    for part in ("Devices", "Faces, ruler", "Names"):
+        visit.page.get_by_label(part, exact=True).uncheck()
     visit.page.wait_for_timeout(1000)
     assert 10 < visit.colours_in_scene() < with_everything
 
