@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: help setup scan scan-loopback rig try-rig test lint check-types unit benchmark clean
+.PHONY: help setup scan scan-loopback rig try-rig try-browser test lint check-types unit benchmark clean
 
 help:
 	@echo "make scan           set up, then scan a simulated room into scans/room-sim/"
@@ -32,6 +32,14 @@ try-rig:
 		echo "* real path, window, GigE Vision and synchronisation, will be SKIPPED.         *"; \
 		echo "*******************************************************************************"; }
 
+# For tests: without a browser everything but the pages of scan view and scan console is still to be tested.
+try-browser:
+	@tools/system-packages --browser || { \
+		echo "*******************************************************************************"; \
+		echo "* No browser could be installed (see above): the tests of the pages of        *"; \
+		echo "* scan view and scan console will be SKIPPED.                                 *"; \
+		echo "*******************************************************************************"; }
+
 test: lint check-types unit
 
 lint: $(VENV)/.dev
@@ -42,7 +50,7 @@ lint: $(VENV)/.dev
 check-types: $(VENV)/.dev
 	$(BIN)/mypy
 
-unit: $(VENV)/.dev try-rig
+unit: $(VENV)/.dev try-rig try-browser
 	$(BIN)/pytest -n auto --dist loadgroup
 
 benchmark: $(VENV)/.dev try-rig

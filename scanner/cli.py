@@ -1,8 +1,6 @@
 """Arguments in, exit codes out."""
 
 import sys
-import tempfile
-import traceback
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -11,16 +9,9 @@ from typing import NoReturn
 
 import cv2
 
-from calib.refusal import RefusalError
-from hw.errors import DeviceError
 from scanner.commands import MAIN, NAMED, Command
 from scanner.errors import InputError
-
-EXIT_INPUT = 2
-EXIT_DEVICE = 3
-EXIT_REFUSED = 4
-EXIT_BUG = 70  # EX_SOFTWARE of sysexits.h
-EXIT_INTERRUPTED = 130
+from scanner.failures import failure_of
 
 
 class _Parser(ArgumentParser):
@@ -37,18 +28,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         command, rest = _choose(sys.argv[1:] if arguments is None else list(arguments))
         command.run(_parser(command).parse_args(rest))
-    except InputError as error:
-        return _fail(EXIT_INPUT, error)
-    except DeviceError as error:
-        return _fail(EXIT_DEVICE, error)
-    except RefusalError as error:
-        return _fail(EXIT_REFUSED, error, f"no trustworthy {error.refused}: ")
-    except OSError as error:
-        return _fail(EXIT_INPUT, error)
-    except KeyboardInterrupt as error:
-        return _fail(EXIT_INTERRUPTED, error, "interrupted")
-    except Exception as error:
-        return _fail(EXIT_BUG, error, f"a bug in this program: {type(error).__name__}: ", _written_traceback())
+    except (Exception, KeyboardInterrupt) as error:
+        failure = failure_of(error)
+        print(f"scan: {failure.message}", file=sys.stderr)
+        return failure.exit_code
     return 0
 
 
@@ -80,16 +63,3 @@ def _parser(command: Command) -> ArgumentParser:
 _OTHER_COMMANDS = "other commands:\n" + "\n".join(
     f"  scan {name:<10} {(command.__doc__ or '').splitlines()[0]}" for name, command in NAMED.items()
 )
-
-
-def _fail(code: int, error: BaseException, introduction: str = "", *more: str) -> int:
-    notes = getattr(error, "__notes__", [])
-    message = "\n".join([f"scan: {introduction}{error}", *notes, *more])
-    print(message, file=sys.stderr)
-    return code
-
-
-def _written_traceback() -> str:
-    with tempfile.NamedTemporaryFile("w", prefix="scan-", suffix=".log", delete=False, encoding="utf-8") as file:
-        traceback.print_exc(file=file)
-    return f"Please report it with the file {file.name}."

@@ -22,6 +22,7 @@ from scanner.decode import Decoder
 from scanner.findings import Findings, Scan, identity, save, set_aside
 from scanner.merging import merge
 from scanner.places import next_place
+from scanner.progress import Progress
 from scanner.recording import Recording, record
 from scanner.report import CaptureFacts
 from scanner.result import CAPTURE_FOLDER, TRUTH_FILE
@@ -51,16 +52,16 @@ def scan(
     return reconstruct(Scan(captures), config, folder, terminal, masks=masks)
 
 
-def take(settings: RigSettings, config: Config, folder: Path, terminal: Terminal) -> Findings:
+def take(settings: RigSettings, config: Config, folder: Path, progress: Progress) -> Findings:
     """One capture, recorded and decoded as it comes. Raises DeviceError."""
     patterns = config.sequence.patterns(config.projector_size)
     with ExitStack() as devices:
-        with terminal.step("Preparing the rig"):
+        with progress.step("Preparing the rig"):
             opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
         if opened.truth:
             write_calibration(folder / TRUTH_FILE, opened.truth)
         live = capture(opened.rig, patterns, config.sequence.exposures_us, config.projector.known_response)
-        found = decode(record(live, folder / CAPTURE_FOLDER), terminal, "Capturing and decoding")
+        found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding")
     found.truth = opened.truth
     return found
 
@@ -87,14 +88,14 @@ def calibrate(captures: Sequence[Findings], config: Config, folder: Path, termin
     return reconstruct(Scan(captures), config, folder, terminal)
 
 
-def decode(stream: Stream, terminal: Terminal, what: str) -> Findings:
+def decode(stream: Stream, progress: Progress, what: str) -> Findings:
     """Frames as they come → matches; no frame is kept."""
     decoder = Decoder(stream.patterns, stream.projector_size)
     exposures_us = []
-    for _, frame in terminal.track(stream.frames, len(stream.patterns), what):
+    for _, frame in progress.track(stream.frames, len(stream.patterns), what):
         decoder.add(frame.image, frame.exposure_us)
         exposures_us += [frame.exposure_us] if frame.exposure_us else []
-    with terminal.step("Matching"):
+    with progress.step("Matching"):
         decoding = decoder.finish()
     about = identity({**stream.metadata, **stream.account()})
     facts = CaptureFacts(
@@ -111,7 +112,7 @@ def reconstruct(
     scan: Scan,
     config: Config,
     folder: Path,
-    terminal: Terminal,
+    progress: Progress,
     *,
     masks: Bools | None = None,
     calibration: Calibration | None = None,
@@ -119,20 +120,20 @@ def reconstruct(
     """Matches → calibration (unless one is given) → clouds → files. Raises RefusalError."""
     try:
         if calibration is None:
-            with terminal.step("Calibrating"):
+            with progress.step("Calibrating"):
                 calibration = self_calibration(scan, config, masks)
         corner = scan.newest.solution.corner if scan.newest.solution else None
         calibration = scaled(calibration, corner, config.scale)
         for found in scan.captures:
-            with terminal.step("Triangulating"), scan.naming(found):
+            with progress.step("Triangulating"), scan.naming(found):
                 triangulate(found, calibration)
         if len(scan.captures) > 1 and config.corner.same:
-            with terminal.step("Merging the clouds"):
+            with progress.step("Merging the clouds"):
                 merge(scan)
     except RefusalError as refusal:
         save(scan, folder, refusal)
         raise
-    with terminal.step("Writing the result"):
+    with progress.step("Writing the result"):
         save(scan, folder)
     return scan
 

@@ -21,7 +21,7 @@ from scanner.checking.response import measure_ramp, response_row
 from scanner.config import Config
 from scanner.decode import MaskReason
 from scanner.patterns import Pattern, phase_sequence
-from scanner.terminal import Terminal
+from scanner.progress import Progress
 
 OnRow = Callable[[CheckRow], None]
 
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 _WHITES, _BLACKS = 6, 4
 
 
-def check(config: Config, terminal: Terminal, on_row: OnRow | None = None) -> CheckReport:
+def check(config: Config, terminal: Progress, on_row: OnRow | None = None) -> CheckReport:
     """Open the configured rig and check it; `on_row` is called with each row as soon as it is known.
 
     A device that fails is a row. Raises InputError if the configuration names no rig or no sizes, or if earlier
@@ -47,7 +47,7 @@ def check(config: Config, terminal: Terminal, on_row: OnRow | None = None) -> Ch
         return check_rig(rig, config, terminal, on_row)
 
 
-def check_rig(rig: Rig, config: Config, terminal: Terminal, on_row: OnRow | None = None) -> CheckReport:
+def check_rig(rig: Rig, config: Config, terminal: Progress, on_row: OnRow | None = None) -> CheckReport:
     """Check a rig that is open, as `check` does. Its camera is left at the exposure that is proposed."""
     checking = Checking(on_row)
     try:
@@ -86,7 +86,7 @@ class Checking:
         return CheckReport(tuple(self.rows), self.exposure_us, self.response, self.pictures, self.failure)
 
 
-def _check(rig: Rig, config: Config, terminal: Terminal, checking: Checking) -> None:
+def _check(rig: Rig, config: Config, terminal: Progress, checking: Checking) -> None:
     checking.add(*device_rows(rig))
     with terminal.step("Trying exposures"):
         proposal = propose_exposure(rig)
@@ -106,7 +106,7 @@ def _check(rig: Rig, config: Config, terminal: Terminal, checking: Checking) -> 
     _check_view(rig, config, terminal, light, checking)
 
 
-def _check_view(rig: Rig, config: Config, terminal: Terminal, light: Light, checking: Checking) -> None:
+def _check_view(rig: Rig, config: Config, terminal: Progress, light: Light, checking: Checking) -> None:
     """From a quick capture; the configured one follows where the quick one is refused, which takes longer."""
     meter = FringeMeter()
     quick = view.take_quick(rig, config, meter, terminal)
@@ -126,7 +126,7 @@ def _check_view(rig: Rig, config: Config, terminal: Terminal, light: Light, chec
 def _check_lenses(
     rig: Rig,
     config: Config,
-    terminal: Terminal,
+    terminal: Progress,
     light: Light,
     checking: Checking,
     decoded: view.Capture,

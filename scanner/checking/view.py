@@ -23,7 +23,7 @@ from scanner.given_captures import read_captures
 from scanner.patterns import Pattern
 from scanner.pipeline import decode
 from scanner.presets import PRESETS, Preset, PresetName
-from scanner.terminal import Terminal
+from scanner.progress import Progress
 
 _QUICK: PresetName = "quick"
 _VIEW, _COVERAGE = "view", "coverage"
@@ -55,12 +55,12 @@ class Capture:
         return self.findings.decoding if self.findings else None
 
 
-def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Terminal) -> Capture:
+def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress) -> Capture:
     """Capture the quick sequence while `meter` looks on. Raises DeviceError."""
     return _take(rig, config, PRESETS[_QUICK].patterns(rig.projector.size), meter, terminal, "Capturing quickly")
 
 
-def take_configured(rig: Rig, config: Config, terminal: Terminal) -> Capture | None:
+def take_configured(rig: Rig, config: Config, terminal: Progress) -> Capture | None:
     """Capture what a scan would; None if that is the quick sequence. Raises DeviceError."""
     patterns = config.sequence.patterns(rig.projector.size)
     if patterns == PRESETS[_QUICK].patterns(rig.projector.size):
@@ -68,13 +68,13 @@ def take_configured(rig: Rig, config: Config, terminal: Terminal) -> Capture | N
     return _take(rig, config, patterns, FringeMeter(), terminal, "Capturing as a scan would")
 
 
-def take_coarse(rig: Rig, config: Config, terminal: Terminal) -> Capture:
+def take_coarse(rig: Rig, config: Config, terminal: Progress) -> Capture:
     """Capture a sequence that blur does less to, to learn at least which pixels see which. Raises DeviceError."""
     return _take(rig, config, _COARSE.patterns(rig.projector.size), FringeMeter(), terminal, "Capturing coarsely")
 
 
 def _take(
-    rig: Rig, config: Config, patterns: tuple[Pattern, ...], meter: FringeMeter, terminal: Terminal, what: str
+    rig: Rig, config: Config, patterns: tuple[Pattern, ...], meter: FringeMeter, terminal: Progress, what: str
 ) -> Capture:
     stream = capture(rig, patterns, response=config.projector.known_response)
     try:

@@ -7,7 +7,7 @@
 from argparse import ArgumentParser, Namespace
 from typing import Protocol
 
-from scanner.commands import calibrate, check, devices, export, measure, patterns, replay, scan
+from scanner.commands import calibrate, check, console, devices, export, measure, patterns, replay, scan, view
 
 
 class Command(Protocol):
@@ -31,4 +31,6 @@ NAMED: dict[str, Command] = {
     "check": check,
     "export": export,
     "measure": measure,
+    "view": view,
+    "console": console,
 }

@@ -1,0 +1,106 @@
+"""The page's live image: the picture, how it is exposed, and what can be set about it."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+from viser import uplot
+
+from hw.rig import ExposureControl, Frame, Rig
+from hw.settings import AravisRigSettings, RigSettings
+from scanner.console.picture import HISTOGRAM_BINS, exposed, histogram, shown
+from scanner.console.settings import Picture
+from scanner.quantities import percent
+from scanner.reporting.maps import Pixels, data_uri
+
+_EVERY_S = 0.15  # a page and a network have to keep up
+_LONGEST_MS = 10_000.0
+_FONT = "12px sans-serif"
+_LINE, _FILL = "#444444", "#bbbbbb"
+
+Change = Callable[..., None]
+
+
+class CameraView:
+    """Built into the container that is open when it is made; `change` takes the settings that the operator changes."""
+
+    def __init__(self, gui: viser.GuiApi, settings: RigSettings, change: Change) -> None:
+        self._change = change
+        self._highest_level = 255
+        self._shown_s = 0.0
+        self._image = gui.add_html("")
+        self._told = gui.add_markdown("No frame yet.")
+        self._mark = gui.add_checkbox("Mark clipped", initial_value=True, hint="Clipped pixels in orange-red")
+        self._picture = gui.add_dropdown("Projector", [picture.value for picture in Picture])
+        self._exposure = gui.add_number("Exposure, ms", 0.0, min=0.0, max=_LONGEST_MS, step=0.1)
+        self._add_gain(gui, settings)
+        self._histogram = _histogram_plot(gui)
+        self._picture.on_update(lambda _: change(picture=Picture(self._picture.value)))
+        self._exposure.on_update(self._on_exposure)
+
+    def set_exposure(self, exposure_us: float) -> None:
+        """Take an exposure as the operator's."""
+        self._exposure.value = round(exposure_us / 1000, 3)
+        self._change(exposure_us=exposure_us)
+
+    def on_camera(self, rig: Rig) -> None:
+        """The rig is open: its camera's limits are known."""
+        self._highest_level = rig.camera.highest_level
+        if isinstance(rig.camera, ExposureControl):
+            low_us, high_us = rig.camera.exposure_limits_us
+            self._exposure.min, self._exposure.max = max(0.0, low_us / 1000), min(_LONGEST_MS, high_us / 1000)
+            self._exposure.value = round(rig.camera.exposure_us / 1000, 3)
+
+    def on_frame(self, frame: Frame) -> None:
+        """Show a frame, unless the last one was shown a moment ago."""
+        now_s = time.monotonic()
+        if now_s - self._shown_s < _EVERY_S:
+            return
+        self._shown_s = now_s
+        self._image.content = _html(shown(frame.image, self._highest_level, mark_clipped=self._mark.value))
+        found = exposed(frame.image, self._highest_level)
+        exposure = "" if frame.exposure_us is None else f"Exposed for {frame.exposure_us / 1000:.4g} ms. "
+        self._told.content = (
+            f"{exposure}Clipped: {percent(found.clipped)}, dark: {percent(found.dark)} of the pixels; median "
+            f"{100 * found.median:.0f} % of the range."
+        )
+        levels, counts = histogram(frame.image, self._highest_level)
+        self._histogram.data = (levels, np.maximum(counts, 1.0))
+
+    def _on_exposure(self, event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None and self._exposure.value > 0:  # else it was set by the program, to what is so
+            self._change(exposure_us=1000 * float(self._exposure.value))
+
+    def _add_gain(self, gui: viser.GuiApi, settings: RigSettings) -> None:
+        """Only real cameras have one."""
+        if not isinstance(settings, AravisRigSettings):
+            return
+        gain = gui.add_number("Gain", float(settings.gain or 0.0), step=0.1, hint="In the camera's own unit, mostly dB")
+        gain.on_update(lambda event: self._change(gain=float(gain.value)) if event.client else None)
+
+
+def _html(picture: Pixels) -> str:
+    """The picture as wide as the panel. Viser's own image complains in the browser's console when it changes fast."""
+    style = "width:100%; padding:0 0.7em; box-sizing:border-box"
+    return f'<img alt="what the camera sees" style="{style}" src="{data_uri(picture, jpeg=True)}">'
+
+
+def _histogram_plot(gui: viser.GuiApi) -> viser.GuiUplotHandle:
+    levels = np.linspace(0, 100, HISTOGRAM_BINS)
+    return gui.add_uplot(
+        (levels, np.ones(HISTOGRAM_BINS)),
+        (
+            uplot.Series(label="brightness"),
+            uplot.Series(label="pixels", stroke=_LINE, fill=_FILL, width=1),
+        ),
+        scales={"x": uplot.Scale(time=False, auto=False, range=(0, 100)), "y": uplot.Scale(distr=3, log=10)},
+        axes=(
+            uplot.Axis(label="brightness, % of the camera's range", font=_FONT, labelFont=_FONT),
+            uplot.Axis(show=False),
+        ),
+        legend=uplot.Legend(show=False),
+        padding=(8, 16, 0, 16),
+        aspect=2.5,
+    )

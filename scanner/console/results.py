@@ -1,0 +1,17 @@
+"""The results that earlier scans left."""
+
+from pathlib import Path
+
+from scanner.matches_file import MATCHES_FILE
+from scanner.result import LOG_FILE
+
+SCANS = Path("scans")
+
+
+def earlier_results(folder: Path = SCANS) -> tuple[Path, ...]:
+    """Result folders in `folder`, the newest first; refused captures too, for they say why."""
+    try:
+        found = [path for path in folder.iterdir() if (path / LOG_FILE).is_file() and (path / MATCHES_FILE).is_file()]
+    except OSError:
+        return ()  # nothing was scanned yet
+    return tuple(sorted(found, key=lambda path: ((path / LOG_FILE).stat().st_mtime, path.name), reverse=True))

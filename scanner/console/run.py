@@ -1,0 +1,30 @@
+"""`scan console`: the page from the first look to Ctrl-C."""
+
+import logging
+
+from scanner.console.page import ConsolePage
+from scanner.console.settings import Settings
+from scanner.terminal import Terminal
+from scanner.viewing.server import invite, serving, wait
+
+log = logging.getLogger(__name__)
+
+
+def console(settings: Settings, host: str, port: int | None, terminal: Terminal, *, browser: bool) -> None:
+    """Serve the page until Ctrl-C, which raises KeyboardInterrupt. Raises InputError.
+
+    A scan that is running then is cancelled: what it has captured is kept, and the terminal says where.
+    """
+    config = settings.load()
+    required = (config.required_rig, config.camera_size, config.projector_size)  # said in the terminal if missing
+    log.info("console for %s", required)
+    with serving(f"Console: {settings.config.stem}", host, port) as server:
+        page = ConsolePage(server, settings)
+        try:
+            page.start()
+            invite(server, host, terminal, browser=browser)
+            wait()
+        finally:
+            ended = page.close()
+            if ended.message:
+                terminal.show(ended.message)

@@ -1,0 +1,57 @@
+"""What the operator has set on the page."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scanner.config import Config, load_config
+from scanner.patterns import Black, Pattern, Phase, White, draw
+
+
+class Picture(StrEnum):
+    """What the projector shows while nothing is scanned."""
+
+    WHITE = "White"
+    BLACK = "Black"
+    STRIPES = "Stripes"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The configuration's file and overrides, and on top of them what was changed on the page; None: left as it is."""
+
+    config: Path
+    overrides: tuple[str, ...] = ()
+    exposure_us: float | None = None
+    gain: float | None = None
+    picture: Picture = Picture.WHITE
+
+    def load(self) -> Config:
+        """The configuration as it is now, also if the file was edited meanwhile. Raises InputError."""
+        changed: list[str] = []
+        if self.exposure_us is not None:
+            changed.append(f"rig.exposure_us={self.exposure_us!r}")
+        if self.gain is not None:
+            changed.append(f"rig.gain={self.gain!r}")
+        return load_config(self.config, [*self.overrides, *changed])
+
+
+def drawn(picture: Picture, sequence: Iterable[Pattern], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """What to project, (H, W) for a projector of `size` (width, height): the stripes are the finest of the sequence."""
+    match picture:
+        case Picture.WHITE:
+            return draw(White(), size)
+        case Picture.BLACK:
+            return draw(Black(), size)
+        case Picture.STRIPES:
+            return draw(_finest(sequence), size)
+
+
+def _finest(sequence: Iterable[Pattern]) -> Pattern:
+    patterns = list(sequence)
+    fringes = [pattern for pattern in patterns if isinstance(pattern, Phase)]
+    return min(fringes, key=lambda fringe: fringe.period) if fringes else patterns[-1]

@@ -1,0 +1,188 @@
+"""One thread that owns the rig, and does one thing at a time: live image, check, or scan."""
+
+import time
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Event, Lock, Thread
+from typing import Any, Protocol
+
+from hw.rig import ExposureControl, Frame, Rig
+from scanner.checking.check import check
+from scanner.checking.devices import opened
+from scanner.checking.report import CheckReport, CheckRow
+from scanner.console.progress import CancelledError, Stage, StagedProgress
+from scanner.console.scanning import scan
+from scanner.console.settings import Settings, drawn
+from scanner.failures import failure_of
+
+_FRAME_S = 0.2  # no more live frames than this: a page and a network have to keep up
+_LEAVING_S = 30.0
+
+
+class Activity(StrEnum):
+    """What the worker is doing."""
+
+    NOTHING = "Ready"
+    LIVE = "Live image"
+    CHECKING = "Checking"
+    SCANNING = "Scanning"
+
+
+@dataclass(frozen=True)
+class Status:
+    """`message`: how the last activity ended if not well, as the terminal would show it; '' if well."""
+
+    activity: Activity = Activity.NOTHING
+    stage: Stage | None = None
+    message: str = ""
+    cancelling: bool = False
+
+
+class Page(Protocol):
+    """Who is told what happens. Called from the worker's thread."""
+
+    def on_status(self, status: Status) -> None:
+        """The worker's status has changed."""
+
+    def on_camera(self, rig: Rig) -> None:
+        """The rig is open."""
+
+    def on_frame(self, frame: Frame) -> None:
+        """The camera has taken a frame."""
+
+    def on_row(self, row: CheckRow) -> None:
+        """The check has found something."""
+
+    def on_report(self, report: CheckReport) -> None:
+        """The check is over."""
+
+    def on_result(self, folder: Path) -> None:
+        """A scan has left a result."""
+
+
+class Worker:
+    """The rig's owner, from `start` to `close`. Requests are refused (False) while a check or a scan is running."""
+
+    def __init__(self, settings: Settings, page: Page) -> None:
+        self._settings = settings
+        self._page = page
+        self._lock = Lock()
+        self._status = Status()
+        self._next: SimpleQueue[Activity | None] = SimpleQueue()
+        self._cancelled = Event()
+        self._leave_live = Event()
+        self._thread = Thread(target=self._run, name="rig", daemon=True)
+
+    def start(self) -> None:
+        """Begin to work."""
+        self._thread.start()
+
+    @property
+    def status(self) -> Status:
+        """What the worker is doing now."""
+        return self._status
+
+    @property
+    def settings(self) -> Settings:
+        """What is set now."""
+        return self._settings
+
+    def change(self, **changes: Any) -> None:
+        """Change fields of the settings; a live image follows at once, a running scan keeps what it began with."""
+        with self._lock:
+            self._settings = replace(self._settings, **changes)
+
+    def request(self, activity: Activity) -> bool:
+        """Do something else than now; `Activity.NOTHING` ends the live image."""
+        with self._lock:
+            if self._status.activity in (Activity.CHECKING, Activity.SCANNING) or not self._next.empty():
+                return False
+            self._cancelled.clear()
+            self._leave_live.set()
+            self._next.put(activity)
+        return True
+
+    def cancel(self) -> None:
+        """End a check or a scan at the next frame or step."""
+        with self._lock:
+            if self._status.activity in (Activity.CHECKING, Activity.SCANNING):
+                self._cancelled.set()
+                self._tell(replace(self._status, cancelling=True))
+
+    def close(self) -> Status:
+        """Cancel whatever runs, and end; returns how it ended."""
+        self._cancelled.set()
+        self._next.put(None)
+        self._leave_live.set()
+        if self._thread.is_alive():
+            self._thread.join(_LEAVING_S)
+        return self._status
+
+    def _run(self) -> None:
+        while (activity := self._next.get()) is not None:
+            self._leave_live.clear()
+            if not self._next.empty():
+                continue  # only a request to end comes after another
+            with self._lock:
+                self._tell(Status(activity))
+            message = ""
+            try:
+                self._do(activity)
+            except CancelledError as error:
+                message = "\n".join(["Cancelled.", *getattr(error, "__notes__", [])])
+            except Exception as error:
+                message = failure_of(error).message
+            with self._lock:
+                self._tell(Status(message=message))
+
+    def _do(self, activity: Activity) -> None:
+        progress = StagedProgress(self._cancelled, self._on_stage, self._page.on_frame)
+        match activity:
+            case Activity.LIVE:
+                while not self._leave_live.is_set():
+                    self._live(self._settings)
+            case Activity.CHECKING:
+                self._page.on_report(check(self._settings.load(), progress, self._page.on_row))
+            case Activity.SCANNING:
+                self._page.on_result(scan(self._settings, progress))
+
+    def _live(self, settings: Settings) -> None:
+        """Show what the camera sees, until something else is wanted, or a setting that an open rig cannot change."""
+        config = settings.load()
+        self._on_stage(Stage("Preparing the rig"))
+        with opened(config) as rig:
+            self._page.on_camera(rig)
+            self._on_stage(Stage("What the camera sees"))
+            patterns = config.sequence.patterns(rig.projector.size)
+            picture = None
+            while not self._leave_live.is_set():
+                began_s, wanted = time.monotonic(), self._settings
+                if wanted.gain != settings.gain or not _expose(rig, settings, wanted):
+                    return
+                if wanted.picture != picture:
+                    (frame,) = rig.photograph([drawn(wanted.picture, patterns, rig.projector.size)])
+                else:
+                    frame = rig.camera.grab()
+                settings, picture = wanted, wanted.picture
+                self._page.on_frame(frame)
+                self._leave_live.wait(max(0.0, began_s + _FRAME_S - time.monotonic()))
+
+    def _on_stage(self, stage: Stage) -> None:
+        with self._lock:
+            self._tell(replace(self._status, stage=stage))
+
+    def _tell(self, status: Status) -> None:
+        self._status = status
+        self._page.on_status(status)
+
+
+def _expose(rig: Rig, now: Settings, wanted: Settings) -> bool:
+    """Change the exposure if that is wanted; False if this camera has to be opened anew for it. Raises DeviceError."""
+    if wanted.exposure_us == now.exposure_us:
+        return True
+    if wanted.exposure_us is None or not isinstance(rig.camera, ExposureControl):
+        return False
+    rig.camera.expose_for(wanted.exposure_us)
+    return True

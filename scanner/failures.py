@@ -1,0 +1,48 @@
+"""What is said of an error, and the exit code that goes with it: the same in the terminal and in the console."""
+
+import tempfile
+import traceback
+from dataclasses import dataclass
+
+from calib.refusal import RefusalError
+from hw.errors import DeviceError
+from scanner.errors import InputError
+
+EXIT_INPUT = 2
+EXIT_DEVICE = 3
+EXIT_REFUSED = 4
+EXIT_BUG = 70  # EX_SOFTWARE of sysexits.h
+EXIT_INTERRUPTED = 130
+
+
+@dataclass(frozen=True)
+class Failure:
+    """`message` is for a person, of one or more lines."""
+
+    exit_code: int
+    message: str
+
+
+def failure_of(error: BaseException) -> Failure:
+    """What an error that ended a command means. A bug's traceback is written to a file, which the message names."""
+    match error:
+        case InputError() | OSError():
+            return _failure(EXIT_INPUT, error)
+        case DeviceError():
+            return _failure(EXIT_DEVICE, error)
+        case RefusalError():
+            return _failure(EXIT_REFUSED, error, f"no trustworthy {error.refused}: ")
+        case KeyboardInterrupt():
+            return _failure(EXIT_INTERRUPTED, error, "interrupted")
+    return _failure(EXIT_BUG, error, f"a bug in this program: {type(error).__name__}: ", _written_traceback(error))
+
+
+def _failure(code: int, error: BaseException, introduction: str = "", *more: str) -> Failure:
+    notes = getattr(error, "__notes__", [])
+    return Failure(code, "\n".join([f"{introduction}{error}", *notes, *more]))
+
+
+def _written_traceback(error: BaseException) -> str:
+    with tempfile.NamedTemporaryFile("w", prefix="scan-", suffix=".log", delete=False, encoding="utf-8") as file:
+        traceback.print_exception(error, file=file)
+    return f"Please report it with the file {file.name}."

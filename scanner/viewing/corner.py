@@ -1,0 +1,72 @@
+"""The corner in a finished scan: its three faces as planes, where they meet, and how far each reaches."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import Floats
+from calib.corner import Corner
+from scanner.finished_scan import FinishedScan
+from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement
+from scanner.measuring.planes import measure_faces
+from scanner.viewing.decimation import shuffled
+
+# Planes through so many points are as good to look at as through all, and known at once.
+FITTED_POINTS = 100_000
+
+# A face ends where nearly all of its points do: strays would make it as large as the room behind them.
+_REACH_QUANTILE = 0.995
+
+
+@dataclass(frozen=True)
+class MeasuredCorner:
+    """`faces` A, B, C and the `angles` between them, measured; `corner` is where they meet, in the camera's frame.
+
+    `outlines` (3, 4, 3): each face as a parallelogram that begins at the vertex, its points within.
+    """
+
+    corner: Corner
+    faces: tuple[FaceMeasurement, ...]
+    angles: tuple[AngleMeasurement, ...]
+    outlines: Floats
+
+
+def measured_corner(scan: FinishedScan) -> MeasuredCorner | None:
+    """Fit the faces to at most `FITTED_POINTS` points; None if the matches do not label all three."""
+    part = sample(scan, FITTED_POINTS)
+    faces, angles = measure_faces(part.points, part.pixel, part.matches.face, part.calibration.camera.width)
+    if len(faces) < 3 or part.matches.face is None:
+        return None
+    normals = np.stack([face.normal for face in faces])
+    vertex = np.linalg.solve(normals, np.array([face.offset for face in faces]))
+    legs = np.cross(np.roll(normals, -1, axis=0), np.roll(normals, -2, axis=0))
+    legs /= np.linalg.norm(legs, axis=1, keepdims=True)
+    from_vertex = part.points - vertex
+    label = part.matches.face
+    for leg in range(3):
+        beside = from_vertex[(label >= 0) & (label < 3) & (label != leg)]
+        legs[leg] *= 1.0 if np.median(beside @ legs[leg]) >= 0 else -1.0
+    outlines = [_outline(from_vertex[label == face], np.delete(legs, face, axis=0)) for face in range(3)]
+    return MeasuredCorner(Corner(vertex, legs), faces, angles, vertex + np.stack(outlines))
+
+
+def _outline(points: Floats, edges: Floats) -> Floats:
+    """The parallelogram (4, 3) along two `edges` (2, 3) from the origin that nearly all `points` (N, 3) are within."""
+    along = np.linalg.lstsq(edges.T, points.T, rcond=None)[0]
+    first, second = np.maximum(np.quantile(along, _REACH_QUANTILE, axis=1), 0.0)[:, None] * edges
+    return np.stack([np.zeros(3), first, first + second, second])
+
+
+def sample(scan: FinishedScan, count: int) -> FinishedScan:
+    """The scan with at most `count` of its points, spread evenly."""
+    if len(scan) <= count:
+        return scan
+    chosen = np.sort(shuffled(len(scan))[:count])
+    return replace(
+        scan,
+        matches=scan.matches[chosen],
+        points=scan.points[chosen],
+        normals=scan.normals[chosen],
+        colours=scan.colours[chosen],
+        pixel=scan.pixel[chosen],
+    )

@@ -1,0 +1,35 @@
+"""Fewer points than there are: an even choice of them, and how to say so."""
+
+import numpy as np
+
+from calib.arrays import Ints
+
+# What a laptop without a graphics card of its own still turns smoothly, and what is sent in a second.
+DEFAULT_SHOWN = 500_000
+
+_SEED = 0
+
+
+def shuffled(count: int) -> Ints:
+    """All of `count` points in an order whose every beginning is spread evenly over them, (count,); always the same.
+
+    Points in the order of the camera's rows would show stripes where every nth is taken.
+    """
+    return np.random.default_rng(_SEED).permutation(count)
+
+
+def statement(shown: int, total: int) -> str:
+    """How many points are shown, in words: 'showing 1 in 8 of 4.9 million points'."""
+    if not 0 <= shown <= total:
+        raise ValueError(f"expected 0 to {total} points to be shown, found {shown}")
+    if shown == total:
+        return f"showing all {many(total)} points"
+    if shown == 0:
+        return f"showing none of {many(total)} points"
+    ratio = total / shown
+    return f"showing 1 in {round(ratio) if ratio >= 9.5 else f'{ratio:.2g}'} of {many(total)} points"
+
+
+def many(count: int) -> str:
+    """A number of points for reading: '13,024', or '4.9 million'."""
+    return f"{count:,}" if count < 1_000_000 else f"{count / 1e6:.1f} million"

@@ -1,0 +1,97 @@
+"""Where things are drawn: frusta, rulers, and from where one looks at it all. Arrays only."""
+
+from dataclasses import dataclass
+from math import floor, log10
+
+import numpy as np
+
+from calib.arrays import Floats
+from calib.camera import Intrinsics
+from scanner.viewing.decimation import shuffled
+from scanner.viewing.result import ViewedCloud
+
+_SAMPLED = 20_000
+_TICKS_WANTED = 4
+FIELD_OF_VIEW_RAD = float(np.radians(50.0))
+# Of the window between two panels, width over height.
+_ASPECT = 0.8
+_MARGIN = 1.1
+_ABOVE, _BESIDE = 0.7, 0.5
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """From `position` (3,) towards `target` (3,), with `up` (3,) at the top."""
+
+    position: Floats
+    target: Floats
+    up: Floats
+
+
+def typical_size(cloud: ViewedCloud) -> float:
+    """How far most points are from the middle one, in the cloud's unit."""
+    points = _some(cloud)
+    return float(np.quantile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 0.9)) or 1.0
+
+
+def viewpoint(cloud: ViewedCloud) -> Viewpoint:
+    """From behind, above and beside the newest camera into the corner, so that cloud and devices are all in view."""
+    points = _some(cloud)
+    middle = np.median(points, axis=0)
+    devices = np.array([centre for rig in cloud.rigs for centre in (rig.position, rig.projector_centre)]).reshape(-1, 3)
+    eye = cloud.rigs[0].position if cloud.rigs else np.zeros(3)
+    level = middle - eye
+    level = level - (level @ cloud.up) * cloud.up
+    level /= np.linalg.norm(level)
+    aside = np.cross(level, cloud.up)
+    # On the far side of the camera from the projector neither stands before the other.
+    aside *= -1.0 if len(devices) and (devices.mean(axis=0) - eye) @ aside > 0 else 1.0
+    backward = _ABOVE * cloud.up - level + _BESIDE * aside
+    backward /= np.linalg.norm(backward)
+    right = np.cross(cloud.up, backward)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(backward, right), backward])
+    near = np.linalg.norm(points - middle, axis=1) <= 2 * typical_size(cloud)  # strays may be out of sight
+    seen = np.concatenate([points[near], devices]) @ axes.T
+    centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    seen -= centre
+    half = np.tan(FIELD_OF_VIEW_RAD / 2) / _MARGIN
+    distance = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / (half * _ASPECT, half), axis=1)))
+    target = centre @ axes
+    return Viewpoint(target + distance * backward, target, cloud.up)
+
+
+def _some(cloud: ViewedCloud) -> Floats:
+    return cloud.points[shuffled(len(cloud.points))[:_SAMPLED]]
+
+
+def picture_corners(device: Intrinsics, depth: float) -> Floats:
+    """The corners of a device's image at `depth` before it, (4, 3) in its frame: clockwise from the top left.
+
+    Lens distortion is left out: straight lines stay straight, as in the picture of a frustum.
+    """
+    right, bottom = device.width - 0.5, device.height - 0.5
+    corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+    rays = (corners - np.array(device.principal_point_px)) / np.array(device.focal_px)
+    return depth * np.column_stack([rays, np.ones(4)])
+
+
+def frustum_lines(corners: Floats) -> Floats:
+    """The eight edges (8, 2, 3) of the pyramid from the origin to `corners` (4, 3)."""
+    from_apex = np.stack([np.zeros_like(corners), corners], axis=1)
+    return np.concatenate([from_apex, np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)])
+
+
+def nice_step(length: float) -> float:
+    """1, 2 or 5 times a power of ten, about four of which make `length` > 0."""
+    wanted = length / _TICKS_WANTED
+    decade = 10.0 ** floor(log10(wanted))
+    return float(max(factor for factor in (1, 2, 5) if factor * decade <= wanted * (1 + 1e-9)) * decade)
+
+
+def ruler_lines(start: Floats, direction: Floats, across: Floats, length: float) -> Floats:
+    """A ruler (n, 2, 3) from `start` along the unit vector `direction`, a tick along `across` at each nice step."""
+    step = nice_step(length)
+    at = start + np.arange(0, floor(length / step + 1e-9) + 1)[:, None] * step * direction
+    ticks = np.stack([at, at + 0.25 * step * across], axis=1)
+    return np.concatenate([np.stack([at[0], at[-1]])[None], ticks])

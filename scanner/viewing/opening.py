@@ -1,0 +1,100 @@
+"""The page's address, and what is asked of it before anything is opened: without viser this still says what to do."""
+
+import errno
+import socket
+from argparse import ArgumentParser
+from ipaddress import ip_address
+
+from scanner.errors import InputError
+
+LOCAL = "127.0.0.1"
+DEFAULT_PORT = 8080
+
+MISSING_VISER = (
+    "the page in the browser needs viser, which is not installed: pip install 'roomscan[console]' (in this folder: "
+    ".venv/bin/pip install '.[console]')"
+)
+
+
+def require_viser() -> None:
+    """Raise InputError, saying what to install, if viser is not there."""
+    try:
+        import viser  # noqa: F401  # only now, for most commands do without
+    except ImportError as error:
+        raise InputError(MISSING_VISER) from error
+
+
+def add_address(parser: ArgumentParser) -> None:
+    """`--host`, `--port` and `--no-browser`."""
+    parser.add_argument(
+        "--host",
+        default=LOCAL,
+        metavar="ADDRESS",
+        help=f"address to serve the page at (default: {LOCAL}, this computer)",
+    )
+    parser.add_argument(
+        "--port",
+        type=int,
+        metavar="N",
+        help=f"port to serve it at (default: {DEFAULT_PORT}, or the next that is free)",
+    )
+    parser.add_argument("--no-browser", action="store_true", help="only print the address, open no browser")
+
+
+def free_port(host: str, wanted: int | None) -> int:
+    """The port to serve at. Raises InputError if the wanted one is not to be had, or `host` is not this computer's."""
+    if wanted is not None and not 1 <= wanted <= 65535:
+        raise InputError(f"--port: expected 1 to 65535, found {wanted}")
+    for port in range(wanted or DEFAULT_PORT, (wanted or DEFAULT_PORT + 99) + 1):
+        if _is_free(host, port):
+            return port
+    if wanted is not None:
+        raise InputError(f"--port {wanted}: another program uses it; choose another port, or leave --port out")
+    raise InputError(f"the ports from {DEFAULT_PORT} on are all in use; choose one with --port")
+
+
+def _is_free(host: str, port: int) -> bool:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            trial.bind(address)
+    except socket.gaierror as error:
+        raise InputError(f"--host {host}: no such address: {error.strerror}") from error
+    except PermissionError as error:
+        raise InputError(
+            f"--port {port}: {error.strerror}; ports below 1024 are the system's, choose another"
+        ) from error
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            return False
+        raise InputError(f"--host {host}: cannot be served at: {error.strerror}; {LOCAL} always can") from error
+    return True
+
+
+def warning(host: str) -> str:
+    """What to know about serving at `host`; '' if only this computer reaches it."""
+    if is_local(host):
+        return ""
+    return (
+        f"Warning: everyone who can reach this computer at {host} can see this page and press its buttons; there is no "
+        f"password. Leave --host out to keep it to yourself."
+    )
+
+
+def is_local(host: str) -> bool:
+    """Whether only programs on this computer reach `host`."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def address(host: str, port: int) -> str:
+    """What to open in a browser."""
+    try:
+        parsed = ip_address(host)
+    except ValueError:
+        return f"http://{host}:{port}"
+    reached = socket.gethostname() if parsed.is_unspecified else f"[{host}]" if parsed.version == 6 else host
+    return f"http://{reached}:{port}"

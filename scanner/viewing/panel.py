@@ -1,0 +1,102 @@
+"""Beside the 3-D view: what it shows, what the result says of itself, and the controls for both."""
+
+from collections.abc import Callable
+from threading import Lock
+
+import viser
+
+from scanner.viewing.colouring import Colouring, possible_colourings
+from scanner.viewing.decimation import DEFAULT_SHOWN, statement
+from scanner.viewing.result import ViewedCloud, ViewedResult
+from scanner.viewing.scene import FACES, LABELS, RIGS, Scene
+from scanner.viewing.texts import calibration_text, corner_text, escaped, verdict_text
+
+_PARTS = {"Devices": RIGS, "Faces, ruler": FACES, "Names": LABELS}
+_WHOLE_PERCENT = 100
+
+
+class ResultPanel:
+    """Shows one result at a time, in the scene and as controls and text where `place` is."""
+
+    def __init__(self, server: viser.ViserServer, place: viser.GuiTabHandle) -> None:
+        self._gui = server.gui
+        self._scene = Scene(server)
+        self._place = place
+        self._lock = Lock()
+        self._parts: list[viser.GuiFolderHandle] = []
+        self._drawn: tuple[ViewedCloud, int, Colouring] | None = None
+
+    def close(self) -> None:
+        """Show no result."""
+        with self._lock:
+            self._remove()
+            self._scene.clear()
+
+    def open(self, result: ViewedResult) -> None:
+        """Show a result in place of the last one. Raises InputError if a file is missing or damaged."""
+        cloud = result.cloud(result.names[0])  # before anything is removed: a damaged result replaces nothing
+        with self._lock, self._place:
+            self._remove()
+            with self._folder(f"Result: {result.folder.name or result.folder}"):
+                self._gui.add_markdown(verdict_text(result.verdict))
+            with self._folder("View"):
+                self._add_view(result, cloud)
+            with self._folder("Calibration, ± one standard deviation"):
+                self._gui.add_markdown(calibration_text(result.calibration, result.truth))
+            with self._folder("Faces"):
+                self._faces = self._gui.add_markdown("")
+        self._show(cloud)
+
+    def _remove(self) -> None:
+        for part in self._parts:
+            part.remove()
+        self._parts = []
+        self._drawn = None
+
+    def _folder(self, label: str) -> viser.GuiFolderHandle:
+        self._parts.append(self._gui.add_folder(label))
+        return self._parts[-1]
+
+    def _add_view(self, result: ViewedResult, cloud: ViewedCloud) -> None:
+        if len(result.names) > 1:
+            self._name = self._gui.add_dropdown("Cloud", result.names, initial_value=result.names[0])
+            self._name.on_update(lambda _: self._show(result.cloud(self._name.value)))
+        self._colouring = self._gui.add_dropdown("Colour", [Colouring.CAMERA.value])
+        self._percent = self._gui.add_slider(
+            "Points, %", min=1, max=_WHOLE_PERCENT, step=1, initial_value=_first_percent(cloud)
+        )
+        self._statement = self._gui.add_markdown("")
+        self._colouring.on_update(lambda _: self._redraw())
+        self._percent.on_update(lambda _: self._redraw())
+        for label, part in _PARTS.items():
+            box = self._gui.add_checkbox(label, initial_value=True)
+            box.on_update(self._toggling(part, box))
+        self._gui.add_button("Back to the first view").on_click(lambda _: self._scene.look())
+
+    def _toggling(self, part: str, box: viser.GuiCheckboxHandle) -> Callable[[object], None]:
+        return lambda _: self._scene.set_visible(part, box.value)
+
+    def _show(self, cloud: ViewedCloud) -> None:
+        with self._lock:
+            self._cloud = cloud
+            self._scene.show(cloud)
+            self._faces.content = corner_text(cloud.corner, cloud.unit)
+            self._colouring.options = tuple(colouring.value for colouring in possible_colourings(cloud))
+            self._percent.value = _first_percent(cloud)
+        self._redraw()
+
+    def _redraw(self) -> None:
+        """Draw the points as the controls are now; of many changes in a row, those that are outdated are skipped."""
+        with self._lock:
+            total = len(self._cloud.points)
+            count = max(1, round(total * self._percent.value / _WHOLE_PERCENT))
+            wanted = (self._cloud, count, Colouring(self._colouring.value))
+            if wanted == self._drawn:
+                return
+            shown = self._scene.draw_points(count, wanted[2])
+            self._drawn = wanted
+            self._statement.content = f"{statement(shown.points, total).capitalize()}. {escaped(shown.legend)}"
+
+
+def _first_percent(cloud: ViewedCloud) -> int:
+    return max(1, min(_WHOLE_PERCENT, round(_WHOLE_PERCENT * DEFAULT_SHOWN / len(cloud.points))))

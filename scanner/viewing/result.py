@@ -1,0 +1,178 @@
+"""A result folder as something to look at: its clouds, each with the rigs that saw it."""
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from calib.arrays import Floats
+from calib.calibration import Calibration
+from calib.point_noise import point_covariances
+from scanner.calibration_file import read_calibration
+from scanner.cloud_file import read_cloud
+from scanner.errors import InputError
+from scanner.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
+from scanner.images import read_image
+from scanner.patterns import White
+from scanner.recording import open_capture
+from scanner.reporting import maps
+from scanner.reporting.verdict import Verdict
+from scanner.result import CAPTURE_FOLDER, CAPTURES_FOLDER, MERGED_FILE, TRUTH_FILE
+from scanner.viewing.corner import MeasuredCorner, measured_corner, sample
+from scanner.viewing.decimation import shuffled
+from scanner.viewing.verdict import read_verdict
+
+ALL_CAPTURES = "All captures, merged"
+_PLACING_POINTS = 2_000
+_AT_ONCE = 100_000  # covariances are large
+
+
+@dataclass(frozen=True)
+class PlacedRig:
+    """A rig in a cloud's frame: X_cloud = `rotation` X_camera + `position`; `picture` (H, W, 3) RGB is the camera's."""
+
+    calibration: Calibration
+    rotation: Floats
+    position: Floats
+    picture: NDArray[np.uint8]
+
+    @property
+    def projector_centre(self) -> Floats:
+        """Where the projector is in the cloud's frame, (3,)."""
+        return self.to_cloud(self.calibration.projector_centre)
+
+    def to_cloud(self, points: Floats) -> Floats:
+        """Points (..., 3) of the camera's frame in the cloud's."""
+        return points @ self.rotation.T + self.position
+
+
+@dataclass(frozen=True)
+class ViewedCloud:
+    """A cloud and what belongs to it, all in the cloud's frame but `corner`, which is in the frame of the first rig.
+
+    `points` (N, 3), `colours` (N, 3) RGB; `scan` has the same points, None for a merged cloud. `up` (3,) points up.
+    """
+
+    points: Floats
+    colours: NDArray[np.uint8]
+    rigs: tuple[PlacedRig, ...]
+    corner: MeasuredCorner | None
+    scan: FinishedScan | None
+    up: Floats
+    unit: str
+
+    @cached_property
+    def order(self) -> NDArray[np.int64]:
+        """The points in an order whose every beginning is an even choice of them, (N,)."""
+        return shuffled(len(self.points)).astype(np.int64)
+
+    @property
+    def depth_sigma_known(self) -> bool:
+        """Whether the matches state how noisy they are."""
+        return self.scan is not None and self.scan.matches.sigma_px is not None
+
+    def depth_sigma(self, chosen: NDArray[np.int64]) -> Floats:
+        """Standard deviation of the depth of points (n,), from the matches' noise alone, in `unit`."""
+        if self.scan is None:
+            raise ValueError("a merged cloud does not know how noisy its points are")
+        sigma = np.empty(len(chosen))
+        for start in range(0, len(chosen), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            covariance = point_covariances(self.scan.matches[chosen[part]], self.scan.calibration)
+            sigma[part] = np.sqrt(covariance[:, 2, 2])
+        return sigma
+
+
+class ViewedResult:
+    """A result folder, read as far as it is looked at. Raises InputError if it is none, or its capture was refused."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.calibration = read_calibration_of(folder)
+        truth = folder / TRUTH_FILE
+        self.truth = read_calibration(truth) if truth.is_file() else None
+        self.names = self._names()
+        self.cloud = cache(self._cloud)
+        self._scan_in = cache(read_finished_scan)
+
+    @cached_property
+    def verdict(self) -> Verdict | None:
+        """What the report concludes, if there is a report."""
+        return read_verdict(self.folder)
+
+    def _names(self) -> tuple[str, ...]:
+        """What can be looked at, the best first."""
+        merged = (ALL_CAPTURES,) if (self.folder / MERGED_FILE).is_file() else ()
+        return (*merged, *self._captures)
+
+    @cached_property
+    def _captures(self) -> dict[str, Path]:
+        """Folders of the captures by their names, the newest first."""
+        older = [path for path in (self.folder / CAPTURES_FOLDER).glob("*") if path.name.isdecimal() and path.is_dir()]
+        older.sort(key=lambda path: int(path.name), reverse=True)
+        if not older:
+            return {"The capture": self.folder}
+        return {f"Capture {len(older) + 1}": self.folder} | {f"Capture {path.name}": path for path in older}
+
+    def _cloud(self, name: str) -> ViewedCloud:
+        """What is called `name`. Raises InputError if its files are missing or damaged."""
+        if name == ALL_CAPTURES:
+            return self._merged()
+        folder = self._captures[name]
+        scan = self._scan_in(folder)
+        corner = measured_corner(scan)
+        rig = PlacedRig(scan.calibration, np.eye(3), np.zeros(3), _picture(folder, scan))
+        return ViewedCloud(scan.points, scan.colours, (rig,), corner, scan, _up(corner), scan.unit)
+
+    def _merged(self) -> ViewedCloud:
+        cloud = read_cloud(self.folder / MERGED_FILE)
+        if not len(cloud):
+            raise InputError(f"{self.folder / MERGED_FILE}: the cloud is empty")
+        tree = cKDTree(cloud.points[shuffled(len(cloud))[: 50 * _PLACING_POINTS]])
+        rigs, corner = [], None
+        for folder in self._captures.values():
+            scan = self._scan_in(folder)
+            found = measured_corner(scan)
+            if found is not None:
+                rigs.append(_placed(scan, found, tree, _picture(folder, scan)))
+                corner = corner or found
+        up = np.array([0.0, 0.0, 1.0 if np.median(cloud.points[:, 2]) >= 0 else -1.0])
+        return ViewedCloud(cloud.points, cloud.colours, tuple(rigs), corner, None, up, self.calibration.unit)
+
+
+def _up(corner: MeasuredCorner | None) -> Floats:
+    """Upwards in the camera's frame: the most upright edge of the corner, or the camera's own."""
+    above = np.array([0.0, -1.0, 0.0])
+    if corner is None:
+        return above
+    legs = corner.corner.legs
+    steepest: Floats = legs[np.argmax(np.abs(legs @ above))]
+    return steepest if steepest @ above > 0 else -steepest
+
+
+def _placed(scan: FinishedScan, found: MeasuredCorner, tree: cKDTree, picture: NDArray[np.uint8]) -> PlacedRig:
+    """The rig of a capture in the frame of the merged cloud: the corner's, its axes numbered as fits best."""
+    legs = found.corner.legs
+    u, _, vt = np.linalg.svd(legs if np.linalg.det(legs) > 0 else legs[[0, 2, 1]])
+    axes = u @ vt
+    points = sample(scan, _PLACING_POINTS).points
+    turned = [np.roll(axes, turn, axis=0) for turn in range(3)]
+    misses = [np.median(tree.query((points - found.corner.vertex) @ rotation.T)[0]) for rotation in turned]
+    rotation: Floats = turned[int(np.argmin(misses))]
+    return PlacedRig(scan.calibration, rotation, -rotation @ found.corner.vertex, picture)
+
+
+def _picture(folder: Path, scan: FinishedScan) -> NDArray[np.uint8]:
+    """The camera's picture of the lit scene, RGB, reduced: the recording's white one, or else the points' colours."""
+    try:
+        recording = open_capture(folder / CAPTURE_FOLDER)
+        white = next(path for path, shown in zip(recording.files, recording.patterns, strict=True) if shown == White())
+        return maps.photograph(read_image(recording.folder / white))
+    except (InputError, StopIteration):
+        camera = scan.calibration.camera
+        seen = np.zeros((camera.height, camera.width, 3), np.uint8)
+        seen[scan.pixel[:, 1], scan.pixel[:, 0]] = scan.colours[:, ::-1]
+        return maps.photograph(seen)

@@ -1,0 +1,222 @@
+"""A cloud in the browser: its points, the rigs that saw it, the faces, their vertex, and a ruler."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.arrays import Floats
+from scanner.measuring.shown import shown_unit
+from scanner.reporting.maps import BLUE, FACE_COLOURS, VERMILION
+from scanner.viewing.colouring import Colouring, coloured
+from scanner.viewing.geometry import (
+    FIELD_OF_VIEW_RAD,
+    frustum_lines,
+    nice_step,
+    picture_corners,
+    ruler_lines,
+    typical_size,
+    viewpoint,
+)
+from scanner.viewing.result import PlacedRig, ViewedCloud
+from scanner.viewing.texts import angle_name
+
+# The browser's camera is made for scenes of a few units: clouds of any unit are drawn in this size.
+_DRAWN_SIZE = 2.0
+_FRUSTUM_OF_SIZE = 0.25
+_FACE_OPACITY = 0.15
+_INK = (40, 40, 40)
+_LINE_PX = 2.0
+_POINT_OF_SIZE = 0.9
+
+CLOUD, RIGS, FACES, LABELS = "/cloud", "/rigs", "/faces", "/labels"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What is drawn now: how many points, and what their colours mean (Markdown)."""
+
+    points: int
+    legend: str
+
+
+class Scene:
+    """What one browser window, or several, show in 3-D."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._scene = server.scene
+        self._cloud: ViewedCloud | None = None
+        self._factor = 1.0
+        self._scene.configure_default_lights(cast_shadow=False)
+
+    def clear(self) -> None:
+        """Show nothing."""
+        for name in (CLOUD, RIGS, FACES, LABELS):
+            self._scene.remove_by_name(name)
+        self._cloud = None
+
+    def show(self, cloud: ViewedCloud) -> None:
+        """Draw everything about a cloud but its points, and look at it from a good place."""
+        self.clear()
+        self._cloud = cloud
+        self._factor = _DRAWN_SIZE / typical_size(cloud)
+        for parent in (CLOUD, RIGS, FACES, LABELS):
+            self._scene.add_frame(parent, show_axes=False)
+        for number, rig in enumerate(cloud.rigs, start=1):
+            self._draw_rig(f"{RIGS}/{number}", rig, f" {number}" if len(cloud.rigs) > 1 else "")
+        if cloud.corner is not None:
+            self._draw_corner(cloud)
+        self._draw_ruler(cloud)
+        self.look()
+
+    def look(self) -> None:
+        """Take all windows back to the first view."""
+        if self._cloud is None:
+            return
+        view = viewpoint(self._cloud)
+        self._scene.set_up_direction(view.up)
+        position, target = self._drawn(view.position), self._drawn(view.target)
+        first = self._server.initial_camera
+        first.up, first.position, first.look_at, first.fov = view.up, position, target, FIELD_OF_VIEW_RAD
+        for client in self._server.get_clients().values():
+            with client.atomic():
+                client.camera.up_direction = view.up
+                client.camera.position = position
+                client.camera.look_at = target
+                client.camera.fov = FIELD_OF_VIEW_RAD
+
+    def draw_points(self, count: int, colouring: Colouring) -> Shown:
+        """Draw `count` of the cloud's points, spread evenly."""
+        cloud = self._required
+        chosen = np.sort(cloud.order[:count])
+        told = coloured(cloud, chosen, colouring)
+        self._scene.add_point_cloud(
+            f"{CLOUD}/points",
+            points=self._drawn(cloud.points[chosen]),
+            colors=told.colours,
+            # Points as large as their distance on surfaces that fill the view: no gaps, no blobs.
+            point_size=_POINT_OF_SIZE * _DRAWN_SIZE / np.sqrt(max(len(chosen), 1)),
+            point_shape="circle",
+            point_shading="flat",
+            precision="float32",
+        )
+        return Shown(len(chosen), told.legend)
+
+    def set_visible(self, part: str, visible: bool) -> None:
+        """Show or hide `CLOUD`, `RIGS`, `FACES` or `LABELS`."""
+        handle = self._scene.get_handle_by_name(part)
+        if handle is not None:
+            handle.visible = visible
+
+    @property
+    def _required(self) -> ViewedCloud:
+        if self._cloud is None:
+            raise ValueError("there is no cloud to draw points of")
+        return self._cloud
+
+    def _drawn(self, points: Floats) -> NDArray[np.float32]:
+        return (self._factor * points).astype(np.float32)
+
+    def _draw_rig(self, name: str, rig: PlacedRig, which: str) -> None:
+        calibration = rig.calibration
+        depth = _FRUSTUM_OF_SIZE * _DRAWN_SIZE / self._factor
+        of_camera = picture_corners(calibration.camera, depth)
+        in_projector = picture_corners(calibration.projector, depth)
+        to_camera = calibration.rotation.T
+        centre = rig.projector_centre
+        of_projector = rig.to_cloud(in_projector @ to_camera.T + calibration.projector_centre)
+        self._lines(f"{name}/camera", frustum_lines(of_camera) @ rig.rotation.T + rig.position, BLUE)
+        self._lines(f"{name}/projector", _pyramid(centre, of_projector), VERMILION)
+        self._lines(f"{name}/baseline", np.stack([rig.position, centre])[None], _INK)
+        self._draw_picture(f"{name}/picture", rig, of_camera)
+        self._label(f"{LABELS}/camera{which}", f"Camera{which}", rig.position, "bottom-right")
+        self._label(f"{LABELS}/projector{which}", f"Projector{which}", centre, "bottom-left")
+
+    def _draw_picture(self, name: str, rig: PlacedRig, corners: Floats) -> None:
+        """The camera's picture where its frustum ends; a picture lies in its own x, y plane, y down."""
+        width, height = corners[2, :2] - corners[0, :2]
+        self._scene.add_image(
+            name,
+            rig.picture,
+            render_width=float(self._factor * width),
+            render_height=float(self._factor * height),
+            wxyz=_quaternion(rig.rotation),
+            position=self._drawn(rig.to_cloud(corners.mean(axis=0))),
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def _draw_corner(self, cloud: ViewedCloud) -> None:
+        assert cloud.corner is not None
+        rig, corner = cloud.rigs[0], cloud.corner
+        vertex = rig.to_cloud(corner.corner.vertex)
+        outlines = rig.to_cloud(corner.outlines)
+        for face, outline, colour in zip(corner.faces, outlines, FACE_COLOURS, strict=True):
+            self._scene.add_mesh_simple(
+                f"{FACES}/{face.name}",
+                vertices=self._drawn(outline),
+                faces=np.array([[0, 1, 2], [0, 2, 3]]),
+                color=colour,
+                opacity=_FACE_OPACITY,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            self._lines(f"{FACES}/outline {face.name}", np.stack([outline, np.roll(outline, -1, axis=0)], 1), colour)
+            self._label(f"{LABELS}/face {face.name}", f"Face {face.name}", outline.mean(axis=0), "center-center")
+        ends = {face.name: outline for face, outline in zip(corner.faces, outlines, strict=True)}
+        for angle in corner.angles:
+            first, second = (ends[name] for name in angle.faces)
+            text = f"{angle_name(angle.faces)}: {angle.angle_deg:.2f}°"
+            self._label(f"{LABELS}/{text}", text, _end_of_common_edge(first, second), "center-center")
+        self._label(f"{LABELS}/vertex", "Vertex", vertex, "bottom-center")
+        self._scene.add_icosphere(f"{FACES}/vertex", 0.012 * _DRAWN_SIZE, color=_INK, position=self._drawn(vertex))
+
+    def _draw_ruler(self, cloud: ViewedCloud) -> None:
+        """Along the most level edge of the corner; without a corner, the baseline is labelled instead."""
+        shown = shown_unit(cloud.unit)
+        if cloud.corner is None:
+            for rig in cloud.rigs[:1]:
+                middle = rig.to_cloud(rig.calibration.projector_centre / 2)
+                self._label(f"{LABELS}/ruler", shown.length(rig.calibration.baseline), middle, "top-center")
+            return
+        rig = cloud.rigs[0]
+        legs = cloud.corner.corner.legs @ rig.rotation.T
+        level = int(np.argmin(np.abs(legs @ cloud.up)))
+        edge, across = legs[level], legs[(level + 1) % 3]
+        vertex = rig.to_cloud(cloud.corner.corner.vertex)
+        reach = float(np.max((rig.to_cloud(cloud.corner.outlines) - vertex) @ edge))
+        lines = ruler_lines(vertex, edge, across, reach)
+        self._lines(f"{FACES}/ruler", lines, _INK)
+        step = nice_step(reach)
+        text = f"{shown.factor * step:g} {shown.name}"
+        self._label(f"{LABELS}/ruler", text, vertex + step * edge, "top-center")
+
+    def _lines(self, name: str, segments: Floats, colour: tuple[int, int, int]) -> None:
+        points = self._drawn(segments)
+        self._scene.add_line_segments(name, points, colour, thickness=_LINE_PX, thickness_units="screen")
+
+    def _label(self, name: str, text: str, position: Floats, anchor: Any) -> None:
+        self._scene.add_label(name, text, position=self._drawn(position), anchor=anchor)
+
+
+def _pyramid(apex: Floats, corners: Floats) -> Floats:
+    return frustum_lines(corners - apex) + apex
+
+
+def _end_of_common_edge(first: Floats, second: Floats) -> Floats:
+    """Two thirds along the edge that two outlines (4, 3) share; its ends are their corners next to the vertex."""
+    pairs = [(a, b) for a in (first[1], first[3]) for b in (second[1], second[3])]
+    near = min(pairs, key=lambda pair: float(np.linalg.norm(pair[0] - pair[1])))
+    place: Floats = first[0] + 2 / 3 * ((near[0] + near[1]) / 2 - first[0])
+    return place
+
+
+def _quaternion(rotation: Floats) -> Floats:
+    """w, x, y, z."""
+    wxyz: Floats = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    return wxyz

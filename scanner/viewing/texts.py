@@ -1,0 +1,75 @@
+"""What the panel says about a result, as Markdown."""
+
+from collections.abc import Iterator
+
+from calib.calibration import Calibration
+from scanner.measuring.shown import shown_unit
+from scanner.quantities import Quantity, device_quantities, pose_quantities
+from scanner.reporting.verdict import Verdict
+from scanner.summary import truth_line
+from scanner.viewing.corner import FITTED_POINTS, MeasuredCorner
+
+_SIGNS = {"good": "✓", "fair": "◐", "refused": "✕"}
+
+
+def escaped(text: str) -> str:
+    """Text from a file or a message as Markdown that shows it and nothing else."""
+    return "".join(f"\\{letter}" if letter in "\\`*_{}[]<>#|$~" else letter for letter in text)
+
+
+def verdict_text(verdict: Verdict | None) -> str:
+    """The verdict with its reasons, or where to look for it."""
+    if verdict is None:
+        return "This result has no report to take a verdict from."
+    lines = [f"**{_SIGNS[verdict.grade]} {escaped(verdict.headline)}**", ""]
+    lines += [f"- {escaped(reason)}" for reason in verdict.reasons]
+    if verdict.advice:
+        lines += ["", escaped(verdict.advice)]
+    return "\n".join(lines)
+
+
+def calibration_text(calibration: Calibration, truth: Calibration | None) -> str:
+    """Every number with its sigma, beside the truth where that is known."""
+    known = truth is not None
+    lines = [f"| | value | sigma |{' truth |' if known else ''}", f"|:--|--:|--:|{'--:|' if known else ''}"]
+    baseline = [quantity for quantity in pose_quantities(calibration, truth) if quantity.name == "baseline"]
+    for heading, quantities in (
+        ("Camera", device_quantities("camera", calibration, truth)),
+        ("Projector", device_quantities("projector", calibration, truth)),
+        ("Between them", baseline),
+    ):
+        lines.append(f"| **{heading}** | | |{' |' if known else ''}")
+        lines += [_row(quantity, known) for quantity in quantities]
+    if truth is not None:
+        lines += ["", truth_line(calibration, truth)]
+    return "\n".join(lines)
+
+
+def _row(quantity: Quantity, known: bool) -> str:
+    name = quantity.name + (f", {quantity.unit}" if quantity.unit else "")
+    sigma = "" if quantity.sigma is None else f"± {quantity.shown(quantity.sigma)}" if quantity.sigma else "given"
+    truth = f" {quantity.shown(quantity.truth)} |" if known else ""
+    return f"| {name} | {quantity.shown(quantity.value)} | {sigma} |{truth}"
+
+
+def corner_text(corner: MeasuredCorner | None, unit: str) -> str:
+    """The faces' flatness and the angles between them."""
+    if corner is None:
+        return "The matches do not say which points are on the three faces."
+    return "\n".join(_corner_lines(corner, unit))
+
+
+def _corner_lines(corner: MeasuredCorner, unit: str) -> Iterator[str]:
+    shown = shown_unit(unit)
+    for angle in corner.angles:
+        measured = Quantity(angle_name(angle.faces), angle.angle_deg, "°", angle.sigma_deg)
+        yield f"- {measured.name}: {measured.shown(measured.value)}° ± {measured.shown(measured.sigma)}°"
+    for face in corner.faces:
+        yield f"- Face {face.name}: flat to {shown.error(face.errors.mean_absolute)} (mean absolute distance)"
+    yield ""
+    yield f"Planes through at most {FITTED_POINTS:,} of the points; *scan measure* takes all."
+
+
+def angle_name(faces: tuple[str, str]) -> str:
+    """How the angle between two faces is called."""
+    return f"Angle {faces[0]}–{faces[1]}"
