@@ -1,5 +1,6 @@
 """A quick capture: how much of the light the camera sees, and what this view of a corner will calibrate."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,6 @@ from scanner.config import Config
 from scanner.decode import Decoding, MaskReason
 from scanner.errors import InputError
 from scanner.findings import Findings, Scan
-from scanner.given_captures import read_captures
 from scanner.patterns import Pattern
 from scanner.pipeline import decode
 from scanner.presets import PRESETS, Preset, PresetName
@@ -162,27 +162,25 @@ def _turned(device: str, middle: tuple[float, float], otherwise: str) -> str:
     )
 
 
-def predict(findings: Findings, config: Config) -> SelfCalibration:
-    """What the quick capture calibrates, together with earlier ones if the configuration names some.
-
-    Raises RefusalError, InputError.
-    """
-    earlier = read_captures(config.earlier, findings.facts.camera_size, findings.facts.projector_size)
+def predict(findings: Findings, config: Config, earlier: Sequence[Findings]) -> SelfCalibration:
+    """What a capture calibrates, together with earlier ones if there are any. Raises RefusalError."""
     self_calibration(Scan([*earlier, findings]), config.model_copy(update={"method": "refined"}))
     assert findings.solution is not None
     return findings.solution
 
 
-def view_row(seen: Capture, config: Config, *, as_configured: bool = False) -> tuple[CheckRow, RefusalError | None]:
+def view_row(
+    seen: Capture, config: Config, earlier: Sequence[Findings], *, as_configured: bool = False
+) -> tuple[CheckRow, RefusalError | None]:
     """How well this view will calibrate, and why a scan would be refused, if it would.
 
-    `as_configured`: `seen` is not the quick capture, of which too little could be had. Raises InputError.
+    `as_configured`: `seen` is not the quick capture, of which too little could be had.
     """
     if seen.findings is None:
         row = CheckRow(_VIEW, State.FAILED, f"the frames do not decode: {seen.problem}", _UNREADABLE)
         return row, refusal_of(row)
     try:
-        solution = predict(seen.findings, config)
+        solution = predict(seen.findings, config, earlier)
     except RefusalError as refusal:
         return CheckRow(_VIEW, State.FAILED, refusal.reason, refusal.advice), refusal
     sigmas = relative_sigmas(solution)
