@@ -126,18 +126,18 @@ def _check(bench: _Bench, checking: Checking) -> None:
 
 
 def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
-    """From a quick capture; the configured one follows where the quick one is refused, which takes longer."""
+    """From a quick capture; the configured one follows where the quick one is refused or patchy, which takes longer."""
     rig, config, terminal = bench.rig, bench.config, bench.terminal
     meter = FringeMeter()
     quick = view.take_quick(rig, config, meter, terminal)
     checking.add(*transfer_rows(rig))
     with terminal.step("Calibrating"):
         row, failure = view.view_row(quick, config, bench.earlier)
-    scanned = view.take_configured(rig, config, terminal) if failure else None
+    scanned = view.take_configured(rig, config, terminal) if failure or quick.is_patchy else None
     if scanned:
         with terminal.step("Calibrating"):
             row, failure = view.view_row(scanned, config, bench.earlier, as_configured=True)
-    decoded = quick if quick.decoding else scanned if scanned and scanned.decoding else None
+    decoded = next((seen for seen in (scanned, quick) if seen and seen.decoding), None)
     _check_lenses(bench, light, decoded or view.take_coarse(rig, config, terminal), meter, checking)
     checking.add(row)
     checking.failure = failure
