@@ -71,9 +71,9 @@ def commands() -> list[Documented]:
 def commands_in(page: Path) -> Iterator[Documented]:
     """Those of one page; a line that ends in a backslash goes on in the next."""
     inside, started, text = False, 0, ""
-    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
+    for number, line in enumerate(map(str.strip, page.read_text(encoding="utf-8").splitlines()), start=1):
         if line.startswith("```"):
-            inside = line.strip() in ("```sh", "```bash", "```console") and not inside
+            inside = line in ("```sh", "```bash", "```console") and not inside
             continue
         if not inside:
             continue
