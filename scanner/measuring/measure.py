@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.arrays import Floats
+from calib.arrays import Floats, Ints
 from calib.fit_plane import dihedral_angle_rad, fit_plane
 from calib.fit_statistics import blocks
 from calib.point_noise import point_covariances
@@ -34,22 +34,27 @@ def measure(scan: FinishedScan, sphere_diameters: list[float], pixel_pairs: list
     """
     distances = tuple(_pixel_distance(scan, pair) for pair in pixel_pairs)
     spheres = measure_spheres(scan, sphere_diameters)
-    faces, angles = measure_faces(scan)
+    faces, angles = measure_faces(scan.points, scan.pixel, scan.matches.face, scan.calibration.camera.width)
     return Measurements(scan.unit, spheres, faces, angles, centre_distances(spheres) + distances)
 
 
-def measure_faces(scan: FinishedScan) -> tuple[tuple[FaceMeasurement, ...], tuple[AngleMeasurement, ...]]:
-    """Flatness of the corner's faces and the angles between them; nothing if the matches have no labels."""
-    if scan.matches.face is None:
+def measure_faces(
+    points: Floats, pixel: Ints, face: Ints | None, image_width: int
+) -> tuple[tuple[FaceMeasurement, ...], tuple[AngleMeasurement, ...]]:
+    """Flatness of the corner's faces and the angles between them; nothing if the matches have no labels.
+
+    `points` (N, 3) in the camera's frame, their camera pixels (N, 2) and their `face` labels (N,).
+    """
+    if face is None:
         return (), ()
-    side_px = max(1, round(scan.calibration.camera.width * _ALIKE_OF_WIDTH))
+    side_px = max(1, round(image_width * _ALIKE_OF_WIDTH))
     faces, planes = [], {}
     for label, name in enumerate(FACE_NAMES):
-        on = np.flatnonzero(scan.matches.face == label)
+        on = np.flatnonzero(face == label)
         if len(on) < _FEWEST_POINTS:
             continue
-        plane = planes[name] = fit_plane(scan.points[on], blocks(scan.pixel[on], side_px))
-        faces.append(FaceMeasurement(name, plane.normal, plane.offset, FitErrors(plane.residual, scan.pixel[on])))
+        plane = planes[name] = fit_plane(points[on], blocks(pixel[on], side_px))
+        faces.append(FaceMeasurement(name, plane.normal, plane.offset, FitErrors(plane.residual, pixel[on])))
     angles = []
     for first, second in combinations(planes, 2):
         angle, sigma = np.degrees(dihedral_angle_rad(planes[first], planes[second]))
