@@ -37,9 +37,9 @@ class Coloured:
 def possible_colourings(cloud: ViewedCloud) -> tuple[Colouring, ...]:
     """What is known of every point of a cloud."""
     known = [Colouring.CAMERA]
-    if cloud.scan is not None and cloud.scan.matches.face is not None:
+    if cloud.has_faces:
         known.append(Colouring.FACES)
-    if cloud.depth_sigma_known:
+    if cloud.has_sigma:
         known.append(Colouring.SIGMA)
     return tuple(known)
 
@@ -66,7 +66,6 @@ def _brightened(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _by_face(cloud: ViewedCloud, chosen: NDArray[np.int64]) -> Coloured:
-    assert cloud.scan is not None
     assert cloud.scan.matches.face is not None
     face = cloud.scan.matches.face[chosen]
     table = np.array([*FACE_COLOURS, GREY], np.uint8)

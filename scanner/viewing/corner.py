@@ -1,12 +1,14 @@
-"""The corner in a finished scan: its three faces as planes, where they meet, and how far each reaches."""
+"""The corner in a result: its three faces as planes, where they meet, and how far each reaches."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Floats
+from calib.calibration import Calibration
 from calib.corner import Corner
-from scanner.finished_scan import FinishedScan
+from calib.matches import Matches
+from calib.triangulation import intersect
 from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement
 from scanner.measuring.planes import measure_faces
 from scanner.viewing.decimation import shuffled
@@ -31,18 +33,18 @@ class MeasuredCorner:
     outlines: Floats
 
 
-def measured_corner(scan: FinishedScan) -> MeasuredCorner | None:
-    """Fit the faces to at most `FITTED_POINTS` points; None if the matches do not label all three."""
-    part = sample(scan, FITTED_POINTS)
-    faces, angles = measure_faces(part.points, part.pixel, part.matches.face, part.calibration.camera.width)
-    if len(faces) < 3 or part.matches.face is None:
+def measured_corner(matches: Matches, calibration: Calibration) -> MeasuredCorner | None:
+    """Fit the faces to points of at most `FITTED_POINTS` matches; None if the matches do not label all three."""
+    part, points = triangulated(matches, calibration, FITTED_POINTS)
+    label = part.face
+    faces, angles = measure_faces(points, np.rint(part.camera_px).astype(np.int64), label, calibration.camera.width)
+    if len(faces) < 3 or label is None:
         return None
     normals = np.stack([face.normal for face in faces])
     vertex = np.linalg.solve(normals, np.array([face.offset for face in faces]))
     legs = np.cross(np.roll(normals, -1, axis=0), np.roll(normals, -2, axis=0))
     legs /= np.linalg.norm(legs, axis=1, keepdims=True)
-    from_vertex = part.points - vertex
-    label = part.matches.face
+    from_vertex = points - vertex
     for leg in range(3):
         beside = from_vertex[(label >= 0) & (label < 3) & (label != leg)]
         legs[leg] *= 1.0 if np.median(beside @ legs[leg]) >= 0 else -1.0
@@ -50,23 +52,17 @@ def measured_corner(scan: FinishedScan) -> MeasuredCorner | None:
     return MeasuredCorner(Corner(vertex, legs), faces, angles, vertex + np.stack(outlines))
 
 
+def triangulated(matches: Matches, calibration: Calibration, count: int) -> tuple[Matches, Floats]:
+    """At most `count` of the matches, spread evenly, with their points (n, 3); those behind a device are left out."""
+    chosen = np.sort(shuffled(len(matches))[:count])
+    part = matches[chosen]
+    met = intersect(part, calibration)
+    front = np.flatnonzero(met.in_front)
+    return part[front], met.points[front]
+
+
 def _outline(points: Floats, edges: Floats) -> Floats:
     """The parallelogram (4, 3) along two `edges` (2, 3) from the origin that nearly all `points` (N, 3) are within."""
     along = np.linalg.lstsq(edges.T, points.T, rcond=None)[0]
     first, second = np.maximum(np.quantile(along, _REACH_QUANTILE, axis=1), 0.0)[:, None] * edges
     return np.stack([np.zeros(3), first, first + second, second])
-
-
-def sample(scan: FinishedScan, count: int) -> FinishedScan:
-    """The scan with at most `count` of its points, spread evenly."""
-    if len(scan) <= count:
-        return scan
-    chosen = np.sort(shuffled(len(scan))[:count])
-    return replace(
-        scan,
-        matches=scan.matches[chosen],
-        points=scan.points[chosen],
-        normals=scan.normals[chosen],
-        colours=scan.colours[chosen],
-        pixel=scan.pixel[chosen],
-    )

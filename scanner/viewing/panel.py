@@ -5,6 +5,7 @@ from threading import Lock
 
 import viser
 
+from scanner.failures import failure_of
 from scanner.viewing.colouring import Colouring, possible_colourings
 from scanner.viewing.decimation import DEFAULT_SHOWN, statement
 from scanner.viewing.result import ViewedCloud, ViewedResult
@@ -60,7 +61,7 @@ class ResultPanel:
     def _add_view(self, result: ViewedResult, cloud: ViewedCloud) -> None:
         if len(result.names) > 1:
             self._name = self._gui.add_dropdown("Cloud", result.names, initial_value=result.names[0])
-            self._name.on_update(lambda _: self._show(result.cloud(self._name.value)))
+            self._name.on_update(lambda _: self._show_another(result))
         self._colouring = self._gui.add_dropdown("Colour", [Colouring.CAMERA.value])
         self._percent = self._gui.add_slider(
             "Points, %", min=1, max=_WHOLE_PERCENT, step=1, initial_value=_first_percent(cloud)
@@ -76,9 +77,18 @@ class ResultPanel:
     def _toggling(self, part: str, box: viser.GuiCheckboxHandle) -> Callable[[object], None]:
         return lambda _: self._scene.set_visible(part, box.value)
 
+    def _show_another(self, result: ViewedResult) -> None:
+        self._statement.content = "Reading …"
+        try:
+            cloud = result.cloud(self._name.value)
+        except Exception as error:
+            self._statement.content = f"**{escaped(failure_of(error).message)}**"
+            return
+        self._show(cloud)
+
     def _show(self, cloud: ViewedCloud) -> None:
         with self._lock:
-            self._cloud = cloud
+            self._cloud, self._drawn = cloud, None
             self._scene.show(cloud)
             self._faces.content = corner_text(cloud.corner, cloud.unit)
             self._colouring.options = tuple(colouring.value for colouring in possible_colourings(cloud))
@@ -93,7 +103,12 @@ class ResultPanel:
             wanted = (self._cloud, count, Colouring(self._colouring.value))
             if wanted == self._drawn:
                 return
-            shown = self._scene.draw_points(count, wanted[2])
+            self._statement.content = "Drawing …"
+            try:
+                shown = self._scene.draw_points(count, wanted[2])
+            except Exception as error:
+                self._statement.content = f"**{escaped(failure_of(error).message)}**"
+                return
             self._drawn = wanted
             self._statement.content = f"{statement(shown.points, total).capitalize()}. {escaped(shown.legend)}"
 

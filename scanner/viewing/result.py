@@ -1,7 +1,8 @@
 """A result folder as something to look at: its clouds, each with the rigs that saw it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -10,23 +11,26 @@ from scipy.spatial import cKDTree
 
 from calib.arrays import Floats
 from calib.calibration import Calibration
+from calib.corner import Corner
 from calib.point_noise import point_covariances
 from scanner.calibration_file import read_calibration
-from scanner.cloud_file import read_cloud
+from scanner.cloud_file import CloudPoints, read_cloud
 from scanner.errors import InputError
 from scanner.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
 from scanner.images import read_image
+from scanner.matches_file import read_matches
 from scanner.patterns import White
 from scanner.recording import open_capture
 from scanner.reporting import maps
 from scanner.reporting.verdict import Verdict
-from scanner.result import CAPTURE_FOLDER, CAPTURES_FOLDER, MERGED_FILE, TRUTH_FILE
-from scanner.viewing.corner import MeasuredCorner, measured_corner, sample
+from scanner.result import CAPTURE_FOLDER, CAPTURES_FOLDER, CLOUD_FILE, MERGED_FILE, TRUTH_FILE
+from scanner.viewing.corner import MeasuredCorner, measured_corner, triangulated
 from scanner.viewing.decimation import shuffled
 from scanner.viewing.verdict import read_verdict
 
 ALL_CAPTURES = "All captures, merged"
 _PLACING_POINTS = 2_000
+_PICTURED_POINTS = 500_000
 _AT_ONCE = 100_000  # covariances are large
 
 
@@ -49,35 +53,39 @@ class PlacedRig:
         return points @ self.rotation.T + self.position
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ViewedCloud:
     """A cloud and what belongs to it, all in the cloud's frame but `corner`, which is in the frame of the first rig.
 
-    `points` (N, 3), `colours` (N, 3) RGB; `scan` has the same points, None for a merged cloud. `up` (3,) points up.
+    `points` (N, 3), `colours` (N, 3) RGB; `up` (3,) points up. What each point was triangulated from takes a while to
+    find out for millions, so `read_scan` does that when it is asked for; None for a merged cloud. `has_faces` and
+    `has_sigma`: what will be known then.
     """
 
     points: Floats
     colours: NDArray[np.uint8]
     rigs: tuple[PlacedRig, ...]
     corner: MeasuredCorner | None
-    scan: FinishedScan | None
     up: Floats
     unit: str
+    read_scan: Callable[[], FinishedScan] | None = None
+    has_faces: bool = False
+    has_sigma: bool = False
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
         """The points in an order whose every beginning is an even choice of them, (N,)."""
         return shuffled(len(self.points)).astype(np.int64)
 
-    @property
-    def depth_sigma_known(self) -> bool:
-        """Whether the matches state how noisy they are."""
-        return self.scan is not None and self.scan.matches.sigma_px is not None
+    @cached_property
+    def scan(self) -> FinishedScan:
+        """The same points with their matches. Raises InputError if they do not belong together."""
+        if self.read_scan is None:
+            raise ValueError("a merged cloud does not know what its points come from")
+        return self.read_scan()
 
     def depth_sigma(self, chosen: NDArray[np.int64]) -> Floats:
         """Standard deviation of the depth of points (n,), from the matches' noise alone, in `unit`."""
-        if self.scan is None:
-            raise ValueError("a merged cloud does not know how noisy its points are")
         sigma = np.empty(len(chosen))
         for start in range(0, len(chosen), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
@@ -96,7 +104,6 @@ class ViewedResult:
         self.truth = read_calibration(truth) if truth.is_file() else None
         self.names = self._names()
         self.cloud = cache(self._cloud)
-        self._scan_in = cache(read_finished_scan)
 
     @cached_property
     def verdict(self) -> Verdict | None:
@@ -122,10 +129,22 @@ class ViewedResult:
         if name == ALL_CAPTURES:
             return self._merged()
         folder = self._captures[name]
-        scan = self._scan_in(folder)
-        corner = measured_corner(scan)
-        rig = PlacedRig(scan.calibration, np.eye(3), np.zeros(3), _picture(folder, scan))
-        return ViewedCloud(scan.points, scan.colours, (rig,), corner, scan, _up(corner), scan.unit)
+        points, matches = read_cloud(folder / CLOUD_FILE), read_matches(folder)
+        if not len(points):
+            raise InputError(f"{folder}: the cloud is empty")
+        calibration = read_calibration_of(folder)
+        corner = measured_corner(matches, calibration)
+        return ViewedCloud(
+            points.points,
+            points.colours,
+            (PlacedRig(calibration, np.eye(3), np.zeros(3), _picture(folder, points, calibration)),),
+            corner,
+            _up(corner),
+            calibration.unit,
+            partial(read_finished_scan, folder),
+            matches.face is not None,
+            matches.sigma_px is not None,
+        )
 
     def _merged(self) -> ViewedCloud:
         cloud = read_cloud(self.folder / MERGED_FILE)
@@ -134,13 +153,16 @@ class ViewedResult:
         tree = cKDTree(cloud.points[shuffled(len(cloud))[: 50 * _PLACING_POINTS]])
         rigs, corner = [], None
         for folder in self._captures.values():
-            scan = self._scan_in(folder)
-            found = measured_corner(scan)
+            calibration, matches = read_calibration_of(folder), read_matches(folder)
+            found = measured_corner(matches, calibration)
             if found is not None:
-                rigs.append(_placed(scan, found, tree, _picture(folder, scan)))
+                _, points = triangulated(matches, calibration, _PLACING_POINTS)
+                rotation, position = _place(points, found.corner, tree)
+                picture = _picture(folder, read_cloud(folder / CLOUD_FILE), calibration)
+                rigs.append(PlacedRig(calibration, rotation, position, picture))
                 corner = corner or found
         up = np.array([0.0, 0.0, 1.0 if np.median(cloud.points[:, 2]) >= 0 else -1.0])
-        return ViewedCloud(cloud.points, cloud.colours, tuple(rigs), corner, None, up, self.calibration.unit)
+        return ViewedCloud(cloud.points, cloud.colours, tuple(rigs), corner, up, self.calibration.unit)
 
 
 def _up(corner: MeasuredCorner | None) -> Floats:
@@ -153,26 +175,29 @@ def _up(corner: MeasuredCorner | None) -> Floats:
     return steepest if steepest @ above > 0 else -steepest
 
 
-def _placed(scan: FinishedScan, found: MeasuredCorner, tree: cKDTree, picture: NDArray[np.uint8]) -> PlacedRig:
-    """The rig of a capture in the frame of the merged cloud: the corner's, its axes numbered as fits best."""
-    legs = found.corner.legs
+def _place(points: Floats, corner: Corner, tree: cKDTree) -> tuple[Floats, Floats]:
+    """Rotation and position of a camera in the merged cloud's frame, which is the corner's: its axes are numbered as
+    fits `points` (N, 3) of the camera's frame best.
+    """
+    legs = corner.legs
     u, _, vt = np.linalg.svd(legs if np.linalg.det(legs) > 0 else legs[[0, 2, 1]])
-    axes = u @ vt
-    points = sample(scan, _PLACING_POINTS).points
-    turned = [np.roll(axes, turn, axis=0) for turn in range(3)]
-    misses = [np.median(tree.query((points - found.corner.vertex) @ rotation.T)[0]) for rotation in turned]
+    turned = [np.roll(u @ vt, turn, axis=0) for turn in range(3)]
+    misses = [np.median(tree.query((points - corner.vertex) @ rotation.T)[0]) for rotation in turned]
     rotation: Floats = turned[int(np.argmin(misses))]
-    return PlacedRig(scan.calibration, rotation, -rotation @ found.corner.vertex, picture)
+    return rotation, -rotation @ corner.vertex
 
 
-def _picture(folder: Path, scan: FinishedScan) -> NDArray[np.uint8]:
+def _picture(folder: Path, cloud: CloudPoints, calibration: Calibration) -> NDArray[np.uint8]:
     """The camera's picture of the lit scene, RGB, reduced: the recording's white one, or else the points' colours."""
     try:
         recording = open_capture(folder / CAPTURE_FOLDER)
         white = next(path for path, shown in zip(recording.files, recording.patterns, strict=True) if shown == White())
         return maps.photograph(read_image(recording.folder / white))
     except (InputError, StopIteration):
-        camera = scan.calibration.camera
+        camera = calibration.camera
         seen = np.zeros((camera.height, camera.width, 3), np.uint8)
-        seen[scan.pixel[:, 1], scan.pixel[:, 0]] = scan.colours[:, ::-1]
+        some = shuffled(len(cloud))[:_PICTURED_POINTS]
+        column, row = np.rint(camera.project(cloud.points[some])).T
+        inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        seen[row[inside].astype(np.int64), column[inside].astype(np.int64)] = cloud.colours[some[inside], ::-1]
         return maps.photograph(seen)

@@ -50,7 +50,6 @@ def test_the_corner_is_where_it_is(written: Written, cloud: ViewedCloud) -> None
 
 def test_outlines_begin_at_the_vertex_and_hold_their_points(written: Written, cloud: ViewedCloud) -> None:
     assert cloud.corner is not None
-    assert cloud.scan is not None
     for face, outline in enumerate(cloud.corner.outlines):
         origin, first, _, second = outline
         assert np.allclose(origin, cloud.corner.corner.vertex)
@@ -87,7 +86,6 @@ def test_points_can_be_coloured_by_what_is_known(written: Written, cloud: Viewed
         assert told.colours.shape == (1000, 3)
         assert told.colours.dtype == np.uint8
         assert told.legend
-    assert cloud.scan is not None
     face = cloud.scan.matches.face[chosen]
     colours = coloured(cloud, chosen, Colouring.FACES).colours
     assert len({tuple(colour) for colour in colours[face == 1]}) == 1
@@ -95,7 +93,6 @@ def test_points_can_be_coloured_by_what_is_known(written: Written, cloud: Viewed
 
 
 def test_the_sigma_of_depth_is_that_of_the_errors(written: Written, cloud: ViewedCloud) -> None:
-    assert cloud.scan is not None
     chosen = cloud.order[:5000]
     true = {
         tuple(pixel): point for pixel, point in zip(written.scene.matches.camera_px, written.scene.points, strict=True)
