@@ -137,7 +137,7 @@ function around(scene) {
   const high = scene.low.map((value, i) => value + scene.size[i]);
   const points = [scene.low, high, ...scene.lines.flatMap(line => line.at)];
   const ends = [0, 1, 2].map(i => [Math.min(...points.map(point => point[i])), Math.max(...points.map(point => point[i]))]);
-  return {target: ends.map(([low, top]) => (low + top) / 2), distance: 0.85 * Math.hypot(...ends.map(([low, top]) => top - low))};
+  return {target: ends.map(([low, top]) => (low + top) / 2), distance: Math.hypot(...ends.map(([low, top]) => top - low))};
 }
 
 function blank(context, width, height) {
