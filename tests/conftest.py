@@ -1,6 +1,41 @@
 """For all tests."""
 
 import os
+import shutil
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 # As the application does (scanner/__init__.py); with several test processes on two cores it matters even more.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome")
+# In software, and talking to nobody.
+_FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator["Browser"]:
+    """The system's Chromium without a window: one for all tests of pages, which form a group for that."""
+    driver = pytest.importorskip("playwright.sync_api", reason="pages are tested with Playwright")
+    chromium = next(filter(None, map(shutil.which, _NAMES)), None)
+    if chromium is None:
+        pytest.skip("no Chromium on this computer: apt-get install chromium")
+    with driver.sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=chromium, args=list(_FLAGS))
+        yield launched
+        launched.close()

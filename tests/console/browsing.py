@@ -1,7 +1,6 @@
 """A page of this program in a real browser, and the program that serves it."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -16,22 +15,8 @@ import cv2
 import numpy as np
 from playwright.sync_api import Browser, Page, expect
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-MISSING = "no Chromium on this computer: apt-get install chromium"
-# In software, and talking to nobody.
-FLAGS = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
-PATIENCE_MS = 60_000  # of tests beside others on a busy machine
-_LEAVING_S = 60
+PATIENCE_MS = 180_000  # of tests beside others on a busy machine
+_LEAVING_S = 180
 
 _SMALL_TEXTS = """() => {
   const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), found = [];
@@ -133,6 +118,7 @@ class Visit:
 def visiting(browser: Browser, address: str) -> Iterator[Visit]:
     """Open a page; closed again at the end."""
     page = browser.new_page(viewport={"width": 1500, "height": 950})
+    page.set_default_timeout(PATIENCE_MS)
     visit = Visit(page)
     page.goto(address)
     try:

@@ -14,6 +14,8 @@ from scanner.report import ReportInput, write_report
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
+pytestmark = pytest.mark.xdist_group("browser")
+
 # What is drawn: how many pixels are not transparent, and a number that changes with any of them.
 DRAWN = """() => {
   const canvas = document.querySelector(".viewer canvas");
@@ -80,6 +82,7 @@ def pages(browser: "Browser") -> Iterator[Any]:
         context = browser.new_context(viewport={"width": 1000, "height": 800}, **options)
         contexts.append(context)
         page = context.new_page()
+        page.set_default_timeout(180_000)  # beside other tests on a busy machine
         page.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on(
