@@ -6,7 +6,6 @@ the mean from being biased by that.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -23,6 +22,7 @@ from calib.homography import (
     normalisation,
 )
 from calib.matches import Matches
+from calib.pieces import in_pieces
 from calib.polynomial import CONIC, TERMS, monomials
 
 # The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).
@@ -31,7 +31,6 @@ MEDIAN_LENGTH = 1.1774
 _CELLS_PER_PLANE = 200
 _SAMPLE = 20_000
 _SMALL_SAMPLE = 1_000
-_CHUNK = 1 << 15
 _SPARSE = 0.2
 _OUTLIER_SIGMAS = 4.0
 _CUTS = 4
@@ -117,12 +116,14 @@ class _Reference:
 
     def straight(self, camera_px: Floats) -> Floats:
         """The homography's part, (N, 2)."""
-        return dehomogenise(homogeneous(camera_px) @ self.homography.T)
+        mapped = self.homography[:, :2] @ camera_px.T + self.homography[:, 2:]
+        straight: Floats = mapped[:2] / mapped[2]
+        return straight.T
 
     def curved(self, camera_px: Floats) -> Floats:
         """The polynomial's part, (N, 2)."""
-        curved: Floats = monomials(camera_px, self.scale) @ self.coefficients
-        return curved
+        curved: Floats = self.coefficients.T @ monomials(camera_px, self.scale).T
+        return curved.T
 
 
 def into_cells(matches: Matches, labels: Sequence[int] = FACES) -> Cells:
@@ -130,13 +131,16 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES) -> Cells:
 
     Raises TooFewMatchesError if a label has fewer than four.
     """
-    parts = [matches.on_face(label) for label in labels]
-    for label, part in zip(labels, parts, strict=True):
-        if len(part) < 4:
-            raise TooFewMatchesError(f"face {label} has {len(part)} matches; a homography needs at least four")
-    typical = 1.0 if matches.sigma_px is None else float(np.median(np.concatenate([p.sigma_px for p in parts])))
-    with ThreadPoolExecutor() as pool:
-        means = list(pool.map(lambda label, part: _plane_cells(label, part, typical), labels, parts))
+    if matches.face is None:
+        raise ValueError("these matches have no face labels")
+    members = [np.flatnonzero(matches.face == label) for label in labels]
+    for label, some in zip(labels, members, strict=True):
+        if len(some) < 4:
+            raise TooFewMatchesError(f"face {label} has {len(some)} matches; a homography needs at least four")
+    typical = 1.0
+    if matches.sigma_px is not None:
+        typical = float(np.median(np.concatenate([matches.sigma_px[some] for some in members])))
+    means = [_plane_cells(label, matches, some, typical) for label, some in zip(labels, members, strict=True)]
     squares, freedom = (sum(mean.scatter[i] for mean in means) for i in (0, 1))
     noise = max(float(np.sqrt(squares / max(freedom, 1.0))), 1e-6)
     kept = sum(mean.kept for mean in means)
@@ -147,7 +151,7 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES) -> Cells:
         noise / np.sqrt(np.concatenate([mean.weight for mean in means])),
         np.concatenate([mean.coarseness for mean in means]),
         noise,
-        1.0 - kept / sum(len(part) for part in parts),
+        1.0 - kept / sum(len(some) for some in members),
     )
 
 
@@ -164,13 +168,15 @@ class _Means:
     kept: int
 
 
-def _plane_cells(label: int, part: Matches, typical_sigma_px: float) -> _Means:
-    sample = part[:: max(1, len(part) // _SAMPLE)]
+def _plane_cells(label: int, matches: Matches, members: Ints, typical_sigma_px: float) -> _Means:
+    sample = matches[members[:: max(1, len(members) // _SAMPLE)]]
     reference = _reference(sample, typical_sigma_px)
-    raster = _raster(part.camera_px)
-    sums = np.zeros((8, raster.columns * raster.rows))
-    for start in range(0, len(part), _CHUNK):
-        sums += _sums(part[slice(start, start + _CHUNK)], reference, raster, typical_sigma_px)
+    raster = _raster(matches.camera_px, members)
+
+    def sums_of(at: slice) -> Floats:
+        return _sums(_columns_of(matches, members[at]), reference, raster, typical_sigma_px)
+
+    sums = sum(in_pieces(len(members), sums_of), np.zeros((7, raster.columns * raster.rows)))
     count, weight = sums[0], sums[1]
     # A cell far emptier than the one that a typical match is in holds stray labels, not a piece of the plane.
     full = np.sort(count[count > 0])
@@ -190,24 +196,27 @@ def _plane_cells(label: int, part: Matches, typical_sigma_px: float) -> _Means:
     )
 
 
+def _columns_of(matches: Matches, members: Ints) -> Matches:
+    """A piece of the matches, column by column in memory."""
+    camera_px, projector_px = (
+        np.asarray(pixels.take(members, axis=0).T, np.float64, order="C").T
+        for pixels in (matches.camera_px, matches.projector_px)
+    )
+    sigma_px = None if matches.sigma_px is None else matches.sigma_px[members].astype(np.float64)
+    return Matches(camera_px, projector_px, sigma_px=sigma_px)
+
+
 def _sums(part: Matches, reference: _Reference, raster: _Raster, typical_sigma_px: float) -> Floats:
-    """By cells: number, weight, weighted sums of pixels (2) and of offsets from the homography (2), squares; (8, n)."""
+    """By cells: number, weight, weighted sums of pixels (2) and of offsets from the homography (2), squares; (7, n)."""
     offset = part.projector_px - reference.straight(part.camera_px)
     deviation = offset - reference.curved(part.camera_px)
     weight = np.ones(len(part)) if part.sigma_px is None else (typical_sigma_px / part.sigma_px) ** 2
-    square = weight * np.sum(deviation**2, axis=1)
-    kept = square <= (_OUTLIER_SIGMAS * reference.sigma) ** 2
-    cell, weight = raster.number(part.camera_px)[kept], weight[kept]
-    size = raster.columns * raster.rows
-
-    def by_cell(values: Floats) -> Floats:
-        return np.asarray(np.bincount(cell, values, minlength=size), np.float64)
-
-    camera_px, offset = part.camera_px[kept], offset[kept]
-    rows = [np.bincount(cell, minlength=size).astype(np.float64), by_cell(weight)]
-    rows += [by_cell(weight * values) for values in (*camera_px.T, *offset.T)]
-    rows += [by_cell(square[kept]), np.zeros(size)]
-    return np.stack(rows)
+    square = weight * np.sum(deviation * deviation, axis=1)
+    weight[square > (_OUTLIER_SIGMAS * reference.sigma) ** 2] = 0.0
+    square *= weight > 0
+    cell, size = raster.number(part.camera_px), raster.columns * raster.rows
+    rows = [weight > 0, weight, *(weight * part.camera_px.T), *(weight * offset.T), square]
+    return np.stack([np.bincount(cell, row, minlength=size) for row in rows])
 
 
 def _bias(sample: Matches, reference: _Reference, raster: _Raster) -> Floats:
@@ -266,8 +275,10 @@ def _homography(camera_px: Floats, projector_px: Floats) -> Floats:
     return homography
 
 
-def _raster(camera_px: Floats) -> _Raster:
-    low, high = camera_px.min(axis=0), camera_px.max(axis=0)
+def _raster(camera_px: Floats, members: Ints) -> _Raster:
+    low, high = (
+        np.array([end(camera_px[:, axis].take(members)) for axis in (0, 1)], np.float64) for end in (np.min, np.max)
+    )
     # The share of the bounding box that a face fills is unknown; half is typical of a corner's faces.
     side = max(1.0, float(np.sqrt(np.prod(np.maximum(high - low, 1.0)) / (2 * _CELLS_PER_PLANE))))
     columns, rows = (int(extent // side) + 1 for extent in high - low)

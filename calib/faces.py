@@ -1,15 +1,13 @@
 """Dense matches → planar faces, and which three of them form the corner. No calibration, no masks."""
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from calib.arrays import Bools, Floats, Ints
-from calib.homography import homogeneous
 from calib.matches import NO_FACE, Matches
+from calib.pieces import by_columns, in_pieces
 from calib.planes import NO_PLANE
 from calib.refusal import RefusalError
 from calib.segmentation import Segments, segment
@@ -26,7 +24,6 @@ _MOST_DIRECTION_SIGMA_DEG = 0.2
 _GATE = 3.7  # a 2-D normal error of more sigmas than that: 1 in 940
 # A match that two planes explain is given to neither unless one is e^4.5 times as likely.
 _CLEARER_BY = 9.0
-_CHUNK = 1 << 13
 
 
 @dataclass(frozen=True)
@@ -124,31 +121,29 @@ def _label_matches(matches: Matches, surfels: Surfels, segments: Segments) -> In
     scale = 1.0 if matches.sigma_px is None else float(np.median(surfels.sigma_px) / np.median(matches.sigma_px))
     plane = np.full(len(matches), NO_PLANE, np.int32)
 
-    def label(start: int) -> None:
-        part = slice(start, start + _CHUNK)
-        some = matches[part]
-        cell = surfels.grid.cell(some.camera_px)
-        x, u = homogeneous(view.camera.ideal(some.camera_px)), view.projector.ideal(some.projector_px)
-        spread = sigma[cell] if some.sigma_px is None else scale * some.sigma_px
-        limit = (spread**2 + segments.model_px**2) / view.projector.unit_px**2
-        best, second = np.full(len(x), np.inf), np.full(len(x), np.inf)
+    def label(at: slice) -> None:
+        camera_px, projector_px = by_columns(matches.camera_px[at]), by_columns(matches.projector_px[at])
+        cell = surfels.grid.cell(camera_px)
+        x, u = view.camera.ideal(camera_px).T, view.projector.ideal(projector_px).T
+        spread = sigma[cell] if matches.sigma_px is None else scale * matches.sigma_px[at]
+        limit = (spread * spread + segments.model_px**2) / view.projector.unit_px**2
+        found = np.full(len(cell), NO_PLANE, np.int32)
+        best, second = np.full(len(cell), np.inf), np.full(len(cell), np.inf)
         for index, homography in enumerate(homographies):
-            near = np.flatnonzero(nearby[index, cell])
+            near = np.flatnonzero(nearby[index].take(cell))
             if not len(near):
                 continue
-            predicted = homography @ x.take(near, axis=0).T
-            off = predicted[:2] / predicted[2] - u.take(near, axis=0).T
-            error = (off[0] * off[0] + off[1] * off[1]) / limit[near]
-            better = error < best[near]
-            second[near] = np.where(better, best[near], np.minimum(second[near], error))
-            best[near[better]] = error[better]
-            plane[start + near[better]] = index
-        plane[part][(best > _GATE**2) | (second < best + _CLEARER_BY)] = NO_PLANE
+            predicted = homography[:, :2] @ x.take(near, axis=1) + homography[:, 2:]
+            off = predicted[:2] / predicted[2] - u.take(near, axis=1)
+            error = (off[0] * off[0] + off[1] * off[1]) / limit.take(near)
+            before = best.take(near)
+            second[near] = np.minimum(second.take(near), np.maximum(before, error))
+            best[near] = np.minimum(before, error)
+            found[near[error < before]] = index
+        found[(best > _GATE**2) | (second < best + _CLEARER_BY)] = NO_PLANE
+        plane[at] = found
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        # Walking through the results raises what went wrong.
-        for _ in pool.map(label, range(0, len(matches), _CHUNK)):
-            pass
+    in_pieces(len(matches), label)
     return plane
 
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from calib.arrays import Bools, Floats, Ints
+from calib.pieces import in_pieces
 from calib.surfels import Surfels
 from calib.two_view import TwoView
 
@@ -21,6 +22,9 @@ _FEWEST_SURFELS, _LEAST_SHARE = 12, 0.004
 # The standard deviation, in sigmas, of errors that fill the gate evenly is 2.
 _MOST_SCATTER = 1.3
 _CLOSE = 15.0
+# Where a symmetric matrix's six numbers are, and which of them is where.
+_UPPER = np.triu_indices(3)
+_SQUARE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 @dataclass(frozen=True)
@@ -199,34 +203,51 @@ def _local_planes(surfels: Surfels, evidence: Evidence) -> tuple[Floats, Floats,
 def _grow(evidence: Evidence, planes: Floats, covariance: Floats) -> tuple[Floats, Bools]:
     """Refit each seed (S, 3) to all surfels that it explains, as far as its uncertainty reaches; the largest result."""
     x, value = evidence.x / evidence.sigma[:, None], evidence.value / evidence.sigma
-    products = (x[:, :, None] * x[:, None, :]).reshape(-1, 9)
+    products = _products(x)
     for _ in range(_GROWTH_STEPS):
-        spread = products @ covariance.reshape(-1, 9).T
-        off = value[:, None] - x @ planes.T
-        inlier = off**2 < _GATE**2 * (1 + np.minimum(spread, 25.0))
-        inlier &= _slopes_agree(evidence, planes, covariance)
-        weight = inlier.astype(np.float64)
-        normal = (weight.T @ products).reshape(-1, 3, 3)
+        weight = _explained(evidence, planes, covariance, reach=25.0).astype(np.float64)
+        normal = (weight.T @ products)[:, _SQUARE]
         enough = weight.sum(axis=0) >= 6
-        planes, covariance, normal, weight = planes[enough], covariance[enough], normal[enough], weight[:, enough]
+        normal, weight = normal[enough], weight[:, enough]
         covariance = _inverses(normal)
         planes = np.einsum("sij,sj->si", covariance, weight.T @ (x * value[:, None]))
     if len(planes) == 0:
         return np.zeros(3), np.zeros(len(value), np.bool_)
-    inlier = (value[:, None] - x @ planes.T) ** 2 < _GATE**2
-    inlier &= _slopes_agree(evidence, planes, covariance)
+    inlier = _explained(evidence, planes, covariance, reach=0.0)
     best = int(np.argmax(np.count_nonzero(inlier, axis=0)))
     return planes[best], inlier[:, best]
 
 
-def _slopes_agree(evidence: Evidence, planes: Floats, covariance: Floats) -> Bools:
-    agree = np.ones((len(evidence.value), len(planes)), np.bool_)
-    for axis in (0, 1):
-        dx = evidence.dx[:, axis]
-        spread = (dx[:, :, None] * dx[:, None, :]).reshape(-1, 9) @ covariance.reshape(-1, 9).T
-        off = evidence.slope[:, axis, None] - dx @ planes.T
-        agree &= off**2 < _GATE**2 * (evidence.slope_sigma[:, axis, None] ** 2 + spread)
-    return agree
+def _explained(evidence: Evidence, planes: Floats, covariance: Floats, reach: float) -> Bools:
+    """Which surfels lie on each of the planes (S, 3) and slope like it, (M, S).
+
+    A plane's own uncertainty widens the gate for its offset up to `reach` times the surfel's variance.
+    """
+    result = np.empty((len(evidence.value), len(planes)), np.bool_)
+    # With xᵀ C x of symmetric matrices as a product of six numbers each.
+    doubled = covariance[:, *_UPPER] * np.where(_UPPER[0] == _UPPER[1], 1.0, 2.0)
+
+    def judge(at: slice) -> None:
+        sigma = evidence.sigma[at, None]
+        off = evidence.value[at, None] - evidence.x[at] @ planes.T
+        variance = sigma * sigma
+        if reach:
+            variance = variance + np.minimum(_products(evidence.x[at]) @ doubled.T, reach * variance)
+        explained = off * off < _GATE**2 * variance
+        for axis in (0, 1):
+            dx, sigma = evidence.dx[at, axis], evidence.slope_sigma[at, axis, None]
+            off = evidence.slope[at, axis, None] - dx @ planes.T
+            explained &= off * off < _GATE**2 * (sigma * sigma + _products(dx) @ doubled.T)
+        result[at] = explained
+
+    in_pieces(len(result), judge, width=len(planes))
+    return result
+
+
+def _products(x: Floats) -> Floats:
+    """The six different products of the coordinates of x (M, 3), (M, 6)."""
+    products: Floats = x[:, _UPPER[0]] * x[:, _UPPER[1]]
+    return products
 
 
 def _without_islands(surfels: Surfels, label: Ints, planes: int) -> Ints:

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.arrays import Bools, Floats, Ints
 from calib.matches import Matches
+from calib.pieces import in_pieces
 
 _MATCHES_PER_CELL = (20, 40)  # few where there are few matches at all
 _WANTED_CELLS = 3000
@@ -17,6 +18,7 @@ _MOST_PER_CELL = 64
 _FEWEST_PER_CELL = 8
 _MOST_CELLS = 9000
 _TRIALS = 10
+_SAMPLE = 100_000
 _FEWEST_INLIERS = 0.6
 # How much noisier than usual a cell may be, and what is never too noisy.
 _MOST_SCATTER, _ALLOWED_SCATTER_PX = 8.0, 0.1
@@ -66,7 +68,11 @@ def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.
     """Cells are as small as the density of the matches allows, and so large that there are at most some thousands."""
     grid, density = _choose_grid(matches, camera_size)
     wanted = _MATCHES_PER_CELL[1] / (density * grid.side_px**2)
-    chosen = np.flatnonzero(rng.random(len(matches)) < wanted) if wanted < 1 else np.arange(len(matches))
+    chosen = np.arange(len(matches))
+    if wanted < 1:
+        # One of each so many in a row, for every match to have the same chance.
+        steps = np.arange(int(wanted * len(matches)))
+        chosen = ((steps + rng.random(len(steps))) / wanted).astype(np.int64)
     cell, members = _members(grid.cell(matches.camera_px[chosen]))
     members = np.where(members >= 0, chosen[members], -1)
     full = np.count_nonzero(members >= 0, axis=1) >= _FEWEST_PER_CELL
@@ -107,7 +113,8 @@ def _choose_grid(matches: Matches, camera_size: tuple[int, int]) -> tuple[Grid, 
     width, height = camera_size
     # Halve the cells until the matches no longer fill them: what is then covered is where there are matches.
     coarse = Grid(max(width, height) / 24, 24, 24)
-    covered = np.count_nonzero(np.bincount(coarse.cell(matches.camera_px))) * coarse.side_px**2
+    some = matches.camera_px[:: max(1, len(matches) // _SAMPLE)]
+    covered = np.count_nonzero(np.bincount(coarse.cell(some))) * coarse.side_px**2
     density = len(matches) / covered
     per_cell = np.clip(len(matches) / _WANTED_CELLS, *_MATCHES_PER_CELL)
     side = float(np.sqrt(max(per_cell / density, covered / _MOST_CELLS)))
@@ -131,26 +138,40 @@ def _best_trial(camera: Floats, projector: Floats, present: Bools, rng: np.rando
 
     Best is the least sum of square roots of the residuals: robust without a scale that would have to be known.
     """
-    cells = np.arange(len(camera))
     last = np.count_nonzero(present, axis=1)
-    best, lowest = np.full(present.shape, np.inf), np.full(len(camera), np.inf)
-    for _ in range(_TRIALS):
-        three = (rng.random((3, len(camera))) * last).astype(np.int32)
-        a, b, c = (camera[cells, i] for i in three)
-        u, v, w = (projector[cells, i] for i in three)
-        sides, images = np.stack([b - a, c - a], axis=-1), np.stack([v - u, w - u], axis=-1)
-        area = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
-        adjugate = np.stack(
-            [np.stack([sides[:, 1, 1], -sides[:, 0, 1]], -1), np.stack([-sides[:, 1, 0], sides[:, 0, 0]], -1)], axis=1
-        )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            jacobian = images @ adjugate / area[:, None, None]
-            error = projector - u[:, None] - (camera - a[:, None]) @ jacobian.transpose(0, 2, 1)
-            residual = np.hypot(error[..., 0], error[..., 1])
-            cost = np.sum(np.sqrt(residual) * present, axis=1)
+    picks = (rng.random((_TRIALS, 3, len(camera))) * last).astype(np.int32)
+
+    def best_of(at: slice) -> Floats:
+        # Coordinate by coordinate: (2, cells, K).
+        x, u = (np.moveaxis(pixels[at], -1, 0).copy() for pixels in (camera, projector))
+        best, lowest = np.full(x.shape[1:], np.inf), np.full(len(present[at]), np.inf)
+        for three in picks[:, :, at]:
+            square = _squared_error(x, u, three)
+            with np.errstate(invalid="ignore"):  # three matches on a line determine no map
+                cost = np.sum(np.sqrt(np.sqrt(square)) * present[at], axis=1)
             better = cost < lowest
-        best[better], lowest[better] = residual[better], cost[better]
-    return best
+            best[better], lowest[better] = square[better], cost[better]
+        residual: Floats = np.sqrt(best)
+        return residual
+
+    return np.concatenate(in_pieces(len(camera), best_of, width=present.shape[1]))
+
+
+def _squared_error(x: Floats, u: Floats, three: Ints) -> Floats:
+    """Of the affine map through three matches of each cell (3, C), for all of its matches x → u, (2, C, K): (C, K)."""
+    cells = np.arange(x.shape[1])
+    (a, u_a), *others = ((x[:, cells, pick], u[:, cells, pick]) for pick in three)
+    (bx, by), (cx, cy) = (other - a for other, _ in others)
+    offset = x - a[:, :, None]
+    square = np.zeros(x.shape[1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        area = bx * cy - by * cx
+        for axis in (0, 1):
+            b, c = (image[axis] - u_a[axis] for _, image in others)
+            by_x, by_y = (b * cy - c * by) / area, (c * bx - b * cx) / area
+            error = u[axis] - u_a[axis][:, None] - by_x[:, None] * offset[0] - by_y[:, None] * offset[1]
+            square += error * error
+    return square
 
 
 def _inliers(residual: Floats, present: Bools) -> Bools:

@@ -5,15 +5,12 @@ images; what the decoder got wrong does not. Only the second is a reason to drop
 estimated from the matches themselves and taken off before judging.
 """
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Bools, Floats
 from calib.calibration import Calibration
-from calib.triangulation import pieces
 
 _TREND_TERMS = 19
 _TREND_SAMPLE = 5_000
@@ -26,43 +23,55 @@ _MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """Which rays agree.
+class Misses:
+    """What misses are to be expected: a smooth trend over both images, the calibration's, and noise, the decoder's.
 
-    `agrees` (N,); `trend_px` (N,): the smooth part of the residuals, the calibration's; `noise_px`: standard deviation
-    of what remains, the decoder's; `limit_px`: beyond it the rays of a match disagree. All in projector pixels.
+    `trend` (_TREND_TERMS,): coefficients of the cubics; `noise_px`: standard deviation of what remains; `limit_px`:
+    beyond it the rays of a match disagree. In projector pixels.
     """
 
-    agrees: Bools
-    trend_px: Floats
+    trend: Floats
     noise_px: float
     limit_px: float
 
+    def trend_px(self, camera_px: Floats, foot_px: Floats, calibration: Calibration) -> Floats:
+        """The smooth part of the misses (N,) of points at pixels (N, 2) of both devices."""
+        trend: Floats = self.trend @ _cubic_terms(camera_px, foot_px, calibration)
+        return trend
 
-def judge(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> Agreement:
-    """Tell the decoder's mistakes from its noise and from the calibration's smooth error.
+    def agree(self, residual_px: Floats, trend_px: Floats) -> Bools:
+        """Which of the misses (N,) are no mistakes."""
+        # Where few matches hold the trend it may stray; rays that meet without its help are never dropped.
+        agree: Bools = np.minimum(np.abs(residual_px - trend_px), np.abs(residual_px)) <= self.limit_px
+        return agree
 
-    `camera_px`, `foot_px` (N, 2) and `residual_px` (N,) of points in front of both devices. The scale is the median
-    absolute deviation from the trend, so the limit follows the capture and needs no setting.
+
+def expected_misses(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> Misses:
+    """Tell the decoder's noise from the calibration's smooth error.
+
+    `camera_px`, `foot_px` (N, 2) and `residual_px` (N,) of points in front of both devices, a sample from all over the
+    image. The scale is the median absolute deviation from the trend, so the limit follows the capture and needs no
+    setting.
     """
-    if not len(residual_px):
-        return Agreement(np.zeros(0, dtype=np.bool_), np.zeros(0), 0.0, _FINEST_MISTAKE_PX)
     trend = _smooth_trend(camera_px, foot_px, residual_px, calibration)
-    rest = np.abs(residual_px - trend)
+    if not len(residual_px):
+        return Misses(trend, 0.0, _FINEST_MISTAKE_PX)
+    rest = np.abs(residual_px - trend @ _cubic_terms(camera_px, foot_px, calibration))
     noise = float(_MAD_TO_SIGMA * np.median(rest))
-    limit = max(_OUTLIER_SIGMAS * noise, _FINEST_MISTAKE_PX)
-    # Where few matches hold the trend it may stray; rays that meet without its help are never dropped.
-    return Agreement(np.minimum(rest, np.abs(residual_px)) <= limit, trend, noise, limit)
+    return Misses(trend, noise, max(_OUTLIER_SIGMAS * noise, _FINEST_MISTAKE_PX))
 
 
 def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> Floats:
     """A cubic in the camera's plus a cubic in the projector's coordinates, fitted robustly (Huber's weights)."""
+    solution: Floats = np.zeros(_TREND_TERMS)
     count = len(residual_px)
+    if not count:
+        return solution
+    solution[0] = np.median(residual_px)
     if count < 20 * _TREND_TERMS:
-        return np.full(count, np.median(residual_px))
+        return solution
     sample = np.random.default_rng(0).permutation(count)[:_TREND_SAMPLE]
     basis, observed = _cubic_terms(camera_px[sample], foot_px[sample], calibration), residual_px[sample]
-    solution: Floats = np.zeros(_TREND_TERMS)
     solution[0] = np.median(observed)
     for _ in range(_TREND_ITERATIONS):
         error = np.abs(observed - solution @ basis)
@@ -70,21 +79,18 @@ def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calib
         weighted = basis * (huber / np.maximum(huber, error))
         # On a single plane the two images are one homography apart and the terms nearly dependent: least norm then.
         solution = np.asarray(np.linalg.lstsq(weighted @ basis.T, weighted @ observed, rcond=1e-10)[0])
-    trend = np.empty(count)
-
-    def fill(at: slice) -> None:
-        np.dot(solution, _cubic_terms(camera_px[at], foot_px[at], calibration), out=trend[at])
-
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for _ in pool.map(fill, pieces(count)):
-            pass
-    return trend
+    return solution
 
 
 def _cubic_terms(camera_px: Floats, foot_px: Floats, calibration: Calibration) -> Floats:
     """1, then x^i y^j up to degree 3 of both devices' pixels (N, 2), scaled to −1 … 1: (_TREND_TERMS, N)."""
-    terms = [np.ones(len(camera_px))]
-    for pixels, device in ((camera_px, calibration.camera), (foot_px, calibration.projector)):
-        x, y = 2 * pixels[:, 0] / device.width - 1, 2 * pixels[:, 1] / device.height - 1
-        terms += [x, y, x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y]
-    return np.stack(terms)
+    terms = np.empty((_TREND_TERMS, len(camera_px)))
+    terms[0] = 1.0
+    for first, pixels, device in ((1, camera_px, calibration.camera), (10, foot_px, calibration.projector)):
+        x, y, xx, xy, yy, *cubes = terms[first : first + 9]
+        np.subtract(pixels[:, 0] * (2 / device.width), 1.0, out=x)
+        np.subtract(pixels[:, 1] * (2 / device.height), 1.0, out=y)
+        factors = ((x, x), (x, y), (y, y), (xx, x), (xx, y), (x, yy), (yy, y))
+        for (one, other), product in zip(factors, (xx, xy, yy, *cubes), strict=True):
+            np.multiply(one, other, out=product)
+    return terms

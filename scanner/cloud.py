@@ -1,20 +1,23 @@
 """Matches and a calibration → an organised point cloud: one point for every camera pixel that earned one."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Bools, Floats, Image, Ints
+from calib.arrays import Bools, Image, Ints
 from calib.calibration import Calibration
 from calib.matches import Matches
-from calib.triangulation import intersect
-from scanner.agreement import judge
+from calib.pieces import by_columns, in_pieces
+from calib.triangulation import intersect_rays
+from scanner.agreement import Misses, expected_misses
 from scanner.surface import surface
 
 _NO_TEXTURE_GREY = 200
 _WHITE_PERCENTILE = 99.9
+_SAMPLE = 100_000
 
 
 @dataclass(frozen=True)
@@ -72,56 +75,110 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
     if texture is not None and texture.shape[:2] != (height, width):
         found = f"{texture.shape[1]} × {texture.shape[0]}"
         raise ValueError(f"the texture must have the camera's size {width} × {height}, found {found}")
-    column, row = (np.rint(matches.camera_px[:, axis]).astype(np.int32) for axis in (0, 1))
-    inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-    met = intersect(matches, calibration)
-    usable = np.flatnonzero(inside & met.in_front)
-    index, residual = (row * np.int32(width) + column)[usable], met.residual_px[usable]
-    seen_px = matches.camera_px.take(usable, axis=0).astype(np.float64, copy=False)
-    agreement = judge(seen_px, met.foot_px.take(usable, axis=0), residual, calibration)
-    chosen = _best_per_pixel(index, residual, agreement.agrees)
-
+    met = _triangulate(matches, calibration)
+    chosen = _best_per_pixel(met)
     points = np.full((height, width, 3), np.nan, dtype=np.float32)
-    points.reshape(-1, 3)[index[chosen]] = met.points.take(usable[chosen], axis=0)
+    points.reshape(-1, 3)[met.pixel[chosen]] = met.points[chosen]
     on_surface = surface(points, float(np.mean(calibration.camera.focal_px)))
     isolated = np.nonzero(on_surface.isolated)
     points[isolated] = np.nan
     on_surface.normals[isolated] = np.nan
+    in_front, agreeing = (int(np.count_nonzero(met.fate >= fate)) for fate in (_Fate.DISAGREEING, _Fate.AGREEING))
+    outside = int(np.count_nonzero(met.fate == _Fate.OUTSIDE))
     return Cloud(
         points=points,
         colours=_colours(texture, np.isfinite(points[..., 2])),
         normals=on_surface.normals,
-        residual_px=_residual_map(index, residual, (height, width)),
+        residual_px=_residual_map(met, (height, width)),
         unit=calibration.unit,
         statistics=CloudStatistics(
             matched=len(matches),
             kept=len(chosen) - len(isolated[0]),
-            outside_image=int((~inside).sum()),
-            behind=int((inside & ~met.in_front).sum()),
-            disagreeing=int((~agreement.agrees).sum()),
-            shared_pixel=int(agreement.agrees.sum()) - len(chosen),
+            outside_image=outside,
+            behind=len(matches) - outside - in_front,
+            disagreeing=in_front - agreeing,
+            shared_pixel=agreeing - len(chosen),
             isolated=len(isolated[0]),
-            limit_px=agreement.limit_px,
-            calibration_px=_spread(agreement.trend_px[agreement.agrees]),
-            decoder_px=agreement.noise_px,
+            limit_px=met.misses.limit_px,
+            calibration_px=float(np.sqrt(met.squared_trend / max(agreeing, 1))),
+            decoder_px=met.misses.noise_px,
         ),
     )
 
 
-def _best_per_pixel(index: Ints, residual: Floats, agrees: Bools) -> Ints:
-    """Which of the matches at pixels `index` (N,) to keep: of those that agree, the best of each pixel."""
-    candidates = np.flatnonzero(agrees)
+class _Fate(IntEnum):
+    """What became of a match so far."""
+
+    OUTSIDE = 0
+    BEHIND = 1
+    DISAGREEING = 2
+    AGREEING = 3
+
+
+@dataclass(frozen=True)
+class _Met:
+    """Of each match: number of its `pixel` (N,), `points` (N, 3), `residual_px` (N,), `fate` (N,) as of `_Fate`.
+
+    `misses`: what was expected; `squared_trend`: sum over those that agree, px².
+    """
+
+    pixel: NDArray[np.int32]
+    points: NDArray[np.float32]
+    residual_px: NDArray[np.float32]
+    fate: NDArray[np.uint8]
+    misses: Misses
+    squared_trend: float
+
+
+def _triangulate(matches: Matches, calibration: Calibration) -> _Met:
+    """Intersect all rays and judge their misses, piece by piece, for what lies between would fill the memory."""
+    count, size = len(matches), (calibration.camera.width, calibration.camera.height)
+    pixel, fate = np.empty(count, np.int32), np.empty(count, np.uint8)
+    points, residual_px = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+    misses = _expected_misses(matches, calibration)
+
+    def fill(at: slice) -> float:
+        camera_px = by_columns(matches.camera_px[at])
+        met = intersect_rays(camera_px, matches.projector_px[at], calibration)
+        column, row = np.rint(camera_px.T)
+        inside = (column >= 0) & (row >= 0) & (column < size[0]) & (row < size[1])
+        usable = inside & met.in_front
+        trend_px = misses.trend_px(camera_px, met.foot_px, calibration)
+        agrees = misses.agree(met.residual_px, trend_px) & usable
+        pixel[at] = np.where(inside, row * size[0] + column, 0)
+        points[at], residual_px[at] = met.points, met.residual_px
+        fate[at] = inside.astype(np.uint8) + usable + agrees
+        return float(np.sum(trend_px * trend_px, where=agrees))
+
+    squared_trend = sum(in_pieces(count, fill))
+    return _Met(pixel, points, residual_px, fate, misses, squared_trend)
+
+
+def _expected_misses(matches: Matches, calibration: Calibration) -> Misses:
+    """From a sample: of millions of matches, so many say as much."""
+    step = max(1, len(matches) // _SAMPLE)
+    camera_px = by_columns(matches.camera_px[::step])
+    met = intersect_rays(camera_px, matches.projector_px[::step], calibration)
+    there = met.in_front
+    return expected_misses(camera_px[there], met.foot_px[there], met.residual_px[there], calibration)
+
+
+def _best_per_pixel(met: _Met) -> Ints:
+    """Which of the matches to keep: of those that agree, the best of each pixel."""
+    candidates = np.flatnonzero(met.fate == _Fate.AGREEING)
+    pixel = met.pixel[candidates]
     # Nearly always matches come row by row, one for each pixel.
-    if np.all(np.diff(index[candidates]) > 0):
+    if np.all(pixel[1:] > pixel[:-1]):
         return candidates
-    order = candidates[np.lexsort((np.abs(residual[candidates]), index[candidates]))]
-    first = np.unique(index[order], return_index=True)[1]
+    order = candidates[np.lexsort((np.abs(met.residual_px[candidates]), pixel))]
+    first = np.unique(met.pixel[order], return_index=True)[1]
     return order[first]
 
 
-def _residual_map(index: Ints, residual: Floats, shape: tuple[int, int]) -> NDArray[np.float32]:
+def _residual_map(met: _Met, shape: tuple[int, int]) -> NDArray[np.float32]:
     grid = np.full(shape[0] * shape[1], np.nan, dtype=np.float32)
-    grid[index] = residual
+    usable = np.flatnonzero(met.fate >= _Fate.DISAGREEING)
+    grid[met.pixel[usable]] = met.residual_px[usable]
     return grid.reshape(shape)
 
 
@@ -137,8 +194,3 @@ def _colours(texture: Image | None, there: Bools) -> NDArray[np.uint8]:
     rgb = cv2.cvtColor(bright, cv2.COLOR_BGR2RGB if bright.ndim == 3 else cv2.COLOR_GRAY2RGB)
     rgb[~there] = 0
     return np.asarray(rgb, np.uint8)
-
-
-def _spread(values: Floats) -> float:
-    """Root mean square, 0 for none."""
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

@@ -196,7 +196,8 @@ def _synchronisation(measured: object) -> dict[str, str]:
     if not isinstance(measured, Mapping):
         return {}
     rows = {
-        "frames taken again": measured.get("retriggered_frames"),
+        "latency, from a flip to its light": _with_unit(measured.get("latency_ms"), "ms"),
+        "frames dropped, and taken again": measured.get("retriggered_frames"),
         "time per frame": _with_unit(measured.get("ms_per_frame"), "ms"),
         "of it over exposure and latency": _with_unit(measured.get("overhead_percent"), "%"),
     }

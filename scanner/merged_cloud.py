@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Bools
+from calib.arrays import Bools, Floats
 from calib.corner_view import View, cells_of
 from scanner.cloud import Cloud
 
@@ -16,7 +16,8 @@ class MergedCloud:
     """Points in the corner's frame: origin at the vertex, axes along the legs, z along the most upright one.
 
     `points` (N, 3) in `unit`, `colours` (N, 3) RGB, `normals` (N, 3) facing the camera that saw the point. `grid`: at
-    most one point in each cube with this edge. `turns`: for each capture, as of `View.in_corner`.
+    most one point in each cube with this edge. `turns`: for each capture, as of `View.in_corner`; `from_cameras`: for
+    each the pose (3, 4) that takes points of its camera's frame there.
     """
 
     points: NDArray[np.float32]
@@ -25,6 +26,7 @@ class MergedCloud:
     unit: str
     grid: float
     turns: tuple[int, ...]
+    from_cameras: tuple[Floats, ...]
 
     @property
     def there(self) -> Bools:
@@ -55,4 +57,11 @@ def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...
         clouds[0].unit,
         grid,
         turns,
+        tuple(_pose(view, turn) for view, turn in zip(views, turns, strict=True)),
     )
+
+
+def _pose(view: View, turn: int) -> Floats:
+    """The pose (3, 4) of a view's camera in the corner's frame."""
+    moved = view.in_corner(np.vstack([np.zeros(3), np.eye(3)]), turn)
+    return np.column_stack([(moved[1:] - moved[0]).T, moved[0]])

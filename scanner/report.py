@@ -1,16 +1,24 @@
 """report.html: one self-contained page that says whether a result can be trusted, and shows why."""
 
+import base64
+import hashlib
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from markupsafe import Markup
 
 from scanner.quantities import plain
 from scanner.reporting import sections
 from scanner.reporting.contents import CaptureFacts, CaptureRow, ReportInput
+from scanner.reporting.flatness import flatness
+from scanner.reporting.focal import focal_length
 from scanner.reporting.joint import joint_rows, merged_views
+from scanner.reporting.residuals import face_residuals, misses
 from scanner.reporting.uncertainty import point_sigmas, price_of_principal_point
 from scanner.reporting.verdict import verdict
+from scanner.reporting.view3d import view3d
 
 __all__ = ["CaptureFacts", "CaptureRow", "ReportInput", "write_report"]
 
@@ -52,10 +60,15 @@ def write_report(path: Path, report: ReportInput) -> None:
         captures=joint_rows(report),
         merged=merged_views(report),
         sigmas=point_sigmas(report),
-        profile=sections.profile(report),
+        focal=focal_length(report),
         views=sections.cloud_views(report),
+        view3d=view3d(report),
+        script=_script(),
+        script_hash=_hash(_script()),
         depth=sections.depth(report),
-        misses=sections.misses(report),
+        flatness=flatness(report),
+        face_residuals=face_residuals(report),
+        misses=misses(report),
         mask=sections.mask(report.decoding),
         capture=sections.capture_rows(report),
         files=[(name, _FILES.get(name, "")) for name in report.files],
@@ -74,3 +87,15 @@ def _template() -> Template:
         lstrip_blocks=True,
     )
     return environment.get_template("report.html")
+
+
+@cache
+def _script() -> Markup:
+    """The viewer of the cloud: ours, so it may stand in the page as it is."""
+    return Markup(files("scanner").joinpath("templates/viewer.js").read_text(encoding="utf-8"))
+
+
+def _hash(script: str) -> str:
+    """What the page's security policy calls this script: a browser runs no other, and loads nothing."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    return f"'sha256-{digest}'"

@@ -45,7 +45,7 @@ def _explain(details: ErrorDetails, data: object, model: type[BaseModel]) -> str
     key, found, context = _dotted(location), details["input"], details.get("ctx", {})
     match details["type"]:
         case "extra_forbidden":
-            return f"unknown key '{key}'; {_suggestion(key, model)}"
+            return f"unknown key '{key}'; {_suggestion(key, model, details['loc'])}"
         case "missing":
             return f"'{key}' is missing"
         case "union_tag_not_found":
@@ -96,11 +96,14 @@ def _keys_in_file(location: Sequence[int | str], data: object, *, missing: bool)
     return [*kept, location[-1]] if missing else kept
 
 
-def _suggestion(key: str, model: type[BaseModel]) -> str:
-    """The known key most like `key`, by its full path or by its last part; else what is known at that place."""
-    known = list(dict.fromkeys(known_keys(model)))
-    if key in known:
+def _suggestion(key: str, model: type[BaseModel], location: Sequence[int | str]) -> str:
+    """The known key most like `key`, by its full path or by its last part; else what is known at that place.
+
+    `location` says which member was chosen where there are several kinds of a section.
+    """
+    if key in known_keys(model):
         return "it belongs to another kind of this section"
+    known = list(dict.fromkeys(known_keys(model, kinds=location)))
     likeness = {candidate: max(_alike(key, candidate), _alike(_leaf(key), _leaf(candidate))) for candidate in known}
     best = max(known, key=lambda candidate: (likeness[candidate], _alike(key, candidate)))
     if likeness[best] >= _SIMILAR:
@@ -118,12 +121,19 @@ def _leaf(key: str) -> str:
     return key.rpartition(".")[2]
 
 
-def known_keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
-    """Every key of a model and of its sections, as dotted paths."""
+def known_keys(model: type[BaseModel], prefix: str = "", kinds: Sequence[int | str] = ()) -> Iterator[str]:
+    """Every key of a model and of its sections, as dotted paths; of sections that come in kinds, those of `kinds`."""
     for name, field in model.model_fields.items():
         yield prefix + name
-        for section in _models_in(field.annotation):
-            yield from known_keys(section, f"{prefix}{name}.")
+        sections = list(_models_in(field.annotation))
+        for section in [each for each in sections if _is_one_of(each, kinds)] or sections:
+            yield from known_keys(section, f"{prefix}{name}.", kinds)
+
+
+def _is_one_of(model: type[BaseModel], kinds: Sequence[int | str]) -> bool:
+    """Whether one of the model's keys has a single possible value, which is among the kinds."""
+    constants = [get_args(field.annotation) for field in model.model_fields.values()]
+    return any(len(values) == 1 and values[0] in kinds for values in constants)
 
 
 def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:

@@ -1,12 +1,13 @@
 """The check from top to bottom. The rows come as they are found, so that a page can show them one by one."""
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from hw.rig import Rig
+from hw.rig import Frame, Rig
 from scanner.capture import capture
 from scanner.checking import view
 from scanner.checking.devices import device_rows, opened, transfer_rows
@@ -20,6 +21,8 @@ from scanner.checking.report import CheckReport, CheckRow, Pixels, State
 from scanner.checking.response import measure_ramp, response_row
 from scanner.config import Config
 from scanner.decode import MaskReason
+from scanner.findings import Findings
+from scanner.given_captures import read_captures
 from scanner.patterns import Pattern, phase_sequence
 from scanner.progress import Progress
 
@@ -49,12 +52,27 @@ def check(config: Config, terminal: Progress, on_row: OnRow | None = None) -> Ch
 
 def check_rig(rig: Rig, config: Config, terminal: Progress, on_row: OnRow | None = None) -> CheckReport:
     """Check a rig that is open, as `check` does. Its camera is left at the exposure that is proposed."""
+    earlier = read_captures(config.earlier, rig.camera.size, rig.projector.size)
     checking = Checking(on_row)
     try:
-        _check(rig, config, terminal, checking)
+        _check(_Bench(rig, config, terminal, earlier), checking)
     except DeviceError as error:
         checking.fail(error)
     return checking.report()
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """What is checked, with the captures that a scan would be calibrated with."""
+
+    rig: Rig
+    config: Config
+    terminal: Progress
+    earlier: list[Findings]
+
+    def show(self, patterns: tuple[Pattern, ...]) -> Iterator[tuple[Pattern, Frame]]:
+        """Frames of patterns, sent as a scan would send them."""
+        return capture(self.rig, patterns, response=self.config.projector.known_response).frames
 
 
 class Checking:
@@ -86,12 +104,13 @@ class Checking:
         return CheckReport(tuple(self.rows), self.exposure_us, self.response, self.pictures, self.failure)
 
 
-def _check(rig: Rig, config: Config, terminal: Progress, checking: Checking) -> None:
+def _check(bench: _Bench, checking: Checking) -> None:
+    rig, terminal = bench.rig, bench.terminal
     checking.add(*device_rows(rig))
     with terminal.step("Trying exposures"):
         proposal = propose_exposure(rig)
     checking.exposure_us = proposal.exposure_us
-    checking.add(exposure_row(proposal, rig.refresh_hz, bracketed=bool(config.sequence.exposures_us)))
+    checking.add(exposure_row(proposal, rig.refresh_hz, bracketed=bool(bench.config.sequence.exposures_us)))
     with terminal.step("Looking at light and dark"):
         light = photograph_light(rig, _WHITES, _BLACKS)
         ramp = measure_ramp(rig, light)
@@ -103,39 +122,48 @@ def _check(rig: Rig, config: Config, terminal: Progress, checking: Checking) -> 
         return
     checking.response = ramp.response.light if ramp.response else None
     checking.add(response_row(ramp))
-    _check_view(rig, config, terminal, light, checking)
+    _check_view(bench, light, checking)
 
 
-def _check_view(rig: Rig, config: Config, terminal: Progress, light: Light, checking: Checking) -> None:
+def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
+    """From a quick capture; the configured one follows where the quick one is refused or patchy, which takes longer."""
+    rig, config, terminal = bench.rig, bench.config, bench.terminal
     meter = FringeMeter()
     quick = view.take_quick(rig, config, meter, terminal)
     checking.add(*transfer_rows(rig))
-    decoded = quick if quick.decoding else view.take_coarse(rig, config, terminal)
-    usable = light.well_lit
-    coverage = view.coverage_of(decoded.decoding, rig.projector.size) if decoded.decoding else None
-    periods = {period_for(coverage.span if coverage else 1.0), LONG_PERIOD_PX}
-    for _ in terminal.track(_more_fringes(rig, config, meter, periods), 2 * STEPS * len(periods), "Looking at stripes"):
+    with terminal.step("Calibrating"):
+        row, failure = view.view_row(quick, config, bench.earlier)
+    scanned = view.take_configured(rig, config, terminal) if failure or quick.is_patchy else None
+    if scanned:
+        with terminal.step("Calibrating"):
+            row, failure = view.view_row(scanned, config, bench.earlier, as_configured=True)
+    decoded = next((seen for seen in (scanned, quick) if seen and seen.decoding), None)
+    _check_lenses(bench, light, decoded or view.take_coarse(rig, config, terminal), meter, checking)
+    checking.add(row)
+    checking.failure = failure
+
+
+def _check_lenses(bench: _Bench, light: Light, decoded: view.Capture, meter: FringeMeter, checking: Checking) -> None:
+    """Coverage and focus: of where each pixel looks, and of more fringes beside those that `meter` has seen."""
+    size = bench.rig.projector.size
+    coverage = view.coverage_of(decoded.decoding, size) if decoded.decoding else None
+    fringes = _more_fringes({period_for(coverage.span if coverage else 1.0), LONG_PERIOD_PX})
+    for _ in bench.terminal.track(meter.watch(bench.show(fringes)), len(fringes), "Looking at stripes"):
         pass
+    usable = light.well_lit
     if decoded.decoding and coverage:
         matched = decoded.decoding.reasons == MaskReason.KEPT
         checking.add(view.coverage_row(coverage, decoded.decoding))
         checking.pictures["coverage"] = coverage_picture(light, matched)
         usable = matched & ~light.clipped
-        samples = sample_blur(meter.fringes(), usable, view.projector_map(decoded.decoding))
-        checking.add(focus_row(samples, tell_apart(samples), finest_period_px(_scanned(rig, config))))
-    checking.pictures["contrast"] = contrast_picture(meter.fringes(), usable)
-    with terminal.step("Calibrating"):
-        row, failure = view.view_row(quick, decoded, config)
-    checking.add(row)
-    checking.failure = failure
+        samples = sample_blur(meter.fringes, usable, view.projector_map(decoded.decoding))
+        finest_px = finest_period_px(bench.config.sequence.patterns(size))
+        checking.add(focus_row(samples, tell_apart(samples), finest_px))
+    checking.pictures["contrast"] = contrast_picture(meter.fringes, usable)
 
 
-def _scanned(rig: Rig, config: Config) -> tuple[Pattern, ...]:
-    return config.sequence.patterns(rig.projector.size)
-
-
-def _more_fringes(rig: Rig, config: Config, meter: FringeMeter, periods: Iterable[float]) -> Iterable[object]:
+def _more_fringes(periods: set[float]) -> tuple[Pattern, ...]:
     patterns: list[Pattern] = []
     for period in sorted(periods):
         patterns += [*phase_sequence("x", period, STEPS), *phase_sequence("y", period, STEPS)]
-    return meter.watch(capture(rig, tuple(patterns), response=config.projector.known_response).frames)
+    return tuple(patterns)

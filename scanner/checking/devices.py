@@ -68,4 +68,5 @@ def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
     if again <= _MANY_RETAKEN * taken:
         yield CheckRow("transfer", State.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
     else:
-        yield CheckRow("transfer", State.POOR, f"{per_frame}, {again} of {taken} frames were lost first", LOST_ADVICE)
+        lost = f"{per_frame}, {again} of {taken} frames were lost first"
+        yield CheckRow("transfer", State.POOR, lost, f"{LOST_ADVICE} Keep the computer free of other work.")

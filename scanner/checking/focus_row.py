@@ -1,7 +1,7 @@
 """Whether the lenses are sharp enough for the stripes that a scan shows, and which of them is not."""
 
 from collections.abc import Sequence
-from math import exp, isnan, pi
+from math import exp, pi
 
 import numpy as np
 
@@ -22,6 +22,8 @@ _SHARP_PX = 0.7
 # Where stripes in a part of the picture keep so much less than elsewhere, the operator should hear of it.
 _WORST_SHARE = 0.1
 _MIDDLE = 1 / 6
+
+_MOVING_PIXELS = " A projector that moves its pixels to show more of them (4K enhancement) blurs too: turn that off."
 
 
 def finest_period_px(patterns: Sequence[Pattern]) -> float:
@@ -48,50 +50,56 @@ def focus_row(samples: BlurSamples, lenses: Lenses | None, period_px: float) -> 
     left = amplitude_left(lenses.total_px**2, period_px)
     finding = f"{100 * left:.0f} % is left of stripes of {period_px:g} px, {_split_in_words(lenses)}"
     finding += _worst_in_words(samples, period_px)
-    guilty = _guilty(lenses, period_px)
-    if left >= _LEAST_OF_BOTH and not guilty:
+    sure = _blurred(lenses, period_px, doubted=True)
+    if left >= _LEAST_OF_BOTH and not sure:
         return CheckRow(_NAME, State.OK, finding)
-    return CheckRow(_NAME, State.POOR, finding, _advice(guilty, lenses))
+    return CheckRow(_NAME, State.POOR, finding, _advice(sure, lenses, period_px))
 
 
-def _advice(guilty: list[str], lenses: Lenses) -> str:
-    shifting = " A projector that moves its pixels to show more of them (4K enhancement) blurs too: turn that off."
-    if not guilty and lenses.total_px < _SHARP_PX * (1 + lenses.span):
+def _advice(sure: list[str], lenses: Lenses, period_px: float) -> str:
+    if not sure and not _told_apart(lenses):
+        return (
+            "Which lens it is cannot be told from this view. Focus the projector until single pixels can be told on "
+            f"the wall, then the camera; check again after each.{_MOVING_PIXELS}"
+        )
+    guilty = sure or _blurred(lenses, period_px, doubted=False)
+    if not guilty:
         return (
             "Both lenses are as sharp as the pixels, which are too coarse for these stripes: move the camera closer, "
             "use a camera of more pixels, or longer sequence.periods."
         )
-    if not guilty:
-        return (
-            "Which lens it is cannot be told from this view. Focus the projector until single pixels can be told on "
-            "the wall, then the camera; check again after each." + shifting
-        )
-    lens = " and ".join(guilty)
-    aperture = " A smaller aperture of the camera's gives more depth of focus." if "camera" in guilty else ""
-    return f"Focus the {lens}.{aperture}" + (shifting if "projector" in guilty else "")
+    advice = f"Focus the {' and the '.join(guilty)}{'' if sure else ', which seems to be the one, and check again'}."
+    if "camera" in guilty:
+        advice += " A smaller aperture of the camera's gives more depth of focus."
+    return advice + (_MOVING_PIXELS if "projector" in guilty else "")
 
 
-def _guilty(lenses: Lenses, period_px: float) -> list[str]:
-    """The lenses that surely leave less than a lens should."""
-    guilty = []
+def _blurred(lenses: Lenses, period_px: float, *, doubted: bool) -> list[str]:
+    """The lenses that leave less than a lens should, in spite of all doubts (`doubted`) or in all likelihood."""
+    blurred = []
     for name, part, sigma, pixel in (
         ("projector", lenses.projector2, lenses.projector2_sigma, 1.0),
         ("camera", lenses.camera2, lenses.camera2_sigma, lenses.span),
     ):
         doubt = _SURE_SIGMAS * sigma + lenses.doubt2 + _MODEL * lenses.total_px**2
-        blurred = amplitude_left(part - doubt, period_px) < LEAST_AMPLITUDE
-        if not isnan(part) and blurred and part - doubt > (_SHARP_PX * pixel) ** 2:
-            guilty.append(name)
-    return guilty
+        least = part - doubt if doubted else part
+        # Comparisons with NaN are false: what is unknown is no one's fault.
+        if amplitude_left(least, period_px) < LEAST_AMPLITUDE and least > (_SHARP_PX * pixel) ** 2:
+            blurred.append(name)
+    return blurred
+
+
+def _told_apart(lenses: Lenses) -> bool:
+    """Whether the doubt about the split is smaller than what is split."""
+    doubt = _SURE_SIGMAS * float(np.hypot(lenses.projector2_sigma, lenses.camera2_sigma)) + lenses.doubt2
+    return doubt < max(lenses.total_px**2, lenses.projector2, lenses.camera2)
 
 
 def _split_in_words(lenses: Lenses) -> str:
     total = f"a blur of {lenses.total_px:.1f} px"
-    parts = np.maximum([lenses.projector2, lenses.camera2], 0.0)
-    doubt = _SURE_SIGMAS * float(np.hypot(lenses.projector2_sigma, lenses.camera2_sigma)) + lenses.doubt2
-    if not doubt < max(lenses.total_px**2, float(parts.max())):
+    if not _told_apart(lenses):
         return f"{total}; which lens it comes from cannot be told"
-    projector, camera = np.sqrt(parts)
+    projector, camera = np.sqrt(np.maximum([lenses.projector2, lenses.camera2], 0.0))
     return f"{total}: the projector's {projector:.1f}, the camera's {camera:.1f}"
 
 

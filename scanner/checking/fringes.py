@@ -6,6 +6,7 @@ from typing import cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.arrays import Floats, Image
 from hw.rig import Frame
@@ -13,6 +14,7 @@ from scanner.checking.light import grey
 from scanner.patterns import Axis, Pattern, Phase
 
 STEPS = 4
+_SHIFTS = {step / STEPS for step in range(STEPS)}
 # Cells of the camera's image over which amplitudes are averaged.
 CELLS_ACROSS = 24
 
@@ -23,15 +25,19 @@ class Fringe:
     is noise; (H, W), in squared grey levels.
     """
 
-    power: Floats
-    noise: Floats
+    power: NDArray[np.float32]
+    noise: NDArray[np.float32]
 
 
 class FringeMeter:
-    """Looks on while frames go by, and measures every fringe of four equal steps among them."""
+    """Looks on while frames go by, and measures every fringe of four equal steps among them.
+
+    `fringes`: what was seen, by axis and period in projector pixels.
+    """
 
     def __init__(self) -> None:
-        self._frames: dict[tuple[Axis, float], dict[float, Floats]] = {}
+        self.fringes: dict[tuple[Axis, float], Fringe] = {}
+        self._frames: dict[tuple[Axis, float], dict[float, Image]] = {}
 
     def watch(self, frames: Iterator[tuple[Pattern, Frame]]) -> Iterator[tuple[Pattern, Frame]]:
         """Pass frames on."""
@@ -40,20 +46,18 @@ class FringeMeter:
             yield pattern, frame
 
     def add(self, pattern: Pattern, image: Image) -> None:
-        """Take note of a frame, if it is of a fringe."""
-        if isinstance(pattern, Phase):
-            self._frames.setdefault((pattern.axis, pattern.period), {})[pattern.shift] = grey(image).astype(np.float32)
-
-    def fringes(self) -> dict[tuple[Axis, float], Fringe]:
-        """What was seen, by axis and period in projector pixels."""
-        return {
-            key: _fringe([steps[step / STEPS] for step in range(STEPS)])
-            for key, steps in self._frames.items()
-            if set(steps) == {step / STEPS for step in range(STEPS)}
-        }
+        """Take note of a frame, if it is of a fringe; frames are kept only until a fringe is complete."""
+        if not isinstance(pattern, Phase):
+            return
+        key = (pattern.axis, pattern.period)
+        steps = self._frames.setdefault(key, {})
+        steps[pattern.shift] = image
+        if set(steps) == _SHIFTS:
+            self.fringes[key] = _fringe([grey(steps[shift]).astype(np.float32) for shift in sorted(_SHIFTS)])
+            del self._frames[key]
 
 
-def _fringe(steps: Sequence[Floats]) -> Fringe:
+def _fringe(steps: Sequence[NDArray[np.float32]]) -> Fringe:
     """I_n = m + A cos(φ + nπ/2): opposite steps differ by 2A cos φ and 2A sin φ, and the sums of opposites are equal.
 
     What these sums differ by is noise (and the second harmonic, of which short fringes have none left): a quarter of
@@ -62,7 +66,7 @@ def _fringe(steps: Sequence[Floats]) -> Fringe:
     first, second, third, fourth = steps
     power = ((first - third) ** 2 + (second - fourth) ** 2) / 4
     noise = (first + third - second - fourth) ** 2 / 4
-    return Fringe(power, noise)
+    return Fringe(power.astype(np.float32), noise.astype(np.float32))
 
 
 def cell_size(shape: tuple[int, int]) -> int:

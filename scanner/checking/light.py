@@ -35,7 +35,10 @@ def brightest_channel(image: Image) -> Image:
 
 
 def _mean(images: Sequence[Image]) -> Floats:
-    return np.asarray(np.mean([grey(image) for image in images], axis=0), np.float64)
+    total = grey(images[0]).copy()
+    for image in images[1:]:
+        total += grey(image)
+    return total / len(images)
 
 
 @dataclass(frozen=True)

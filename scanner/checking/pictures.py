@@ -21,6 +21,7 @@ _LEGEND_PX = 34
 _TEXT_SCALE = 0.5
 _UNKNOWN = 0
 _LONGEST_SIDE_PX = 1000
+_LEAST_WIDTH_PX = 800
 
 
 def saturation_picture(light: Light) -> Pixels:
@@ -90,6 +91,7 @@ def _tinted(picture: Pixels, where: Bools, colour: tuple[int, int, int], opacity
 
 
 def _with_legend(picture: Pixels, entries: tuple[tuple[tuple[int, int, int], str], ...]) -> Pixels:
+    picture = _enlarged(picture)
     legend = np.full((_LEGEND_PX, picture.shape[1], 3), 255, np.uint8)
     x = 10
     for colour, text in entries:
@@ -98,7 +100,14 @@ def _with_legend(picture: Pixels, entries: tuple[tuple[tuple[int, int, int], str
     return np.concatenate([picture, legend])
 
 
+def _enlarged(picture: Pixels) -> Pixels:
+    """By a whole number, so that the legend has room below."""
+    factor = -(-_LEAST_WIDTH_PX // picture.shape[1])
+    return picture.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
 def _with_scale(picture: Pixels, text: str) -> Pixels:
+    picture = _enlarged(picture)
     legend = np.full((_LEGEND_PX, picture.shape[1], 3), 255, np.uint8)
     bar = np.asarray(matplotlib.colormaps[_COLOURS](np.linspace(0, 1, 120)))[:, :3] * 255
     x = _write(legend, "0 %", 10) + 6

@@ -1,5 +1,6 @@
 """A quick capture: how much of the light the camera sees, and what this view of a corner will calibrate."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,12 +20,12 @@ from scanner.config import Config
 from scanner.decode import Decoding, MaskReason
 from scanner.errors import InputError
 from scanner.findings import Findings, Scan
-from scanner.given_captures import read_captures
 from scanner.patterns import Pattern
 from scanner.pipeline import decode
-from scanner.presets import PRESETS, Preset
+from scanner.presets import PRESETS, Preset, PresetName
 from scanner.progress import Progress
 
+_QUICK: PresetName = "quick"
 _VIEW, _COVERAGE = "view", "coverage"
 # The quick capture's sigma is that of the scan within a factor of two: beyond half of what is refused, a scan may be.
 _RISKY_SIGMA = USEFUL_SIGMA / 2
@@ -38,7 +39,6 @@ _OFF_CENTRE = 0.05
 # Stripes that survive a blur of several pixels, where the quick ones do not.
 _COARSE = Preset(cell=16, inverses=True, periods=(32.7,), shifts=4)
 _UNREADABLE = "Correct what the lines above say about light and focus, keep the scene still, and check again."
-_NAMES = {MaskReason.SATURATED: "clipped", MaskReason.INCONSISTENT: "contradictory", MaskReason.INDIRECT: "indirect"}
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,11 @@ class Capture:
     problem: str = ""
 
     @property
+    def is_patchy(self) -> bool:
+        """Half of the lit pixels or more did not decode."""
+        return self.decoding is None or decoded_share(self.decoding) < LEAST_SHARE
+
+    @property
     def decoding(self) -> Decoding | None:
         """What was decoded."""
         return self.findings.decoding if self.findings else None
@@ -56,7 +61,15 @@ class Capture:
 
 def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress) -> Capture:
     """Capture the quick sequence while `meter` looks on. Raises DeviceError."""
-    return _take(rig, config, PRESETS["quick"].patterns(rig.projector.size), meter, terminal, "Capturing quickly")
+    return _take(rig, config, PRESETS[_QUICK].patterns(rig.projector.size), meter, terminal, "Capturing quickly")
+
+
+def take_configured(rig: Rig, config: Config, terminal: Progress) -> Capture | None:
+    """Capture what a scan would; None if that is the quick sequence. Raises DeviceError."""
+    patterns = config.sequence.patterns(rig.projector.size)
+    if patterns == PRESETS[_QUICK].patterns(rig.projector.size):
+        return None
+    return _take(rig, config, patterns, FringeMeter(), terminal, "Capturing as a scan would")
 
 
 def take_coarse(rig: Rig, config: Config, terminal: Progress) -> Capture:
@@ -121,17 +134,21 @@ def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage
     )
 
 
+def decoded_share(decoding: Decoding) -> float:
+    """Of the pixels that patterns light, how many have a match; 1 if none is lit."""
+    lit = int(np.sum(decoding.reasons != MaskReason.DARK))
+    return float(np.sum(decoding.reasons == MaskReason.KEPT)) / lit if lit else 1.0
+
+
 def coverage_row(coverage: Coverage, decoding: Decoding) -> CheckRow:
     """How much of the two pictures overlaps, and which way to turn what does not."""
     finding = (
         f"{100 * coverage.camera:.0f} % of the camera's pixels see the projector's light, and the camera sees "
         f"{100 * coverage.projector:.0f} % of it"
     )
-    lit = max(1, int(np.sum(decoding.reasons != MaskReason.DARK)))
-    lost = {name: float(np.sum(decoding.reasons == reason)) / lit for reason, name in _NAMES.items()}
-    worst = max(lost, key=lambda name: lost[name])
-    if lost[worst] > 1 - LEAST_SHARE:
-        finding += f"; {100 * lost[worst]:.0f} % of the lit pixels are {worst}"
+    if decoded_share(decoding) < LEAST_SHARE:
+        finding += f"; only {100 * decoded_share(decoding):.0f} % of the lit pixels decode"
+        return CheckRow(_COVERAGE, State.POOR, finding, "Correct what the other lines say about light and focus.")
     advice = []
     if coverage.camera < _LEAST_OF_CAMERA:
         advice.append(_turned("the camera", coverage.camera_middle, "Move the camera closer, or use a longer lens"))
@@ -153,38 +170,35 @@ def _turned(device: str, middle: tuple[float, float], otherwise: str) -> str:
     )
 
 
-def predict(findings: Findings, config: Config) -> SelfCalibration:
-    """What the quick capture calibrates, together with earlier ones if the configuration names some.
-
-    Raises RefusalError, InputError.
-    """
-    earlier = read_captures(config.earlier, findings.facts.camera_size, findings.facts.projector_size)
+def predict(findings: Findings, config: Config, earlier: Sequence[Findings]) -> SelfCalibration:
+    """What a capture calibrates, together with earlier ones if there are any. Raises RefusalError."""
     self_calibration(Scan([*earlier, findings]), config.model_copy(update={"method": "refined"}))
     assert findings.solution is not None
     return findings.solution
 
 
-def view_row(quick: Capture, decoded: Capture, config: Config) -> tuple[CheckRow, RefusalError | None]:
+def view_row(
+    seen: Capture, config: Config, earlier: Sequence[Findings], *, as_configured: bool = False
+) -> tuple[CheckRow, RefusalError | None]:
     """How well this view will calibrate, and why a scan would be refused, if it would.
 
-    `decoded` is the quick capture, or a coarse one where that shows too little. Raises InputError.
+    `as_configured`: `seen` is not the quick capture, of which too little could be had.
     """
-    before = "" if quick.findings else f"the quick sequence does not decode ({quick.problem}). From coarse stripes: "
-    if decoded.findings is None:
-        row = CheckRow(_VIEW, State.FAILED, f"the frames do not decode: {decoded.problem}", _UNREADABLE)
+    if seen.findings is None:
+        row = CheckRow(_VIEW, State.FAILED, f"the frames do not decode: {seen.problem}", _UNREADABLE)
         return row, refusal_of(row)
     try:
-        solution = predict(decoded.findings, config)
+        solution = predict(seen.findings, config, earlier)
     except RefusalError as refusal:
-        advice = f"{_UNREADABLE} {refusal.advice}" if before else refusal.advice
-        return CheckRow(_VIEW, State.FAILED, before + refusal.reason, advice), refusal
+        return CheckRow(_VIEW, State.FAILED, refusal.reason, refusal.advice), refusal
     sigmas = relative_sigmas(solution)
     shown = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
-    finding = f"{before}focal lengths will be known to about {shown}"
+    finding = f"focal lengths will be known to about {shown}"
     if max(sigmas.values()) > _RISKY_SIGMA:
         notes = [note for note in solution.notes if note.startswith(FURTHER_CAPTURE)]
         return CheckRow(_VIEW, State.POOR, finding, " ".join(notes) or MOVE), None
-    if before:
+    if as_configured:
+        finding += f"; the {_QUICK} sequence would not do"
         return CheckRow(_VIEW, State.POOR, finding, _UNREADABLE), None
     return CheckRow(_VIEW, State.OK, finding), None
 

@@ -2,16 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
 from calib.arrays import Floats
 from calib.pixel_index import NONE, index_grid, without_gaps
 from scanner.measuring.measurements import FitErrors, Measurements
 from scanner.measuring.shown import ShownUnit, shown_unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FIGURE_FILE = "measure.png"
 
@@ -26,6 +27,10 @@ _MARGIN_OF_IMAGE = 0.15
 
 def write_figure(path: Path, measured: Measurements) -> None:
     """Draw a panel for each sphere and one for all faces; there has to be one of either. Raises OSError."""
+    # Loading matplotlib takes longer than some whole commands, none of which draws with it but this one.
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
     panels = len(measured.spheres) + bool(measured.faces)
     unit = shown_unit(measured.unit)
     figure = Figure(figsize=(panels * _PANEL_INCHES[0], _PANEL_INCHES[1]), dpi=_DPI, layout="constrained")
@@ -46,7 +51,7 @@ def write_figure(path: Path, measured: Measurements) -> None:
     figure.savefig(path, format="png", metadata={"Software": None})
 
 
-def _draw(axes: Axes, errors: Sequence[FitErrors], unit: ShownUnit) -> None:
+def _draw(axes: "Axes", errors: Sequence[FitErrors], unit: ShownUnit) -> None:
     """Signed distances in colour, on the part of the camera's image that has them."""
     residual = unit.factor * np.concatenate([part.residual for part in errors])
     pixel = np.concatenate([part.pixel for part in errors])
@@ -65,5 +70,5 @@ def _draw(axes: Axes, errors: Sequence[FitErrors], unit: ShownUnit) -> None:
     axes.tick_params(labelsize=_FONT_POINTS)
 
 
-def _title(axes: Axes, first: str, second: str) -> None:
+def _title(axes: "Axes", first: str, second: str) -> None:
     axes.set_title(f"{first}\n{second}", fontsize=_FONT_POINTS + 1)

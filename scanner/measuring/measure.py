@@ -1,28 +1,14 @@
 """A finished scan → measurements."""
 
-from itertools import combinations
-
 import numpy as np
 
-from calib.arrays import Floats, Ints
-from calib.fit_plane import dihedral_angle_rad, fit_plane
-from calib.fit_statistics import blocks
+from calib.arrays import Floats
 from calib.point_noise import point_covariances
 from scanner.errors import InputError
 from scanner.finished_scan import FinishedScan
-from scanner.measuring.measurements import (
-    AngleMeasurement,
-    DistanceMeasurement,
-    FaceMeasurement,
-    FitErrors,
-    Measurements,
-)
+from scanner.measuring.measurements import DistanceMeasurement, Measurements
+from scanner.measuring.planes import measure_faces
 from scanner.measuring.spheres import centre_distances, measure_spheres
-from scanner.reporting.maps import FACE_NAMES
-
-# Neighbouring points of a face err alike; squares of this share of the camera's image width count as independent.
-_ALIKE_OF_WIDTH = 1 / 64
-_FEWEST_POINTS = 100
 
 PixelPair = tuple[float, float, float, float]
 
@@ -36,30 +22,6 @@ def measure(scan: FinishedScan, sphere_diameters: list[float], pixel_pairs: list
     spheres = measure_spheres(scan, sphere_diameters)
     faces, angles = measure_faces(scan.points, scan.pixel, scan.matches.face, scan.calibration.camera.width)
     return Measurements(scan.unit, spheres, faces, angles, centre_distances(spheres) + distances)
-
-
-def measure_faces(
-    points: Floats, pixel: Ints, face: Ints | None, image_width: int
-) -> tuple[tuple[FaceMeasurement, ...], tuple[AngleMeasurement, ...]]:
-    """Flatness of the corner's faces and the angles between them; nothing if the matches have no labels.
-
-    `points` (N, 3) in the camera's frame, their camera pixels (N, 2) and their `face` labels (N,).
-    """
-    if face is None:
-        return (), ()
-    side_px = max(1, round(image_width * _ALIKE_OF_WIDTH))
-    faces, planes = [], {}
-    for label, name in enumerate(FACE_NAMES):
-        on = np.flatnonzero(face == label)
-        if len(on) < _FEWEST_POINTS:
-            continue
-        plane = planes[name] = fit_plane(points[on], blocks(pixel[on], side_px))
-        faces.append(FaceMeasurement(name, plane.normal, plane.offset, FitErrors(plane.residual, pixel[on])))
-    angles = []
-    for first, second in combinations(planes, 2):
-        angle, sigma = np.degrees(dihedral_angle_rad(planes[first], planes[second]))
-        angles.append(AngleMeasurement((first, second), float(angle), float(sigma)))
-    return tuple(faces), tuple(angles)
 
 
 def _pixel_distance(scan: FinishedScan, pair: PixelPair) -> DistanceMeasurement:

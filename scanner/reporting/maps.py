@@ -4,7 +4,6 @@ import base64
 from dataclasses import dataclass
 
 import cv2
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,32 +19,39 @@ FACE_COLOURS = (ORANGE, SKY_BLUE, GREEN)
 FACE_NAMES = ("A", "B", "C")
 CATEGORY_COLOURS = (VERMILION, SKY_BLUE, YELLOW, PURPLE, GREEN, ORANGE, BLUE, GREY)
 
-_LONGEST_SIDE = 1000
+LONGEST_SIDE = 1000
 _FACE_OPACITY = 0.5
 # Noise compresses badly; this many steps are as many as an eye tells apart in a map of it.
 _RESIDUAL_STEPS = 25
 _EDGE_SAMPLES = 400
+# Higher levels take several times as long for a few per cent.
+_PNG_LEVEL = 3
 _LETTER_SAMPLE = 20_000
 
 Pixels = NDArray[np.uint8]
+Colour = tuple[int, int, int]
 
 
-@dataclass(frozen=True)
-class _Colours:
-    """A part of one of matplotlib's colour maps; both parts chosen here can be told from a white and a black page."""
-
-    name: str
-    first: float
-    last: float
-
-    def __call__(self, steps: int) -> Floats:
-        """RGBA 0 … 1, (steps, 4)."""
-        return np.asarray(matplotlib.colormaps[self.name](np.linspace(self.first, self.last, steps)))
+def _part_of(colour_map: int, first: int, last: int) -> Pixels:
+    """A part of one of OpenCV's colour maps, RGB (n, 3)."""
+    shades = cv2.applyColorMap(np.arange(first, last + 1, dtype=np.uint8)[:, None], colour_map)
+    return np.ascontiguousarray(shades[:, 0, ::-1])
 
 
-_DEPTHS = _Colours("viridis", 0.12, 0.97)
-_MISSES = _Colours("coolwarm", 0.0, 1.0)
-_SIGMAS = _Colours("cividis", 0.1, 1.0)
+def _between(low: Colour, middle: Colour, high: Colour) -> Pixels:
+    """Shades from one colour to another through a third, RGB (n, 3)."""
+    places = np.linspace(0, 2, 255)
+    return _as_pixels(np.stack([np.interp(places, (0, 1, 2), ends) for ends in zip(low, middle, high, strict=True)], 1))
+
+
+def _as_pixels(values: Floats) -> Pixels:
+    return np.ascontiguousarray(np.rint(values), dtype=np.uint8)
+
+
+# All of them can be told from a white and from a black page, and by every kind of colour vision.
+_DEPTHS = _part_of(cv2.COLORMAP_VIRIDIS, 30, 247)
+_SIGMAS = _part_of(cv2.COLORMAP_CIVIDIS, 25, 255)
+_SIGNED = _between((0, 84, 166), (226, 226, 226), (186, 62, 0))
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,6 @@ class ColourScale:
     colours: tuple[str, ...]
     low: str
     high: str
-    label: str
 
 
 @dataclass(frozen=True)
@@ -71,13 +76,15 @@ class Overlay:
 def data_uri(picture: Pixels, *, jpeg: bool = False) -> str:
     """RGB or RGBA (H, W, 3 or 4) as a data URI; `jpeg` for photographs, which must be RGB."""
     bgr = cv2.cvtColor(picture, cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR)
-    kind, options = ("jpeg", [cv2.IMWRITE_JPEG_QUALITY, 85]) if jpeg else ("png", [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    kind, options = (
+        ("jpeg", [cv2.IMWRITE_JPEG_QUALITY, 85]) if jpeg else ("png", [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])
+    )
     written, encoded = cv2.imencode(f".{kind}", bgr, options)
     assert written, "OpenCV encodes PNG and JPEG in every build"
     return f"data:image/{kind};base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"
 
 
-def css_colour(colour: tuple[int, int, int]) -> str:
+def css_colour(colour: Colour) -> str:
     """#rrggbb."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
@@ -96,8 +103,8 @@ def _reduced_photograph(texture: Image) -> Floats:
     return np.asarray(small, dtype=np.float64)
 
 
-def _reduced_size(width: int, height: int) -> tuple[int, int]:
-    factor = min(1.0, _LONGEST_SIDE / max(width, height))
+def _reduced_size(width: int, height: int, longest_side: int = LONGEST_SIDE) -> tuple[int, int]:
+    factor = min(1.0, longest_side / max(width, height))
     return max(1, round(width * factor)), max(1, round(height * factor))
 
 
@@ -112,21 +119,17 @@ def faces_over(background: Pixels, matches: Matches, camera: tuple[int, int]) ->
     )
     shown = np.flatnonzero((matches.face >= 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height))
     labels[row[shown], column[shown]] = matches.face[shown]
-    picture = np.repeat(background.mean(axis=2, keepdims=True), 3, axis=2)
+    picture = np.asarray(cv2.cvtColor(cv2.cvtColor(background, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), np.uint8)
     for face, colour in enumerate(FACE_COLOURS):
-        opacity = _FACE_OPACITY * _closed(labels == face)[..., None]
-        picture = (1 - opacity) * picture + opacity * np.array(colour)
-    return _as_pixels(picture)
+        covered = np.nonzero(_closed(labels == face))
+        picture[covered] = _as_pixels((1 - _FACE_OPACITY) * picture[covered] + _FACE_OPACITY * np.array(colour))
+    return picture
 
 
-def _as_pixels(values: Floats) -> Pixels:
-    return np.ascontiguousarray(np.rint(values), dtype=np.uint8)
-
-
-def _closed(mask: Bools) -> Floats:
+def _closed(mask: Bools) -> Bools:
     """A mask without the gaps that sparse matches leave."""
     kernel = np.ones((5, 5), np.uint8)
-    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, kernel), dtype=np.float64)
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0, np.bool_)
 
 
 def face_overlay(
@@ -173,9 +176,9 @@ def _cropped(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return values[top : int(rows[-1]) + margin + 1, left : int(columns[-1]) + margin + 1]
 
 
-def _reduced(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _reduced(values: NDArray[np.float32], longest_side: int = LONGEST_SIDE) -> NDArray[np.float32]:
     """A map (H, W) with NaN for nothing, reduced by averaging what is there."""
-    size = _reduced_size(values.shape[1], values.shape[0])
+    size = _reduced_size(values.shape[1], values.shape[0], longest_side)
     there = np.isfinite(values)
     weight = cv2.resize(there.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     total = cv2.resize(np.where(there, values, np.float32(0)), size, interpolation=cv2.INTER_AREA)
@@ -183,19 +186,20 @@ def _reduced(values: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.where(weight > 0, total / weight, np.nan).astype(np.float32)
 
 
-def _painted(values: NDArray[np.float32], low: float, high: float, colours: _Colours, steps: int) -> Pixels:
+def _painted(values: NDArray[np.float32], low: float, high: float, shades: Pixels, steps: int = 256) -> Pixels:
     """RGBA, transparent for NaN, of values clipped to low … high in a number of steps."""
     there = np.isfinite(values)
     position = np.clip((np.where(there, values, low) - low) / max(high - low, 1e-30), 0, 1)
-    table = _as_pixels(255 * colours(steps))
-    painted = table[np.rint(position * (steps - 1)).astype(np.int64)]
+    chosen = shades[np.rint(np.linspace(0, len(shades) - 1, steps)).astype(np.intp)]
+    table = np.concatenate([chosen, np.full((steps, 1), 255, np.uint8)], axis=1)
+    painted: Pixels = table[np.rint(position * (steps - 1)).astype(np.intp)]
     painted[~there] = 0
     return painted
 
 
-def _scale_colours(colours: _Colours) -> tuple[str, ...]:
-    shades = _as_pixels(255 * colours(12))[:, :3]
-    return tuple(css_colour((int(r), int(g), int(b))) for r, g, b in shades)
+def _legend(shades: Pixels, low: str, high: str) -> ColourScale:
+    chosen = shades[np.rint(np.linspace(0, len(shades) - 1, 12)).astype(np.intp)]
+    return ColourScale(tuple(css_colour((int(r), int(g), int(b))) for r, g, b in chosen), low, high)
 
 
 def depth_map(points: NDArray[np.float32], unit: str) -> tuple[Pixels, ColourScale]:
@@ -203,26 +207,28 @@ def depth_map(points: NDArray[np.float32], unit: str) -> tuple[Pixels, ColourSca
     depth = _reduced(_cropped(points[..., 2]))
     low, high = np.nanpercentile(depth, (0.5, 99.5)) if np.isfinite(depth).any() else (0.0, 1.0)
     name = "baselines" if unit == "baseline" else unit
-    legend = ColourScale(_scale_colours(_DEPTHS), f"{low:.3g} {name}", f"{high:.3g} {name}", "depth")
-    return _painted(depth, float(low), float(high), _DEPTHS, 256), legend
+    legend = _legend(_DEPTHS, f"{low:.3g} {name}", f"{high:.3g} {name}")
+    return _painted(depth, float(low), float(high), _DEPTHS), legend
 
 
 def sigma_map(percent: NDArray[np.float32]) -> tuple[Pixels, ColourScale]:
     """Relative standard deviations (h, w) on a coarse grid in colour, enlarged, low to high."""
     low, high = (float(value) for value in np.nanpercentile(percent, (1, 99)))
-    factor = max(1, _LONGEST_SIDE // max(percent.shape))
-    painted = _painted(_cropped(percent), low, high, _SIGMAS, 256)
+    factor = max(1, LONGEST_SIDE // max(percent.shape))
+    painted = _painted(_cropped(percent), low, high, _SIGMAS)
     enlarged: Pixels = painted.repeat(factor, axis=0).repeat(factor, axis=1)
-    return enlarged, ColourScale(_scale_colours(_SIGMAS), f"{low:.2g} %", f"{high:.2g} %", "standard deviation")
+    return enlarged, _legend(_SIGMAS, f"{low:.2g} %", f"{high:.2g} %")
 
 
-def residual_map(residual_px: NDArray[np.float32], limit_px: float) -> tuple[Pixels, ColourScale]:
-    """Signed misses in two colours around white, ± `limit_px`."""
-    legend = ColourScale(_scale_colours(_MISSES), f"−{limit_px:.2g} px", f"+{limit_px:.2g} px", "miss")
-    return _painted(_reduced(_cropped(residual_px)), -limit_px, limit_px, _MISSES, _RESIDUAL_STEPS), legend
+def signed_map(
+    values: NDArray[np.float32], limit: float, unit: str, longest_side: int = LONGEST_SIDE
+) -> tuple[Pixels, ColourScale]:
+    """Values (H, W) of either sign, NaN for none, in two colours around light grey, ± `limit`."""
+    legend = _legend(_SIGNED, f"−{limit:.2g} {unit}", f"+{limit:.2g} {unit}")
+    return _painted(_reduced(_cropped(values), longest_side), -limit, limit, _SIGNED, _RESIDUAL_STEPS), legend
 
 
-def category_map(categories: NDArray[np.uint8], colours: dict[int, tuple[int, int, int]]) -> Pixels:
+def category_map(categories: NDArray[np.uint8], colours: dict[int, Colour]) -> Pixels:
     """RGBA of an image of numbers (H, W); numbers without a colour are transparent."""
     table = np.zeros((256, 4), dtype=np.uint8)
     for number, colour in colours.items():

@@ -1,134 +1,94 @@
-"""Line plots as inline SVG that takes its colours and fonts from the page, in light and dark."""
+"""The report's plots: curves over the camera's focal length, and histograms of residuals."""
 
-import io
-import re
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 
-import matplotlib
 import numpy as np
 from markupsafe import Markup
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from calib.arrays import Floats
 from calib.selfcalibration import Profile
+from scanner.reporting.svg import Plot, Scale
 
-# Stand-ins that matplotlib accepts; in the SVG they become what the page says.
-_INK, _ACCENT, _SECOND = "#010101", "#020202", "#030303"
-_PAGE_COLOURS = {_INK: "currentColor", _ACCENT: "var(--accent)", _SECOND: "var(--second)"}
-_SIZE_INCHES = (7.6, 3.1)
-_NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
 _HISTOGRAM_BINS = 81
-_THREE_SIGMAS_COST = 9.0
-_FARTHEST_FOCAL = 3.0  # times the answer: no lens and projector are confused more than that
+_SIGMAS_SHOWN = 4.0
+_HIGHEST_OF_LOWEST = 300.0  # of the objective: what is above says no more
+_ROOM_BELOW = 0.7
 
 
-def _style() -> AbstractContextManager[None]:
-    return matplotlib.rc_context(
-        {
-            "svg.fonttype": "none",
-            "svg.hashsalt": "report",
-            "font.size": 10.5,
-            "text.color": _INK,
-            "axes.labelcolor": _INK,
-            "axes.edgecolor": _INK,
-            "axes.linewidth": 0.6,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "xtick.color": _INK,
-            "ytick.color": _INK,
-        }
+def likelihood_plot(profile: Profile, chosen_focal_px: float) -> Markup:
+    """The profile likelihood in sigmas, √(−2 log likelihood above the best), with the answer marked."""
+    sigmas = np.sqrt(np.maximum(profile.cost, 0.0))
+    # A little more than what is shown, so that the curve leaves the picture instead of ending in it.
+    shown = np.flatnonzero(sigmas <= 1.5 * _SIGMAS_SHOWN)
+    focal = profile.focal_px[shown]
+    low, high = float(focal.min()), float(focal.max())
+    if low == high:
+        low, high = 0.99 * low, 1.01 * high
+    plot = Plot(
+        Scale(low, high, "focal length of the camera (px)"),
+        Scale(0.0, _SIGMAS_SHOWN, "standard deviations"),
+        "how well the focal length is determined",
     )
+    plot.mark_y(1.0, "1 σ")
+    plot.mark_y(3.0, "3 σ")
+    plot.line(focal, sigmas[shown])
+    plot.mark_x(chosen_focal_px, f"{chosen_focal_px:.1f} px")
+    return plot.svg()
 
 
-def profile_plot(profile: Profile, chosen_focal_px: float) -> Markup:
-    """The cost over the camera's focal length, with the answer marked."""
-    with _style():
-        figure, axes = _axes()
-        apart = np.abs(np.log(profile.focal_px / chosen_focal_px))
-        shown = np.isfinite(profile.cost) & (apart <= np.log(_FARTHEST_FOCAL))
-        focal, cost = profile.focal_px[shown], profile.cost[shown]
-        relative = len(cost) > 0 and cost.min() < 1e-3 * cost.max()
-        axes.plot(focal, cost, color=_ACCENT, linewidth=1.8)
-        axes.axvline(chosen_focal_px, color=_SECOND, linewidth=1.2, linestyle=(0, (4, 3)))
-        axes.annotate(
-            f"{chosen_focal_px:.1f} px",
-            (chosen_focal_px, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(5, -2),
-            textcoords="offset points",
-            va="top",
-        )
-        axes.set_xscale("log")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        if relative:
-            axes.set_yscale("symlog", linthresh=1.0)
-            axes.set_ylim(bottom=0.0)
-            axes.axhline(_THREE_SIGMAS_COST, color=_INK, linewidth=0.6, linestyle=(0, (1, 3)))
-            axes.annotate("3 σ", (1.0, _THREE_SIGMAS_COST), xycoords=("axes fraction", "data"), ha="right", va="bottom")
-        else:
-            axes.set_yscale("log")
-        _plain_numbers(axes.xaxis)
-        _plain_numbers(axes.yaxis)
-        axes.set_xlabel("focal length of the camera (px)")
-        axes.set_ylabel(profile.cost_name)
-        return _svg(figure, "profile")
+def objective_plot(focal_px: Floats, objective: Floats, chosen_focal_px: float | None) -> Markup | None:
+    """The paper's objective E over the camera's focal, its minima marked with dots; None where E is finite nowhere."""
+    finite = np.isfinite(objective)
+    if not finite.any():
+        return None
+    lowest = max(float(objective[finite].min()), 1e-6)
+    highest = min(float(objective[finite].max()), _HIGHEST_OF_LOWEST * lowest)
+    plot = Plot(
+        Scale(float(focal_px[0]), float(focal_px[-1]), "focal length of the camera (px)", log=True),
+        Scale(_ROOM_BELOW**2 * lowest, max(highest, 4 * lowest), "objective E (px)", log=True),
+        "the paper's objective over the focal length of the camera",
+    )
+    for run in np.split(np.arange(len(focal_px)), np.flatnonzero(np.diff(finite)) + 1):
+        if finite[run[0]]:
+            plot.line(focal_px[run], np.maximum(objective[run], 1e-6))
+    for index in local_minima(objective):
+        plot.dot(float(focal_px[index]), max(float(objective[index]), 1e-6), f"{focal_px[index]:.0f}")
+    if chosen_focal_px is not None and focal_px[0] <= chosen_focal_px <= focal_px[-1]:
+        plot.mark_x(chosen_focal_px, f"answer: {chosen_focal_px:.1f} px")
+    return plot.svg()
 
 
-def residual_histogram(residual_px: NDArray[np.float32], noise_px: float, limit_px: float) -> Markup:
-    """How often the rays miss each other by how much, with the decoder's own spread as a curve."""
-    with _style():
-        figure, axes = _axes()
-        edges = np.linspace(-limit_px, limit_px, _HISTOGRAM_BINS + 1)
-        counts, _ = np.histogram(residual_px[np.isfinite(residual_px)], edges)
-        share = 100 * counts / max(1, int(counts.sum()))
-        axes.stairs(share, edges, fill=True, color=_ACCENT, alpha=0.55, linewidth=0)
-        if noise_px > 0:
-            fine = np.linspace(-limit_px, limit_px, 20 * _HISTOGRAM_BINS)
-            axes.plot(fine, 100 * _normal(fine, noise_px) * (edges[1] - edges[0]), color=_SECOND, linewidth=1.5)
-        axes.set_xlabel("miss (projector px)")
-        axes.set_ylabel("% of matches")
-        axes.set_xlim(-limit_px, limit_px)
-        return _svg(figure, "misses")
+def local_minima(values: Floats) -> list[int]:
+    """Indices of a sampled curve's minima, without its ends; infinite where it is not defined."""
+    padded = np.where(np.isfinite(values), values, np.inf)
+    inner = np.arange(1, len(values) - 1)
+    low = (padded[inner] < padded[inner - 1]) & (padded[inner] <= padded[inner + 1])
+    return [int(index) for index in inner[low]]
+
+
+def residual_histogram(
+    residuals_px: Sequence[NDArray[np.floating]], noise_px: float | None, limit_px: float, label: str
+) -> Markup:
+    """How often each residual (n,) occurs, each sample filled in a tone of its own; `noise_px` draws a normal curve."""
+    edges = np.linspace(-limit_px, limit_px, _HISTOGRAM_BINS + 1)
+    shares = [_shares(residual, edges) for residual in residuals_px]
+    curve_px = np.linspace(-limit_px, limit_px, 4 * _HISTOGRAM_BINS)
+    curve = 100 * _normal(curve_px, noise_px) * (edges[1] - edges[0]) if noise_px else np.zeros(1)
+    highest = 1.08 * max(float(np.max([*map(np.max, shares), curve.max()])), 1e-9)
+    plot = Plot(Scale(-limit_px, limit_px, label), Scale(0.0, highest, "% of matches"), f"histogram: {label}")
+    for kind, share in zip(("bars", "outline"), shares, strict=False):
+        plot.bars(edges, share, kind)
+    if noise_px:
+        plot.line(curve_px, curve, "second")
+    return plot.svg()
+
+
+def _shares(residual_px: NDArray[np.floating], edges: Floats) -> Floats:
+    counts, _ = np.histogram(residual_px[np.isfinite(residual_px)], edges)
+    return 100 * counts / max(1, int(counts.sum()))
 
 
 def _normal(x: Floats, sigma: float) -> Floats:
     density: Floats = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
     return density
-
-
-def _axes() -> tuple[Figure, Axes]:
-    figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
-    axes = figure.add_subplot()
-    axes.grid(visible=True, color=_INK, alpha=0.12, linewidth=0.6)
-    axes.set_axisbelow(True)
-    return figure, axes
-
-
-def _plain_numbers(axis: Axis) -> None:
-    """500 rather than 5 × 10²: powers are set too small to read."""
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
-def _svg(figure: Figure, name: str) -> Markup:
-    """The figure as an SVG element with ids of its own, so that several can stand on one page."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", transparent=True, metadata=_NO_METADATA)
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :]
-    for unwanted in (
-        r"<metadata>.*?</metadata>",
-        r"<style.*?</style>",
-        r'\sxmlns(:\w+)?="[^"]*"',
-        r"font-family: [^;\"]*;? ?",
-    ):
-        svg = re.sub(unwanted, "", svg, flags=re.DOTALL)
-    svg = re.sub(r'(\sid="|url\(#|xlink:href="#)', rf"\1{name}-", svg).replace("xlink:href", "href")
-    svg = re.sub(r'<svg width="[^"]*" height="[^"]*"', '<svg class="plot" role="img"', svg)
-    for stand_in, colour in _PAGE_COLOURS.items():
-        svg = svg.replace(stand_in, colour)
-    return Markup(svg)

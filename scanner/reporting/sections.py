@@ -6,19 +6,18 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from calib.arrays import Floats
-from scanner.cloud import Cloud, CloudStatistics
+from scanner.cloud import Cloud
 from scanner.decode import Decoding, MaskReason
 from scanner.patterns import Gray, Pattern, Phase
 from scanner.quantities import Quantity, corner_quantities, device_quantities, percent, pose_quantities
 from scanner.rendering import render, rig_frusta, standard_views
-from scanner.reporting import maps, plots
+from scanner.reporting import maps
 from scanner.reporting.contents import CaptureFacts, ReportInput
 
-_VIEW_SIZE = (960, 640)
-_FRUSTUM_LENGTH = 0.15  # of the scene's depth
+_VIEW_SIZES = {"oblique": (960, 640), "top": (560, 400), "front": (560, 400)}
+FRUSTUM_LENGTH = 0.15  # of the scene's depth
 _VIEW_CAPTIONS = {
     "oblique": "From the side and above, with the camera (blue) and the projector (red).",
     "top": "From straight above.",
@@ -87,16 +86,6 @@ class ScaledMap:
 
 
 @dataclass(frozen=True)
-class Misses:
-    """How far the two rays of the matches miss each other."""
-
-    map: ScaledMap
-    histogram: Markup
-    statistics: CloudStatistics
-    fates: tuple[LegendEntry, ...]
-
-
-@dataclass(frozen=True)
 class Mask:
     """Which pixels were matched, and why the others were not."""
 
@@ -151,25 +140,18 @@ def scene(report: ReportInput) -> Picture | None:
     return picture(maps.photograph(report.texture), "the camera's image under white light", jpeg=True)
 
 
-def profile(report: ReportInput) -> Markup | None:
-    """The curve over the camera's focal length that was searched."""
-    if report.solution is None:
-        return None
-    return plots.profile_plot(report.solution.profile, report.solution.calibration.camera.focal_px[0])
-
-
 def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
     """Pictures of the cloud from the side, above and the front."""
     cloud, calibration = report.cloud, report.calibration
     if cloud is None or calibration is None or not cloud.there.any():
         return ()
     forward = np.array([0.0, 0.0, 1.0])
-    views = standard_views(forward, _up(report))
-    frusta = rig_frusta(calibration, _FRUSTUM_LENGTH * _typical_depth(cloud), maps.BLUE, maps.VERMILION)
+    views = standard_views(forward, upright(report))
+    frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(cloud), maps.BLUE, maps.VERMILION)
 
     def show(name: str) -> Picture:
         return picture(
-            render(cloud, views[name], _VIEW_SIZE, [] if name == "front" else frusta),
+            render(cloud, views[name], _VIEW_SIZES[name], [] if name == "front" else frusta),
             f"the point cloud, {name} view",
             caption=_VIEW_CAPTIONS[name] + (_CORNER_CAPTIONS[name] if report.solution else ""),
         )
@@ -178,8 +160,8 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
         return tuple(pool.map(show, views))
 
 
-def _up(report: ReportInput) -> Floats:
-    """The vertical: the edge of the corner that is steepest in the image; the camera's own without a corner."""
+def upright(report: ReportInput) -> Floats:
+    """The vertical (3,) in the camera's frame: the corner's steepest edge in the image, or the camera's own up."""
     camera_up = np.array([0.0, -1.0, 0.0])
     if report.solution is None:
         return camera_up
@@ -189,7 +171,8 @@ def _up(report: ReportInput) -> Floats:
     return upright
 
 
-def _typical_depth(cloud: Cloud) -> float:
+def typical_depth(cloud: Cloud) -> float:
+    """Median depth of the points."""
     return float(np.median(cloud.points[..., 2][cloud.there]))
 
 
@@ -199,43 +182,6 @@ def depth(report: ReportInput) -> ScaledMap | None:
         return None
     painted, scale = maps.depth_map(report.cloud.points, report.cloud.unit)
     return ScaledMap(picture(painted, "depth over the camera's image"), scale)
-
-
-def misses(report: ReportInput) -> Misses | None:
-    """Where and how far the rays of the matches miss each other."""
-    cloud = report.cloud
-    if cloud is None or not np.isfinite(cloud.residual_px).any():
-        return None
-    statistics = cloud.statistics
-    reach = _shown_range(cloud)
-    painted, scale = maps.residual_map(cloud.residual_px, reach)
-    return Misses(
-        ScaledMap(picture(painted, "misses of the rays over the camera's image"), scale),
-        plots.residual_histogram(cloud.residual_px, statistics.decoder_px, reach),
-        statistics,
-        _fates(statistics),
-    )
-
-
-def _shown_range(cloud: Cloud) -> float:
-    """Half-width of the scale: what all but a hundredth of the points stay within."""
-    kept = np.abs(cloud.residual_px[cloud.there])
-    return float(np.percentile(kept, 99)) if len(kept) and kept.any() else cloud.statistics.limit_px
-
-
-def _fates(statistics: CloudStatistics) -> tuple[LegendEntry, ...]:
-    rows = (
-        ("points in the cloud", statistics.kept),
-        (f"rays miss each other by more than {statistics.limit_px:.2g} px", statistics.disagreeing),
-        ("isolated: no neighbours on the same surface", statistics.isolated),
-        ("behind a device", statistics.behind),
-        ("another match of the same camera pixel is better", statistics.shared_pixel),
-        ("outside of the camera's image", statistics.outside_image),
-    )
-    total = max(1, statistics.matched)
-    return tuple(
-        LegendEntry("", label, f"{count:,} ({percent(count / total)})") for label, count in rows if count or not label
-    )
 
 
 def mask(decoding: Decoding | None) -> Mask | None:
@@ -279,10 +225,28 @@ def capture_rows(report: ReportInput) -> tuple[tuple[str, str], ...]:
         rows.append(("frames", f"{len(facts.patterns)}: {describe_patterns(facts.patterns)}"))
     if facts.exposure_us:
         rows.append(("exposure", _exposures(facts)))
+    if report.decoding is not None:
+        rows += _about_frames(report.decoding)
     if report.decoding is not None and report.decoding.modulation is not None:
         share = 100 * report.decoding.modulation
         rows.append(("focus", f"the finest fringe keeps {share:.0f} % of the light's contrast"))
     return (*rows, *facts.identity.items())
+
+
+def _about_frames(decoding: Decoding) -> list[tuple[str, str]]:
+    """Saturation, noise and flicker of the frames."""
+    saturated = np.count_nonzero(decoding.reasons == MaskReason.SATURATED) / decoding.reasons.size
+    dark, bright = decoding.noise.sigma(np.array([0.0, float(np.percentile(decoding.texture, 95))]))
+    rows = [
+        ("saturated", f"{percent(saturated)} of the pixels"),
+        (
+            "noise",
+            f"{dark:.2g} grey levels in the dark, {bright:.2g} in the light, of {np.iinfo(decoding.texture.dtype).max}",
+        ),
+    ]
+    if decoding.flicker is not None:
+        rows.append(("flicker", f"{percent(decoding.flicker)} from frame to frame"))
+    return rows
 
 
 def _exposures(facts: CaptureFacts) -> str:

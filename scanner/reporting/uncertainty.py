@@ -1,4 +1,4 @@
-"""How well the points are known: their standard deviation over the camera's image, and the price of an assumption."""
+"""How well depth is known: its standard deviation over the camera's image, and the price of an assumption."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,14 +24,14 @@ _SHIFT_PX = 10.0
 
 @dataclass(frozen=True)
 class PointSigmas:
-    """`map` over the camera's image; `median_percent` of a point's distance."""
+    """`map` over the camera's image of the sigma of depth; `median_percent` of a point's depth."""
 
     map: ScaledMap
     median_percent: float
 
 
 def point_sigmas(report: ReportInput) -> PointSigmas | None:
-    """The map of the points' sigmas; None where the method knows none."""
+    """The map of the sigmas of depth; None where the method knows none."""
     solution = report.solution
     if solution is None or solution.uncertainty is None or report.cloud is None:
         return None
@@ -40,14 +40,14 @@ def point_sigmas(report: ReportInput) -> PointSigmas | None:
     if not len(known):
         return None
     painted, scale = maps.sigma_map(percent)
-    alt = "standard deviation of the points over the camera's image"
+    alt = "standard deviation of depth over the camera's image"
     return PointSigmas(ScaledMap(picture(painted, alt), scale), float(np.median(known)))
 
 
 def _relative_sigmas(
     matches: Matches, solution: SelfCalibration, uncertainty: Uncertainty, camera_size: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Of one match in each cell of a coarse grid over the image: sigma in per cent of its distance, NaN for none."""
+    """Of one match in each cell of a coarse grid over the image: sigma in per cent of its depth, NaN for none."""
     width, height = camera_size
     step = max(1, int(np.ceil(np.sqrt(width * height / _SAMPLES))))
     column, row = (np.floor((matches.camera_px[:, axis] + 0.5) / step).astype(np.int32) for axis in (0, 1))
@@ -59,8 +59,7 @@ def _relative_sigmas(
     flat = np.flatnonzero(first != NONE)
     sample = matches[first[flat]]
     met = intersect(sample, solution.calibration)
-    sigma = np.linalg.norm(uncertainty.of_points(sample), axis=1)
-    relative = np.where(met.in_front, sigma / np.linalg.norm(met.points, axis=1), np.nan)
+    relative = np.where(met.in_front, uncertainty.of_points(sample)[:, 2] / met.points[:, 2], np.nan)
     grid = np.full(shape[0] * shape[1], np.nan, dtype=np.float32)
     grid[flat] = 100 * relative
     return grid.reshape(shape)

@@ -9,8 +9,8 @@ from calib.calibration import Calibration
 from calib.corner import Corner
 from calib.matches import Matches
 from calib.triangulation import intersect
-from scanner.measuring.measure import measure_faces
 from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement
+from scanner.measuring.planes import measure_faces
 from scanner.viewing.decimation import shuffled
 
 # Planes through so many points are as good to look at as through all, and known at once.

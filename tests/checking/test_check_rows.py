@@ -177,6 +177,16 @@ def test_a_camera_that_looks_aside_is_told_where_to_turn(usual):
     assert "Turn the projector to the left" in found.advice
 
 
+def test_lit_pixels_that_do_not_decode_are_no_reason_to_turn():
+    coverage = view.Coverage(0.02, (-0.4, 0.0), 0.4, (0.0, 0.0), np.ones((18, 32), bool), 1.0)
+    patchy = FakeDecoding()
+    patchy.reasons = np.array([[0, 3, 3, 7]], np.uint8)
+    found = view.coverage_row(coverage, patchy)
+    assert found.state == State.POOR
+    assert "only 25 % of the lit pixels decode" in found.finding
+    assert "Turn" not in found.advice
+
+
 class FakeDecoding:
     reasons = np.ones((4, 4), np.uint8)
 

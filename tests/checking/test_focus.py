@@ -1,5 +1,7 @@
 """Which of two lenses is out of focus."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from check_bench import PERIOD_US, changed, config, rig_in, row
@@ -42,6 +44,13 @@ def test_blur_is_split_between_the_lenses(projector, camera):
     assert 0 < lenses.projector2_sigma < 0.1
     assert abs(lenses.projector2 - projector**2) < 4 * lenses.projector2_sigma
     assert abs(lenses.camera2 - camera**2 * lenses.span**2) < 4 * lenses.camera2_sigma
+
+
+def test_the_lens_that_seems_to_be_the_one_is_named_with_care():
+    samples = replace(samples_of(1.25, 0.5), doubt2=np.full(200, 0.2))
+    found = focus_row(samples, tell_apart(samples), 6.7)
+    assert found.state == State.POOR
+    assert found.advice.startswith("Focus the projector, which seems to be the one")
 
 
 def test_what_cannot_be_told_is_not_told():

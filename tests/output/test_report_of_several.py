@@ -97,7 +97,18 @@ def test_it_lists_the_captures_and_shows_their_cloud(page: str) -> None:
     ):
         assert words in page, words
     order = re.findall(r'<section id="(\w+)"', page)
-    assert order == ["calibration", "captures", "faces", "profile", "cloud", "sigmas", "misses", "capture"]
+    assert order == [
+        "calibration",
+        "captures",
+        "faces",
+        "cloud",
+        "profile",
+        "sigmas",
+        "flatness",
+        "residuals",
+        "misses",
+        "capture",
+    ]
 
 
 def test_a_capture_alone_has_no_list(report: ReportInput, tmp_path: Path) -> None:

@@ -1,0 +1,161 @@
+"""What the matches are off by: maps, histograms, and whether that is random or has a pattern."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from calib.arrays import Floats
+from calib.calibration import Calibration
+from calib.corner import Corner
+from calib.matches import Matches
+from calib.spatial_correlation import SpatialCorrelation, spatial_correlation
+from scanner.cloud import Cloud, CloudStatistics
+from scanner.quantities import percent
+from scanner.reporting import maps, plots
+from scanner.reporting.contents import ReportInput
+from scanner.reporting.sections import LegendEntry, ScaledMap, picture
+
+# Blur and noise of a decoder reach a few pixels; squares of this share of the image's width are beyond that.
+_CELL_OF_WIDTH = 1 / 64
+_SAMPLE = 100_000
+_HALF_PAGE = 480
+_SHOWN_SHARE = 99
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """`maps` with a caption each, a `histogram` of them, and what the test says in a sentence."""
+
+    maps: tuple[tuple[ScaledMap, str], ...]
+    histogram: Markup
+    total_px: float
+    statement: str
+    structured: bool
+
+
+@dataclass(frozen=True)
+class Misses:
+    """How far the two rays of the matches miss each other, and what became of the matches."""
+
+    residuals: Residuals
+    statistics: CloudStatistics
+    fates: tuple[LegendEntry, ...]
+
+
+def face_residuals(report: ReportInput) -> Residuals | None:
+    """Matches on the three faces against the corner, in x and y of the projector; None without a solution."""
+    solution = report.solution
+    if solution is None or solution.matches.face is None:
+        return None
+    labelled = np.flatnonzero(solution.matches.face >= 0)
+    sample = solution.matches[labelled[:: max(1, len(labelled) // _SAMPLE)].astype(np.int32)]
+    residual_px = _off_the_corner(sample, solution.calibration, solution.corner)
+    known = np.isfinite(residual_px).all(axis=1)
+    pixel, residual_px = sample.camera_px[known], residual_px[known]
+    if not len(pixel):
+        return None
+    size = report.capture.camera_size
+    limit = float(np.percentile(np.abs(residual_px), _SHOWN_SHARE)) or 1e-3
+    step = max(1, int(np.ceil(np.sqrt(len(labelled) / len(sample)))))
+    drawn = tuple(
+        (_map(_on_grid(pixel, residual_px[:, axis], size, step), limit, f"residuals in {name}"), caption)
+        for axis, (name, caption) in enumerate((("x", "Along the projector's x."), ("y", "Along the projector's y.")))
+    )
+    found = spatial_correlation(pixel, residual_px, _cell_px(size))
+    return Residuals(
+        drawn,
+        plots.residual_histogram([*residual_px.T], None, limit, "residual on the faces (projector px)"),
+        float(np.sqrt(np.mean(np.sum(residual_px**2, axis=1)))),
+        statement(found),
+        found is not None and found.structured,
+    )
+
+
+def _off_the_corner(matches: Matches, calibration: Calibration, corner: Corner) -> Floats:
+    """Projector pixels minus where the corner has them, (N, 2): the ray of the camera's pixel meets its face there."""
+    assert matches.face is not None
+    normals = corner.normals[matches.face]
+    rays = calibration.camera.unproject(matches.camera_px)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        points = (normals @ corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
+    predicted = calibration.projector.project(points @ calibration.rotation.T + calibration.translation)
+    off: Floats = matches.projector_px - predicted
+    return off
+
+
+def misses(report: ReportInput) -> Misses | None:
+    """Where and how far the rays of the matches miss each other."""
+    cloud = report.cloud
+    if cloud is None or not np.isfinite(cloud.residual_px).any():
+        return None
+    statistics = cloud.statistics
+    limit = _shown_range(cloud)
+    row, column = np.nonzero(np.abs(cloud.residual_px) <= statistics.limit_px)
+    chosen = slice(None, None, max(1, len(row) // _SAMPLE))
+    pixel = np.stack([column[chosen], row[chosen]], axis=1).astype(np.float64)
+    residual_px = cloud.residual_px[row[chosen], column[chosen]].astype(np.float64)
+    found = spatial_correlation(pixel, residual_px, _cell_px(report.capture.camera_size))
+    painted = _map(cloud.residual_px, limit, "misses of the rays", maps.LONGEST_SIDE)
+    residuals = Residuals(
+        ((painted, ""),),
+        plots.residual_histogram([cloud.residual_px], statistics.decoder_px, limit, "miss (projector px)"),
+        float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else 0.0,
+        statement(found),
+        found is not None and found.structured,
+    )
+    return Misses(residuals, statistics, _fates(statistics))
+
+
+def statement(found: SpatialCorrelation | None) -> str:
+    """The test's outcome for a person."""
+    if found is None:
+        return "There are too few of them next to each other to tell whether they are random."
+    chance = found.expected + 3 * found.sigma
+    numbers = (
+        f"means over squares of {found.cell_px:.0f} camera pixels correlate with their neighbours' by "
+        f"{found.correlation:.2f} (Moran's I), where chance gives less than {chance:.2f}"
+    )
+    if not found.significant:
+        return f"Random: {numbers}."
+    shared = f"neighbours share {found.shared_px:.2g} px, {percent(found.shared_variance)} of the variance"
+    if not found.structured:
+        return f"Nearly random, with a faint pattern: {numbers}; {shared}."
+    return f"Structured: {numbers}; {shared}."
+
+
+def _cell_px(camera_size: tuple[int, int]) -> float:
+    return max(4.0, camera_size[0] * _CELL_OF_WIDTH)
+
+
+def _map(values: NDArray[np.float32], limit: float, alt: str, longest_side: int = _HALF_PAGE) -> ScaledMap:
+    painted, scale = maps.signed_map(values, limit, "px", longest_side)
+    return ScaledMap(picture(painted, f"{alt} over the camera's image"), scale)
+
+
+def _on_grid(pixel: Floats, values: Floats, size: tuple[int, int], step: int) -> NDArray[np.float32]:
+    """Values (N,) at pixels (N, 2) of an image of (width, height), on a grid `step` times as coarse, NaN for none."""
+    grid = np.full(((size[1] - 1) // step + 1, (size[0] - 1) // step + 1), np.nan, np.float32)
+    column, row = (np.clip(np.rint(pixel[:, axis] / step), 0, grid.shape[1 - axis] - 1).astype(int) for axis in (0, 1))
+    grid[row, column] = values
+    return grid
+
+
+def _shown_range(cloud: Cloud) -> float:
+    """Half-width of the scale: what all but a hundredth of the points stay within."""
+    kept = np.abs(cloud.residual_px[cloud.there])
+    return float(np.percentile(kept, _SHOWN_SHARE)) if len(kept) and kept.any() else cloud.statistics.limit_px
+
+
+def _fates(statistics: CloudStatistics) -> tuple[LegendEntry, ...]:
+    rows = (
+        ("points in the cloud", statistics.kept),
+        (f"rays miss each other by more than {statistics.limit_px:.2g} px", statistics.disagreeing),
+        ("isolated: no neighbours on the same surface", statistics.isolated),
+        ("behind a device", statistics.behind),
+        ("another match of the same camera pixel is better", statistics.shared_pixel),
+        ("outside of the camera's image", statistics.outside_image),
+    )
+    total = max(1, statistics.matched)
+    return tuple(LegendEntry("", label, f"{count:,} ({percent(count / total)})") for label, count in rows if count)

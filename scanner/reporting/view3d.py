@@ -1,0 +1,173 @@
+"""The point cloud for the viewer in the page: thinned, in whole numbers, with outlines of faces and devices."""
+
+import base64
+import json
+from dataclasses import dataclass
+from math import ceil
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Floats
+from scanner.cloud import Cloud
+from scanner.merged_cloud import MergedCloud
+from scanner.rendering import frustum
+from scanner.reporting import maps
+from scanner.reporting.contents import ReportInput
+from scanner.reporting.sections import FRUSTUM_LENGTH, typical_depth, upright
+
+# Of twelve bytes each: about a megabyte on the page.
+_MOST_POINTS = 70_000
+_STEPS = 65_535
+_HULL_SAMPLE = 5_000
+_OFF_THE_FACE = 6.0
+_WHITE_PERCENTILE = 99
+# A square a little larger than the grid closes the gaps of surfaces that are seen at a slant.
+_SPLAT_OF_GRID = 1.9
+_UPRIGHT_OF_CORNER = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class View3d:
+    """`points`: base64 of a record of 12 bytes for each point, little endian: three 16-bit steps along the box's edges,
+    RGB, and the normal times 127. `scene`: JSON with everything else. `count` of `total` points are in it.
+    """
+
+    points: str
+    scene: str
+    count: int
+    total: int
+
+
+def view3d(report: ReportInput) -> View3d | None:
+    """The merged cloud if there is one, else the capture's own; None without a cloud."""
+    cloud = report.merged if report.merged is not None and len(report.merged.points) else report.cloud
+    if cloud is None or report.calibration is None or not cloud.there.any():
+        return None
+    points, colours, normals, grid = _thinned(cloud, report.calibration.camera.focal_px[0])
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, 1e-9)
+    return View3d(
+        _packed((points - low) / size, colours, normals),
+        json.dumps(
+            {
+                "count": len(points),
+                "low": _rounded(low),
+                "size": _rounded(size),
+                "splat": float(f"{_SPLAT_OF_GRID * grid:.4g}"),
+                **_orientation(report, cloud, points),
+                "lines": _outlines(report, cloud),
+            },
+            separators=(",", ":"),
+        ),
+        len(points),
+        int(np.count_nonzero(cloud.there)),
+    )
+
+
+def _thinned(
+    cloud: Cloud | MergedCloud, focal_px: float
+) -> tuple[Floats, NDArray[np.uint8], NDArray[np.float32], float]:
+    """Points (n, 3), colours, normals, and the typical distance of neighbours."""
+    total = np.count_nonzero(cloud.there)
+    if isinstance(cloud, MergedCloud):
+        stride = max(1, ceil(total / _MOST_POINTS))
+        chosen: tuple[slice, ...] = (slice(None, None, stride),)
+        grid = cloud.grid * np.sqrt(stride)
+    else:
+        stride = max(1, ceil(np.sqrt(total / _MOST_POINTS)))
+        chosen = (slice(None, None, stride),) * 2
+        grid = stride * typical_depth(cloud) / focal_px
+    there = cloud.there[chosen]
+    colours = cloud.colours[chosen][there]
+    white = max(1.0, float(np.percentile(colours, _WHITE_PERCENTILE))) if len(colours) else 255.0
+    table = np.rint(255 * np.clip(np.arange(256) / white, 0, 1) ** 0.8).astype(np.uint8)
+    return cloud.points[chosen][there].astype(np.float64), table[colours], cloud.normals[chosen][there], float(grid)
+
+
+def _packed(shares: Floats, colours: NDArray[np.uint8], normals: NDArray[np.float32]) -> str:
+    records = np.zeros(len(shares), dtype=[("at", "<u2", 3), ("rgb", "u1", 3), ("normal", "i1", 3)])
+    records["at"] = np.rint(_STEPS * shares)
+    records["rgb"] = colours
+    records["normal"] = np.rint(127 * np.nan_to_num(normals))
+    return base64.b64encode(records.tobytes()).decode("ascii")
+
+
+def _orientation(report: ReportInput, cloud: Cloud | MergedCloud, points: Floats) -> dict[str, list[float]]:
+    """Where the viewer looks from at first: along `forward`, `up` at the top, round the `centre`."""
+    middle = np.median(points, axis=0)
+    if isinstance(cloud, MergedCloud):
+        up = _UPRIGHT_OF_CORNER * (1.0 if middle[2] >= 0 else -1.0)
+        forward = -np.array([middle[0], middle[1], 0.0])
+    else:
+        up, forward = upright(report), np.array([0.0, 0.0, 1.0])
+    return {"up": _rounded(up), "forward": _rounded(forward), "centre": _rounded(middle)}
+
+
+def _outlines(report: ReportInput, cloud: Cloud | MergedCloud) -> list[dict[str, object]]:
+    """The faces as closed polygons with their letters, both devices as pyramids, in the cloud's frame."""
+    assert report.calibration is not None
+    calibration = report.calibration
+    if isinstance(cloud, MergedCloud):
+        length = FRUSTUM_LENGTH * float(np.linalg.norm(np.median(cloud.points, axis=0)))
+        to_cloud = cloud.from_cameras
+    else:
+        length = FRUSTUM_LENGTH * typical_depth(cloud)
+        to_cloud = (np.eye(3, 4),)
+    lines: list[dict[str, object]] = []
+    if report.cloud is not None and to_cloud:
+        # The capture of this page is the last one.
+        lines += [
+            {"colour": maps.css_colour(colour), "text": name, "closed": True, "at": _moved(outline, to_cloud[-1])}
+            for name, colour, outline in _faces(report, report.cloud)
+        ]
+    camera = frustum(calibration.camera, length)
+    projector = (frustum(calibration.projector, length) - calibration.translation) @ calibration.rotation
+    for number, pose in enumerate(to_cloud, start=1):
+        of = f" {number}" if len(to_cloud) > 1 else ""
+        for name, pyramid, colour in (("camera", camera, "--accent"), ("projector", projector, "--second")):
+            path = np.concatenate([pyramid[4:, 0], pyramid[4:5, 0]])
+            lines.append({"colour": colour, "text": name + of, "closed": False, "at": _moved(path, pose)})
+            lines += [{"colour": colour, "text": "", "closed": False, "at": _moved(edge, pose)} for edge in pyramid[:4]]
+    return lines
+
+
+def _faces(report: ReportInput, cloud: Cloud) -> list[tuple[str, maps.Colour, Floats]]:
+    """Name, colour and convex outline (n, 3) of each labelled face, in the camera's frame."""
+    if report.matches.face is None:
+        return []
+    found = []
+    height, width = cloud.points.shape[:2]
+    for label, (name, colour) in enumerate(zip(maps.FACE_NAMES, maps.FACE_COLOURS, strict=True)):
+        on = np.flatnonzero(report.matches.face == label)
+        on = on[:: max(1, len(on) // _HULL_SAMPLE)]
+        column, row = np.rint(report.matches.camera_px[on]).astype(np.int64).T
+        inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+        points = cloud.points[row[inside], column[inside]].astype(np.float64)
+        points = points[np.isfinite(points[:, 2])]
+        if len(points) >= 3:
+            found.append((name, colour, _outline(points)))
+    return found
+
+
+def _outline(points: Floats) -> Floats:
+    """Corners (n, 3) of the convex hull of points (N, 3) in their plane, strays left aside."""
+    for _ in range(2):
+        centre = np.median(points, axis=0)
+        axes = np.linalg.svd(points - centre, full_matrices=False)[2]
+        off = np.abs((points - centre) @ axes[2])
+        points = points[off <= _OFF_THE_FACE * max(float(np.median(off)), 1e-9)]
+    flat = ((points - centre) @ axes[:2].T).astype(np.float32)
+    hull = cv2.convexHull(flat)[:, 0].astype(np.float64)
+    corners: Floats = centre + hull @ axes[:2]
+    return corners
+
+
+def _moved(points: Floats, pose: Floats) -> list[list[float]]:
+    """Points (n, 3) by a pose (3, 4), rounded."""
+    return [_rounded(point) for point in points @ pose[:, :3].T + pose[:, 3]]
+
+
+def _rounded(values: Floats) -> list[float]:
+    return [float(f"{value:.5g}") for value in values]

@@ -1,0 +1,161 @@
+"""Every command in README.md and docs/ is run, in a folder of its own and with small images."""
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from documented import PAGES, ROOT, Documented, commands, commands_in, parse
+
+from scanner.cli import main
+from scanner.config import load_config
+
+COMMANDS = commands()
+OURS = [command for command in COMMANDS if not command.foreign]
+RUN = [command for command in OURS if not command.why_not_run]
+PARSED = [command for command in OURS if command.why_not_run]
+
+# The documented rooms at a third of their size, and with half the frames.
+SHRINK = 3
+SMALL = {"sequence": {"preset": "quick"}, "projector": {"width": 427, "height": 240}}
+# What depends on the images' size.
+SUBSTITUTED = {"--distance 600 500 700 600": "--distance 200 167 233 200"}
+ONE_CAPTURE = "scan --config configs/room-sim.yaml"
+ANOTHER_ROOM = "scan --config configs/room-sim.yaml --set rig.seed=3 --out scans/another-room"
+THREE_CAPTURES = (
+    "scan --config configs/room-sim.yaml --captures 3 --set rig.walls_off_deg=0.3 --set corner.squareness_deg=0.3"
+)
+
+Run = Callable[[str], int]
+
+
+def one_after_the_other() -> pytest.MarkDecorator:
+    return pytest.mark.xdist_group("documented commands")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+    """Runs a command in a folder that has what the documentation speaks of; the same command is run once."""
+    folder, before = tmp_path_factory.mktemp("documented"), Path.cwd()
+    os.chdir(folder)
+    shutil.copytree(ROOT / "configs", "configs")
+    room = Path("configs/room-sim.yaml")
+    settings = shrunk(yaml.safe_load(room.read_text(encoding="utf-8")))
+    room.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    own = {key: settings[key] for key in ("camera", "projector")}
+    Path("my-rig.yaml").write_text(yaml.safe_dump(own), encoding="utf-8")
+
+    @cache
+    def once(command: str) -> int:
+        for documented, small in SUBSTITUTED.items():
+            command = command.replace(documented, small)
+        program, *arguments = command.split()
+        if "--overwrite" not in arguments:
+            for earlier in Path("scans").glob("*-measured"):  # of another page, which tells the same from the start
+                shutil.rmtree(earlier)
+        assert program == "scan", f"{command}: no program of ours, and not listed among those that are not run"
+        return main(arguments)
+
+    assert [once(command) for command in (ONE_CAPTURE, ANOTHER_ROOM, THREE_CAPTURES)] == [0, 0, 0]
+    another, together = Path("scans/another-room"), Path("scans/room-sim-2")
+    shutil.copytree(another / "capture", "my-capture")
+    for name in ("calibration.yaml", "matches.npz"):
+        shutil.copyfile(another / name, name)
+    for name, result in (("one", together / "captures/1"), ("two", together / "captures/2"), ("three", together)):
+        Path("scans", name).mkdir()
+        shutil.copyfile(result / "matches.npz", Path("scans", name, "matches.npz"))
+        shutil.copytree(result / "capture", Path("scans", name, "capture"))
+    yield once
+    os.chdir(before)
+
+
+def shrunk(settings: dict[str, Any]) -> dict[str, Any]:
+    """The same configuration for a smaller camera and projector, and fewer frames."""
+    camera = settings["camera"]
+    known = camera["principal_point"]["known"]
+    for index, side in enumerate(("width", "height")):
+        # Pixel centres are whole numbers: the image's border is half a pixel farther out.
+        small = round(camera[side] / SHRINK)
+        known[index] = (known[index] + 0.5) * small / camera[side] - 0.5
+        camera[side] = small
+    return settings | SMALL
+
+
+@one_after_the_other()
+@pytest.mark.parametrize("command", RUN, ids=lambda command: f"{command.page}:{command.line} {command.text[:60]}")
+def test_it_runs(run: Run, command: Documented, capsys: pytest.CaptureFixture[str]) -> None:
+    code = run(command.text)
+    assert code == 0, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", PARSED, ids=lambda command: f"{command.page}:{command.line} {command.text[:60]}")
+def test_its_arguments_are_understood(command: Documented) -> None:
+    parse(command)
+
+
+def test_the_readme_shows_commands() -> None:
+    shown = [command for command in COMMANDS if command.page == "README.md"]
+    assert {ONE_CAPTURE, ANOTHER_ROOM, THREE_CAPTURES} < {command.text for command in shown}
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["scan replay my-capture --scale 3", "make everything", "python benchmarks/bench_nothing.py", "scan repaly x"],
+)
+def test_a_wrong_command_would_be_found(line: str, run: Run) -> None:
+    command = Documented("README.md", 1, line)
+    if command.why_not_run:
+        with pytest.raises(AssertionError):
+            parse(command)
+    else:
+        assert run(command.text) == 2
+
+
+def test_comments_variables_and_folders_are_not_part_of_a_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("documented.ROOT", tmp_path)
+    page = tmp_path / "page.md"
+    page.write_text("```sh\nA=b .venv/bin/scan replay \\\n  x   # why\n# only words\n```\n```yaml\nscan: no\n```\n")
+    assert [(command.line, command.text) for command in commands_in(page)] == [(2, "scan replay x")]
+
+
+LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
+INLINE = re.compile(r"`([^`\n]+)`")
+
+
+def test_settings_in_the_text_exist() -> None:
+    """`--set KEY=VALUE` within a sentence."""
+    found = []
+    for page in PAGES:
+        for code in INLINE.findall(page.read_text(encoding="utf-8")):
+            for override in re.findall(r"--set '?([^' ]+(?: [^' ]+)*)'?", code):
+                if "KEY" not in override:
+                    found.append(override)
+                    load_config(ROOT / "configs" / "room-sim.yaml", [override])
+    assert len(found) >= 2
+
+
+def test_links_lead_somewhere() -> None:
+    links = [
+        (page, target)
+        for page in PAGES
+        for target in LINK.findall(re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL))
+    ]
+    assert [
+        f"{page.name}: {target}"
+        for page, target in links
+        if "://" not in target and not (page.parent / target).exists()
+    ] == []
+
+
+def test_scripts_in_the_text_exist() -> None:
+    for page in PAGES:
+        for code in INLINE.findall(page.read_text(encoding="utf-8")):
+            for script in re.findall(r"^python ([\w/.-]+\.py)", code):
+                assert (ROOT / script).is_file(), f"{page.name}: {script}"
