@@ -2,13 +2,17 @@
 
 import socket
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from reports import calibrated_report, refused_report
+from scene import Scene, room
 
 from scanner.cli import main
 from scanner.errors import InputError
-from scanner.reporting.verdict import Verdict
+from scanner.report import ReportInput, write_report
+from scanner.reporting.verdict import Verdict, verdict
 from scanner.viewing.opening import address, free_port, is_local, require_viser, warning
 from scanner.viewing.texts import escaped, verdict_text
 from scanner.viewing.verdict import read_verdict
@@ -96,3 +100,13 @@ def test_the_verdict_of_a_report(tmp_path: Path) -> None:
 
 def test_texts_from_files_do_not_become_markup() -> None:
     assert escaped("<img src=x> [a](b) *c*") == r"\<img src=x\> \[a\](b) \*c\*"
+
+
+@pytest.mark.parametrize("made", [calibrated_report, refused_report])
+def test_the_verdict_of_a_report_as_it_is_written(made: Callable[[Scene], ReportInput], tmp_path: Path) -> None:
+    report = made(room())
+    write_report(tmp_path / "report.html", report)
+    found, expected = read_verdict(tmp_path), verdict(report)
+    assert found is not None
+    assert (found.grade, found.headline, found.reasons) == (expected.grade, expected.headline, expected.reasons)
+    assert found.advice.removeprefix("What to do: ") == expected.advice  # the report introduces it after a refusal
