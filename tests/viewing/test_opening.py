@@ -42,6 +42,9 @@ def test_a_port_that_is_taken() -> None:
 def test_without_a_wanted_port_the_next_is_taken() -> None:
     first = free_port("127.0.0.1", None)
     with socket.socket() as other:
+        other.setsockopt(
+            socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
+        )  # as servers do, or a page just closed is in the way
         other.bind(("127.0.0.1", first))
         other.listen()
         assert free_port("127.0.0.1", None) > first
