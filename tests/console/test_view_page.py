@@ -9,7 +9,11 @@ from playwright.sync_api import Browser
 from result_folder import write_result
 
 from calib.camera import Intrinsics
+from calib.corner_view import View
 from scanner.cli import main
+from scanner.cloud import build_cloud
+from scanner.merged_cloud import merged
+from scanner.ply import write_merged_ply
 
 pytestmark = pytest.mark.xdist_group("browser")
 
@@ -19,7 +23,10 @@ SMALL = Intrinsics(204, 171, (149.5, 149.5), (104.5, 88.0), (-0.05, 0.0, 0.0, 0.
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     folder = tmp_path_factory.mktemp("view")
-    write_result(folder / "room", camera=SMALL)
+    written = write_result(folder / "room", camera=SMALL)
+    cloud = build_cloud(written.scene.matches, written.scene.texture, written.scan.calibration)
+    view = View(cloud.points, None, SMALL, written.scene.corner)
+    write_merged_ply(folder / "room" / "merged.ply", merged([cloud], [view], (1,)))
     with Served(folder, "view", folder / "room") as served:
         yield served
 
@@ -48,6 +55,7 @@ def test_the_cloud_is_in_the_picture_and_can_be_hidden(visit: Visit) -> None:
 
 
 def test_points_are_thinned_and_coloured(visit: Visit) -> None:
+    visit.choose("Cloud", "The capture")
     visit.choose("Colour", "Faces")
     visit.wait_for("A orange, B sky blue, C green")
     visit.choose("Colour", "Uncertainty of depth")

@@ -2,13 +2,17 @@
 
 import socket
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from reports import calibrated_report, refused_report
+from scene import Scene, room
 
 from scanner.cli import main
 from scanner.errors import InputError
-from scanner.reporting.verdict import Verdict
+from scanner.report import ReportInput, write_report
+from scanner.reporting.verdict import Verdict, verdict
 from scanner.viewing.opening import address, free_port, is_local, require_viser, warning
 from scanner.viewing.texts import escaped, verdict_text
 from scanner.viewing.verdict import read_verdict
@@ -38,6 +42,9 @@ def test_a_port_that_is_taken() -> None:
 def test_without_a_wanted_port_the_next_is_taken() -> None:
     first = free_port("127.0.0.1", None)
     with socket.socket() as other:
+        other.setsockopt(
+            socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
+        )  # as servers do, or a page just closed is in the way
         other.bind(("127.0.0.1", first))
         other.listen()
         assert free_port("127.0.0.1", None) > first
@@ -96,3 +103,13 @@ def test_the_verdict_of_a_report(tmp_path: Path) -> None:
 
 def test_texts_from_files_do_not_become_markup() -> None:
     assert escaped("<img src=x> [a](b) *c*") == r"\<img src=x\> \[a\](b) \*c\*"
+
+
+@pytest.mark.parametrize("made", [calibrated_report, refused_report])
+def test_the_verdict_of_a_report_as_it_is_written(made: Callable[[Scene], ReportInput], tmp_path: Path) -> None:
+    report = made(room())
+    write_report(tmp_path / "report.html", report)
+    found, expected = read_verdict(tmp_path), verdict(report)
+    assert found is not None
+    assert (found.grade, found.headline, found.reasons) == (expected.grade, expected.headline, expected.reasons)
+    assert found.advice.removeprefix("What to do: ") == expected.advice  # the report introduces it after a refusal
