@@ -12,6 +12,7 @@ import numpy as np
 from calib.arrays import Bools, Floats
 from calib.cells import Cells
 from calib.model import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
+from calib.wording import PHOTOS, RIG, Wording
 
 ROBUST_SIGMAS = 3.0
 _LEAST_IN_FRONT = 0.98
@@ -51,6 +52,9 @@ class Prior:
 class Knowledge:
     """What is known before the matches are seen: image sizes (width, height), the camera's principal point with its
     standard deviation (0: exactly known), and how square corners are (standard deviation of the angles; 0: exactly).
+
+    `one_camera`: both images are photos by one unchanged camera, with one radial term. `focal_px`: the camera's focal
+    length with its standard deviation, where something is known of it.
     """
 
     camera_size: tuple[int, int]
@@ -58,6 +62,13 @@ class Knowledge:
     principal_point_px: tuple[float, float]
     principal_point_sigma_px: float
     squareness_deg: float
+    one_camera: bool = False
+    focal_px: tuple[float, float] | None = None
+
+    @property
+    def words(self) -> Wording:
+        """What the devices are called in messages."""
+        return PHOTOS if self.one_camera else RIG
 
     def prior(self, layout: State) -> Prior:
         """As a prior on the columns of states like `layout`.
@@ -72,6 +83,12 @@ class Knowledge:
             sigma[device] = [0.7, height / 2, height / 2, 0.1, 0.03]
         centre = slice(CAMERA.start + 1, CAMERA.start + 3)
         mean[centre], sigma[centre] = self.principal_point_px, self.principal_point_sigma_px
+        if self.focal_px is not None:
+            focal, spread = self.focal_px
+            mean[CAMERA.start], sigma[CAMERA.start] = np.log(focal), spread / focal
+        if self.one_camera:
+            sigma[CAMERA.stop - 1] = 0.0  # two photos hardly tell k2 from k1
+            sigma[PROJECTOR] = 0.0  # those columns move with the camera's
         sigma[SHARED : layout.pose_columns(0).start] = np.radians(self.squareness_deg)
         for i, pose in enumerate(layout.poses):
             tilts = sigma[layout.pose_columns(i)][PER_POSE:].reshape(-1, PER_PLANE)
