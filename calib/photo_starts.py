@@ -19,7 +19,7 @@ from calib.paper import Objective, objective_for
 from calib.straightness import Straightened, straighten
 
 _GRID = (-0.2, -0.1, 0.0, 0.1, 0.2)  # principal points to try, in image widths off the expected one
-_STARTS = 2  # principal points to start from, for each focal and each of the two corners
+_STARTS = 1  # principal points to start from, for each focal and each of the two corners
 
 
 @dataclass(frozen=True)

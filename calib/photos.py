@@ -11,7 +11,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from calib.arrays import Floats
+from calib.arrays import Floats, Ints
 from calib.before_matches import before_the_matches
 from calib.cells import Cells, into_cells
 from calib.corner import Corner
@@ -19,7 +19,7 @@ from calib.homography import TooFewMatchesError
 from calib.lens import unproject
 from calib.likelihood import Fit, Knowledge, evaluate
 from calib.matches import Matches
-from calib.model import Motion, State
+from calib.model import PER_CORNER, PER_POSE, SHARED, Motion, State
 from calib.photo_starts import photo_family
 from calib.refine import Refinement, explore, settle, thin
 from calib.refusal import RefusalError
@@ -33,7 +33,6 @@ from calib.wording import PHOTOS
 
 # A photo may be a crop: its principal point is known to be somewhere in it, and that is all.
 _CROP_SIGMA_OF_WIDTH = 0.2
-_WIDEST_VARIANCE_PX2 = 1.0
 
 
 def anywhere(size: tuple[int, int]) -> PrincipalPoint:
@@ -54,8 +53,7 @@ def calibrate_photos(
 
     `pairs`: with faces 0, 1, 2 of one corner, `camera_px` in the first photo and `projector_px` in the other one.
     `principal_point`: `anywhere` by default. `focal_px`: focal length and its standard deviation, where it is to be used
-    as a prior. Returns one solution for each pair, the camera being both of its devices; all lengths are in units of the
-    first pair's baseline.
+    as a prior. Returns one solution for each pair, the camera being both of its devices, in that pair's own baselines.
 
     Raises RefusalError where no trustworthy answer can be had.
     """
@@ -88,12 +86,10 @@ def _solutions(refinement: Refinement, knowledge: Knowledge, pairs: Sequence[Mat
     for i, matches in enumerate(pairs):
         alone, covariance = _one_pair(refinement, i)
         sigmas = sigmas_by_name(alone, covariance)
-        motion = state.motion(i)
-        calibration = replace(
-            calibration_of(alone, knowledge.camera_size, knowledge.camera_size, sigmas), translation=motion.translation
-        )
-        corner, residual_px = before_the_matches(Corner(state.poses[0].vertex, state.legs(0)), calibration, matches)
-        information = refinement.fit.information[np.ix_(*[_columns_of_pair(state, i)] * 2)]
+        calibration = calibration_of(alone, knowledge.camera_size, knowledge.camera_size, sigmas)
+        corner, residual_px = before_the_matches(Corner(alone.poses[0].vertex, alone.legs(0)), calibration, matches)
+        columns = _columns_of_pair(state, i)
+        information = refinement.fit.information[np.ix_(columns, columns)]
         prior = knowledge.prior(alone)
         uncertainty = uncertainty_of(alone, covariance, information, prior, refinement.noise[i].match_px)
         solutions.append(
@@ -117,10 +113,9 @@ def _one_pair(refinement: Refinement, pair: int) -> tuple[State, Floats]:
     return alone, refinement.covariance[np.ix_(columns, columns)]
 
 
-def _columns_of_pair(state: State, pair: int) -> Floats:
-    """The columns of the joint state that stand for those of a pair's own."""
-    own = 15 + 3 + state.poses[0].size
-    return state.columns(pair)[:own]
+def _columns_of_pair(state: State, pair: int) -> Ints:
+    """The columns of the joint state that stand for those of a pair's own; a further photo's distance is none."""
+    return state.columns(pair)[: SHARED + PER_CORNER + PER_POSE]
 
 
 def _with_all(pairs: Sequence[Cells], fit: Fit, knowledge: Knowledge) -> Fit:

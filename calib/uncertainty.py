@@ -65,7 +65,7 @@ def uncertainty_of(state: State, covariance: Floats, information: Floats, prior:
             0
         ]
         moved[known] = np.eye(2)
-        sensitivity = moved[:SHARED]
+        sensitivity = moved[state.followed][:SHARED]
     return Uncertainty(state, covariance[:SHARED, :SHARED], sensitivity, match_px)
 
 

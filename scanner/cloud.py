@@ -11,7 +11,7 @@ from calib.calibration import Calibration
 from calib.matches import Matches
 from calib.triangulation import intersect
 from scanner.agreement import judge
-from scanner.surface import surface
+from scanner.surface import scattered_surface, surface
 
 _NO_TEXTURE_GREY = 200
 _WHITE_PERCENTILE = 99.9
@@ -61,10 +61,13 @@ class Cloud:
         return np.isfinite(self.points[..., 2])
 
 
-def build_cloud(matches: Matches, texture: Image | None, calibration: Calibration) -> Cloud:
+def build_cloud(
+    matches: Matches, texture: Image | None, calibration: Calibration, *, scattered: bool = False
+) -> Cloud:
     """Triangulate every match, drop those that cannot be points of a surface, add colours and normals.
 
     `texture`: the camera's image of the lit scene, (H, W) grey or (H, W, 3) BGR; without it the cloud is grey.
+    `scattered`: the matches are few and far between, so none is dropped for having no neighbours.
 
     Raises ValueError if the texture's size is not the camera's.
     """
@@ -83,7 +86,9 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
 
     points = np.full((height, width, 3), np.nan, dtype=np.float32)
     points.reshape(-1, 3)[index[chosen]] = met.points.take(usable[chosen], axis=0)
-    on_surface = surface(points, float(np.mean(calibration.camera.focal_px)))
+    on_surface = (
+        scattered_surface(points) if scattered else surface(points, float(np.mean(calibration.camera.focal_px)))
+    )
     isolated = np.nonzero(on_surface.isolated)
     points[isolated] = np.nan
     on_surface.normals[isolated] = np.nan

@@ -7,7 +7,7 @@
 from argparse import ArgumentParser, Namespace
 from typing import Protocol
 
-from scanner.commands import calibrate, devices, export, measure, patterns, replay, scan
+from scanner.commands import calibrate, devices, export, measure, patterns, photos, replay, scan
 
 
 class Command(Protocol):
@@ -26,6 +26,7 @@ MAIN: Command = scan
 NAMED: dict[str, Command] = {
     "replay": replay,
     "calibrate": calibrate,
+    "photos": photos,
     "patterns": patterns,
     "devices": devices,
     "export": export,

@@ -19,6 +19,7 @@ class CaptureFacts:
     """How the capture was taken: sizes are (width, height); what is not known is left out.
 
     `identity` names devices and whatever else the recording says about itself. `exposure_us`: the frames' exposures.
+    `photos`: what stands for the projector is the camera at a second place.
     """
 
     camera_size: tuple[int, int]
@@ -26,6 +27,7 @@ class CaptureFacts:
     patterns: tuple[Pattern, ...] = ()
     identity: Mapping[str, str] = field(default_factory=dict)
     exposure_us: tuple[float, ...] = ()
+    photos: bool = False
 
 
 @dataclass(frozen=True)
