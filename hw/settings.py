@@ -30,6 +30,9 @@ class SimulatedRigSettings(BaseModel):
         le=0.95,
         description="Mean share of light that walls and floor reflect; left out, each has its own (0.35 to 0.8).",
     )
+    wallpaper: bool = Field(
+        False, description="Walls and floor of the corner are patterned, with something to match everywhere for photos."
+    )
     ambient: float = Field(
         0.05,
         ge=0.0,
