@@ -148,7 +148,9 @@ def main() -> None:
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--processes", type=int, default=None)
     options = parser.parse_args()
-    print(f"{'':40} {'f, %: mean':>10} median   bound  {'PP, %: mean':>9} median  bound  error/σ: f   PP  refused    time")
+    print(
+        f"{'':40} {'f, %: mean':>10} median   bound  {'PP, %: mean':>9} median  bound  error/σ: f   PP  refused    time"
+    )
     with ProcessPoolExecutor(options.processes) as pool:
         for case in CASES:
             if options.only in case.name:

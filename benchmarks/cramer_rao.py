@@ -64,8 +64,8 @@ def bound_of_photos(
 ) -> np.ndarray:
     """Sigmas of (f, x_0, y_0), (3,), in pixels from the first pair of photos, at the truth.
 
-    A lens term that is zero in truth is known to be. Noise in the first photo moves what is predicted for the second: by
-    the prediction's own derivative D, so that a match's residual has the covariance σ₂² I + σ₁² D Dᵀ.
+    A lens term that is zero in truth is known to be. Noise in the first photo moves what is predicted for the second by
+    the derivative D of that, so that a match's residual has the covariance σ₂² I + σ₁² D Dᵀ.
     """
     matches, truth = photos.pairs[0]
     camera = _device(truth.camera)

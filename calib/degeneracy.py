@@ -72,7 +72,9 @@ def reasons_in_space(state: State, capture: int, words: Wording) -> list[str]:
     if ahead < _FORWARD_DEG:
         reasons.append(f"{words.both} are behind one another ({ahead:.0f}° from the line to the corner)")
     if motion.length / distance < _SHORT_BASELINE:
-        reasons.append(f"{words.both} are only {100 * motion.length / distance:.1f} % of the distance to the corner apart")
+        reasons.append(
+            f"{words.both} are only {100 * motion.length / distance:.1f} % of the distance to the corner apart"
+        )
     return reasons
 
 

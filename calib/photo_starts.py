@@ -66,7 +66,9 @@ class PhotoFamily:
 
 def objective_of_photos(matrices: Floats, focal_px: Floats, point_px: Floats) -> Floats:
     """E (n,) in pixels of transferred matrices (n, 3, 3) for trial focals (n,) and one principal point (2,)."""
-    off: Floats = np.abs(matrices[:, 0, 1]) + np.abs(matrices[:, 0, 0] - focal_px) + np.abs(matrices[:, 1, 1] - focal_px)
+    off: Floats = (
+        np.abs(matrices[:, 0, 1]) + np.abs(matrices[:, 0, 0] - focal_px) + np.abs(matrices[:, 1, 1] - focal_px)
+    )
     apart: Floats = np.sum(np.abs(matrices[:, :2, 2] - point_px), axis=1)
     return off + apart
 

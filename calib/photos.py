@@ -52,8 +52,9 @@ def calibrate_photos(
     """Calibrate the camera of photos of (width, height) from the matches of the first with each of the others.
 
     `pairs`: with faces 0, 1, 2 of one corner, `camera_px` in the first photo and `projector_px` in the other one.
-    `principal_point`: `anywhere` by default. `focal_px`: focal length and its standard deviation, where it is to be used
-    as a prior. Returns one solution for each pair, the camera being both of its devices, in that pair's own baselines.
+    `principal_point`: `anywhere` by default. `focal_px`: focal length and its standard deviation, where it is to be
+    used as a prior. Returns one solution for each pair, the camera being both of its devices, in that pair's own
+    baselines.
 
     Raises RefusalError where no trustworthy answer can be had.
     """

@@ -141,7 +141,8 @@ def settle(
 def _of_all_columns(covariance: Floats, state: State) -> Floats:
     """The covariance (size, size), columns that move with others having theirs."""
     followed = state.followed
-    return covariance[np.ix_(followed, followed)]
+    every: Floats = covariance[np.ix_(followed, followed)]
+    return every
 
 
 def _with_planes(

@@ -58,8 +58,8 @@ def find_sparse_faces(matches: Matches, size: tuple[int, int]) -> SparseFaces:
 def find_alike(labelled: Matches, matches: Matches, size: tuple[int, int]) -> SparseFaces:
     """The planes among matches of the same first photo with another one, numbered as the faces in `labelled` are.
 
-    A plane is the face on which most matches around its own are in the first photo. Raises RefusalError if a face is not
-    found again.
+    A plane is the face on which most matches around its own are in the first photo. Raises RefusalError if a face is
+    not found again.
     """
     plane, count = find_sparse_planes(matches, size)
     assert labelled.face is not None
@@ -113,7 +113,7 @@ def _one_after_the_other(matches: Matches, limit_px: float) -> list[Floats]:
 
 def _in_competition(matches: Matches, planes: list[Floats], limit_px: float) -> tuple[Ints, list[Floats]]:
     """The plane of each match (N,), −1 for none, and the planes, largest first."""
-    around = cKDTree(matches.camera_px).query(matches.camera_px, min(_NEIGHBOURS, len(matches)))[1]
+    around: Ints = np.asarray(cKDTree(matches.camera_px).query(matches.camera_px, min(_NEIGHBOURS, len(matches)))[1])
     plane = np.full(len(matches), NO_PLANE, np.int32)
     for _ in range(_ROUNDS):
         if not planes:
@@ -200,8 +200,8 @@ def _too_few(plane: Ints, count: int) -> RefusalError:
         return RefusalError("No plane was found in the matches.", "Look for a corner with little in front of it.")
     if count == 1:
         return RefusalError(
-            f"Only one plane was found, with {share:.0%} of the matches: a flat wall, or photos from one place (a camera "
-            "that is only turned or zoomed sees no depth).",
+            f"Only one plane was found, with {share:.0%} of the matches: a flat wall, or photos from one place (a "
+            "camera that is only turned or zoomed sees no depth).",
             PHOTOS.move,
         )
     return RefusalError(

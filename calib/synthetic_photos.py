@@ -106,9 +106,7 @@ def _camera(rng: np.random.Generator, options: PhotoOptions) -> Intrinsics:
     focal = float(rng.uniform(*options.focal_px))
     x, y = rng.uniform(-options.shift, options.shift, 2) * options.width
     centre = ((options.width - 1) / 2 + float(x), (options.height - 1) / 2 + float(y))
-    return Intrinsics(
-        options.width, options.height, (focal, focal), centre, (options.distortion, 0.0, 0.0, 0.0, 0.0)
-    )
+    return Intrinsics(options.width, options.height, (focal, focal), centre, (options.distortion, 0.0, 0.0, 0.0, 0.0))
 
 
 def _matches(

@@ -38,8 +38,8 @@ PHOTOS = Wording(
     "the photos' places",
     "pair of photos",
     "px",
-    "Take the photos from places a third of the distance to the corner apart, not straight behind one another, with all "
-    "three faces large and at different slants in both, at the same zoom.",
+    "Take the photos from places a third of the distance to the corner apart, not straight behind one another, with "
+    "all three faces large and at different slants in both, at the same zoom.",
     "Add a third photo of the same corner from another place, at the same zoom.",
     "the photos may not be by one camera at one zoom, or one was cropped differently",
     "lens and matching",

@@ -61,9 +61,7 @@ class Cloud:
         return np.isfinite(self.points[..., 2])
 
 
-def build_cloud(
-    matches: Matches, texture: Image | None, calibration: Calibration, *, scattered: bool = False
-) -> Cloud:
+def build_cloud(matches: Matches, texture: Image | None, calibration: Calibration, *, scattered: bool = False) -> Cloud:
     """Triangulate every match, drop those that cannot be points of a surface, add colours and normals.
 
     `texture`: the camera's image of the lit scene, (H, W) grey or (H, W, 3) BGR; without it the cloud is grey.

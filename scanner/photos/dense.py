@@ -15,11 +15,11 @@ from scanner.photos.photo import Photo
 from scanner.surface import surface
 
 _LONGEST_SIDE = 1600  # of what is matched: beyond it memory and time grow, and detail hardly does
-_FLATTEST = 0.3  # depth of a ray of length 1 in the rectified frame, below which the picture would be stretched too far
 _BLOCK = 5
 _DISPARITY_STEP = 16  # OpenCV searches whole multiples of so many pixels
-_RAREST = 0.5  # per cent of the sparse matches whose disparities the search may miss at either end
-_SPARE_PX = 8.0
+_MOST_DISPARITIES = 400
+_RAREST = 0.5  # per cent of the sparse matches that the pictures and the search may miss at either end
+_SPARE, _SPARE_PX = 0.05, 8.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ class _Rectified:
         pixels = camera.project(self.rays() @ self.rotation).astype(np.float32)
         outside = np.float32(-1e6)  # where the lens model ends, like what lies outside of the photo
         maps = np.where(np.isfinite(pixels), pixels, outside)
-        return cv2.remap(photo.pixels, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderValue=0)
+        seen = cv2.remap(photo.pixels, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderValue=0)
+        return np.asarray(seen, np.uint8)
 
 
 def dense_cloud(first: Photo, second: Photo, calibration: Calibration, matches: Matches) -> DenseCloud:
@@ -72,10 +73,9 @@ def dense_cloud(first: Photo, second: Photo, calibration: Calibration, matches: 
     `matches` say how far apart that may be. Parts that moved, shine or repeat may be wrong; what the two directions of
     matching disagree on is left out.
     """
-    left, right = _rectified(calibration)
+    left, right, least, count = _rectified(calibration, matches)
     pictures = left.picture(first, calibration.camera), right.picture(second, calibration.projector)
-    low, count = _disparities(left, right, calibration, matches)
-    found = _match(*pictures, low, count)
+    found = _match(*pictures, least, count)
     disparity = found + left.low[0] - right.low[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(np.isfinite(found) & (disparity > 0), left.focal_px * calibration.baseline / disparity, np.nan)
@@ -89,64 +89,46 @@ def dense_cloud(first: Photo, second: Photo, calibration: Calibration, matches: 
     )
 
 
-def _rectified(calibration: Calibration) -> tuple[_Rectified, _Rectified]:
+def _rectified(calibration: Calibration, matches: Matches) -> tuple[_Rectified, _Rectified, int, int]:
     """Both photos' frames turned until x runs along the baseline, z staying as near as it can to both views.
 
-    (Fusiello, Trucco & Verri 2000; for baselines in any direction, unlike cv2.stereoRectify's two.)
+    (Fusiello, Trucco & Verri 2000; for baselines in any direction, unlike cv2.stereoRectify's two.) What the matches
+    show to be in both photos is in the pictures, whose scale keeps them, and the least disparity and the number of
+    disparities between them, which are returned as well, within bounds.
     """
     x = calibration.projector_centre / calibration.baseline
-    ahead = np.array([0.0, 0.0, 1.0]) + calibration.rotation[2]
-    y = np.cross(ahead, x)
+    y = np.cross(np.array([0.0, 0.0, 1.0]) + calibration.rotation[2], x)
     y /= np.linalg.norm(y)
     common = np.stack([x, y, np.cross(x, y)])
-    camera = calibration.camera
-    scale = min(1.0, _LONGEST_SIDE / max(camera.width, camera.height))
-    focal = scale * camera.focal_px[0]
-    turns = common, common @ calibration.rotation.T
-    bounds = [_bounds(device, turn, focal) for device, turn in zip((camera, calibration.projector), turns, strict=True)]
-    top = min(low[1] for low, _ in bounds)
-    bottom = max(high[1] for _, high in bounds)
-    first, second = (
-        _Rectified(turn, focal, np.array([low[0], top]), (int(high[0] - low[0]) + 1, int(bottom - top) + 1))
-        for turn, (low, high) in zip(turns, bounds, strict=True)
-    )
-    # Semi-global matching wants two pictures of one size.
-    width = max(first.size[0], second.size[0])
-    size = (width, first.size[1])
-    return (
-        _Rectified(first.rotation, focal, first.low, size),
-        _Rectified(second.rotation, focal, second.low, size),
-    )
-
-
-def _bounds(device: Intrinsics, turn: Floats, focal_px: float) -> tuple[Floats, Floats]:
-    """Least and greatest whole pixel coordinates (2,) of a photo's rim in the turned frame."""
-    x, y = np.linspace(0, device.width - 1, 33), np.linspace(0, device.height - 1, 33)
-    rim = np.concatenate(
-        [np.stack([x, np.full(33, edge)], axis=1) for edge in (0.0, device.height - 1.0)]
-        + [np.stack([np.full(33, edge), y], axis=1) for edge in (0.0, device.width - 1.0)]
-    )
-    rays = device.unproject(rim) @ turn.T
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    flat = focal_px * rays[:, :2] / np.maximum(rays[:, 2:], _FLATTEST)
-    return np.floor(np.nanmin(flat, axis=0)), np.ceil(np.nanmax(flat, axis=0))
-
-
-def _disparities(left: _Rectified, right: _Rectified, calibration: Calibration, matches: Matches) -> tuple[int, int]:
-    """Least disparity between the two pictures' columns, and how many to search."""
     met = intersect(matches, calibration)
-    depth = (met.points[met.in_front] @ left.rotation.T)[:, 2]
-    disparity = left.focal_px * calibration.baseline / depth[depth > 0] - left.low[0] + right.low[0]
-    low, high = np.percentile(disparity, [_RAREST, 100 - _RAREST])
+    points = met.points[met.in_front] @ common.T
+    points = points[points[:, 2] > 0]
+    seen = [points[:, :2] / points[:, 2:], (points - (calibration.baseline, 0, 0))[:, :2] / points[:, 2:]]
+    bounds = [np.percentile(each, [_RAREST, 100 - _RAREST], axis=0) for each in seen]
+    spare = _SPARE * max(float(np.ptp(each, axis=0).max()) for each in bounds)
+    low_y, high_y = min(each[0, 1] for each in bounds) - spare, max(each[1, 1] for each in bounds) + spare
+    width = max(float(np.ptp(each[:, 0])) for each in bounds) + 2 * spare
+    disparity = np.percentile(seen[0][:, 0] - seen[1][:, 0], [_RAREST, 100 - _RAREST])
+    focal = min(
+        calibration.camera.focal_px[0],
+        _LONGEST_SIDE / max(width, high_y - low_y),
+        _MOST_DISPARITIES / np.ptp(disparity),
+    )
+    size = (int(focal * width) + 1, int(focal * (high_y - low_y)) + 1)
+    left, right = (
+        _Rectified(turn, focal, np.floor(focal * np.array([each[0, 0] - spare, low_y])), size)
+        for turn, each in zip((common, common @ calibration.rotation.T), bounds, strict=True)
+    )
+    low, high = focal * disparity - left.low[0] + right.low[0]
     least = int(np.floor(low - _SPARE_PX))
     steps = int(np.ceil((high + _SPARE_PX - least) / _DISPARITY_STEP))
-    return least, _DISPARITY_STEP * max(steps, 1)
+    return left, right, least, _DISPARITY_STEP * max(steps, 1)
 
 
 def _match(left: Image, right: Image, least: int, count: int) -> Floats:
     """Disparities (H, W) in columns, NaN where there is none."""
     channels = left.shape[2] if left.ndim == 3 else 1
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM.create(
         minDisparity=least,
         numDisparities=count,
         blockSize=_BLOCK,
@@ -160,7 +142,9 @@ def _match(left: Image, right: Image, least: int, count: int) -> Floats:
     )
     # The search starts beyond the picture's margin: room for it on the side from which it comes.
     margin = max(0, least + count)
-    padded = [cv2.copyMakeBorder(picture, 0, 0, margin, max(0, -least), cv2.BORDER_REPLICATE) for picture in (left, right)]
+    padded = [
+        cv2.copyMakeBorder(picture, 0, 0, margin, max(0, -least), cv2.BORDER_REPLICATE) for picture in (left, right)
+    ]
     found = matcher.compute(*padded).astype(np.float64)[:, margin : margin + left.shape[1]] / 16
     empty = left.reshape(*left.shape[:2], -1).max(axis=2) == 0
     return np.where((found < least) | empty, np.nan, found)

@@ -38,9 +38,9 @@ def find_features(photo: Pixels) -> Features:
     """SIFT features (Lowe 2004), at most one at a place, described by RootSIFT (Arandjelović & Zisserman 2012)."""
     grey = photo if photo.ndim == 2 else cv2.cvtColor(photo, cv2.COLOR_BGR2GRAY)
     # Without precise upscaling, features of different sizes are off by different fractions of a pixel.
-    detector = cv2.SIFT_create(nfeatures=_MOST_FEATURES, contrastThreshold=0.02, enable_precise_upscale=True)
+    detector = cv2.SIFT.create(nfeatures=_MOST_FEATURES, contrastThreshold=0.02, enable_precise_upscale=True)
     keypoints, descriptors = detector.detectAndCompute(grey, None)
-    if descriptors is None:
+    if not keypoints:
         return Features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32), grey.shape[1])
     pixels = np.array([keypoint.pt for keypoint in keypoints], np.float64)
     # A place with several orientations has several features; counted once, or its error would count twice.

@@ -12,6 +12,7 @@ from scanner.errors import InputError
 from scanner.images import read_image
 
 _FULL_FRAME_DIAGONAL_MM = 43.2666  # of 36 × 24 mm, to which the 35 mm equivalent refers (CIPA DCG-001)
+_LONGEST_MM = 10_000
 _UPRIGHT = 1
 # EXIF orientation → how the stored array is turned upright.
 _TURNS = {
@@ -73,8 +74,8 @@ def read_photos(paths: Sequence[Path]) -> list[Photo]:
         return [each.turned(stored[0].orientation) for each in stored]
     sizes = ", ".join(f"{photo.path.name} {photo.size[0]} × {photo.size[1]}" for photo in upright)
     raise InputError(
-        f"the photos must be of one size, found {sizes}: take them with one camera at one zoom, and crop all or none of "
-        "them, in the same way"
+        f"the photos must be of one size, found {sizes}: take them with one camera at one zoom, and crop all or none "
+        "of them, in the same way"
     )
 
 
@@ -95,5 +96,5 @@ def _exif(path: Path) -> tuple[int, float | None]:
         return _UPRIGHT, None  # OpenCV reads formats, and damaged EXIF data, that Pillow does not
     orientation = exif.get(ExifTags.Base.Orientation, _UPRIGHT)
     focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
-    usable = isinstance(focal, int | float) and 0 < focal < 10_000
-    return orientation if orientation in _TURNS else _UPRIGHT, float(focal) if usable else None
+    focal_mm = float(focal) if isinstance(focal, int | float) and 0 < focal < _LONGEST_MM else None  # 0 is unknown
+    return orientation if orientation in _TURNS else _UPRIGHT, focal_mm

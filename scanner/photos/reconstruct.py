@@ -187,9 +187,7 @@ def _merge(scan: Scan) -> None:
     newest = scan.newest
     assert newest.solution is not None
     assert newest.calibration is not None
-    corner = Corner(
-        newest.solution.corner.vertex * newest.calibration.baseline, newest.solution.corner.legs
-    )
+    corner = Corner(newest.solution.corner.vertex * newest.calibration.baseline, newest.solution.corner.legs)
     clouds = []
     for found in scan.captures:
         assert found.cloud is not None

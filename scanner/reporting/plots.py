@@ -89,7 +89,7 @@ def residual_histogram(residual_px: NDArray[np.float32], noise_px: float, limit_
         if noise_px > 0:
             fine = np.linspace(-limit_px, limit_px, 20 * _HISTOGRAM_BINS)
             axes.plot(fine, 100 * _normal(fine, noise_px) * (edges[1] - edges[0]), color=_SECOND, linewidth=1.5)
-        axes.set_xlabel("miss (projector px)")
+        axes.set_xlabel("miss (px)")
         axes.set_ylabel("% of matches")
         axes.set_xlim(-limit_px, limit_px)
         return _svg(figure, "misses")

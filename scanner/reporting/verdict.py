@@ -29,6 +29,7 @@ _NO_SIGMA = (
     "How sure the numbers are is not known. For captures of real rooms the paper, whose method this is, reports errors "
     "of 4 % on average."
 )
+_THIRD_PHOTO = "Add a photo of the same corner from another place, at the same zoom: three or four make a measurement."
 _LOOK_AT_THE_MISSES = (
     "The rays miss each other in a pattern, see “Do the rays meet?”. Use 'method: refined', which knows lens "
     "distortion, or capture the corner again from another place."
@@ -78,7 +79,7 @@ def _of_self_calibration(report: ReportInput, calibration: Calibration) -> Verdi
         _NO_SIGMA
         if worst is None
         else f"The focal lengths are known to ± {100 * worst:.2g} % (one standard deviation).",
-        f"On the three faces the calibration explains the matches to {report.solution.residual_px:.2g} projector px. "
+        f"On the three faces the calibration explains the matches to {report.solution.residual_px:.2g} px. "
         "That is needed, but it is no proof: wrong focal lengths can explain matches nearly as well.",
     ]
     if report.truth is not None:
@@ -91,6 +92,8 @@ def _of_self_calibration(report: ReportInput, calibration: Calibration) -> Verdi
     if worst is not None and worst <= _MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
     advice = _ONE_MORE if report.together > 1 else _THREE_CAPTURES
+    if report.capture.photos:
+        advice = _THIRD_PHOTO
     return Verdict("fair", "Calibrated, well enough for a first look", tuple(reasons), advice)
 
 
@@ -111,6 +114,6 @@ def _about_cloud(statistics: CloudStatistics) -> Iterator[str]:
     kept = percent(statistics.kept / statistics.matched)
     yield f"{statistics.kept:,} of {statistics.matched:,} matches ({kept}) became points of the cloud."
     yield (
-        f"The two rays of a match miss each other by {statistics.decoder_px:.2g} projector px at random (the decoder) "
+        f"The two rays of a match miss each other by {statistics.decoder_px:.2g} px at random (the matching) "
         f"and by {statistics.calibration_px:.2g} px in a smooth pattern (the calibration)."
     )
