@@ -116,7 +116,7 @@ def sweep_jointly(
 def twins(cells: Cells, family: Starts, fit: Fit, knowledge: Knowledge) -> list[Fit]:
     """Fits at the focal of a fit of one capture, from both of the paper's solutions there."""
     (starts,) = family.starts(np.array([fit.state.camera[0]]))
-    prior = knowledge.prior(fit.state).with_known(CAMERA.start)
+    prior = knowledge.prior(fit.state).holding(CAMERA.start)
     variances = [np.full(len(cells), _SIGMA_PX**2)]
     return [relax([cells], state, prior, variances) for state in starts]
 
@@ -153,7 +153,7 @@ def _best(
     tried = starts + ([at_focal(last, focal)] if last else [])
     if not tried:
         return None
-    prior = knowledge.prior(tried[0]).with_known(CAMERA.start)
+    prior = knowledge.prior(tried[0]).holding(CAMERA.start)
     variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
     best: Fit | None = None
     for state in reversed(tried):  # the fit at another trial is mostly the one to beat

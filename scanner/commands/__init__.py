@@ -26,9 +26,9 @@ MAIN: Command = scan
 NAMED: dict[str, Command] = {
     "replay": replay,
     "calibrate": calibrate,
-    "photos": photos,
     "patterns": patterns,
     "devices": devices,
     "export": export,
     "measure": measure,
+    "photos": photos,
 }
