@@ -91,10 +91,11 @@ def _exif(path: Path) -> tuple[int, float | None]:
     """Orientation, and the focal length equivalent to 35 mm film; what a format or a file does not tell is left out."""
     try:
         with Image.open(path) as image:
-            exif = image.getexif()
+            exif, is_tiff = image.getexif(), image.format == "TIFF"
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
         return _UPRIGHT, None  # OpenCV reads formats, and damaged EXIF data, that Pillow does not
-    orientation = exif.get(ExifTags.Base.Orientation, _UPRIGHT)
+    # OpenCV itself turns TIFF files upright, and no others where they are read unchanged.
+    orientation = _UPRIGHT if is_tiff else exif.get(ExifTags.Base.Orientation, _UPRIGHT)
     focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
     focal_mm = float(focal) if isinstance(focal, int | float) and 0 < focal < _LONGEST_MM else None  # 0 is unknown
     return orientation if orientation in _TURNS else _UPRIGHT, focal_mm

@@ -4,6 +4,7 @@ World: the walls are the planes x = 0, y = 0 and z = 0, the room is the positive
 """
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -13,10 +14,10 @@ from calib.arrays import Floats, Image
 from calib.camera import Intrinsics
 from calib.synthetic import look_at
 
-CAMERA = Intrinsics(800, 600, (780.0, 780.0), (425.0, 280.0), (-0.03, 0.0, 0.0, 0.0, 0.0))
+CAMERA = Intrinsics(640, 480, (620.0, 620.0), (340.0, 224.0), (-0.03, 0.0, 0.0, 0.0, 0.0))
 FIRST, SECOND, THIRD = np.array([1.6, 1.3, 1.2]), np.array([1.15, 1.75, 1.3]), np.array([1.5, 1.2, 1.75])
-_TEXELS_PER_M = 400
-_EXTENT_M = 4.0
+_TEXELS_PER_M = 320
+_EXTENT_M = 3.0
 _SUPERSAMPLING = 2
 
 
@@ -36,9 +37,7 @@ def painted(seed: int = 0, walls: tuple[int, ...] = (0, 1, 2)) -> Walls:
 def photo(walls: Walls, eye: Floats, *, camera: Intrinsics = CAMERA, target: Floats | None = None) -> Image:
     """What a camera at `eye` that looks at `target` (the vertex) sees, with a little noise."""
     rotation = look_at(eye, np.full(3, 0.15) if target is None else target, np.array([0.0, 0.0, 1.0]))
-    fine = (np.arange(_SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5
-    x, y = (np.add.outer(np.arange(side), fine).ravel() for side in (camera.width, camera.height))
-    rays = camera.unproject(np.stack(np.meshgrid(x, y), axis=-1)) @ rotation
+    rays = _rays(camera) @ rotation
     with np.errstate(divide="ignore"):
         lengths = -eye / rays
     lengths[~(lengths > 0)] = np.inf
@@ -62,6 +61,14 @@ def write_photos(folder: Path, *images: Image) -> list[Path]:
     for path, image in zip(paths, images, strict=True):
         cv2.imwrite(str(path), image)
     return paths
+
+
+@cache
+def _rays(camera: Intrinsics) -> Floats:
+    """Of a camera's pixels, several each, (H, W, 3)."""
+    fine = (np.arange(_SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5
+    x, y = (np.add.outer(np.arange(side), fine).ravel() for side in (camera.width, camera.height))
+    return camera.unproject(np.stack(np.meshgrid(x, y), axis=-1))
 
 
 def _blobs(rng: np.random.Generator) -> Image:
