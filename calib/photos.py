@@ -19,7 +19,8 @@ from calib.homography import TooFewMatchesError
 from calib.lens import unproject
 from calib.likelihood import Fit, Knowledge, evaluate
 from calib.matches import Matches
-from calib.model import PER_CORNER, PER_POSE, SHARED, Motion, State
+from calib.model import PER_CORNER, PER_POSE, SHARED, State
+from calib.motion import Motion
 from calib.photo_starts import photo_family
 from calib.refine import Refinement, explore, settle, thin
 from calib.refusal import RefusalError

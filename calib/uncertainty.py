@@ -10,7 +10,8 @@ from calib.camera import Intrinsics
 from calib.lens import unproject
 from calib.likelihood import Prior
 from calib.matches import Matches
-from calib.model import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, State, cross, tangent_basis
+from calib.model import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, State
+from calib.motion import cross, tangent_basis
 
 Sigmas = dict[str, float | tuple[float, ...]]
 

@@ -183,9 +183,7 @@ def test_identical_photos_are_refused(walls: Walls, tmp_path: Path, capsys: pyte
     refused(capsys, write_photos(tmp_path, same, same), tmp_path / "out", "photos from one place")
 
 
-def test_a_camera_that_only_turned_is_refused(
-    walls: Walls, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_camera_that_only_turned_is_refused(walls: Walls, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = photo(walls, FIRST), photo(walls, FIRST, target=np.array([0.4, 0.1, 0.2]))
     refused(capsys, write_photos(tmp_path, *images), tmp_path / "out", "photos from one place")
 
