@@ -1,7 +1,7 @@
 """COLMAP's two-view solution through pycolmap, where that is installed: relative pose, points, bundle adjustment.
 
 One camera for both photos, started as COLMAP starts one of which nothing is known: a focal length of 1.2 image widths
-and the principal point at the centre, which is then held or freed.
+and the principal point at the centre, which is then held or freed. COLMAP logs every adjustment on stderr.
 """
 
 import importlib.util
@@ -20,8 +20,6 @@ PEERS = (HELD, FREE) if importlib.util.find_spec("pycolmap") else ()
 def two_view(matches: Matches, size: tuple[int, int], peer: str) -> np.ndarray | None:
     """(f, x_0, y_0) in pixels, in this project's convention of pixel centres; None where COLMAP finds no solution."""
     import pycolmap
-
-    pycolmap.logging.minloglevel = 2  # it tells of every adjustment
 
     focal, centre = 1.2 * max(size), (np.array(size) - 1) / 2
     # COLMAP has the centre of the first pixel at (0.5, 0.5).
