@@ -34,6 +34,7 @@ from calib.wording import PHOTOS
 
 # A photo may be a crop: its principal point is known to be somewhere in it, and that is all.
 _CROP_SIGMA_OF_WIDTH = 0.2
+_HIDDEN = 16  # fits of the sweep that are followed beside its minima
 
 
 def anywhere(size: tuple[int, int]) -> PrincipalPoint:
@@ -71,8 +72,11 @@ def calibrate_photos(
     sweep = sweep_one(thinned[0], families[0], sweep_trials(size), knowledge)
     starts = minima(sweep)
     if starts:
-        starts += twins(thinned[0], families[0], starts[0], knowledge)
-        starts = sorted((_with_all(thinned, fit, knowledge) for fit in starts), key=lambda fit: fit.cost)
+        # A true valley narrower than the trials' spacing loses to a broad wrong one at every trial.
+        hidden = [fit for at in sweep if at for fit in twins(thinned[0], families[0], at, knowledge)]
+        starts += sorted(hidden, key=lambda fit: fit.cost)[:_HIDDEN]
+        level = max(float(np.mean(starts[0].residuals[0] ** 2)), 1e-12)
+        starts = sorted((_with_all(thinned, fit, knowledge, level) for fit in starts), key=lambda fit: fit.cost)
         fits = [oriented(thinned[:1], fit) for fit in explore(thinned, starts, knowledge)]
         refinement = settle(cells, fits, knowledge)
     if not starts or refinement is None:
@@ -120,11 +124,10 @@ def _columns_of_pair(state: State, pair: int) -> Ints:
     return state.columns(pair)[: SHARED + PER_CORNER + PER_POSE]
 
 
-def _with_all(pairs: Sequence[Cells], fit: Fit, knowledge: Knowledge) -> Fit:
+def _with_all(pairs: Sequence[Cells], fit: Fit, knowledge: Knowledge, variance: float) -> Fit:
     """A fit of the first pair with the places of all further photos, from the points that it gives."""
     state = replace(fit.state, further=tuple(_placed(cells, fit.state) for cells in pairs[1:]))
-    level = max(float(np.mean(fit.residuals[0] ** 2)), 1e-12)
-    return evaluate(pairs, state, knowledge.prior(state), [np.full(len(cells), level) for cells in pairs])
+    return evaluate(pairs, state, knowledge.prior(state), [np.full(len(cells), variance) for cells in pairs])
 
 
 def _placed(cells: Cells, state: State) -> Motion:
