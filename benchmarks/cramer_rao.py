@@ -9,7 +9,9 @@ from calib.cells import Cells
 from calib.likelihood import Knowledge, evaluate
 from calib.matches import Matches
 from calib.model import CAMERA, PROJECTOR, Pose, State, predict
+from calib.photos import anywhere
 from calib.synthetic import SyntheticCapture
+from calib.synthetic_photos import SyntheticPhotos
 from calib.valley import covariance_of
 
 _SAMPLE = 3000
@@ -55,3 +57,32 @@ def _device(intrinsics: Intrinsics) -> np.ndarray:
 def _as_cells(matches: Matches) -> Cells:
     one = np.ones(len(matches))
     return Cells(matches.camera_px, matches.projector_px, matches.face, one, one, 1.0, 0.0)
+
+
+def bound_of_photos(
+    photos: SyntheticPhotos, squareness_deg: float, first_noise_px: float, second_noise_px: float
+) -> np.ndarray:
+    """Sigmas of (f, x_0, y_0), (3,), in pixels from the first pair of photos, at the truth.
+
+    A lens term that is zero in truth is known to be. Noise in the first photo moves what is predicted for the second by
+    the derivative D of that, so that a match's residual has the covariance σ₂² I + σ₁² D Dᵀ.
+    """
+    matches, truth = photos.pairs[0]
+    camera = _device(truth.camera)
+    pose = Pose(photos.corner.legs, photos.corner.vertex)
+    state = State(camera, camera, truth.rotation, truth.translation, np.zeros((1, 3)), (pose,), one_camera=True)
+    point = anywhere((truth.camera.width, truth.camera.height))
+    size = truth.camera.width, truth.camera.height
+    prior = Knowledge(size, size, point.px, point.sigma_px, squareness_deg, one_camera=True).prior(state)
+    if camera[3] == 0:
+        prior = prior.with_known(CAMERA.start + 3)
+    step_px = 1e-3
+    pixels, face = matches.camera_px, matches.face
+    at, jacobian, _ = predict(state, pixels, face)
+    shifted = [predict(state, pixels + step_px * axis, face)[0] for axis in np.eye(2)]
+    slope = np.stack([(each - at) / step_px for each in shifted], axis=2)
+    covariance = second_noise_px**2 * np.eye(2) + first_noise_px**2 * slope @ slope.transpose(0, 2, 1)
+    weighted = np.linalg.solve(covariance, jacobian)
+    information = np.diag(prior.precision()) + np.einsum("nia,nib->ab", jacobian, weighted)
+    sigma = np.sqrt(np.diag(covariance_of(information, prior.free)))[CAMERA][:3]
+    return sigma * np.array([camera[0], 1.0, 1.0])

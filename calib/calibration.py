@@ -35,6 +35,11 @@ class Calibration:
             raise ValueError("translation must not be zero: camera and projector would be in one place")
 
     @property
+    def one_camera(self) -> bool:
+        """Whether both devices are the same: one camera at two places."""
+        return self.camera == self.projector
+
+    @property
     def baseline(self) -> float:
         """Distance between the devices' centres, in `unit`."""
         return float(np.linalg.norm(self.translation))

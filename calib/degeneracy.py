@@ -12,6 +12,7 @@ from calib.homography import FACES, dehomogenise, dlt_gram, homogeneous, homogra
 from calib.matches import Matches
 from calib.model import State
 from calib.straightness import Straightened
+from calib.wording import Wording
 
 _NAMES = ("first", "second", "third")
 # What an angle or a share must fall below to be named as a reason.
@@ -23,12 +24,12 @@ _SHORT_BASELINE = 0.03  # of the distance to the vertex
 _ONE_PLANE_PX, _ONE_PLANE_SIGMAS = 0.1, 2.0
 
 
-def one_plane(cells: Cells, straightened: Straightened) -> str | None:
+def one_plane(cells: Cells, straightened: Straightened, words: Wording) -> str | None:
     """Which faces share one homography, within what the cells' noise and a decoder's systematic errors leave."""
     limit_px = _ONE_PLANE_PX + _ONE_PLANE_SIGMAS * float(np.median(cells.sigma_px))
     together = [pair for pair in ((0, 1), (1, 2), (2, 0)) if _off_one_plane(straightened.matches, *pair) < limit_px]
     if len(together) > 1:
-        return "all lie in one plane (a flat wall), or camera and projector are in one place: there is no depth"
+        return f"all lie in one plane (a flat wall), or {words.both} are one and the same: there is no depth"
     if together:
         i, j = together[0]
         return f"the {_NAMES[i]} and the {_NAMES[j]} lie in one plane, so only two planes are seen"
@@ -50,28 +51,29 @@ def reasons_in_images(cells: Cells) -> list[str]:
     return reasons
 
 
-def reasons_in_space(state: State, capture: int) -> list[str]:
+def reasons_in_space(state: State, capture: int, words: Wording) -> list[str]:
     """What is wrong with the places of corner, camera and projector, as far as a poor solution can tell."""
     reasons = []
-    vertex = state.poses[capture].vertex
+    vertex, motion = state.pose(capture).vertex, state.motion(capture)
     normals = state.normals(capture)
-    projector = -state.rotation.T @ state.translation
-    for device, centre in (("camera", np.zeros(3)), ("projector", projector)):
+    second = -motion.rotation.T @ motion.translation
+    for device, centre in ((words.first, np.zeros(3)), (words.second, second)):
         slant = np.degrees(
             np.arcsin(np.clip(np.abs(normals @ (vertex - centre)) / np.linalg.norm(vertex - centre), 0, 1))
         )
         reasons += [
-            f"the {_NAMES[face]} face is seen at a slant of only {slant[face]:.0f}° from the {device}: "
+            f"the {_NAMES[face]} face is seen at a slant of only {slant[face]:.0f}° from {device}: "
             f"the face passes nearly through its centre"
             for face in FACES
             if slant[face] < _GRAZING_DEG
         ]
-    ahead = np.degrees(np.arccos(np.clip(abs(projector @ vertex) / np.linalg.norm(vertex), 0, 1)))
+    distance = float(np.linalg.norm(vertex))
+    ahead = np.degrees(np.arccos(np.clip(abs(second @ vertex) / (motion.length * distance), 0, 1)))
     if ahead < _FORWARD_DEG:
-        reasons.append(f"camera and projector stand behind one another ({ahead:.0f}° from the line to the corner)")
-    if 1 / np.linalg.norm(vertex) < _SHORT_BASELINE:
+        reasons.append(f"{words.both} are behind one another ({ahead:.0f}° from the line to the corner)")
+    if motion.length / distance < _SHORT_BASELINE:
         reasons.append(
-            f"camera and projector are only {100 / np.linalg.norm(vertex):.1f} % of the distance to the corner apart"
+            f"{words.both} are only {100 * motion.length / distance:.1f} % of the distance to the corner apart"
         )
     return reasons
 

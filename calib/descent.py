@@ -36,7 +36,7 @@ def minimise(
     So after each joint Newton step everything but the focal is relaxed back to the valley's floor, along which the
     cost is nearly a parabola.
     """
-    anchored = prior.with_known(CAMERA.start)
+    anchored = prior.holding(CAMERA.start)
     fit = relax(captures, state, anchored, variances, tolerance=tolerance)
     for _ in range(_STEPS):
         step, decrement = _newton(fit, prior, 0.0)

@@ -19,7 +19,7 @@ _ZERO_BY_TERMS = ((3, 4), (4,), ())
 
 @dataclass(frozen=True)
 class LensOrder:
-    """`terms`: number of radial terms of (camera, projector); `probability` of that order among all nine.
+    """`terms`: number of radial terms of (camera, projector); `probability` of that order among all.
 
     `zero`: the columns left out. `spread` (size, size): the covariance that the other orders' answers add.
     """
@@ -31,14 +31,19 @@ class LensOrder:
 
 
 def choose_lens_order(fit: Fit, covariance: Floats, prior: Prior) -> LensOrder:
-    """The most probable order, all being equally likely beforehand; `fit` and `covariance` have all terms free."""
+    """The most probable order, all being equally likely beforehand; `fit` and `covariance` have all terms free.
+
+    A term that the prior does not leave free is none to choose.
+    """
     values = fit.state.additive()
     orders, logs, shifts = [], [], []
-    for terms in product(range(3), range(3)):
+    most = [int(np.count_nonzero(prior.free[device][3:])) for device in (CAMERA, PROJECTOR)]
+    for terms in product(range(most[0] + 1), range(most[1] + 1)):
         zero = [
             device.start + column
             for device, count in zip((CAMERA, PROJECTOR), terms, strict=True)
             for column in _ZERO_BY_TERMS[count]
+            if prior.free[device.start + column]
         ]
         orders.append((terms, tuple(zero)))
         shift, log_ratio = _left_out(values, covariance, prior, zero)

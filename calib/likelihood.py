@@ -5,13 +5,14 @@ pixels and v_i the variance of each of its coordinates; Huber's loss beyond thre
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arrays import Bools, Floats
 from calib.cells import Cells
 from calib.model import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
+from calib.wording import PHOTOS, RIG, Wording
 
 ROBUST_SIGMAS = 3.0
 _LEAST_IN_FRONT = 0.98
@@ -20,37 +21,52 @@ _BEHIND = 100.0  # the cost of a cell behind a device, like one ten sigmas off
 
 @dataclass(frozen=True)
 class Prior:
-    """Gaussian prior on the additive columns of the model: `mean`, `sigma` (size,); 0 = known, infinity = unknown."""
+    """Gaussian prior on the additive columns of the model: `mean`, `sigma` (size,); 0 = known, infinity = unknown.
+
+    `held`: a column that stays where it is for now, though it is not known, so that it costs what the prior says.
+    """
 
     mean: Floats
     sigma: Floats
+    held: int | None = None
 
     @property
     def free(self) -> Bools:
         """Columns that are estimated, (size,)."""
-        return self.sigma > 0
+        free = self.sigma > 0
+        if self.held is not None:
+            free[self.held] = False
+        return free
 
     def deviation(self, state: State) -> Floats:
         """(value − mean) / σ of each column, (size,); zero where the prior says nothing."""
-        informative = self.free & np.isfinite(self.sigma)
+        informative = (self.sigma > 0) & np.isfinite(self.sigma)
         scale = np.where(informative, self.sigma, 1.0)
         return np.where(informative, (state.additive() - self.mean) / scale, 0.0)
 
     def precision(self) -> Floats:
-        """1 / σ² of the free columns, 0 elsewhere, (size,)."""
-        return np.where(self.free, 1.0 / np.where(self.free, self.sigma, 1.0) ** 2, 0.0)
+        """1 / σ² of the columns that are not known, 0 elsewhere, (size,)."""
+        unknown = self.sigma > 0
+        return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0) ** 2, 0.0)
 
     def with_known(self, column: int) -> "Prior":
         """The same with one column held fixed."""
         sigma = self.sigma.copy()
         sigma[column] = 0.0
-        return Prior(self.mean, sigma)
+        return replace(self, sigma=sigma)
+
+    def holding(self, column: int) -> "Prior":
+        """The same for a descent that leaves one column alone."""
+        return replace(self, held=column)
 
 
 @dataclass(frozen=True)
 class Knowledge:
     """What is known before the matches are seen: image sizes (width, height), the camera's principal point with its
     standard deviation (0: exactly known), and how square corners are (standard deviation of the angles; 0: exactly).
+
+    `one_camera`: both images are photos by one unchanged camera, with one radial term. `focal_px`: the camera's focal
+    length with its standard deviation, where something is known of it.
     """
 
     camera_size: tuple[int, int]
@@ -58,13 +74,21 @@ class Knowledge:
     principal_point_px: tuple[float, float]
     principal_point_sigma_px: float
     squareness_deg: float
+    one_camera: bool = False
+    focal_px: tuple[float, float] | None = None
+
+    @property
+    def words(self) -> Wording:
+        """What the devices are called in messages."""
+        return PHOTOS if self.one_camera else RIG
 
     def prior(self, layout: State) -> Prior:
         """As a prior on the columns of states like `layout`.
 
-        Beside what is known of this rig, what holds for any lens that is sold: focals of one image width within a
-        factor of two, a projector's principal point within half an image height of the centre, k1 within 0.1 and k2
-        within 0.03 of zero (1 sigma each). A capture that determines the focals to a few per cent does not feel it.
+        Beside what is known of this rig, what holds for any lens that is sold: a projector's focal of one image width
+        within a factor of two and its principal point within half an image height of the centre, k1 within 0.1 and k2
+        within 0.03 of zero (1 sigma each). A capture that determines the focals to a few per cent does not feel it. The
+        camera's focal has no prior but the range that is swept, unless something is known of it.
         """
         mean, sigma = np.zeros(layout.size), np.full(layout.size, np.inf)
         for device, (width, height) in ((CAMERA, self.camera_size), (PROJECTOR, self.projector_size)):
@@ -72,6 +96,13 @@ class Knowledge:
             sigma[device] = [0.7, height / 2, height / 2, 0.1, 0.03]
         centre = slice(CAMERA.start + 1, CAMERA.start + 3)
         mean[centre], sigma[centre] = self.principal_point_px, self.principal_point_sigma_px
+        sigma[CAMERA.start] = np.inf
+        if self.focal_px is not None:
+            focal, spread = self.focal_px
+            mean[CAMERA.start], sigma[CAMERA.start] = np.log(focal), spread / focal
+        if self.one_camera:
+            sigma[CAMERA.stop - 1] = 0.0  # two photos hardly tell k2 from k1
+            sigma[PROJECTOR] = 0.0  # those columns move with the camera's
         sigma[SHARED : layout.pose_columns(0).start] = np.radians(self.squareness_deg)
         for i, pose in enumerate(layout.poses):
             tilts = sigma[layout.pose_columns(i)][PER_POSE:].reshape(-1, PER_PLANE)

@@ -4,8 +4,9 @@ A camera pixel is unprojected, its ray meets the plane that it is on, and the po
 Lengths are in baselines: |translation| = 1. Both lenses have two radial terms.
 
 Columns of every step, gradient and Hessian: camera log f, x_0, y_0, k1, k2; the same for the projector; rotation (3);
-direction of the translation (2); three angles off square for each corner; then, for each capture, the corner's rotation
-(3), its vertex (3, as a share of its distance), and for each further plane two tilts and its height.
+direction of the translation (2); three angles off square for each corner; then, for each pose of a corner, its rotation
+(3), its vertex (3, as a share of its distance), and for each further plane two tilts and its height; then, for each
+further photo, its rotation (3), the direction of its translation (2) and the logarithm of that one's length.
 """
 
 from dataclasses import dataclass, replace
@@ -17,11 +18,12 @@ from scipy.spatial.transform import Rotation
 from calib import lens
 from calib.arrays import Floats, Ints
 from calib.homography import FACES
+from calib.motion import Motion, cross, tangent_basis
 
 CAMERA, PROJECTOR = slice(0, 5), slice(5, 10)
 ROTATION, TRANSLATION = slice(10, 13), slice(13, 15)
 SHARED = 15
-PER_CORNER, PER_POSE, PER_PLANE = 3, 6, 3
+PER_CORNER, PER_POSE, PER_PLANE, PER_MOTION = 3, 6, 3, 6
 
 # (face, face) of each angle: angle 0 is between the faces 1 and 2, and so on round.
 _PAIRS = ((1, 2), (2, 0), (0, 1))
@@ -64,6 +66,9 @@ class State:
     """`camera`, `projector`: (5,) f, x_0, y_0, k1, k2. `rotation` (3, 3), `translation` (3,) of unit length.
 
     `off_square` (G, 3): for each corner the angles in radians by which the faces (B, C), (C, A), (A, B) are off square.
+    `one_camera`: the second device is the first at another place. The camera's columns then move both, and those of the
+    projector say nothing. There is one pose, that of the corner before the first photo. Capture 0 pairs it with a
+    second photo, capture 1 and up with one of the `further` photos each.
     """
 
     camera: Floats
@@ -72,15 +77,17 @@ class State:
     translation: Floats
     off_square: Floats
     poses: tuple[Pose, ...]
+    one_camera: bool = False
+    further: tuple[Motion, ...] = ()
 
     @property
     def size(self) -> int:
         """Number of columns."""
-        return self._starts[-1]
+        return self._starts[-1] + PER_MOTION * len(self.further)
 
     @cached_property
     def _starts(self) -> tuple[int, ...]:
-        """First column of each pose, and the column behind the last."""
+        """First column of each pose, and the column behind the last pose."""
         starts = [SHARED + PER_CORNER * len(self.off_square)]
         for pose in self.poses:
             starts.append(starts[-1] + pose.size)
@@ -90,34 +97,62 @@ class State:
         """Columns of a corner's angles."""
         return slice(SHARED + PER_CORNER * corner, SHARED + PER_CORNER * (corner + 1))
 
+    def pose(self, capture: int) -> Pose:
+        """Where the corner is in a capture."""
+        return self.poses[0 if self.one_camera else capture]
+
     def pose_columns(self, capture: int) -> slice:
         """Columns of a capture's pose and further planes."""
-        return slice(self._starts[capture], self._starts[capture + 1])
+        pose = 0 if self.one_camera else capture
+        return slice(self._starts[pose], self._starts[pose + 1])
+
+    def motion(self, capture: int) -> Motion:
+        """From the camera to the second device of a capture."""
+        if self.one_camera and capture:
+            return self.further[capture - 1]
+        return Motion(self.rotation, self.translation)
+
+    def motion_columns(self, capture: int) -> Ints:
+        """Columns of a capture's motion: rotation (3), direction (2), and with further photos the length."""
+        if not (self.one_camera and capture):
+            return np.arange(ROTATION.start, TRANSLATION.stop, dtype=np.int32)
+        start = self._starts[-1] + PER_MOTION * (capture - 1)
+        return np.arange(start, start + PER_MOTION, dtype=np.int32)
 
     def columns(self, capture: int) -> Ints:
         """The columns that a capture depends on, in the order of `predict`'s Jacobian."""
-        places = np.arange(self.size, dtype=np.int32)
-        parts = slice(0, SHARED), self.angle_columns(self.poses[capture].corner), self.pose_columns(capture)
-        return np.concatenate([places[part] for part in parts])
+        places, motion = np.arange(self.size, dtype=np.int32), self.motion_columns(capture)
+        return np.concatenate(
+            [
+                places[: ROTATION.start],
+                motion[:5],
+                places[self.angle_columns(self.pose(capture).corner)],
+                places[self.pose_columns(capture)],
+                motion[5:],
+            ]
+        )
 
     def moved(self, step: Floats) -> "State":
         """The state after a step (size,) in the columns' coordinates."""
-        translation = self.translation + tangent_basis(self.translation) @ step[TRANSLATION]
+        motion = self.motion(0).moved(step[self.motion_columns(0)])
+        camera = _moved_device(self.camera, step[CAMERA])
         return replace(
             self,
-            camera=_moved_device(self.camera, step[CAMERA]),
-            projector=_moved_device(self.projector, step[PROJECTOR]),
-            rotation=Rotation.from_rotvec(step[ROTATION]).as_matrix() @ self.rotation,
-            translation=translation / np.linalg.norm(translation),
+            camera=camera,
+            projector=camera if self.one_camera else _moved_device(self.projector, step[PROJECTOR]),
+            rotation=motion.rotation,
+            translation=motion.translation,
             off_square=self.off_square + step[SHARED : self._starts[0]].reshape(-1, PER_CORNER),
             poses=tuple(_moved_pose(pose, step[self.pose_columns(i)]) for i, pose in enumerate(self.poses)),
+            further=tuple(each.moved(step[self.motion_columns(i)]) for i, each in enumerate(self.further, start=1)),
         )
 
     def step_to(self, other: "State") -> Floats:
         """The step (size,) from here to a state of the same layout not too far away."""
         step = other.additive() - self.additive()
-        step[ROTATION] = Rotation.from_matrix(other.rotation @ self.rotation.T).as_rotvec()
-        step[TRANSLATION] = tangent_basis(self.translation).T @ (other.translation - self.translation)
+        for i in range(1 + len(self.further)):
+            columns = self.motion_columns(i)
+            step[columns] = self.motion(i).step_to(other.motion(i))[: len(columns)]
         for i, (pose, there) in enumerate(zip(self.poses, other.poses, strict=True)):
             part = step[self.pose_columns(i)]
             part[:3] = Rotation.from_matrix(there.frame.T @ pose.frame).as_rotvec()
@@ -139,9 +174,17 @@ class State:
                 values[start : start + 2] = plane.tilt
         return values
 
+    @property
+    def followed(self) -> Ints:
+        """For each column the one that it moves with, (size,): itself, unless both devices are one camera."""
+        followed = np.arange(self.size, dtype=np.int32)
+        if self.one_camera:
+            followed[PROJECTOR] = followed[CAMERA]
+        return followed
+
     def normals(self, capture: int = 0) -> Floats:
         """Unit normals of the faces in the camera's frame, (3, 3) rows."""
-        pose = self.poses[capture]
+        pose = self.pose(capture)
         mixing = _mixing(self.off_square[pose.corner])
         unit: Floats = mixing / np.linalg.norm(mixing, axis=1, keepdims=True) @ pose.frame
         return unit
@@ -163,22 +206,6 @@ def intrinsic_distance(a: State, b: State) -> Floats:
     return distance
 
 
-def tangent_basis(direction: Floats) -> Floats:
-    """Two unit vectors (3, 2) perpendicular to a unit vector (3,)."""
-    first = np.zeros(3)
-    first[int(np.argmin(np.abs(direction)))] = 1.0
-    first -= direction * (direction @ first)
-    first /= np.sqrt(first @ first)
-    return np.stack([first, cross(direction, first)], axis=1)
-
-
-def cross(a: Floats, b: Floats) -> Floats:
-    """a × b along the last axis, broadcast; several times faster than numpy's for short arrays."""
-    x, y, z = a[..., 0], a[..., 1], a[..., 2]
-    u, v, w = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
-
-
 def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> tuple[Floats, Floats, Floats]:
     """Where matches at camera pixels (N, 2) on planes (N,) of a capture fall in the projector, with derivatives.
 
@@ -186,7 +213,7 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
     Jacobian (N, 2, columns) by `state.columns(capture)`, and depths (N, 2) in both devices (not positive where the
     prediction means nothing).
     """
-    pose = state.poses[capture]
+    pose, motion = state.pose(capture), state.motion(capture)
     rays, rays_by_camera = lens.unproject(state.camera, camera_px)
     every_normal, every_height = _planes(state, capture)
     normals, heights = every_normal[plane], every_height[plane]
@@ -197,13 +224,13 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
     # d(point) = depth (dr − r n·dr / n·r) + r / (n·r) (dn·(vertex − point) + n·dvertex + dheight)
     to_vertex = pose.vertex - points
     along = rays / facing[:, None]
-    turned = points @ state.rotation.T
-    moved = turned + state.translation
+    turned = points @ motion.rotation.T
+    moved = turned + motion.translation
     pixels, by_moved, by_projector = lens.project(state.projector, moved)
 
-    by_point = by_moved @ state.rotation
+    by_point = by_moved @ motion.rotation
     by_depth = np.einsum("nij,nj->ni", by_point, along)
-    jacobian = np.zeros((len(plane), 2, SHARED + PER_CORNER + pose.size))
+    jacobian = np.zeros((len(plane), 2, len(state.columns(capture))))
     facing_by_camera = np.einsum("ni,nij->nj", normals, rays_by_camera)
     jacobian[:, :, CAMERA] = by_point[:, :, :2] @ rays_by_camera[:, :2]  # the third coordinate of a ray is 1
     jacobian[:, :, CAMERA] -= by_depth[:, :, None] * facing_by_camera[:, None, :]
@@ -211,7 +238,7 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
     jacobian[:, :, PROJECTOR] = by_projector
     # d(R X) = ω × R X, so each row g of by_moved gives g · (ω × RX) = ω · (RX × g).
     jacobian[:, :, ROTATION] = cross(turned[:, None, :], by_moved)
-    jacobian[:, :, TRANSLATION] = by_moved @ tangent_basis(state.translation)
+    jacobian[:, :, TRANSLATION] = by_moved @ tangent_basis(motion.translation / motion.length) * motion.length
     on_plane = np.concatenate(
         [
             np.einsum("nai,ni->na", _normals_by_angles(state, capture)[plane], to_vertex),
@@ -221,13 +248,17 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
         ],
         axis=1,
     )
-    jacobian[:, :, SHARED:] = by_depth[:, :, None] * on_plane[:, None, :]
+    jacobian[:, :, SHARED : SHARED + on_plane.shape[1]] = by_depth[:, :, None] * on_plane[:, None, :]
+    jacobian[:, :, SHARED + on_plane.shape[1] :] = (by_moved @ motion.translation)[:, :, None]
+    if state.one_camera:
+        jacobian[:, :, CAMERA] += jacobian[:, :, PROJECTOR]
+        jacobian[:, :, PROJECTOR] = 0.0
     return pixels, jacobian, np.stack([depth, moved[:, 2]], axis=1)
 
 
 def _planes(state: State, capture: int) -> tuple[Floats, Floats]:
     """Unit normals (P, 3) of faces and further planes in the camera's frame, and their heights (P,)."""
-    pose = state.poses[capture]
+    pose = state.pose(capture)
     further = [_tilted(plane) / np.linalg.norm(_tilted(plane)) @ pose.frame for plane in pose.planes]
     normals = np.concatenate([state.normals(capture), np.reshape(further, (-1, 3))])
     return normals, np.array([0.0] * len(FACES) + [plane.height for plane in pose.planes])
@@ -276,7 +307,7 @@ def _mixing(off_square: Floats) -> Floats:
 
 def _normals_by_angles(state: State, capture: int) -> Floats:
     """Derivatives (P, 3 angles, 3) of the unit normals by the angles off square; zero for further planes."""
-    pose = state.poses[capture]
+    pose = state.pose(capture)
     mixing = _mixing(state.off_square[pose.corner])
     lengths = np.linalg.norm(mixing, axis=1)
     unit = mixing / lengths[:, None]

@@ -55,7 +55,7 @@ class Refinement:
 
     def corner(self, capture: int) -> Corner:
         """The corner in the camera's frame of a capture, in baselines."""
-        return Corner(self.fit.state.poses[capture].vertex, self.fit.state.legs(capture))
+        return Corner(self.fit.state.pose(capture).vertex, self.fit.state.legs(capture))
 
 
 def refine(
@@ -72,7 +72,7 @@ def refine(
     `same`: several captures are taken to show one corner, unless their residuals tell otherwise. `further`: adds planes
     beside the corners to captures and state.
     """
-    thinned = [cells[:: max(1, len(cells) // SWEEP_CELLS)] for cells in captures]
+    thinned = [thin(cells) for cells in captures]
     alone = [sweep_one(*pair, focal_px, knowledge) for pair in zip(thinned, families, strict=True)]
     sweep = alone[0] if len(captures) == 1 else sweep_jointly(thinned, alone, focal_px, knowledge)
     starts = minima(sweep)
@@ -81,11 +81,30 @@ def refine(
     if len(captures) == 1:
         # Beside the best, the sweep knows nothing of a second solution at the same focal: the corner turned inside out.
         starts += twins(thinned[0], families[0], starts[0], knowledge)
-    fits = [oriented(thinned, fit) for fit in _explore(thinned, starts, knowledge)]
+    fits = [oriented(thinned, fit) for fit in explore(thinned, starts, knowledge)]
     sameness = None
     if same and len(captures) > 1:
         captures, fits, sameness = tie(captures, thinned, fits, knowledge)
+    return settle(captures, fits, knowledge, sameness=sameness, further=further)
 
+
+def thin(cells: Cells) -> Cells:
+    """As few cells as a sweep needs."""
+    return cells[:: max(1, len(cells) // SWEEP_CELLS)]
+
+
+def settle(
+    captures: Sequence[Cells],
+    fits: Sequence[Fit],
+    knowledge: Knowledge,
+    *,
+    sameness: Sameness | None = None,
+    further: Further | None = None,
+) -> Refinement | None:
+    """The solution with its uncertainty, from different minima (best first) of some or all of the cells.
+
+    None where none of them is left with all cells.
+    """
     unassuming = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG).prior(fits[0].state)
     noise = _measured(captures, fits[0], unassuming)
     variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
@@ -110,13 +129,20 @@ def refine(
         noise,
         prior,
         best,
-        valley.covariance(best, prior.free) + lens_order.spread,
+        _of_all_columns(valley.covariance(best, prior.free) + lens_order.spread, best.state),
         tuple(others),
         lens_order,
         valley,
         tension,
         sameness,
     )
+
+
+def _of_all_columns(covariance: Floats, state: State) -> Floats:
+    """The covariance (size, size), columns that move with others having theirs."""
+    followed = state.followed
+    every: Floats = covariance[np.ix_(followed, followed)]
+    return every
 
 
 def _with_planes(
@@ -134,7 +160,7 @@ def _with_planes(
         cells, state = without(cells, fit.state, refuted)
 
 
-def _explore(captures: Sequence[Cells], starts: list[Fit], knowledge: Knowledge) -> list[Fit]:
+def explore(captures: Sequence[Cells], starts: list[Fit], knowledge: Knowledge) -> list[Fit]:
     """The different minima, best first, that the starts (best first) lead to and that deserve a closer look."""
     prior = knowledge.prior(starts[0].state)
     variances = _levels(starts[0])

@@ -19,9 +19,9 @@ def notes_on(refinement: Refinement, knowledge: Knowledge) -> tuple[str, ...]:
     """Assumptions, what the data said about them, and what stays unexplained."""
     return (
         *_on_squareness(refinement, knowledge),
-        *_on_next_view(refinement, knowledge),
-        *_on_lenses(refinement),
-        *_on_noise(refinement),
+        *(() if knowledge.one_camera else _on_next_view(refinement, knowledge)),
+        *(_on_one_lens(refinement) if knowledge.one_camera else _on_lenses(refinement)),
+        *_on_noise(refinement, knowledge),
     )
 
 
@@ -66,10 +66,15 @@ def _on_lenses(refinement: Refinement) -> list[str]:
     ]
 
 
-def _on_noise(refinement: Refinement) -> list[str]:
+def _on_one_lens(refinement: Refinement) -> list[str]:
+    terms, probability = refinement.lens_order.terms[0], refinement.lens_order.probability
+    return [f"Lens: {_TERMS[terms]} (by the evidence; probability {100 * probability:.0f} %)."]
+
+
+def _on_noise(refinement: Refinement, knowledge: Knowledge) -> list[str]:
     notes = []
     for i, (cells, noise) in enumerate(zip(refinement.captures, refinement.noise, strict=True)):
-        of = f"Capture {i + 1}: " if len(refinement.captures) > 1 else ""
+        of = f"{knowledge.words.taken.capitalize()} {i + 1}: " if len(refinement.captures) > 1 else ""
         if noise.inflation > 1:
             notes.append(
                 f"{of}Residuals are wavy: smooth errors over a face, {np.sqrt(noise.inflation):.1f} times those that "

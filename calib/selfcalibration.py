@@ -22,8 +22,9 @@ from calib.refusal import RefusalError
 from calib.remarks import notes_on
 from calib.same_corner import is_anticlockwise, reflected
 from calib.sweep import family_of
-from calib.trust import MOVE, no_corner, refuse_degenerate, refuse_untrustworthy
+from calib.trust import no_corner, refuse_degenerate, refuse_untrustworthy
 from calib.uncertainty import Uncertainty, calibration_of, sigmas_by_name, uncertainty_of
+from calib.wording import RIG
 
 Method = Literal["refined", "paper"]
 
@@ -135,12 +136,17 @@ def self_calibrate_jointly(
 
 
 def _too_few(error: TooFewMatchesError) -> RefusalError:
-    return RefusalError(f"The corner's faces hold too few matches: {error}.", MOVE)
+    return RefusalError(f"The corner's faces hold too few matches: {error}.", RIG.move)
 
 
 def paper_trials(camera_size: tuple[int, int]) -> Floats:
     """The camera focals (n,) that the paper's search samples, for a camera of (width, height)."""
     return _trials(camera_size, _PAPER_TRIALS)
+
+
+def sweep_trials(camera_size: tuple[int, int]) -> Floats:
+    """The camera focals (n,) at which the refinement starts, for a camera of (width, height)."""
+    return _trials(camera_size, _SWEEP_TRIALS)
 
 
 def _trials(camera_size: tuple[int, int], count: int) -> Floats:
@@ -156,16 +162,16 @@ def _by_paper(
 ) -> SelfCalibration:
     solution = search(objective, paper_trials(camera_size))
     if solution is None:
-        raise no_corner([into_cells(matches)])
+        raise no_corner([into_cells(matches)], RIG)
     low, high = solution.focal_px[1], solution.focal_px[-2]
     if not low < solution.best_focal_px < high:
         raise RefusalError(
-            f"The objective has no minimum for camera focal lengths between {low:.0f} and {high:.0f} px.", MOVE
+            f"The objective has no minimum for camera focal lengths between {low:.0f} and {high:.0f} px.", RIG.move
         )
     lowest = float(np.min(solution.objective))
     if lowest > _CLOSED_CYCLE * solution.best_focal_px:
         raise RefusalError(
-            f"The transfer between the devices does not close: the objective's minimum is {lowest:.0f} px.", MOVE
+            f"The transfer between the devices does not close: the objective's minimum is {lowest:.0f} px.", RIG.move
         )
     best = solution.best
     baseline = float(np.linalg.norm(best.translation[0]))
@@ -205,12 +211,12 @@ def _by_refinement(
         turned = [is_anticlockwise(each, vertex) for each, vertex in zip(cells, vertices, strict=True)]
         cells = [reflected(each) if turn else each for each, turn in zip(cells, turned, strict=True)]
         families = [family_of(each, knowledge) for each in cells]
-    refuse_degenerate(cells, families)
-    trials = _trials(knowledge.camera_size, _SWEEP_TRIALS)
+    refuse_degenerate(cells, [family.straightened for family in families], RIG)
+    trials = sweep_trials(knowledge.camera_size)
     further = None if planes is None else lambda cells, state: with_further_planes(cells, captures, planes, state)
     refinement = refine(cells, families, trials, knowledge, same=same, further=further)
     if refinement is None:
-        raise no_corner(cells)
+        raise no_corner(cells, RIG)
     refuse_untrustworthy(refinement, knowledge)
     fit = refinement.fit
     calibration = calibration_of(

@@ -6,6 +6,7 @@ as well. At each trial the paper's transfer gives a start, so that no minimum de
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -22,6 +23,13 @@ SWEEP_CELLS = 200
 HOPELESS = 4.0  # minima with this many times the lowest cost are not followed
 _SIGMA_PX = 0.05  # what a decoder typically leaves unexplained; the measured value takes its place afterwards
 _TOLERANCE, _STEPS = 1.0, 10
+
+
+class Starts(Protocol):
+    """Where the sweep starts from."""
+
+    def starts(self, focal_px: Floats) -> list[list[State]]:
+        """For each focal (n,) some states."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,7 @@ def family_of(cells: Cells, knowledge: Knowledge) -> Family:
     return Family(objective_for(straightened.matches, knowledge.principal_point_px), straightened)
 
 
-def sweep_one(cells: Cells, family: Family, focal_px: Floats, knowledge: Knowledge) -> list[Fit | None]:
+def sweep_one(cells: Cells, family: Starts, focal_px: Floats, knowledge: Knowledge) -> list[Fit | None]:
     """The best fit of one capture with the focal held at each trial (n,); None where there is none.
 
     Up to three starts for each: both of the paper's solutions, which may lie on other branches, and the fit at the
@@ -105,10 +113,10 @@ def sweep_jointly(
     return fits
 
 
-def twins(cells: Cells, family: Family, fit: Fit, knowledge: Knowledge) -> list[Fit]:
+def twins(cells: Cells, family: Starts, fit: Fit, knowledge: Knowledge) -> list[Fit]:
     """Fits at the focal of a fit of one capture, from both of the paper's solutions there."""
     (starts,) = family.starts(np.array([fit.state.camera[0]]))
-    prior = knowledge.prior(fit.state).with_known(CAMERA.start)
+    prior = knowledge.prior(fit.state).holding(CAMERA.start)
     variances = [np.full(len(cells), _SIGMA_PX**2)]
     return [relax([cells], state, prior, variances) for state in starts]
 
@@ -145,7 +153,7 @@ def _best(
     tried = starts + ([at_focal(last, focal)] if last else [])
     if not tried:
         return None
-    prior = knowledge.prior(tried[0]).with_known(CAMERA.start)
+    prior = knowledge.prior(tried[0]).holding(CAMERA.start)
     variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
     best: Fit | None = None
     for state in reversed(tried):  # the fit at another trial is mostly the one to beat

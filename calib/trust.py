@@ -13,9 +13,8 @@ from calib.model import CAMERA, PROJECTOR, intrinsic_distance
 from calib.next_view import best_next_view
 from calib.refine import Refinement
 from calib.refusal import RefusalError
-from calib.sweep import Family
-
-MOVE = "Move the rig so that all three faces are seen large and at different slants by both devices, and scan again."
+from calib.straightness import Straightened
+from calib.wording import Wording
 
 USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley either
 _CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
@@ -25,41 +24,41 @@ _MISFIT_PX, _MISFIT_OF_NOISE = 0.1, 0.3
 _PLAUSIBLE_FOCALS = {"camera": (0.3, 4.0), "projector": (0.2, 10.0)}  # in image widths
 
 
-def no_corner(captures: Sequence[Cells]) -> RefusalError:
+def no_corner(captures: Sequence[Cells], words: Wording) -> RefusalError:
     """The refusal where no focal length makes a corner of the faces."""
     return RefusalError(
         "These three faces are not the picture of a square corner for any focal length of the camera"
         + _because([reason for cells in captures for reason in reasons_in_images(cells)]),
-        "A face may be wrong, or pass through one of the devices. " + MOVE,
+        "A face may be wrong, or be seen edge on. " + words.move,
     )
 
 
-def refuse_degenerate(captures: Sequence[Cells], families: Sequence[Family]) -> None:
+def refuse_degenerate(captures: Sequence[Cells], straightened: Sequence[Straightened], words: Wording) -> None:
     """Raise RefusalError where two faces of a capture lie in one plane, as far as its noise can tell."""
-    for i, (cells, family) in enumerate(zip(captures, families, strict=True)):
-        of = f" of capture {i + 1}" if len(captures) > 1 else ""
-        if reason := one_plane(cells, family.straightened):
+    for i, (cells, straight) in enumerate(zip(captures, straightened, strict=True)):
+        of = f" of {words.taken} {i + 1}" if len(captures) > 1 else ""
+        if reason := one_plane(cells, straight, words):
             raise RefusalError(
                 f"The faces{of} are not those of a corner: {reason}.",
-                "Capture a corner with three planes, camera and projector well apart. " + MOVE,
+                f"Look for a corner with three planes, and keep {words.both} well apart. " + words.move,
             )
 
 
 def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
     """Raise RefusalError where the solution is not determined, not the only one, or not of a square corner."""
-    fit = refinement.fit
+    fit, words = refinement.fit, knowledge.words
     sigma = np.sqrt(np.diag(refinement.covariance))
     relative = {"camera": float(sigma[CAMERA.start]), "projector": float(sigma[PROJECTOR.start])}
     for device, value in relative.items():
         if not value < USEFUL_SIGMA:
             raise RefusalError(
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
-                + _because(_reasons(refinement)),
+                + _because(_reasons(refinement, words)),
                 _where_to_go(refinement, knowledge)
                 + " A principal point that is known, or a corner that is known to be square, also helps.",
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
-    _refuse_ambiguous(fit, refinement.others, np.array([*relative.values(), *centre]))
+    _refuse_ambiguous(fit, refinement.others, np.array([*relative.values(), *centre]), words)
     for name, parameters, size in (
         ("camera", fit.state.camera, knowledge.camera_size),
         ("projector", fit.state.projector, knowledge.projector_size),
@@ -68,33 +67,35 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
         if not _PLAUSIBLE_FOCALS[name][0] < field < _PLAUSIBLE_FOCALS[name][1]:
             raise RefusalError(
                 f"The solution has a {name} with a focal length of {field:.2g} image widths, which hardly any has"
-                + _because(_reasons(refinement)),
-                "The faces may not be square to each other, or frames and patterns do not belong together. " + MOVE,
+                + _because(_reasons(refinement, words)),
+                f"The faces may not be square to each other, or {words.unrelated}. " + words.move,
             )
-    _refuse_misfit(refinement)
+    _refuse_misfit(refinement, words)
     _refuse_skew(refinement, knowledge)
 
 
 def _where_to_go(refinement: Refinement, knowledge: Knowledge) -> str:
+    if knowledge.one_camera:
+        return f"{knowledge.words.move} {knowledge.words.again}"
     view = best_next_view(refinement, knowledge)
     if view is None or view.sigma > USEFUL_SIGMA:
-        return MOVE
+        return knowledge.words.move
     return (
         f"Capture this corner again with the rig moved {view.words}, and calibrate from both captures: the camera's "
         f"focal length will then have a sigma of about {100 * view.sigma:.2g} %."
     )
 
 
-def _refuse_misfit(refinement: Refinement) -> None:
+def _refuse_misfit(refinement: Refinement, words: Wording) -> None:
     for i, noise in enumerate(refinement.noise):
         limit_px = _MISFIT_PX + _MISFIT_OF_NOISE * noise.match_px
         if noise.smooth_px > limit_px:
-            which = f" of capture {i + 1}" if len(refinement.noise) > 1 else ""
+            which = f" of {words.taken} {i + 1}" if len(refinement.noise) > 1 else ""
             raise RefusalError(
-                f"No corner explains the matches{which}: {noise.smooth_px:.2g} projector px of smooth misfit remain "
-                f"over the faces, where lenses and decoding leave less than {limit_px:.2g}.",
+                f"No corner explains the matches{which}: {noise.smooth_px:.2g} {words.pixels} of smooth misfit remain "
+                f"over the faces, where {words.smooth} leave less than {limit_px:.2g}.",
                 "What was taken for faces may be bent or wrong, or the lenses bend more than two radial terms allow "
-                "for. " + MOVE,
+                "for. " + words.move,
             )
 
 
@@ -121,23 +122,29 @@ def signed(values: Floats) -> str:
     return ", ".join(f"{value:+.2f}" for value in values)
 
 
-def _refuse_ambiguous(best: Fit, others: Sequence[Fit], sigmas: Floats) -> None:
+def _refuse_ambiguous(best: Fit, others: Sequence[Fit], sigmas: Floats, words: Wording) -> None:
     """`sigmas` (4,): in the units of `intrinsic_distance`."""
     for other in others:
         apart = intrinsic_distance(other.state, best.state)
         if other.cost - best.cost < _CLEARLY_WORSE and np.any(apart > 2 * sigmas):
             raise RefusalError(
-                f"Ambiguous: a camera focal length of {best.state.camera[0]:.0f} px with a projector of "
-                f"{best.state.projector[0]:.0f} px, and one of {other.state.camera[0]:.0f} px with "
-                f"{other.state.projector[0]:.0f} px, explain this capture almost equally well.",
-                "Capture the same corner again from another place with the rig unchanged.",
+                f"Ambiguous: {_intrinsics(best)}, and {_intrinsics(other)}, explain this {words.taken} almost equally "
+                "well.",
+                words.again,
             )
 
 
-def _reasons(refinement: Refinement) -> list[str]:
+def _intrinsics(fit: Fit) -> str:
+    camera, projector = fit.state.camera, fit.state.projector
+    if fit.state.one_camera:
+        return f"a focal length of {camera[0]:.0f} px with a principal point of ({camera[1]:.0f}, {camera[2]:.0f})"
+    return f"a camera focal length of {camera[0]:.0f} px with a projector of {projector[0]:.0f} px"
+
+
+def _reasons(refinement: Refinement, words: Wording) -> list[str]:
     reasons = []
     for i, cells in enumerate(refinement.captures):
-        reasons += reasons_in_images(cells) or reasons_in_space(refinement.fit.state, i)
+        reasons += reasons_in_images(cells) or reasons_in_space(refinement.fit.state, i, words)
     return reasons
 
 

@@ -10,7 +10,8 @@ from calib.camera import Intrinsics
 from calib.lens import unproject
 from calib.likelihood import Prior
 from calib.matches import Matches
-from calib.model import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, State, cross, tangent_basis
+from calib.model import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, State
+from calib.motion import cross, tangent_basis
 
 Sigmas = dict[str, float | tuple[float, ...]]
 
@@ -65,7 +66,7 @@ def uncertainty_of(state: State, covariance: Floats, information: Floats, prior:
             0
         ]
         moved[known] = np.eye(2)
-        sensitivity = moved[:SHARED]
+        sensitivity = moved[state.followed][:SHARED]
     return Uncertainty(state, covariance[:SHARED, :SHARED], sensitivity, match_px)
 
 

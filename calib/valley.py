@@ -45,7 +45,7 @@ class Valley:
 
 def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> Valley:
     """Both ways from the best fit, until the cost is clearly higher."""
-    anchored = prior.with_known(CAMERA.start)
+    anchored = prior.holding(CAMERA.start)
     sigma = float(np.sqrt(covariance_of(best.information, prior.free)[CAMERA.start, CAMERA.start]))
     walked = [best]
     for direction in (-1.0, 1.0):

@@ -40,6 +40,9 @@ class SimulatedRigSettings(BaseModel):
         description="How much the light pulsates within a refresh period, relative to its mean: exposures that are no "
         "whole number of periods flicker.",
     )
+    wallpaper: bool = Field(
+        False, description="Walls and floor of the corner are patterned, with something to match everywhere for photos."
+    )
     ambient: float = Field(
         0.05,
         ge=0.0,

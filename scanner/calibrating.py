@@ -6,6 +6,7 @@ from calib.arrays import Bools, Ints
 from calib.calibration import Calibration
 from calib.faces import find_faces
 from calib.homography import FACES
+from calib.matches import Matches
 from calib.planes import NO_PLANE
 from calib.refusal import RefusalError
 from calib.selfcalibration import SelfCalibration, self_calibrate, self_calibrate_jointly
@@ -81,14 +82,22 @@ def _label(found: Findings, masks: Bools | None) -> None:
         facts = found.facts
         faces = find_faces(found.matches, facts.camera_size, facts.projector_size)
         found.matches, found.plane = faces.matches, faces.plane
-    face = found.matches.face
+    refuse_few(
+        found.matches,
+        "See that the projector's light falls on all three faces, and capture again; or leave this capture out.",
+    )
+
+
+def refuse_few(matches: Matches, advice: str) -> None:
+    """Raise RefusalError, with the advice, where a face has too few matches for a homography."""
+    face = matches.face
     assert face is not None
     counts = np.bincount(face[face >= 0], minlength=len(FACES))
     if counts.min() < _FEWEST_FOR_A_HOMOGRAPHY:
         raise RefusalError(
             f"A face of the corner has {counts.min()} matches; a homography needs at least "
             f"{_FEWEST_FOR_A_HOMOGRAPHY}, and a good one thousands.",
-            "See that the projector's light falls on all three faces, and capture again; or leave this capture out.",
+            advice,
         )
 
 

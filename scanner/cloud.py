@@ -13,7 +13,7 @@ from calib.matches import Matches
 from calib.pieces import by_columns, in_pieces
 from calib.triangulation import intersect_rays
 from scanner.agreement import Misses, expected_misses
-from scanner.surface import surface
+from scanner.surface import scattered_surface, surface
 
 _NO_TEXTURE_GREY = 200
 _WHITE_PERCENTILE = 99.9
@@ -64,10 +64,11 @@ class Cloud:
         return np.isfinite(self.points[..., 2])
 
 
-def build_cloud(matches: Matches, texture: Image | None, calibration: Calibration) -> Cloud:
+def build_cloud(matches: Matches, texture: Image | None, calibration: Calibration, *, scattered: bool = False) -> Cloud:
     """Triangulate every match, drop those that cannot be points of a surface, add colours and normals.
 
     `texture`: the camera's image of the lit scene, (H, W) grey or (H, W, 3) BGR; without it the cloud is grey.
+    `scattered`: the matches are few and far between, so none is dropped for having no neighbours.
 
     Raises ValueError if the texture's size is not the camera's.
     """
@@ -79,7 +80,9 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
     chosen = _best_per_pixel(met)
     points = np.full((height, width, 3), np.nan, dtype=np.float32)
     points.reshape(-1, 3)[met.pixel[chosen]] = met.points[chosen]
-    on_surface = surface(points, float(np.mean(calibration.camera.focal_px)))
+    on_surface = (
+        scattered_surface(points) if scattered else surface(points, float(np.mean(calibration.camera.focal_px)))
+    )
     isolated = np.nonzero(on_surface.isolated)
     points[isolated] = np.nan
     on_surface.normals[isolated] = np.nan

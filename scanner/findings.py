@@ -83,6 +83,8 @@ class Scan:
     @property
     def titles(self) -> tuple[str, ...]:
         """The captures' numbers, as notes have them, and where they come from if they were not taken just now."""
+        if self.newest.facts.photos:
+            return tuple(found.name for found in self.captures)
         numbers = [f"Capture {number}" for number in range(1, len(self.captures) + 1)]
         return tuple(
             number if found.name in ("", number) else f"{number}: {found.name}"

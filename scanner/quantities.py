@@ -129,6 +129,7 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
     """How the two devices stand to each other; lengths only against a truth of the same unit."""
     same_unit = truth is not None and truth.unit == calibration.unit
     turned = Rotation.from_matrix(calibration.rotation).magnitude()
+    first, second = ("first photo", "second photo") if calibration.one_camera else ("camera", "projector")
     quantities = [
         Quantity(
             "baseline",
@@ -136,7 +137,7 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
             "" if calibration.unit == "baseline" else calibration.unit,
             None,
             truth.baseline if truth is not None and same_unit else None,
-            "unit of all lengths" if calibration.unit == "baseline" else "distance between camera and projector",
+            "unit of all lengths" if calibration.unit == "baseline" else f"distance between {first} and {second}",
         ),
         Quantity(
             "turned by",
@@ -144,7 +145,7 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
             "°",
             None,
             degrees(Rotation.from_matrix(truth.rotation).magnitude()) if truth else None,
-            "angle of the rotation from the camera to the projector",
+            f"angle of the rotation from the {first} to the {second}",
         ),
     ]
     if truth is not None:

@@ -23,6 +23,7 @@ REPORT_FILE = "report.html"
 CAPTURE_FOLDER = "capture"
 CAPTURES_FOLDER = "captures"
 MERGED_FILE = "merged.ply"
+DENSE_FILE = "dense.ply"
 LOG_FILE = "scan.log"
 
 log = logging.getLogger(__name__)
@@ -32,6 +33,7 @@ _OURS = {
     TRUTH_FILE,
     CLOUD_FILE,
     MERGED_FILE,
+    DENSE_FILE,
     REPORT_FILE,
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,

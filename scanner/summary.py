@@ -15,11 +15,11 @@ def calibration_table(calibration: Calibration, truth: Calibration | None = None
     table.add_column("", no_wrap=True)
     for heading in ("value", "sigma", *(("truth", "error", "%") if truth else ())):
         table.add_column(heading, justify="right", no_wrap=True)
-    for heading, quantities in (
-        ("Camera", device_quantities("camera", calibration, truth)),
-        ("Projector", device_quantities("projector", calibration, truth)),
-        ("Between them", [quantity for quantity in pose_quantities(calibration, truth) if quantity.name == "baseline"]),
-    ):
+    devices = [("Camera", device_quantities("camera", calibration, truth))]
+    if not calibration.one_camera:
+        devices.append(("Projector", device_quantities("projector", calibration, truth)))
+    baseline = [quantity for quantity in pose_quantities(calibration, truth) if quantity.name == "baseline"]
+    for heading, quantities in (*devices, ("Between them", baseline)):
         table.add_row(heading, style="bold")
         for quantity in quantities:
             name = f"  {quantity.name}" + (f", {quantity.unit}" if quantity.unit else "")

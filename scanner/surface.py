@@ -81,6 +81,16 @@ def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
     return Surface(normals, isolated)
 
 
+def scattered_surface(points: NDArray[np.float32]) -> Surface:
+    """The same of points that are too far apart for windows: every one counts, normals come from its neighbours."""
+    there = np.isfinite(points[..., 2])
+    normals = np.full_like(points, np.nan)
+    if there.any():
+        scattered = points[there]
+        normals[there] = _neighbour_planes(scattered, scattered, np.full(len(scattered), np.inf))[0]
+    return Surface(normals, np.zeros(there.shape, dtype=np.bool_))
+
+
 def _window_for(noise: float, count: float) -> int:
     """The window, odd, in which points this rough give normals good to `_WANTED_NORMAL_RAD`.
 

@@ -19,6 +19,7 @@ from hw.simulated.room import Room
 from hw.simulated.texture import paint
 
 _RAYS_PER_NODE = 384
+_WALLPAPER_STREAM = 102  # apart from all other random numbers, so that they stay as they are without it
 _STRIP_PIXELS = 1 << 14  # small enough for its arrays to stay in cache
 
 
@@ -61,7 +62,8 @@ def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Ge
         projector.width, projector.height, settings.gamma, settings.contrast, settings.projector_blur_px
     )
     light = ProjectorLight(room.scene, room.projector)
-    texture = paint(room.scene, rng, settings.albedo)
+    wallpaper = np.random.default_rng([settings.seed, _WALLPAPER_STREAM]) if settings.wallpaper else None
+    texture = paint(room.scene, rng, settings.albedo, wallpaper)
     mesh = build_mesh(light)
     gathered = Gatherer(light, texture, picture, mesh).gather(_RAYS_PER_NODE, rng)
     interreflection = solve(room.scene, mesh, gathered)

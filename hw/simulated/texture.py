@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +15,8 @@ _COARSE_M = 0.01
 _GRAIN_SIZE = 512
 _GRAIN_SIGMA = 0.035
 _POSTERS_PER_WALL = 2
+_BLOB_TEXELS = (2.0, 4.0, 8.0, 16.0, 32.0)
+_PATTERN_SIGMA = 0.3  # of the logarithm of the albedo
 
 Raster = NDArray[np.float32]
 
@@ -42,8 +45,13 @@ class Texture:
         return albedo
 
 
-def paint(scene: Scene, rng: np.random.Generator, albedo: float | None) -> Texture:
-    """Plaster, posters, floorboards, cardboard and a cupboard's doors; `albedo` is the mean of the corner's faces."""
+def paint(
+    scene: Scene, rng: np.random.Generator, albedo: float | None, wallpaper: np.random.Generator | None = None
+) -> Texture:
+    """Plaster, posters, floorboards, cardboard and a cupboard's doors; `albedo` is the mean of the corner's faces.
+
+    `wallpaper`: the corner's faces are patterned on top of that, by random numbers of its own.
+    """
     grain = _grain(rng)
     bases = np.full(3, albedo) if albedo is not None else rng.uniform((0.55, 0.55, 0.35), (0.8, 0.8, 0.6))
     texel_m = np.array([_COARSE_M if 3 <= s < 6 else _FINE_M for s in range(scene.surface_count)])
@@ -55,10 +63,10 @@ def paint(scene: Scene, rng: np.random.Generator, albedo: float | None) -> Textu
             # Upright as seen from the room: rows run along z. On WALL_Y it is u that does.
             upright = image if surface == 0 else image.T
             _hang_posters(rng, upright)
-            _scale_to(image, bases[surface])
+            _finish(image, bases[surface], wallpaper)
         elif surface == 2:
             _lay_boards(rng, image)
-            _scale_to(image, bases[surface])
+            _finish(image, bases[surface], wallpaper)
         elif surface < 6:
             image *= rng.uniform(0.5, 0.8)
         elif surface == scene.sphere_surface:
@@ -87,6 +95,22 @@ def _plain(rng: np.random.Generator, grain: Raster, shape: tuple[int, int]) -> R
     shifted = np.roll(grain, rng.integers(0, _GRAIN_SIZE, 2), axis=(0, 1))
     tiles = [-(-size // _GRAIN_SIZE) for size in shape]
     return np.tile(shifted, tiles)[: shape[0], : shape[1]]
+
+
+def _finish(face: Raster, mean: float, wallpaper: np.random.Generator | None) -> None:
+    if wallpaper is not None:
+        face *= _pattern(wallpaper, face.shape)
+    _scale_to(face, mean)
+
+
+def _pattern(rng: np.random.Generator, shape: tuple[int, ...]) -> Raster:
+    """Blobs of many sizes, equally strong at each: what a printed wallpaper or a carpet has for a feature detector."""
+    pattern = np.zeros(shape, np.float32)
+    for blob_texels in _BLOB_TEXELS:
+        noise = cv2.GaussianBlur(rng.standard_normal(shape, np.float32), (0, 0), blob_texels)
+        pattern += noise / noise.std()
+    brightness: Raster = np.exp(_PATTERN_SIGMA * pattern / pattern.std())
+    return brightness
 
 
 def _scale_to(image: Raster, mean: float) -> None:

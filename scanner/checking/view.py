@@ -9,7 +9,8 @@ from calib.arrays import Bools, Floats
 from calib.refusal import RefusalError
 from calib.remarks import FURTHER_CAPTURE
 from calib.selfcalibration import SelfCalibration
-from calib.trust import MOVE, USEFUL_SIGMA
+from calib.trust import USEFUL_SIGMA
+from calib.wording import RIG
 from hw.rig import Rig
 from scanner.calibrating import self_calibration
 from scanner.capture import capture
@@ -196,7 +197,7 @@ def view_row(
     finding = f"focal lengths will be known to about {shown}"
     if max(sigmas.values()) > _RISKY_SIGMA:
         notes = [note for note in solution.notes if note.startswith(FURTHER_CAPTURE)]
-        return CheckRow(_VIEW, State.POOR, finding, " ".join(notes) or MOVE), None
+        return CheckRow(_VIEW, State.POOR, finding, " ".join(notes) or RIG.move), None
     if as_configured:
         finding += f"; the {_QUICK} sequence would not do"
         return CheckRow(_VIEW, State.POOR, finding, _UNREADABLE), None

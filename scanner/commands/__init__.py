@@ -7,7 +7,7 @@
 from argparse import ArgumentParser, Namespace
 from typing import Protocol
 
-from scanner.commands import calibrate, check, console, devices, export, measure, patterns, replay, scan, view
+from scanner.commands import calibrate, check, console, devices, export, measure, patterns, photos, replay, scan, view
 
 
 class Command(Protocol):
@@ -33,4 +33,5 @@ NAMED: dict[str, Command] = {
     "measure": measure,
     "view": view,
     "console": console,
+    "photos": photos,
 }

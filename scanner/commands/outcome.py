@@ -19,7 +19,8 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
     for remark in scan.remarks:
         terminal.show(f"Note: {remark}")
     for title, found in zip(scan.titles, scan.captures, strict=True):
-        residual = "" if found.solution is None else f", residual {found.solution.residual_px:.3f} projector px"
+        pixels = "px" if found.facts.photos else "projector px"
+        residual = "" if found.solution is None else f", residual {found.solution.residual_px:.3f} {pixels}"
         kept = found.cloud.statistics.kept if found.cloud else 0
         name = f"{title}: " if len(scan.captures) > 1 else ""
         terminal.show(f"{name}{len(found.matches):,} matches{residual}, {kept:,} points in the cloud")

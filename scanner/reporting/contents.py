@@ -19,6 +19,7 @@ class CaptureFacts:
     """How the capture was taken: sizes are (width, height); what is not known is left out.
 
     `identity` names devices and whatever else the recording says about itself. `exposure_us`: the frames' exposures.
+    `photos`: what stands for the projector is the camera at a second place.
     """
 
     camera_size: tuple[int, int]
@@ -26,6 +27,17 @@ class CaptureFacts:
     patterns: tuple[Pattern, ...] = ()
     identity: Mapping[str, str] = field(default_factory=dict)
     exposure_us: tuple[float, ...] = ()
+    photos: bool = False
+
+    @property
+    def pixels(self) -> str:
+        """What residuals are measured in."""
+        return "px" if self.photos else "projector px"
+
+    @property
+    def second(self) -> str:
+        """The device whose rays meet those of the camera."""
+        return "second photo" if self.photos else "projector"
 
 
 @dataclass(frozen=True)

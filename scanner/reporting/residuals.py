@@ -61,12 +61,12 @@ def face_residuals(report: ReportInput) -> Residuals | None:
     step = max(1, int(np.ceil(np.sqrt(len(labelled) / len(sample)))))
     drawn = tuple(
         (_map(_on_grid(pixel, residual_px[:, axis], size, step), limit, f"residuals in {name}"), caption)
-        for axis, (name, caption) in enumerate((("x", "Along the projector's x."), ("y", "Along the projector's y.")))
+        for axis, (name, caption) in enumerate((name, f"Along the {report.capture.second}'s {name}.") for name in "xy")
     )
     found = spatial_correlation(pixel, residual_px, _cell_px(size))
     return Residuals(
         drawn,
-        plots.residual_histogram([*residual_px.T], None, limit, "residual on the faces (projector px)"),
+        plots.residual_histogram([*residual_px.T], None, limit, f"residual on the faces ({report.capture.pixels})"),
         float(np.sqrt(np.mean(np.sum(residual_px**2, axis=1)))),
         statement(found),
         found is not None and found.structured,
@@ -100,7 +100,7 @@ def misses(report: ReportInput) -> Misses | None:
     painted = _map(cloud.residual_px, limit, "misses of the rays", maps.LONGEST_SIDE)
     residuals = Residuals(
         ((painted, ""),),
-        plots.residual_histogram([cloud.residual_px], statistics.decoder_px, limit, "miss (projector px)"),
+        plots.residual_histogram([cloud.residual_px], statistics.decoder_px, limit, f"miss ({report.capture.pixels})"),
         float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else 0.0,
         statement(found),
         found is not None and found.structured,

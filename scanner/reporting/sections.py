@@ -98,11 +98,11 @@ def tables(report: ReportInput) -> tuple[Table, ...]:
     calibration, truth = report.calibration, report.truth
     if calibration is None:
         return ()
-    found = [
-        Table("Camera", tuple(device_quantities("camera", calibration, truth))),
-        Table("Projector", tuple(device_quantities("projector", calibration, truth))),
-        Table("Between them", tuple(pose_quantities(calibration, truth))),
-    ]
+    found = [Table("Camera", tuple(device_quantities("camera", calibration, truth)))]
+    if not calibration.one_camera:
+        found.append(Table("Projector", tuple(device_quantities("projector", calibration, truth))))
+    between = "Between the photos" if calibration.one_camera else "Between them"
+    found.append(Table(between, tuple(pose_quantities(calibration, truth))))
     if report.solution is not None:
         found.append(Table("Corner", tuple(corner_quantities(report.solution.corner, calibration))))
     return tuple(found)
@@ -153,11 +153,17 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
         return picture(
             render(cloud, views[name], _VIEW_SIZES[name], [] if name == "front" else frusta),
             f"the point cloud, {name} view",
-            caption=_VIEW_CAPTIONS[name] + (_CORNER_CAPTIONS[name] if report.solution else ""),
+            caption=_caption(name, report.capture) + (_CORNER_CAPTIONS[name] if report.solution else ""),
         )
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return tuple(pool.map(show, views))
+
+
+def _caption(view: str, capture: CaptureFacts) -> str:
+    if capture.photos and view == "oblique":
+        return "From the side and above, with the places of the first photo (blue) and the second (red)."
+    return _VIEW_CAPTIONS[view]
 
 
 def upright(report: ReportInput) -> Floats:
@@ -210,12 +216,17 @@ def subtitle(capture: CaptureFacts) -> str:
     """The capture in one line."""
     frames = f", {len(capture.patterns)} frames" if capture.patterns else ""
     (width, height), (columns, rows) = capture.camera_size, capture.projector_size
+    if capture.photos:
+        return f"Photos of {width} × {height}."
     return f"Camera {width} × {height}, projector {columns} × {rows}{frames}."
 
 
 def capture_rows(report: ReportInput) -> tuple[tuple[str, str], ...]:
     """Facts of the capture, as name and value."""
     facts = report.capture
+    if facts.photos:
+        rows = [("photos", "{} × {} px".format(*facts.camera_size)), ("matches", f"{len(report.matches):,}")]
+        return (*rows, *facts.identity.items())
     rows = [
         ("camera", "{} × {} px".format(*facts.camera_size)),
         ("projector", "{} × {} px".format(*facts.projector_size)),

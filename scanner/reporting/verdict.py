@@ -29,6 +29,7 @@ _NO_SIGMA = (
     "How sure the numbers are is not known. For captures of real rooms the paper, whose method this is, reports errors "
     "of 4 % on average."
 )
+_THIRD_PHOTO = "Add a photo of the same corner from another place, at the same zoom: three or four make a measurement."
 _LOOK_AT_THE_MISSES = (
     "The rays miss each other in a pattern, see “Do the rays meet?”. Use 'method: refined', which knows lens "
     "distortion, or capture the corner again from another place."
@@ -60,7 +61,7 @@ def verdict(report: ReportInput) -> Verdict:
 def _of_given(report: ReportInput) -> Verdict:
     reasons = ["The calibration was taken as it is; only its agreement with the matches was checked."]
     if report.cloud is not None:
-        reasons += _about_cloud(report.cloud.statistics)
+        reasons += _about_cloud(report.cloud.statistics, report.capture.pixels)
     if _misses_systematically(report):
         headline = "Reconstructed with a calibration that does not quite fit"
         return Verdict("fair", headline, tuple(reasons), _CHECK_THE_CALIBRATION)
@@ -78,19 +79,22 @@ def _of_self_calibration(report: ReportInput, calibration: Calibration) -> Verdi
         _NO_SIGMA
         if worst is None
         else f"The focal lengths are known to ± {100 * worst:.2g} % (one standard deviation).",
-        f"On the three faces the calibration explains the matches to {report.solution.residual_px:.2g} projector px. "
-        "That is needed, but it is no proof: wrong focal lengths can explain matches nearly as well.",
+        f"On the three faces the calibration explains the matches to {report.solution.residual_px:.2g} "
+        f"{report.capture.pixels}. That is needed, but it is no proof: wrong focal lengths can explain matches nearly as "
+        "well.",
     ]
     if report.truth is not None:
         error = float(np.abs(intrinsic_errors_percent(calibration, report.truth)).mean())
         reasons.append(f"This rig is simulated, so the truth is known: the intrinsics err by {error:.2g} % on average.")
     if report.cloud is not None:
-        reasons += _about_cloud(report.cloud.statistics)
+        reasons += _about_cloud(report.cloud.statistics, report.capture.pixels)
     if _misses_systematically(report):
         return Verdict("fair", "Calibrated, but with errors that show", tuple(reasons), _LOOK_AT_THE_MISSES)
     if worst is not None and worst <= _MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
     advice = _ONE_MORE if report.together > 1 else _THREE_CAPTURES
+    if report.capture.photos:
+        advice = _THIRD_PHOTO
     return Verdict("fair", "Calibrated, well enough for a first look", tuple(reasons), advice)
 
 
@@ -105,12 +109,13 @@ def _worst_focal_sigma(calibration: Calibration) -> float | None:
     return max(relative)
 
 
-def _about_cloud(statistics: CloudStatistics) -> Iterator[str]:
+def _about_cloud(statistics: CloudStatistics, pixels: str) -> Iterator[str]:
+    source = "the decoder" if pixels == "projector px" else "the features"
     if not statistics.matched:
         return
     kept = percent(statistics.kept / statistics.matched)
     yield f"{statistics.kept:,} of {statistics.matched:,} matches ({kept}) became points of the cloud."
     yield (
-        f"The two rays of a match miss each other by {statistics.decoder_px:.2g} projector px at random (the decoder) "
+        f"The two rays of a match miss each other by {statistics.decoder_px:.2g} {pixels} at random ({source}) "
         f"and by {statistics.calibration_px:.2g} px in a smooth pattern (the calibration)."
     )

@@ -1,0 +1,1 @@
+"""Photos of one corner by an ordinary camera: read, matched, calibrated and reconstructed."""

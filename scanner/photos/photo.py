@@ -1,0 +1,101 @@
+"""Photo files: turned upright, and what their EXIF data say of the lens."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import ExifTags, Image, UnidentifiedImageError
+
+from calib.arrays import Image as Pixels
+from scanner.errors import InputError
+from scanner.images import read_image
+
+_FULL_FRAME_DIAGONAL_MM = 43.2666  # of 36 × 24 mm, to which the 35 mm equivalent refers (CIPA DCG-001)
+_LONGEST_MM = 10_000
+_UPRIGHT = 1
+# EXIF orientation → how the stored array is turned upright.
+_TURNS = {
+    2: lambda pixels: pixels[:, ::-1],
+    3: lambda pixels: pixels[::-1, ::-1],
+    4: lambda pixels: pixels[::-1],
+    5: lambda pixels: pixels.swapaxes(0, 1),
+    6: lambda pixels: np.rot90(pixels, -1),
+    7: lambda pixels: pixels[::-1, ::-1].swapaxes(0, 1),
+    8: lambda pixels: np.rot90(pixels),
+}
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photo: `pixels` (H, W) or (H, W, 3) BGR as it is meant to be seen; `focal_px` by its EXIF data, or None."""
+
+    path: Path
+    pixels: Pixels
+    focal_px: float | None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.pixels.shape[1], self.pixels.shape[0]
+
+
+@dataclass(frozen=True)
+class _Stored:
+    path: Path
+    pixels: Pixels
+    orientation: int
+    focal_mm: float | None
+
+    def turned(self, orientation: int) -> Photo:
+        turn = _TURNS.get(orientation)
+        pixels = np.ascontiguousarray(turn(self.pixels)) if turn else self.pixels
+        diagonal_px = float(np.hypot(*pixels.shape[:2]))
+        focal = None if self.focal_mm is None else self.focal_mm * diagonal_px / _FULL_FRAME_DIAGONAL_MM
+        return Photo(self.path, pixels, focal)
+
+
+def read_photos(paths: Sequence[Path]) -> list[Photo]:
+    """Photos of one camera, of one size, as their EXIF orientation says.
+
+    A camera that was held upright for one photo and sideways for another has one sensor all the same: where the sizes
+    agree only as the files hold them, all are turned like the first, so that one principal point is true of all.
+
+    Raises InputError for a file that cannot be read, one given twice, or photos whose sizes differ.
+    """
+    for i, path in enumerate(paths):
+        if any(path.resolve() == other.resolve() for other in paths[:i]):
+            raise InputError(f"{path}: was given twice; photos from different places are needed")
+    stored = [_read(path) for path in paths]
+    upright = [each.turned(each.orientation) for each in stored]
+    if len({photo.size for photo in upright}) == 1:
+        return upright
+    if len({each.pixels.shape[:2] for each in stored}) == 1:
+        return [each.turned(stored[0].orientation) for each in stored]
+    sizes = ", ".join(f"{photo.path.name} {photo.size[0]} × {photo.size[1]}" for photo in upright)
+    raise InputError(
+        f"the photos must be of one size, found {sizes}: take them with one camera at one zoom, and crop all or none "
+        "of them, in the same way"
+    )
+
+
+def _read(path: Path) -> _Stored:
+    pixels = read_image(path)
+    if pixels.dtype != np.uint8:
+        pixels = (pixels >> 8).astype(np.uint8)
+    orientation, focal_mm = _exif(path)
+    return _Stored(path, pixels, orientation, focal_mm)
+
+
+def _exif(path: Path) -> tuple[int, float | None]:
+    """Orientation, and the focal length equivalent to 35 mm film; what a format or a file does not tell is left out."""
+    try:
+        with Image.open(path) as image:
+            exif, is_tiff = image.getexif(), image.format == "TIFF"
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
+        return _UPRIGHT, None  # OpenCV reads formats, and damaged EXIF data, that Pillow does not
+    # OpenCV itself turns TIFF files upright, and no others where they are read unchanged.
+    orientation = _UPRIGHT if is_tiff else exif.get(ExifTags.Base.Orientation, _UPRIGHT)
+    focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+    focal_mm = float(focal) if isinstance(focal, int | float) and 0 < focal < _LONGEST_MM else None  # 0 is unknown
+    return orientation if orientation in _TURNS else _UPRIGHT, focal_mm
