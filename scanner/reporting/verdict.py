@@ -80,8 +80,8 @@ def _of_self_calibration(report: ReportInput, calibration: Calibration) -> Verdi
         if worst is None
         else f"The focal lengths are known to ± {100 * worst:.2g} % (one standard deviation).",
         f"On the three faces the calibration explains the matches to {report.solution.residual_px:.2g} "
-        f"{report.capture.pixels}. That is needed, but it is no proof: wrong focal lengths can explain matches nearly as "
-        "well.",
+        f"{report.capture.pixels}. That is needed, but it is no proof: wrong focal lengths can explain matches nearly "
+        "as well.",
     ]
     if report.truth is not None:
         error = float(np.abs(intrinsic_errors_percent(calibration, report.truth)).mean())
