@@ -17,7 +17,7 @@ from calib.descent import minimise
 from calib.further_planes import strained, without
 from calib.lens_order import LensOrder, choose_lens_order
 from calib.likelihood import Fit, Knowledge, Prior
-from calib.model import State, intrinsic_distance
+from calib.model import SHARED, State, intrinsic_distance
 from calib.noise import Noise, noise_of
 from calib.same_corner import Sameness, oriented, tie
 from calib.sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
@@ -124,12 +124,15 @@ def settle(
         prior = prior.with_known(column)
     best = minimise(captures, _without(best.state, lens_order.zero), prior, variances)
     valley = walk(captures, best, prior, variances)
+    covariance = valley.covariance(best, prior.free) + lens_order.spread
+    if sameness and sameness.same:
+        covariance[:SHARED, :SHARED] += sameness.spread
     return Refinement(
         tuple(captures),
         noise,
         prior,
         best,
-        _of_all_columns(valley.covariance(best, prior.free) + lens_order.spread, best.state),
+        _of_all_columns(covariance, best.state),
         tuple(others),
         lens_order,
         valley,

@@ -19,13 +19,14 @@ from calib.descent import minimise
 from calib.homography import FACES
 from calib.lens import unproject
 from calib.likelihood import Fit, Knowledge
-from calib.model import PER_CORNER, State
+from calib.model import PER_CORNER, SHARED, State
 from calib.refusal import RefusalError
 from calib.valley import covariance_of
 
 _MOST_CAPTURES = 8
 _CLOSER_LOOKS = 9
 _SIGNIFICANT = 0.999
+_CLOSE = 12.0  # in cost of a part of the cells; orders that cost more than that are out
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class Sameness:
 
     `same`: the verdict. `shifts`: for each capture, the number of its face s is (s + shift) mod 3 in the others' order.
     `cost`: by how much the cost rises when the angles are shared; `limit`: what it may. `lead`: by how much the next
-    best order of the faces costs more; small where the corner is too square to tell.
+    best order of the faces costs more; small where the corner is too square to tell. `spread` (SHARED, SHARED): the
+    covariance that the other orders' answers add to what all captures share.
     """
 
     same: bool
@@ -42,6 +44,7 @@ class Sameness:
     cost: float
     limit: float
     lead: float
+    spread: Floats
 
 
 def tie(
@@ -59,23 +62,66 @@ def tie(
             f"{len(captures)} captures of one corner were given; at most {_MOST_CAPTURES} can be put in order.",
             "Calibrate from fewer of them, or say corner.same: false.",
         )
-    variances = [np.full(len(r), max(float(np.mean(r**2)), 1e-12)) for r in fits[0].residuals]
-    trials: list[tuple[Fit, tuple[int, ...]]] = []
-    for fit in fits:
-        for shifts in _promising(fit, knowledge):
-            relabelled = [relabel(cells, shift) for cells, shift in zip(thinned, shifts, strict=True)]
-            state = _shared(fit.state, shifts)
-            trials.append((minimise(relabelled, state, knowledge.prior(state), variances), shifts))
-    trials.sort(key=lambda trial: trial[0].cost)
-    best, shifts = trials[0]
-    apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), variances)
+    levels = [max(float(np.mean(r**2)), 1e-12) for r in fits[0].residuals]
+    trials = [
+        _in_order(thinned, _shared(fit.state, shifts), shifts, knowledge, levels)
+        for fit in fits
+        for shifts in _promising(fit, knowledge)
+    ]
+    trials.sort(key=_cost)
+    apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), _variances(thinned, levels))
+    raised = trials[0].fit.cost - apart.cost
     limit = float(chi2.ppf(_SIGNIFICANT, PER_CORNER * (len(captures) - 1)))
-    lead = min((fit.cost for fit, other in trials if other != shifts), default=np.inf) - best.cost
-    sameness = Sameness(best.cost - apart.cost < limit, shifts, best.cost - apart.cost, limit, lead)
+    # All cells tell orders apart that a part of them does not.
+    close = [trial for trial in trials if trial.fit.cost < trials[0].fit.cost + _CLOSE]
+    whole = sorted(
+        (_in_order(captures, trial.fit.state, trial.shifts, knowledge, levels) for trial in close), key=_cost
+    )
+    shifts = whole[0].shifts
+    lead = min(
+        [trial.fit.cost - whole[0].fit.cost for trial in whole if trial.shifts != shifts]
+        + [trial.fit.cost - trials[0].fit.cost for trial in trials if trial not in close],
+        default=np.inf,
+    )
+    sameness = Sameness(raised < limit, shifts, raised, limit, lead, _spread(whole))
     if not sameness.same:
         return captures, fits, sameness
     in_order = [relabel(cells, shift) for cells, shift in zip(captures, shifts, strict=True)]
-    return in_order, [fit for fit, other in trials if other == shifts], sameness
+    first = [trial.fit for trial in whole if trial.shifts == shifts]
+    return in_order, [*first, *(t.fit for t in trials if t.shifts == shifts and t not in close)], sameness
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """The fit of captures whose faces are numbered on by `shifts`."""
+
+    fit: Fit
+    shifts: tuple[int, ...]
+
+
+def _in_order(
+    captures: Sequence[Cells], start: State, shifts: tuple[int, ...], knowledge: Knowledge, levels: Sequence[float]
+) -> _Trial:
+    relabelled = [relabel(cells, shift) for cells, shift in zip(captures, shifts, strict=True)]
+    return _Trial(minimise(relabelled, start, knowledge.prior(start), _variances(captures, levels)), shifts)
+
+
+def _variances(captures: Sequence[Cells], levels: Sequence[float]) -> list[Floats]:
+    return [np.full(len(cells), level) for cells, level in zip(captures, levels, strict=True)]
+
+
+def _cost(trial: _Trial) -> float:
+    return trial.fit.cost
+
+
+def _spread(trials: Sequence[_Trial]) -> Floats:
+    """Σ wᵢ dᵢ dᵢᵀ with dᵢ from the first to the best fit of each order, and wᵢ its probability, (SHARED, SHARED)."""
+    best = {trial.shifts: trial.fit for trial in reversed(trials)}
+    first = trials[0].fit
+    weights = np.exp([(first.cost - fit.cost) / 2 for fit in best.values()])
+    apart = np.stack([first.state.step_to(fit.state)[:SHARED] for fit in best.values()])
+    spread: Floats = (apart * (weights / weights.sum())[:, None]).T @ apart
+    return spread
 
 
 def relabel(cells: Cells, shift: int) -> Cells:
