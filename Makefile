@@ -3,10 +3,11 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: help setup scan scan-loopback rig try-rig try-browser test lint check-types unit benchmark clean
+.PHONY: help setup scan console scan-loopback rig try-rig try-browser test lint check-types unit benchmark clean
 
 help:
 	@echo "make scan           set up, then scan a simulated room into scans/room-sim/"
+	@echo "make console        the same, and more, on a page in the browser"
 	@echo "make test           set up, then run every check and every test"
 	@echo "make setup          only make $(VENV)/, with the command $(BIN)/scan"
 	@echo "make rig            set up for real devices: system packages (apt-get), PyGObject, pyglet"
@@ -18,6 +19,9 @@ setup: $(VENV)/.runtime
 
 scan: setup
 	$(BIN)/scan --config configs/room-sim.yaml --out scans/room-sim --overwrite
+
+console: $(VENV)/.console
+	$(BIN)/scan console --config configs/room-sim.yaml
 
 scan-loopback: rig
 	$(BIN)/python tools/scan_loopback.py --config configs/room-loopback.yaml --out scans/room-loopback --overwrite
@@ -66,6 +70,10 @@ $(VENV)/.runtime: pyproject.toml | $(BIN)/pip
 $(VENV)/.dev: pyproject.toml | $(BIN)/pip
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@ $(VENV)/.runtime
+
+$(VENV)/.console: pyproject.toml | $(VENV)/.runtime
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[console]'
+	@touch $@
 
 $(VENV)/.rig: pyproject.toml tools/system-packages | $(VENV)/.runtime
 	@tools/system-packages $(BIN)/python
