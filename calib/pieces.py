@@ -12,8 +12,8 @@ import numpy as np
 
 from calib.arrays import Floats
 
-_PIECE = 1 << 13
-_NUMBERS = 1 << 16
+_PIECE = 1 << 16
+_NUMBERS = 1 << 17
 
 Result = TypeVar("Result")
 

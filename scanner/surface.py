@@ -30,6 +30,7 @@ _STEEPEST = 1 / cos(radians(85.0))
 _OUTLIER_SIGMAS = 6.0
 # Spread of a window's pixels along its narrow side, in px²; a full window has 4, a single row 0.
 _NARROWEST = 0.5
+_SAMPLE = 200_000
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,13 @@ class _WindowPlanes:
     roughness: NDArray[np.float32]
     count: NDArray[np.float32]
 
-    @property
-    def noise(self) -> float:
-        """The roughness of an ordinary window, in footprints."""
-        fitted = np.isfinite(self.roughness)
-        return float(np.median(self.roughness[fitted])) if fitted.any() else 0.0
+    def typical(self, there: Bools) -> tuple[float, float]:
+        """The roughness of an ordinary window, in footprints, and how many points it has; of some windows `there`."""
+        places = np.flatnonzero(there)
+        places = places[:: max(1, len(places) // _SAMPLE)]
+        roughness, count = self.roughness.ravel()[places], self.count.ravel()[places]
+        fitted = roughness[np.isfinite(roughness)]
+        return float(np.median(fitted)) if len(fitted) else 0.0, float(np.median(count))
 
 
 def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
@@ -65,17 +68,17 @@ def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
     if not there.any():
         return Surface(np.full_like(points, np.nan), isolated)
     planes, window = _window_planes(points, focal_px, _SMALLEST_WINDOW), _SMALLEST_WINDOW
-    wider = _window_for(planes.noise, float(np.median(planes.count[there])))
+    noise, filled = planes.typical(there)
+    wider = _window_for(noise, filled)
     if wider > window:
         planes, window = _window_planes(points, focal_px, wider), wider
+        noise, filled = planes.typical(there)
     with np.errstate(invalid="ignore"):
-        hard = there & ~(planes.roughness <= max(1.0, _OUTLIER_SIGMAS * planes.noise))
+        hard = there & ~(planes.roughness <= max(1.0, _OUTLIER_SIGMAS * noise))
     normals = planes.normals
     if hard.any():
-        spacing = max(1.0, window / float(np.sqrt(np.median(planes.count[there]))))
-        reach = (
-            max(_STEEPEST * spacing, _OUTLIER_SIGMAS * planes.noise) * points[hard][:, 2].astype(np.float64) / focal_px
-        )
+        spacing = max(1.0, window / float(np.sqrt(filled)))
+        reach = max(_STEEPEST * spacing, _OUTLIER_SIGMAS * noise) * points[hard][:, 2].astype(np.float64) / focal_px
         nearby = cv2.dilate(hard.astype(np.uint8), np.ones((2 * window + 1, 2 * window + 1), np.uint8)) > 0
         normals[hard], isolated[hard] = _neighbour_planes(points[hard], points[nearby & there], reach)
     return Surface(normals, isolated)

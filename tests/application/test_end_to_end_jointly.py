@@ -94,7 +94,7 @@ def test_each_capture_can_be_exported_and_measured(scanned: Scanned) -> None:
 
 def test_the_report_shows_what_both_saw(scanned: Scanned) -> None:
     report = (scanned.result / "report.html").read_text()
-    for words in ("2 clouds are merged", "the merged point cloud, oblique view", "How well the points are known"):
+    for words in ("2 clouds are merged", "the merged point cloud, oblique view", "How well depth is known"):
         assert words in report
     log = (scanned.result / "scan.log").read_text()
     assert "they agree to 0.0" in log

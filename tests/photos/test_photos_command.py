@@ -98,7 +98,7 @@ def test_the_dense_cloud_is_denser_and_on_the_same_walls(result: Path) -> None:
 def test_the_report_speaks_of_photos(result: Path) -> None:
     text = (result / "report.html").read_text()
     assert "Between the photos" in text
-    assert "<h2>The photos</h2>" in text
+    assert "<h3>The photos</h3>" in text
     assert ">Projector<" not in text
     assert "focal length, EXIF" in text
 
