@@ -13,7 +13,7 @@ import numpy as np
 from calib.arrays import Floats
 
 _PIECE = 1 << 16
-_NUMBERS = 1 << 17
+_NUMBERS = 1 << 16
 
 Result = TypeVar("Result")
 
