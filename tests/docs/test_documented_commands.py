@@ -103,6 +103,7 @@ def test_the_readme_shows_commands() -> None:
     assert {ONE_CAPTURE, ANOTHER_ROOM, THREE_CAPTURES} < {command.text for command in shown}
 
 
+@one_after_the_other()
 @pytest.mark.parametrize(
     "line",
     ["scan replay my-capture --scale 3", "make everything", "python benchmarks/bench_nothing.py", "scan repaly x"],

@@ -16,6 +16,8 @@ from scanner.cli import main
 from scanner.cloud_file import read_cloud
 from scanner.matches_file import read_matches
 
+pytestmark = pytest.mark.xdist_group("photos command")
+
 EXACT = ("--set", "corner.squareness_deg=0")
 
 
