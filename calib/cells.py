@@ -22,7 +22,7 @@ from calib.homography import (
     normalisation,
 )
 from calib.matches import Matches
-from calib.pieces import in_pieces
+from calib.pieces import by_columns, in_pieces
 from calib.polynomial import CONIC, TERMS, monomials
 
 # The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).
@@ -199,8 +199,7 @@ def _plane_cells(label: int, matches: Matches, members: Ints, typical_sigma_px: 
 def _columns_of(matches: Matches, members: Ints) -> Matches:
     """A piece of the matches, column by column in memory."""
     camera_px, projector_px = (
-        np.asarray(pixels.take(members, axis=0).T, np.float64, order="C").T
-        for pixels in (matches.camera_px, matches.projector_px)
+        by_columns(pixels.take(members, axis=0)) for pixels in (matches.camera_px, matches.projector_px)
     )
     sigma_px = None if matches.sigma_px is None else matches.sigma_px[members].astype(np.float64)
     return Matches(camera_px, projector_px, sigma_px=sigma_px)

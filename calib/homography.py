@@ -4,13 +4,13 @@ The normal matrix of a face's homography DLT is all that the paper's algorithm n
 it is accumulated once, and a search costs the same for a hundred matches as for a million.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Floats
 from calib.matches import Matches
+from calib.parallel import in_parallel
 
 FACES = (0, 1, 2)
 _CHUNK = 1 << 15
@@ -108,8 +108,7 @@ def face_grams(matches: Matches) -> FaceGrams:
         moments = _moments(_scaled(face.camera_px, camera_scale), _scaled(face.projector_px, projector_scale))
         return _gram_of_moments(moments), _gram_of_moments(moments.transpose(1, 0, 3, 2))
 
-    with ThreadPoolExecutor() as pool:
-        forward, backward = zip(*pool.map(of_face, FACES), strict=True)
+    forward, backward = zip(*in_parallel(of_face, FACES), strict=True)
     return FaceGrams(np.stack(forward), np.stack(backward), camera_scale, projector_scale)
 
 

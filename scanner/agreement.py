@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.arrays import Bools, Floats
 from calib.calibration import Calibration
+from calib.fit_statistics import robust_sigma
 
 _TREND_TERMS = 19
 _TREND_SAMPLE = 5_000
@@ -19,7 +20,6 @@ _TREND_ITERATIONS = 10
 _OUTLIER_SIGMAS = 6.0
 # A wrong bit or fringe order moves a match by whole projector pixels; below one pixel it is noise, never a mistake.
 _FINEST_MISTAKE_PX = 1.0
-_MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,7 @@ def expected_misses(camera_px: Floats, foot_px: Floats, residual_px: Floats, cal
     trend = _smooth_trend(camera_px, foot_px, residual_px, calibration)
     if not len(residual_px):
         return Misses(trend, 0.0, _FINEST_MISTAKE_PX)
-    rest = np.abs(residual_px - trend @ _cubic_terms(camera_px, foot_px, calibration))
-    noise = float(_MAD_TO_SIGMA * np.median(rest))
+    noise = robust_sigma(residual_px - trend @ _cubic_terms(camera_px, foot_px, calibration))
     return Misses(trend, noise, max(_OUTLIER_SIGMAS * noise, _FINEST_MISTAKE_PX))
 
 
@@ -75,7 +74,7 @@ def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calib
     solution[0] = np.median(observed)
     for _ in range(_TREND_ITERATIONS):
         error = np.abs(observed - solution @ basis)
-        huber = 1.5 * _MAD_TO_SIGMA * float(np.median(error)) + 1e-12
+        huber = 1.5 * robust_sigma(error) + 1e-12
         weighted = basis * (huber / np.maximum(huber, error))
         # On a single plane the two images are one homography apart and the terms nearly dependent: least norm then.
         solution = np.asarray(np.linalg.lstsq(weighted @ basis.T, weighted @ observed, rcond=1e-10)[0])

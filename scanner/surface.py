@@ -8,8 +8,6 @@ Lengths are judged in footprints: the distance that one pixel's step covers at t
 the camera. That makes them independent of the unit and of the scene's size.
 """
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import cos, radians
 
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calib.arrays import Bools, Floats
+from calib.parallel import in_slices
 
 _SMALLEST_WINDOW, _LARGEST_WINDOW = 7, 15
 _WANTED_NORMAL_RAD = 0.05
@@ -112,8 +111,8 @@ def _window_planes(points: NDArray[np.float32], focal_px: float, window: int) ->
     roughness = np.full(points.shape[:2], np.nan, dtype=np.float32)
     count = np.zeros(points.shape[:2], dtype=np.float32)
 
-    def fit(top: int) -> None:
-        bottom = min(top + _STRIP_ROWS, height)
+    def fit(rows: slice) -> None:
+        top, bottom = rows.start, rows.stop
         first, last = max(0, top - halo), min(height, bottom + halo)
         strip = _strip_planes(points[first:last], focal_px, window)
         inner = slice(top - first, bottom - first)
@@ -121,10 +120,7 @@ def _window_planes(points: NDArray[np.float32], focal_px: float, window: int) ->
         roughness[top:bottom] = strip.roughness[inner]
         count[top:bottom] = strip.count[inner]
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        # Walking through the results raises what went wrong.
-        for _ in pool.map(fit, range(0, height, _STRIP_ROWS)):
-            pass
+    in_slices(height, _STRIP_ROWS, fit)
     return _WindowPlanes(normals, roughness, count)
 
 

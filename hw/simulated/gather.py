@@ -12,10 +12,10 @@ import numpy as np
 from scipy import sparse
 
 from calib.arrays import Bools, Floats, Ints
+from calib.parallel import in_parallel
 from hw.simulated.arrays import Indices, Light, sparse_matrix
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.mesh import Mesh
-from hw.simulated.parallel import in_parallel
 from hw.simulated.picture import PictureOptics
 from hw.simulated.texture import Texture
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from calib.arrays import Image
+from calib.parallel import in_parallel
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.footprints import FootprintCaster, Footprints, samples_per_pixel
@@ -13,7 +14,6 @@ from hw.simulated.gather import Gatherer
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.interreflection import Interreflection, solve
 from hw.simulated.mesh import build_mesh
-from hw.simulated.parallel import in_parallel
 from hw.simulated.picture import PictureOptics
 from hw.simulated.room import Room
 from hw.simulated.texture import paint

@@ -5,6 +5,7 @@ from math import floor
 
 import numpy as np
 
+from calib.fit_statistics import robust_sigma
 from hw.rig import ExposureControl, Rig
 from scanner.checking.light import CLIPPED, Light, flicker_of, photograph_light
 from scanner.checking.limits import LEAST_SHARE
@@ -75,7 +76,7 @@ def look(light: Light, exposure_us: float) -> Seen:
     noise = 0.0
     if bright.any():
         difference = light.white[1].astype(np.float64)[bright] - light.white[0].astype(np.float64)[bright]
-        noise = float(np.median(np.abs(difference - np.median(difference)))) * 1.4826 / np.sqrt(2)
+        noise = robust_sigma(difference - np.median(difference)) / float(np.sqrt(2))
     return Seen(
         exposure_us,
         float(light.clipped.sum()) / lit,

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.arrays import Bools, Floats, Ints
+from calib.fit_statistics import robust_sigma
 from scanner.checking.fringes import Fringe, cell_size
 from scanner.patterns import Axis
 
@@ -182,6 +183,6 @@ def _split(samples: BlurSamples, chosen: Bools, usual: float) -> Floats:
     for _ in range(10):  # reweighted against cells across edges (Huber)
         solution, *_ = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=None)
         off = np.abs(target - design @ solution)
-        scale = 1.4826 * float(np.median(off)) + 1e-9
+        scale = robust_sigma(off) + 1e-9
         weight = np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(off, 1e-12)))
     return np.asarray(solution, np.float64)

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.arrays import Bools, Floats, Image
+from calib.fit_statistics import robust_sigma
 from hw.rig import Rig
 from scanner.checking.limits import LEAST_AMPLITUDE, TOLERATED_LOSS
 from scanner.checking.report import CheckRow, State
@@ -20,7 +21,6 @@ _DIRECT = 0.1
 _BRIGHT_PERCENTILE = 99.0
 # JPEG and demosaicing spread clipped pixels over their neighbours' levels.
 CLIPPED = 254 / 255
-_NORMAL_MAD = 1.4826
 
 
 def grey(image: Image) -> Floats:
@@ -65,7 +65,7 @@ class Light:
         contrast = self.mean_white - self.mean_black
         bright = float(np.percentile(contrast, _BRIGHT_PERCENTILE))
         difference = grey(self.black[1]) - grey(self.black[0])
-        noise = max(1.0, _NORMAL_MAD * float(np.median(np.abs(difference - np.median(difference)))))
+        noise = max(1.0, robust_sigma(difference - np.median(difference)))
         lit: Bools = contrast > max(_DIRECT * bright, _SEEN * noise)
         return lit
 

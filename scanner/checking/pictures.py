@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
-import matplotlib
 import numpy as np
 
 from calib.arrays import Bools, Floats
@@ -13,10 +12,9 @@ from scanner.checking.light import Light
 from scanner.checking.report import Pixels
 from scanner.images import write_png
 from scanner.patterns import Axis
-from scanner.reporting.maps import BLUE, ORANGE, SKY_BLUE, VERMILION, photograph
+from scanner.reporting.maps import BLUE, ORANGE, SKY_BLUE, VERMILION, VIRIDIS, photograph, shaded
 
 _OPACITY = 0.45
-_COLOURS = "viridis"
 _LEGEND_PX = 34
 _TEXT_SCALE = 0.5
 _UNKNOWN = 0
@@ -45,8 +43,8 @@ def contrast_picture(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools
     size = cell_size(usable.shape)
     ratios = [_ratio(fringes, axis, usable, size) for axis in ("x", "y")]
     left = np.minimum(*ratios)
-    colours = np.asarray(matplotlib.colormaps[_COLOURS](np.clip(np.nan_to_num(left), 0, 1)))[..., :3]
-    picture = np.where(np.isfinite(left)[..., None], 255 * colours, _UNKNOWN).astype(np.uint8)
+    colours = shaded(np.clip(np.nan_to_num(left), 0, 1), VIRIDIS)
+    picture = np.where(np.isfinite(left)[..., None], colours, np.uint8(_UNKNOWN))
     factor = max(1.0, max(usable.shape) / _LONGEST_SIDE_PX)
     size_px = (round(usable.shape[1] / factor), round(usable.shape[0] / factor))
     picture = np.asarray(cv2.resize(picture, size_px, interpolation=cv2.INTER_NEAREST), np.uint8)
@@ -109,7 +107,7 @@ def _enlarged(picture: Pixels) -> Pixels:
 def _with_scale(picture: Pixels, text: str) -> Pixels:
     picture = _enlarged(picture)
     legend = np.full((_LEGEND_PX, picture.shape[1], 3), 255, np.uint8)
-    bar = np.asarray(matplotlib.colormaps[_COLOURS](np.linspace(0, 1, 120)))[:, :3] * 255
+    bar = shaded(np.linspace(0, 1, 120), VIRIDIS)
     x = _write(legend, "0 %", 10) + 6
     legend[10:26, x : x + 120] = bar[: max(0, legend.shape[1] - x)]
     x = _write(legend, "100 %", x + 128)

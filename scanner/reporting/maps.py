@@ -49,6 +49,8 @@ def _as_pixels(values: Floats) -> Pixels:
 
 
 # All of them can be told from a white and from a black page, and by every kind of colour vision.
+# Whole tables, dark to bright; both have the same order of shades to every kind of colour vision.
+VIRIDIS, CIVIDIS = _part_of(cv2.COLORMAP_VIRIDIS, 0, 255), _part_of(cv2.COLORMAP_CIVIDIS, 0, 255)
 _DEPTHS = _part_of(cv2.COLORMAP_VIRIDIS, 30, 247)
 _SIGMAS = _part_of(cv2.COLORMAP_CIVIDIS, 25, 255)
 _SIGNED = _between((0, 84, 166), (226, 226, 226), (186, 62, 0))
@@ -174,6 +176,12 @@ def _cropped(values: NDArray[np.float32]) -> NDArray[np.float32]:
     margin = max(2, max(values.shape) // 50)
     top, left = max(0, int(rows[0]) - margin), max(0, int(columns[0]) - margin)
     return values[top : int(rows[-1]) + margin + 1, left : int(columns[-1]) + margin + 1]
+
+
+def shaded(share: NDArray[np.floating], shades: Pixels) -> Pixels:
+    """RGB (..., 3) of shares from 0 to 1 (...), by a table of shades."""
+    count = len(shades)
+    return np.asarray(shades[np.minimum(share * count, count - 1).astype(np.intp)], np.uint8)
 
 
 def _reduced(values: NDArray[np.float32], longest_side: int = LONGEST_SIDE) -> NDArray[np.float32]:

@@ -1,13 +1,12 @@
 """The report's sections as values that the template only has to lay out."""
 
-import os
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Floats
+from calib.parallel import in_parallel
 from scanner.cloud import Cloud
 from scanner.decode import Decoding, MaskReason
 from scanner.patterns import Gray, Pattern, Phase
@@ -156,8 +155,7 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
             caption=_caption(name, report.capture) + (_CORNER_CAPTIONS[name] if report.solution else ""),
         )
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return tuple(pool.map(show, views))
+    return tuple(in_parallel(show, views))
 
 
 def _caption(view: str, capture: CaptureFacts) -> str:

@@ -3,16 +3,14 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Floats
 from scanner.measuring.shown import shown_unit
-from scanner.reporting.maps import FACE_COLOURS, FACE_NAMES, GREY
+from scanner.reporting.maps import CIVIDIS, FACE_COLOURS, FACE_NAMES, GREY, shaded
 from scanner.viewing.result import ViewedCloud
 
-_SHADES = "cividis"  # Nuñez et al. (2018): the same order of shades to every kind of colour vision
 _NAMED_SHADES = ("dark blue", "grey", "yellow")
 _FACE_WORDS = ("orange", "sky blue", "green")
 _SHOWN_SHARE = (0.01, 0.99)
@@ -77,7 +75,7 @@ def _by_face(cloud: ViewedCloud, chosen: NDArray[np.int64]) -> Coloured:
 def _by_sigma(sigma: Floats, unit: str) -> Coloured:
     low, high = (float(value) for value in np.quantile(sigma, _SHOWN_SHARE)) if len(sigma) else (0.0, 1.0)
     share = np.clip((sigma - low) / max(high - low, np.finfo(np.float64).tiny), 0, 1)
-    colours = np.asarray(matplotlib.colormaps[_SHADES](share)[:, :3] * 255, np.uint8)
+    colours = shaded(share, CIVIDIS)
     shown = shown_unit(unit)
     values = (low, (low + high) / 2, high)
     named = ", ".join(f"{shade} {shown.error(value)}" for shade, value in zip(_NAMED_SHADES, values, strict=True))

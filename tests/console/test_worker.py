@@ -2,18 +2,18 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from notebook import Notebook, until
 
 from hw.errors import DeviceError
 from hw.open_rig import OpenedRig
 from hw.rig import Frame, Rig
 from scanner import pipeline
-from scanner.checking.report import CheckReport, CheckRow
 from scanner.console import worker as worker_module
 from scanner.console.progress import CancelledError, Stage, StagedProgress
 from scanner.console.settings import Picture, Settings
@@ -21,32 +21,6 @@ from scanner.console.worker import Activity, Status, Worker
 
 SIZE = (32, 24)
 CONFIG = "rig: {backend: simulated}\ncamera: {width: 32, height: 24}\nprojector: {width: 32, height: 24}\n"
-
-
-class Notebook:
-    """A page that writes down what it is told."""
-
-    def __init__(self) -> None:
-        self.statuses: list[Status] = []
-        self.frames: list[Frame] = []
-        self.rigs: list[Rig] = []
-        self.results: list[Path] = []
-
-    def on_status(self, status: Status) -> None:
-        self.statuses.append(status)
-
-    def on_camera(self, rig: Rig) -> None:
-        self.rigs.append(rig)
-
-    def on_frame(self, frame: Frame) -> None:
-        self.frames.append(frame)
-
-    def on_row(self, row: CheckRow) -> None: ...
-
-    def on_report(self, report: CheckReport) -> None: ...
-
-    def on_result(self, folder: Path) -> None:
-        self.results.append(folder)
 
 
 class Wall:
@@ -117,13 +91,6 @@ def worker(wall: Wall, page: Notebook, tmp_path: Path, monkeypatch: pytest.Monke
     yield worker
     worker.close()
     assert wall.open == 0
-
-
-def until(condition: Callable[[], object]) -> None:
-    deadline_s = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < deadline_s, "it did not come to pass"
-        time.sleep(0.005)
 
 
 def test_live_image_follows_the_settings_on_one_open_rig(worker: Worker, page: Notebook, wall: Wall) -> None:

@@ -1,50 +1,31 @@
 """What the console's page does, through the real path: live image, exposure and gain, a scan, cancel."""
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from loopback_bench import check_frames
+from notebook import Notebook
+from notebook import until as until_within
 
-from hw.rig import Frame
 from scanner.calibration_file import read_calibration
 from scanner.console.settings import Picture, Settings
-from scanner.console.worker import Activity, Status, Worker
+from scanner.console.worker import Activity, Worker
 
 pytestmark = pytest.mark.xdist_group("loopback")
 
-
-class Page:
-    """Writes down frames and results."""
-
-    def __init__(self) -> None:
-        self.frames: list[Frame] = []
-        self.results: list[Path] = []
-
-    def on_status(self, status: Status) -> None: ...
-
-    def on_camera(self, rig: object) -> None: ...
-
-    def on_frame(self, frame: Frame) -> None:
-        self.frames.append(frame)
-
-    def on_row(self, row: object) -> None: ...
-
-    def on_report(self, report: object) -> None: ...
-
-    def on_result(self, folder: Path) -> None:
-        self.results.append(folder)
+until = partial(until_within, patience_s=120)
 
 
 @pytest.fixture
-def page() -> Page:
-    return Page()
+def page() -> Notebook:
+    return Notebook()
 
 
 @pytest.fixture
-def worker(config: Path, rig: object, page: Page, monkeypatch: pytest.MonkeyPatch) -> Iterator[Worker]:
+def worker(config: Path, rig: object, page: Notebook, monkeypatch: pytest.MonkeyPatch) -> Iterator[Worker]:
     monkeypatch.chdir(config.parent)
     worker = Worker(Settings(config), page)
     worker.start()
@@ -52,18 +33,11 @@ def worker(config: Path, rig: object, page: Page, monkeypatch: pytest.MonkeyPatc
     worker.close()
 
 
-def until(condition: Callable[[], object]) -> None:
-    deadline_s = time.monotonic() + 120
-    while not condition():
-        assert time.monotonic() < deadline_s, "it did not come to pass"
-        time.sleep(0.01)
-
-
-def brightness(page: Page) -> float:
+def brightness(page: Notebook) -> float:
     return float(np.mean(page.frames[-1].image)) if page.frames else 0.0
 
 
-def test_the_live_image_shows_what_is_projected_and_follows_exposure_and_gain(worker: Worker, page: Page) -> None:
+def test_the_live_image_shows_what_is_projected_and_follows_exposure_and_gain(worker: Worker, page: Notebook) -> None:
     assert worker.request(Activity.LIVE)
     until(lambda: page.frames)
     white = brightness(page)
@@ -78,7 +52,7 @@ def test_the_live_image_shows_what_is_projected_and_follows_exposure_and_gain(wo
     until(lambda: brightness(page) < 0.7 * white)
 
 
-def test_a_scan_leaves_a_result(worker: Worker, page: Page, room) -> None:
+def test_a_scan_leaves_a_result(worker: Worker, page: Notebook, room) -> None:
     assert worker.request(Activity.LIVE)
     until(lambda: page.frames)
     assert worker.request(Activity.SCANNING)
@@ -89,7 +63,7 @@ def test_a_scan_leaves_a_result(worker: Worker, page: Page, room) -> None:
     assert 0.9 < found.camera.focal_px[0] / truth.camera.focal_px[0] < 1.1
 
 
-def test_a_scan_that_is_cancelled_keeps_whole_frames(worker: Worker, page: Page, config: Path, room) -> None:
+def test_a_scan_that_is_cancelled_keeps_whole_frames(worker: Worker, page: Notebook, config: Path, room) -> None:
     assert worker.request(Activity.SCANNING)
     until(lambda: len(page.frames) >= 4)
     worker.cancel()

@@ -1,0 +1,42 @@
+"""A page without a browser, for tests of the console's worker."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from hw.rig import Frame, Rig
+from scanner.checking.report import CheckReport, CheckRow
+from scanner.console.worker import Status
+
+
+class Notebook:
+    """A page that writes down what it is told."""
+
+    def __init__(self) -> None:
+        self.statuses: list[Status] = []
+        self.frames: list[Frame] = []
+        self.rigs: list[Rig] = []
+        self.results: list[Path] = []
+
+    def on_status(self, status: Status) -> None:
+        self.statuses.append(status)
+
+    def on_camera(self, rig: Rig) -> None:
+        self.rigs.append(rig)
+
+    def on_frame(self, frame: Frame) -> None:
+        self.frames.append(frame)
+
+    def on_row(self, row: CheckRow) -> None: ...
+
+    def on_report(self, report: CheckReport) -> None: ...
+
+    def on_result(self, folder: Path) -> None:
+        self.results.append(folder)
+
+
+def until(condition: Callable[[], object], patience_s: float = 30) -> None:
+    deadline_s = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < deadline_s, "it did not come to pass"
+        time.sleep(0.005)
