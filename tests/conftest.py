@@ -6,12 +6,17 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 # As the application does (scanner/__init__.py); with several test processes on two cores it matters even more.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# No test is timed: the first example may wait for a compiler, any for a busy machine.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 # In software, and talking to nobody.

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scanner.config import Config, load_config
@@ -216,7 +216,6 @@ def test_a_known_principal_point_must_fit_the_images(tmp_path: Path, size: tuple
         config.principal_point(size)
 
 
-@settings(deadline=None)
 @given(
     st.fixed_dictionaries(
         {},

@@ -13,7 +13,7 @@ from calib.transfer import image_of_corner, intrinsic_matrices, transfer
 SEEDS = st.integers(0, 10_000)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=SEEDS)
 def test_image_of_the_vertex(seed: int) -> None:
     capture = random_capture(np.random.default_rng(seed), count=3000, noise_px=0.0)
@@ -22,7 +22,7 @@ def test_image_of_the_vertex(seed: int) -> None:
     assert vertex == pytest.approx(PAPER_CAMERA.project(capture.corner.vertex[None])[0], abs=1e-2)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=SEEDS)
 def test_one_of_the_two_corners_is_the_true_one_and_both_are_square(seed: int) -> None:
     capture = random_capture(np.random.default_rng(seed), count=3000, noise_px=0.0)
@@ -38,7 +38,7 @@ def test_one_of_the_two_corners_is_the_true_one_and_both_are_square(seed: int) -
     assert rays[0] @ capture.corner.vertex == pytest.approx(np.linalg.norm(capture.corner.vertex), rel=1e-6)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=SEEDS)
 def test_transfer_of_the_true_camera_is_the_true_projector(seed: int) -> None:
     capture = random_capture(np.random.default_rng(seed), count=3000, noise_px=0.0)

@@ -64,7 +64,7 @@ def test_any_two_frames_exchanged(patterns: Sequence[Pattern]) -> None:
     [STANDARD, CODE, LONG_CELLS, PERIODS, STANDARD[2:], sequence_for(SIZE, shifts=4, inverses=False)],
     ids=["standard", "code", "cell as long as the period", "fringes only", "no white and black", "no inverses"],
 )
-@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_some_two_frames_exchanged(patterns: Sequence[Pattern], data: st.DataObject) -> None:
     i, j = data.draw(st.lists(st.integers(0, len(patterns) - 1), min_size=2, max_size=2, unique=True))

@@ -29,7 +29,7 @@ def cap(n: int, rng: np.random.Generator, radius: float = RADIUS) -> NDArray[np.
 @given(
     st.floats(0.01, 10), st.floats(-5, 5), st.floats(-5, 5), st.floats(1, 10), st.floats(0.9, 1.1), st.integers(0, 99)
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_exact_points_give_the_exact_sphere(
     radius: float, x: float, y: float, z: float, start: float, seed: int
 ) -> None:

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.arrays import Floats
@@ -36,7 +36,6 @@ def test_rays_enter_a_block(origin, direction, t, face):
     assert found_face[0] == face
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10_000))
 def test_rays_that_enter_a_block_stand_on_the_named_face(seed):
     rng = np.random.default_rng(seed)
@@ -60,7 +59,6 @@ def test_rays_enter_a_sphere_at_its_near_side():
     assert ball.enter(np.zeros((3, 1)), column(0.0, 0.44, 1.0))[0] == np.inf
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10_000))
 def test_the_nearest_surface_is_seen_and_its_coordinates_lead_back_to_it(seed):
     rng = np.random.default_rng(seed)

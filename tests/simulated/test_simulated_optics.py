@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.camera import Intrinsics
@@ -12,7 +12,6 @@ BARREL = Optics(612, 512, 447.8, (314.0, 263.6), k1=-0.05, k2=0.008)
 PICTURE = PictureOptics(40, 24, gamma=2.2, contrast=1000.0, blur_px=0.5)
 
 
-@settings(deadline=None)
 @given(st.floats(-0.06, 0.03), st.floats(-0.01, 0.01), st.integers(0, 1000))
 def test_the_lens_agrees_with_the_calibration_model(k1, k2, seed):
     optics = Optics(612, 512, 447.8, (314.0, 263.6), k1, k2)
