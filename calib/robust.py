@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from calib.arrays import Floats
+from calib.compiled import compiled
 
 _FIRST_DAMPING = 1e-4
 _LEAST_GAIN = 1e-5
@@ -15,8 +16,8 @@ def minimise(
 ) -> tuple[Floats, float]:
     """Minimise Σ log(1 + |r|²) + ½ Σ (parameter / `prior_sigma`)² from `start` (P,): the parameters and that sum.
 
-    `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P). The first sum is Cauchy's
-    robust loss of each match's D residuals. `prior_sigma` is infinite for a parameter that has no prior. Levenberg
+    `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), in the same arrays every time
+    if it likes. The first sum is Cauchy's robust loss of each match's D residuals. `prior_sigma` is infinite for a parameter that has no prior. Levenberg
     and Marquardt's method, so directions that change nothing (a gauge) are no harm.
     """
     precision = prior_sigma**-2.0
@@ -24,22 +25,19 @@ def minimise(
     residual, jacobian = evaluate(current)
     cost = _cost(residual, current, precision)
     for _ in range(steps):
-        weight = 1 / (1 + np.sum(residual**2, axis=1))
-        weighted = jacobian * weight[:, None, None]
-        flat = jacobian.reshape(-1, len(current))
-        # Half the gradient's and half the Gauss–Newton Hessian's factor two cancel in the step.
-        hessian = 2 * weighted.reshape(-1, len(current)).T @ flat + np.diag(precision)
-        gradient = 2 * np.einsum("ndp,nd->p", weighted, residual) + precision * current
+        hessian, gradient = _normal_equations(residual, jacobian)
+        hessian += np.diag(precision)
+        gradient += precision * current
         scale = np.sqrt(np.diag(hessian) + 1e-12)
         hessian /= scale[:, None] * scale
         gained = 0.0
         while damping < 1e6:
             trial = current - np.linalg.solve(hessian + damping * np.eye(len(current)), gradient / scale) / scale
-            trial_residual, trial_jacobian = evaluate(trial)
-            trial_cost = _cost(trial_residual, trial, precision)
+            residual, jacobian = evaluate(trial)
+            trial_cost = _cost(residual, trial, precision)
             if trial_cost < cost:
                 gained = cost - trial_cost
-                current, residual, jacobian, cost = trial, trial_residual, trial_jacobian, trial_cost
+                current, cost = trial, trial_cost
                 damping = max(damping / 10, 1e-9)
                 break
             damping *= 10
@@ -49,5 +47,33 @@ def minimise(
 
 
 def _cost(residual: Floats, parameters: Floats, precision: Floats) -> float:
-    loss = float(np.sum(np.log1p(np.sum(residual**2, axis=1))))
+    loss = float(np.sum(np.log1p(np.einsum("nd,nd->n", residual, residual))))
     return loss + 0.5 * float(np.sum(precision * parameters**2)) if np.isfinite(loss) else np.inf
+
+
+@compiled
+def _normal_equations(residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
+    """The Gauss–Newton Hessian (P, P) and the gradient (P,) of Cauchy's loss.
+
+    Half the gradient's and half the Hessian's factor two cancel in the step.
+    """
+    matches, dimensions, size = jacobian.shape
+    hessian, gradient = np.zeros((size, size)), np.zeros(size)
+    for n in range(matches):
+        square = 0.0
+        for d in range(dimensions):
+            square += residual[n, d] * residual[n, d]
+        weight = 2.0 / (1.0 + square)
+        for d in range(dimensions):
+            row = jacobian[n, d]
+            for p in range(size):
+                # Most of what a match depends on is zero where there are many planes.
+                if row[p] != 0.0:
+                    weighted = weight * row[p]
+                    gradient[p] += weighted * residual[n, d]
+                    for q in range(p + 1):
+                        hessian[p, q] += weighted * row[q]
+    for p in range(size):
+        for q in range(p):
+            hessian[q, p] = hessian[p, q]
+    return hessian, gradient
