@@ -259,7 +259,7 @@ def _off_epipolar_line(
     residual: Floats,
     jacobian: Floats,
 ) -> None:
-    """`residual` (N, 1), `jacobian` (N, 1, 17) of u on the line F x in units of 1 / `scale`: by F and by both lenses."""
+    """`residual` (N, 1), `jacobian` (N, 1, 17) of u on the line F x in units of 1 / `scale`: by F and both lenses."""
     for i in range(len(x)):
         x0, x1, u0, u1 = x[i, 0], x[i, 1], u[i, 0], u[i, 1]
         a = f[0, 0] * x0 + f[0, 1] * x1 + f[0, 2]

@@ -16,9 +16,10 @@ def minimise(
 ) -> tuple[Floats, float]:
     """Minimise Σ log(1 + |r|²) + ½ Σ (parameter / `prior_sigma`)² from `start` (P,): the parameters and that sum.
 
-    `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), in the same arrays every time
-    if it likes. The first sum is Cauchy's robust loss of each match's D residuals. `prior_sigma` is infinite for a parameter that has no prior. Levenberg
-    and Marquardt's method, so directions that change nothing (a gauge) are no harm.
+    `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), if it likes in the same
+    arrays every time. The first sum is Cauchy's robust loss of each match's D residuals. `prior_sigma` is infinite for
+    a parameter that has no prior. Levenberg and Marquardt's method, so directions that change nothing (a gauge) are no
+    harm.
     """
     precision = prior_sigma**-2.0
     current, damping = start, _FIRST_DAMPING
