@@ -239,7 +239,8 @@ def _off_homography(
             point = (h[d, 0] * x[i, 0] + h[d, 1] * x[i, 1] + h[d, 2]) / third
             residual[i, d] = (point - u[i, d]) * scale
             row = jacobian[i, d]
-            row[:9] = 0.0
+            for k in range(6):
+                row[k] = 0.0
             row[3 * d], row[3 * d + 1], row[3 * d + 2] = x[i, 0] * per_third, x[i, 1] * per_third, per_third
             row[6], row[7], row[8] = -point * row[3 * d], -point * row[3 * d + 1], -point * per_third
             by_x0, by_x1 = (h[d, 0] - point * h[2, 0]) * per_third, (h[d, 1] - point * h[2, 1]) * per_third

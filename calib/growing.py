@@ -33,16 +33,16 @@ def grow(rows: Floats, seeds: Floats, covariance: Floats, gate: float) -> tuple[
     """Refit each seed (S, 3), with covariance (S, 6), to all surfels that it explains, as far as its uncertainty
     reaches: the plane (3,) that explains most in the end, and which surfels those are (M,).
     """
-    planes, covariance, explained = seeds.copy(), covariance.copy(), np.zeros(len(seeds), np.int64)
+    planes, covariance, explained = seeds.copy(), covariance.copy(), np.empty(len(seeds))
     in_pieces(
         len(seeds),
         lambda at: _grow(rows, planes[at], covariance[at], gate**2, explained[at]),
         width=rows.shape[1],
     )
     best = int(np.argmax(explained))
-    inlier = np.zeros(rows.shape[1], np.bool_)
-    _mark(rows, planes[best], covariance[best], gate**2, inlier)
-    return planes[best], inlier
+    weight = np.empty(rows.shape[1])
+    _weigh(rows, planes[best], covariance[best], gate**2, 0.0, weight)
+    return planes[best], weight > 0
 
 
 @compiled
@@ -56,7 +56,8 @@ def _fit_patches(
         row, column = cell[m] // width, cell[m] % width
         for side in _PATCHES:
             half, count, square = side // 2, 0, 0.0
-            moments[:] = 0.0
+            for k in range(9):
+                moments[k] = 0.0
             for j in range(max(0, row - half), min(height, row + half + 1)):
                 for i in range(max(0, column - half), min(width, column + half + 1)):
                     n = at[j, i]
@@ -77,82 +78,73 @@ def _fit_patches(
                 _solve(moments, inverse, plane)
                 chi2 = square - plane[0] * moments[6] - plane[1] * moments[7] - plane[2] * moments[8]
                 if chi2 < gate * (count - 3):
-                    planes[m], covariance[m], usable[m] = plane, inverse, True
+                    usable[m] = True
+                    for k in range(3):
+                        planes[m, k] = plane[k]
+                    for k in range(6):
+                        covariance[m, k] = inverse[k]
 
 
 @compiled
-def _grow(rows: Floats, planes: Floats, covariance: Floats, gate2: float, explained: Ints) -> None:
+def _grow(rows: Floats, planes: Floats, covariance: Floats, gate2: float, explained: Floats) -> None:
     """Every seed's plane and covariance, in place, and how many surfels it explains in the end."""
-    moments, before = np.empty(9), np.empty(9)
+    weight, moments = np.empty(rows.shape[1]), np.empty(9)
     for s in range(len(planes)):
-        before[:] = 0.0
+        before = np.nan
         for _ in range(_GROWTH_STEPS):
-            count = _add_up(rows, planes[s], covariance[s], gate2, moments)
-            if count < _FEWEST_IN_PATCH:
-                planes[s] = np.nan  # explains nothing
+            _weigh(rows, planes[s], covariance[s], gate2, _REACH, weight)
+            if _add_up(rows, weight, moments) < _FEWEST_IN_PATCH:
+                planes[s, 0] = np.nan  # explains nothing
                 break
-            if np.all(moments == before):
+            if moments[6] == before:  # the same surfels again
                 break
+            before = moments[6]
             _solve(moments, covariance[s], planes[s])
-            before[:] = moments
-        count = 0
-        for m in range(rows.shape[1]):
-            count += _explains(rows, m, planes[s], covariance[s], gate2, 0.0)
-        explained[s] = count
+        _weigh(rows, planes[s], covariance[s], gate2, 0.0, weight)
+        explained[s] = _add_up(rows, weight, moments)
 
 
 @compiled
-def _mark(rows: Floats, plane: Floats, covariance: Floats, gate2: float, inlier: Bools) -> None:
-    for m in range(len(inlier)):
-        inlier[m] = _explains(rows, m, plane, covariance, gate2, 0.0)
-
-
-@compiled
-def _add_up(rows: Floats, plane: Floats, covariance: Floats, gate2: float, moments: Floats) -> int:
-    """Σ x xᵀ and Σ x value, nine numbers, of the surfels that a plane explains, and how many they are."""
-    count = xx = xy = xz = yy = yz = zz = xv = yv = zv = 0.0
-    for m in range(rows.shape[1]):
-        weight = 1.0 if _explains(rows, m, plane, covariance, gate2, _REACH) else 0.0
-        value, x, y, z = rows[0, m], rows[1, m], rows[2, m], rows[3, m]
-        count += weight
-        xx += weight * x * x
-        xy += weight * x * y
-        xz += weight * x * z
-        yy += weight * y * y
-        yz += weight * y * z
-        zz += weight * z * z
-        xv += weight * x * value
-        yv += weight * y * value
-        zv += weight * z * value
-    moments[0], moments[1], moments[2], moments[3], moments[4], moments[5] = xx, xy, xz, yy, yz, zz
-    moments[6], moments[7], moments[8] = xv, yv, zv
-    return int(count)
-
-
-@compiled
-def _explains(rows: Floats, m: int, plane: Floats, covariance: Floats, gate2: float, reach: float) -> bool:
-    """Whether surfel m lies on a plane and slopes like it, within the surfel's errors and the plane's own.
+def _weigh(rows: Floats, plane: Floats, covariance: Floats, gate2: float, reach: float, weight: Floats) -> None:
+    """1 for a surfel that lies on a plane and slopes like it, within its own errors and the plane's, 0 for others (M,).
 
     The plane's own variance counts up to `reach` for the offset.
     """
-    own = _variance(rows, 1, m, covariance)
-    lies = _square(rows, 0, m, plane) < gate2 * (1.0 + (own if own < reach else reach))
-    along_x = _square(rows, 4, m, plane) < gate2 * (1.0 + _variance(rows, 5, m, covariance))
-    along_y = _square(rows, 8, m, plane) < gate2 * (1.0 + _variance(rows, 9, m, covariance))
-    return lies & along_x & along_y
+    for m in range(len(weight)):
+        weight[m] = (
+            _within(rows[0, m], rows[1, m], rows[2, m], rows[3, m], plane, covariance, gate2, reach)
+            * _within(rows[4, m], rows[5, m], rows[6, m], rows[7, m], plane, covariance, gate2, np.inf)
+            * _within(rows[8, m], rows[9, m], rows[10, m], rows[11, m], plane, covariance, gate2, np.inf)
+        )
 
 
 @compiled
-def _square(rows: Floats, row: int, m: int, plane: Floats) -> float:
-    off = rows[row, m] - plane[0] * rows[row + 1, m] - plane[1] * rows[row + 2, m] - plane[2] * rows[row + 3, m]
-    return off * off
+def _within(value: float, x: float, y: float, z: float, plane: Floats, c: Floats, gate2: float, reach: float) -> float:
+    """1 if a number of unit variance is what the plane with covariance c makes it, else 0: no branch, but a factor."""
+    off = value - plane[0] * x - plane[1] * y - plane[2] * z
+    own = x * (c[0] * x + 2.0 * (c[1] * y + c[2] * z)) + y * (c[3] * y + 2.0 * c[4] * z) + z * c[5] * z
+    return 1.0 if off * off < gate2 * (1.0 + (own if own < reach else reach)) else 0.0
 
 
 @compiled
-def _variance(rows: Floats, row: int, m: int, c: Floats) -> float:
-    """xᵀ C x."""
-    x, y, z = rows[row, m], rows[row + 1, m], rows[row + 2, m]
-    return x * (c[0] * x + 2.0 * (c[1] * y + c[2] * z)) + y * (c[3] * y + 2.0 * c[4] * z) + z * c[5] * z
+def _add_up(rows: Floats, weight: Floats, moments: Floats) -> float:
+    """Σ x xᵀ and Σ x value, nine numbers, of surfels of weight 1, and how many they are."""
+    count = xx = xy = xz = yy = yz = zz = xv = yv = zv = 0.0
+    for m in range(len(weight)):
+        value, x, y, z = rows[0, m], weight[m] * rows[1, m], weight[m] * rows[2, m], weight[m] * rows[3, m]
+        count += weight[m]
+        xx += x * x
+        xy += x * y
+        xz += x * z
+        yy += y * y
+        yz += y * z
+        zz += z * z
+        xv += x * value
+        yv += y * value
+        zv += z * value
+    moments[0], moments[1], moments[2], moments[3], moments[4], moments[5] = xx, xy, xz, yy, yz, zz
+    moments[6], moments[7], moments[8] = xv, yv, zv
+    return count
 
 
 @compiled
@@ -161,7 +153,8 @@ def _solve(moments: Floats, inverse: Floats, plane: Floats) -> None:
 
     Large instead of infinite along what surfels in one line leave open.
     """
-    a, b, c, d, e, f, xv, yv, zv = moments
+    a, b, c, d, e, f = moments[0], moments[1], moments[2], moments[3], moments[4], moments[5]
+    xv, yv, zv = moments[6], moments[7], moments[8]
     ridge = _RIDGE * (a + d + f)
     d0 = a + ridge
     l10, l20 = b / d0, c / d0

@@ -47,7 +47,7 @@ class Lens:
         """(..., 2) → (..., 2)."""
         ideal = np.empty(pixels.shape)
         _ideal(
-            np.ascontiguousarray(pixels, np.float64).reshape(-1, 2),
+            np.ascontiguousarray(pixels).reshape(-1, 2),
             *self.centre_px,
             1 / self.unit_px,
             self.parameters,
@@ -117,7 +117,7 @@ class TwoView:
 @compiled
 def _ideal(pixels: Floats, x0: float, y0: float, per_px: float, lens: Floats, ideal: Floats) -> None:
     """The formula of `Lens`, (N, 2) → (N, 2); (x0, y0) is the image's centre."""
-    k1, k2, x_c, y_c = lens
+    k1, k2, x_c, y_c = lens[0], lens[1], lens[2], lens[3]
     for i in range(len(pixels)):
         x, y = (pixels[i, 0] - x0) * per_px - x_c, (pixels[i, 1] - y0) * per_px - y_c
         r2 = x * x + y * y
@@ -128,7 +128,7 @@ def _ideal(pixels: Floats, x0: float, y0: float, per_px: float, lens: Floats, id
 @compiled
 def _ideal_jacobian(pixels: Floats, x0: float, y0: float, per_px: float, lens: Floats, jacobian: Floats) -> None:
     """Derivative of `_ideal` with respect to the lens, (N, 2) → (N, 2, 4)."""
-    k1, k2, x_c, y_c = lens
+    k1, k2, x_c, y_c = lens[0], lens[1], lens[2], lens[3]
     for i in range(len(pixels)):
         x, y = (pixels[i, 0] - x0) * per_px - x_c, (pixels[i, 1] - y0) * per_px - y_c
         r2 = x * x + y * y
