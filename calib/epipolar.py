@@ -97,11 +97,10 @@ def first_geometry(surfels: Surfels, plane: LargestPlane, rng: np.random.Generat
         starts.append((corrected, _parallax_candidates(corrected, plane.homography, off_plane, rng)))
     fits = []
     for pairs, candidates in starts:
-        found = np.concatenate([_best_candidate(pairs, candidates).ravel(), pairs.lens_parameters])
-        for tolerance in _TOLERANCES_PX:
-            found, cost = minimise(partial(_epipolar_residuals, plain, tolerance), found, _PRIOR_SIGMA)
-        fits.append((cost, found))
-    found = min(fits, key=lambda fit: fit[0])[1]
+        start = np.concatenate([_best_candidate(pairs, candidates).ravel(), pairs.lens_parameters])
+        fits.append(minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[0]), start, _PRIOR_SIGMA))
+    nearest = min(fits, key=lambda fit: fit[1])[0]
+    found, _ = minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[1]), nearest, _PRIOR_SIGMA)
     left, values, right = np.linalg.svd(found[:9].reshape(3, 3))
     epipole = left[:, 2]
     base = np.cross(np.eye(3), epipole) @ (left * [values[0], values[1], 0.0]) @ right

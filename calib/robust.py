@@ -7,7 +7,8 @@ import numpy as np
 from calib.arrays import Floats
 from calib.compiled import compiled
 
-_FIRST_DAMPING = 1e-4
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-9, 1e6
+_FIRST_GROWTH = 4.0
 _LEAST_GAIN = 1e-5
 
 
@@ -19,35 +20,38 @@ def minimise(
     `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), if it likes in the same
     arrays every time. The first sum is Cauchy's robust loss of each match's D residuals. `prior_sigma` is infinite for
     a parameter that has no prior. Levenberg and Marquardt's method, so directions that change nothing (a gauge) are no
-    harm.
+    harm; how the damping follows the gain is Nielsen's (Madsen, Nielsen, Tingleff, Methods for non-linear least squares
+    problems, 2004, algorithm 3.16).
     """
     precision = prior_sigma**-2.0
     current, damping = start, _FIRST_DAMPING
-    residual, jacobian = evaluate(current)
-    cost = _cost(residual, current, precision)
+    cost = _cost(*(found := evaluate(current)), current, precision)
     for _ in range(steps):
-        hessian, gradient = _normal_equations(residual, jacobian)
+        hessian, gradient = _normal_equations(*found)
         hessian += np.diag(precision)
         gradient += precision * current
         scale = np.sqrt(np.diag(hessian) + 1e-12)
         hessian /= scale[:, None] * scale
-        gained = 0.0
-        while damping < 1e6:
-            trial = current - np.linalg.solve(hessian + damping * np.eye(len(current)), gradient / scale) / scale
-            residual, jacobian = evaluate(trial)
-            trial_cost = _cost(residual, trial, precision)
+        gradient /= scale
+        gained, growth = 0.0, _FIRST_GROWTH
+        while damping < _MOST_DAMPING:
+            step = np.linalg.solve(hessian + damping * np.eye(len(current)), gradient)
+            trial = current - step / scale
+            trial_cost = _cost(*(found := evaluate(trial)), trial, precision)
             if trial_cost < cost:
                 gained = cost - trial_cost
+                foreseen = gradient @ step - 0.5 * step @ hessian @ step
                 current, cost = trial, trial_cost
-                damping = max(damping / 10, 1e-9)
+                damping = max(damping * max(0.1, 1 - (2 * gained / foreseen - 1) ** 3), _LEAST_DAMPING)
                 break
-            damping *= 10
+            damping *= growth
+            growth *= 2
         if gained < _LEAST_GAIN * cost:
             break
     return current, cost
 
 
-def _cost(residual: Floats, parameters: Floats, precision: Floats) -> float:
+def _cost(residual: Floats, _: Floats, parameters: Floats, precision: Floats) -> float:
     loss = float(np.sum(np.log1p(np.einsum("nd,nd->n", residual, residual))))
     return loss + 0.5 * float(np.sum(precision * parameters**2)) if np.isfinite(loss) else np.inf
 
