@@ -110,7 +110,7 @@ def first_geometry(surfels: Surfels, plane: LargestPlane, rng: np.random.Generat
 
 def _plane_residuals(pairs: _Pairs, tolerance_px: float, parameters: Floats) -> tuple[Floats, Floats]:
     """Residuals (N, 2) of a homography (9) and lenses (8), and their Jacobian (N, 2, 17)."""
-    residual, jacobian = np.empty((len(pairs), 2)), np.empty((len(pairs), 2, 9 + 2 * LENS_TERMS))
+    residual, jacobian = np.empty((2, len(pairs))).T, np.empty((9 + 2 * LENS_TERMS, 2, len(pairs))).T
     scale = pairs.projector.unit_px / tolerance_px
     _off_homography(*pairs.bent(parameters[9:]), parameters[:9].reshape(3, 3), scale, residual, jacobian)
     return residual, jacobian
@@ -118,7 +118,7 @@ def _plane_residuals(pairs: _Pairs, tolerance_px: float, parameters: Floats) -> 
 
 def _epipolar_residuals(pairs: _Pairs, tolerance_px: float, parameters: Floats) -> tuple[Floats, Floats]:
     """Distances (N, 1) from the epipolar lines of F (9) with lenses (8), and their Jacobian (N, 1, 17)."""
-    residual, jacobian = np.empty((len(pairs), 1)), np.empty((len(pairs), 1, 9 + 2 * LENS_TERMS))
+    residual, jacobian = np.empty((1, len(pairs))).T, np.empty((9 + 2 * LENS_TERMS, 1, len(pairs))).T
     scale = pairs.projector.unit_px / tolerance_px
     _off_epipolar_line(*pairs.bent(parameters[9:]), parameters[:9].reshape(3, 3), scale, residual, jacobian)
     return residual, jacobian
@@ -238,10 +238,9 @@ def _off_homography(
             point = (h[d, 0] * x[i, 0] + h[d, 1] * x[i, 1] + h[d, 2]) / third
             residual[i, d] = (point - u[i, d]) * scale
             row = jacobian[i, d]
-            for k in range(6):
-                row[k] = 0.0
-            row[3 * d], row[3 * d + 1], row[3 * d + 2] = x[i, 0] * per_third, x[i, 1] * per_third, per_third
-            row[6], row[7], row[8] = -point * row[3 * d], -point * row[3 * d + 1], -point * per_third
+            for k in range(3):
+                homogeneous = x[i, k] * per_third if k < 2 else per_third
+                row[3 * d + k], row[3 - 3 * d + k], row[6 + k] = homogeneous, 0.0, -point * homogeneous
             by_x0, by_x1 = (h[d, 0] - point * h[2, 0]) * per_third, (h[d, 1] - point * h[2, 1]) * per_third
             for k in range(4):
                 row[9 + k] = by_x0 * x_by_lens[i, 0, k] + by_x1 * x_by_lens[i, 1, k]

@@ -32,7 +32,7 @@ def refine(
             parameters[17:20],
         ), parameters[20:].reshape(count, 3)
 
-    residual, jacobian = np.empty((len(label), 2)), np.zeros((len(label), 2, 20 + 3 * count))
+    residual, jacobian = np.empty((2, len(label))).T, np.zeros((20 + 3 * count, 2, len(label))).T
 
     def evaluate(parameters: Floats) -> tuple[Floats, Floats]:
         trial, v = unpack(parameters)

@@ -9,6 +9,7 @@ from calib.compiled import compiled
 
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-9, 1e6
 _FIRST_GROWTH = 4.0
+_BLOCK = 128
 _LEAST_GAIN = 1e-5
 
 
@@ -17,8 +18,8 @@ def minimise(
 ) -> tuple[Floats, float]:
     """Minimise Σ log(1 + |r|²) + ½ Σ (parameter / `prior_sigma`)² from `start` (P,): the parameters and that sum.
 
-    `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), if it likes in the same
-    arrays every time. The first sum is Cauchy's robust loss of each match's D residuals. `prior_sigma` is infinite for
+    `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), best in Fortran's order,
+    if it likes in the same arrays every time. The first sum is Cauchy's robust loss of each match's D residuals. `prior_sigma` is infinite for
     a parameter that has no prior. Levenberg and Marquardt's method, so directions that change nothing (a gauge) are no
     harm; how the damping follows the gain is Nielsen's (Madsen, Nielsen, Tingleff, Methods for non-linear least squares
     problems, 2004, algorithm 3.16).
@@ -52,33 +53,41 @@ def minimise(
 
 
 def _cost(residual: Floats, _: Floats, parameters: Floats, precision: Floats) -> float:
-    loss = float(np.sum(np.log1p(np.einsum("nd,nd->n", residual, residual))))
+    loss = float(np.sum(np.log(1 + np.sum(residual * residual, axis=1))))
     return loss + 0.5 * float(np.sum(precision * parameters**2)) if np.isfinite(loss) else np.inf
 
 
-@compiled
 def _normal_equations(residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
-    """The Gauss–Newton Hessian (P, P) and the gradient (P,) of Cauchy's loss.
-
-    Half the gradient's and half the Hessian's factor two cancel in the step.
-    """
-    matches, dimensions, size = jacobian.shape
+    """The Gauss–Newton Hessian (P, P) and the gradient (P,) of Cauchy's loss."""
+    size = jacobian.shape[2]
     hessian, gradient = np.zeros((size, size)), np.zeros(size)
-    for n in range(matches):
-        square = 0.0
-        for d in range(dimensions):
-            square += residual[n, d] * residual[n, d]
-        weight = 2.0 / (1.0 + square)
-        for d in range(dimensions):
-            row = jacobian[n, d]
+    # Half the gradient's and half the Hessian's factor two cancel in the step.
+    weight = 2 / (1 + np.sum(residual * residual, axis=1))
+    _add_up(np.ascontiguousarray(jacobian.T), np.ascontiguousarray(residual.T), weight, hessian, gradient)
+    return hessian + np.tril(hessian, -1).T, gradient
+
+
+@compiled
+def _add_up(jacobian: Floats, residual: Floats, weight: Floats, hessian: Floats, gradient: Floats) -> None:
+    """Σ weight row rowᵀ, its lower half, and Σ weight row residual, of (P, D, N), (D, N) and (N,)."""
+    size, dimensions, matches = jacobian.shape
+    weighted = np.empty(_BLOCK)
+    for d in range(dimensions):
+        for first in range(0, matches, _BLOCK):
+            block = slice(first, min(first + _BLOCK, matches))
             for p in range(size):
-                # Most of what a match depends on is zero where there are many planes.
-                if row[p] != 0.0:
-                    weighted = weight * row[p]
-                    gradient[p] += weighted * residual[n, d]
-                    for q in range(p + 1):
-                        hessian[p, q] += weighted * row[q]
-    for p in range(size):
-        for q in range(p):
-            hessian[q, p] = hessian[p, q]
-    return hessian, gradient
+                row, some = jacobian[p, d, block], 0.0
+                for k in range(len(row)):
+                    weighted[k] = weight[first + k] * row[k]
+                    some += np.abs(row[k])
+                if some == 0.0:  # of what is known about one plane only
+                    continue
+                total = 0.0
+                for k in range(len(row)):
+                    total += weighted[k] * residual[d, first + k]
+                gradient[p] += total
+                for q in range(p + 1):
+                    total, other = 0.0, jacobian[q, d, block]
+                    for k in range(len(row)):
+                        total += weighted[k] * other[k]
+                    hessian[p, q] += total
