@@ -14,6 +14,7 @@ from calib.two_view import CAMERA_SIGMA, LENS_TERMS, PROJECTOR_SIGMA, Lens, TwoV
 
 _SAMPLES = 400
 _SURFELS = 1500
+_BLOCK = 100  # surfels after which a candidate may be given up
 # Surfels that are off by more lose influence: first in a fit that may still be far out, then in the final one.
 _TOLERANCES_PX = (3.0, 0.3)
 _PRIOR_SIGMA = np.array([np.inf] * 9 + [*CAMERA_SIGMA, *PROJECTOR_SIGMA])
@@ -97,7 +98,8 @@ def first_geometry(surfels: Surfels, plane: LargestPlane, rng: np.random.Generat
         starts.append((corrected, _parallax_candidates(corrected, plane.homography, off_plane, rng)))
     fits = []
     for pairs, candidates in starts:
-        start = np.concatenate([_best_candidate(pairs, candidates).ravel(), pairs.lens_parameters])
+        best = candidates[_best_fundamental(candidates, *pairs.ideal())]
+        start = np.concatenate([best.ravel(), pairs.lens_parameters])
         fits.append(minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[0]), start, _PRIOR_SIGMA))
     nearest = min(fits, key=lambda fit: fit[1])[0]
     found, _ = minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[1]), nearest, _PRIOR_SIGMA)
@@ -136,9 +138,9 @@ def _sampled_homography(pairs: _Pairs, rng: np.random.Generator) -> Floats:
         ],
         axis=1,
     )
-    candidates, score = _null_vectors(rows), np.empty(_SAMPLES)
-    _score_homographies(candidates, x, u, score)
-    return _least(candidates, score)
+    candidates = _null_vectors(rows)
+    best: Floats = candidates[_best_homography(candidates, x, u)]
+    return best
 
 
 def _eight_point_candidates(pairs: _Pairs, rng: np.random.Generator) -> Floats:
@@ -168,17 +170,6 @@ def _parallax_candidates(pairs: _Pairs, homography: Floats, off_plane: Ints, rng
     return candidates
 
 
-def _best_candidate(pairs: _Pairs, candidates: Floats) -> Floats:
-    score = np.empty(len(candidates))
-    _score_fundamentals(candidates, *pairs.ideal(), score)
-    return _least(candidates, score)
-
-
-def _least(candidates: Floats, score: Floats) -> Floats:
-    best: Floats = candidates[np.argmin(np.where(np.isfinite(score), score, np.inf))]
-    return best
-
-
 def _balanced(view: TwoView, camera_px: Floats, projector_px: Floats) -> TwoView:
     """The same geometry with A such that the plane nearest to all matches has v = 0: parallaxes are small then."""
     parallax = view.parallax(camera_px, projector_px)
@@ -192,31 +183,41 @@ def _balanced(view: TwoView, camera_px: Floats, projector_px: Floats) -> TwoView
 
 
 @compiled
-def _score_homographies(candidates: Floats, x: Floats, u: Floats, score: Floats) -> None:
-    """Of each candidate (S, 3, 3): Σ √distance over points x, u (N, 2), which is robust without a scale."""
+def _best_homography(candidates: Floats, x: Floats, u: Floats) -> int:
+    """Which of the candidates (S, 3, 3) has the least Σ √distance over points x, u (N, 2): robust without a scale."""
+    best, lowest = 0, np.inf
     for s in range(len(candidates)):
-        h = candidates[s]
-        total = 0.0
-        for i in range(len(x)):
-            third = h[2, 0] * x[i, 0] + h[2, 1] * x[i, 1] + h[2, 2]
-            off0 = (h[0, 0] * x[i, 0] + h[0, 1] * x[i, 1] + h[0, 2]) / third - u[i, 0]
-            off1 = (h[1, 0] * x[i, 0] + h[1, 1] * x[i, 1] + h[1, 2]) / third - u[i, 1]
-            total += np.sqrt(np.sqrt(off0 * off0 + off1 * off1))
-        score[s] = total
+        h, total = candidates[s], 0.0
+        for first in range(0, len(x), _BLOCK):
+            for i in range(first, min(first + _BLOCK, len(x))):
+                third = h[2, 0] * x[i, 0] + h[2, 1] * x[i, 1] + h[2, 2]
+                off0 = (h[0, 0] * x[i, 0] + h[0, 1] * x[i, 1] + h[0, 2]) / third - u[i, 0]
+                off1 = (h[1, 0] * x[i, 0] + h[1, 1] * x[i, 1] + h[1, 2]) / third - u[i, 1]
+                total += np.sqrt(np.sqrt(off0 * off0 + off1 * off1))
+            if not total < lowest:
+                break
+        if total < lowest:
+            best, lowest = s, total
+    return best
 
 
 @compiled
-def _score_fundamentals(candidates: Floats, x: Floats, u: Floats, score: Floats) -> None:
-    """Of each candidate (S, 3, 3): Σ √distance of points u from the epipolar lines of x (N, 2)."""
+def _best_fundamental(candidates: Floats, x: Floats, u: Floats) -> int:
+    """Which of the candidates (S, 3, 3) has the least Σ √distance of points u from the epipolar lines of x (N, 2)."""
+    best, lowest = 0, np.inf
     for s in range(len(candidates)):
-        f = candidates[s]
-        total = 0.0
-        for i in range(len(x)):
-            a = f[0, 0] * x[i, 0] + f[0, 1] * x[i, 1] + f[0, 2]
-            b = f[1, 0] * x[i, 0] + f[1, 1] * x[i, 1] + f[1, 2]
-            c = f[2, 0] * x[i, 0] + f[2, 1] * x[i, 1] + f[2, 2]
-            total += np.sqrt(np.abs(a * u[i, 0] + b * u[i, 1] + c) / np.sqrt(a * a + b * b))
-        score[s] = total
+        f, total = candidates[s], 0.0
+        for first in range(0, len(x), _BLOCK):
+            for i in range(first, min(first + _BLOCK, len(x))):
+                a = f[0, 0] * x[i, 0] + f[0, 1] * x[i, 1] + f[0, 2]
+                b = f[1, 0] * x[i, 0] + f[1, 1] * x[i, 1] + f[1, 2]
+                c = f[2, 0] * x[i, 0] + f[2, 1] * x[i, 1] + f[2, 2]
+                total += np.sqrt(np.abs(a * u[i, 0] + b * u[i, 1] + c) / np.sqrt(a * a + b * b))
+            if not total < lowest:
+                break
+        if total < lowest:
+            best, lowest = s, total
+    return best
 
 
 @compiled

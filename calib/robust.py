@@ -18,11 +18,11 @@ def minimise(
 ) -> tuple[Floats, float]:
     """Minimise Σ log(1 + |r|²) + ½ Σ (parameter / `prior_sigma`)² from `start` (P,): the parameters and that sum.
 
-    `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), best in Fortran's order,
-    if it likes in the same arrays every time. The first sum is Cauchy's robust loss of each match's D residuals. `prior_sigma` is infinite for
-    a parameter that has no prior. Levenberg and Marquardt's method, so directions that change nothing (a gauge) are no
-    harm; how the damping follows the gain is Nielsen's (Madsen, Nielsen, Tingleff, Methods for non-linear least squares
-    problems, 2004, algorithm 3.16).
+    `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), best in Fortran's order, if
+    it likes in the same arrays every time. The first sum is Cauchy's robust loss of each match's D residuals.
+    `prior_sigma` is infinite for a parameter that has no prior. Levenberg and Marquardt's method, so directions that
+    change nothing (a gauge) are no harm; how the damping follows the gain is Nielsen's (Madsen, Nielsen and Tingleff,
+    Methods for non-linear least squares problems, 2004, algorithm 3.16).
     """
     precision = prior_sigma**-2.0
     current, damping = start, _FIRST_DAMPING
@@ -64,12 +64,12 @@ def _normal_equations(residual: Floats, jacobian: Floats) -> tuple[Floats, Float
     # Half the gradient's and half the Hessian's factor two cancel in the step.
     weight = 2 / (1 + np.sum(residual * residual, axis=1))
     _add_up(np.ascontiguousarray(jacobian.T), np.ascontiguousarray(residual.T), weight, hessian, gradient)
-    return hessian + np.tril(hessian, -1).T, gradient
+    return hessian, gradient
 
 
 @compiled
 def _add_up(jacobian: Floats, residual: Floats, weight: Floats, hessian: Floats, gradient: Floats) -> None:
-    """Σ weight row rowᵀ, its lower half, and Σ weight row residual, of (P, D, N), (D, N) and (N,)."""
+    """Σ weight row rowᵀ and Σ weight row residual, of (P, D, N), (D, N) and (N,)."""
     size, dimensions, matches = jacobian.shape
     weighted = np.empty(_BLOCK)
     for d in range(dimensions):
@@ -91,3 +91,6 @@ def _add_up(jacobian: Floats, residual: Floats, weight: Floats, hessian: Floats,
                     for k in range(len(row)):
                         total += weighted[k] * other[k]
                     hessian[p, q] += total
+    for p in range(size):
+        for q in range(p):
+            hessian[q, p] = hessian[p, q]
