@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Floats, Ints
-from calib.labelling import label_matches, renumbered
+from calib.labelling import label_matches, looked_up
 from calib.matches import NO_FACE, Matches
 from calib.planes import NO_PLANE
 from calib.refusal import RefusalError
@@ -113,7 +113,7 @@ def _unevenness(segments: Segments) -> str:
 def _faces(matches: Matches, segments: Segments, plane: Ints, counts: Ints, corner: tuple[int, int, int]) -> Faces:
     view, planes = segments.view, segments.planes
     order = np.argsort(-counts, kind="stable")
-    # The last entry is for NO_PLANE.
+    # The last entry is for matches on none.
     rank, face_of = np.full(len(planes) + 1, NO_PLANE, np.int32), np.full(len(planes) + 1, NO_FACE, np.int32)
     rank[order] = np.arange(len(order))
     face_of[[index for index in order if index in corner]] = (0, 1, 2)
@@ -125,7 +125,7 @@ def _faces(matches: Matches, segments: Segments, plane: Ints, counts: Ints, corn
         listed.append(
             Plane(homography / np.linalg.norm(homography), int(counts[index]), None if face == NO_FACE else face)
         )
-    ranks, faces = renumbered(plane, rank, face_of)
+    ranks, faces = looked_up(plane, rank, face_of)
     return Faces(matches.with_faces(faces), tuple(listed), ranks)
 
 

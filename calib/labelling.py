@@ -7,7 +7,6 @@ from calib.arrays import Floats, Ints
 from calib.compiled import compiled
 from calib.matches import Matches
 from calib.pieces import in_pieces
-from calib.planes import NO_PLANE
 from calib.segmentation import Segments
 from calib.surfels import Surfels
 
@@ -20,9 +19,8 @@ _SAMPLE = 100_000
 def label_matches(
     matches: Matches, surfels: Surfels, segments: Segments, rng: np.random.Generator
 ) -> tuple[Ints, Ints]:
-    """The plane of each match, (N,): a plane of its surfel or of a neighbouring one, that it fits within the noise.
-
-    Beside it, how many matches each plane has (n,).
+    """The plane of each match, (N,): a plane of its surfel or of a neighbouring one, that it fits within the noise; n,
+    the number of planes, for none. And how many matches each plane has, (n,).
     """
     view, homographies = segments.view, segments.view.homography(segments.planes)
     near = _near(surfels, segments.label, len(homographies))
@@ -32,7 +30,6 @@ def label_matches(
     def label(at: slice) -> Ints:
         cell = surfels.grid.cell(matches.camera_px[at])
         sigma = cell_sigma.take(cell) if matches.sigma_px is None else scale * matches.sigma_px[at].astype(np.float64)
-        counts = np.zeros(len(homographies) + 1, np.int64)
         _label(
             view.camera.ideal(matches.camera_px[at]),
             view.projector.ideal(matches.projector_px[at]),
@@ -42,33 +39,31 @@ def label_matches(
             view.projector.unit_px,
             homographies,
             near,
-            NO_PLANE,
             plane[at],
-            counts,
         )
-        return counts[:-1]
+        return np.bincount(plane[at], minlength=len(homographies) + 1)[:-1]
 
     counts: Ints = np.sum(in_pieces(len(matches), label), axis=0)
     return plane, counts
 
 
-def renumbered(plane: Ints, first: Ints, second: Ints) -> tuple[Ints, Ints]:
-    """What two tables have for each match's plane (N,); the last entry of both is for none."""
+def looked_up(plane: Ints, first: Ints, second: Ints) -> tuple[Ints, Ints]:
+    """What two tables (n + 1,) have for each match's plane (N,)."""
     found = np.empty((2, len(plane)), np.int32)
     in_pieces(len(plane), lambda at: _look_up(plane[at], first, second, found[0, at], found[1, at]))
     return found[0], found[1]
 
 
 def _near(surfels: Surfels, label: Ints, planes: int) -> Ints:
-    """The planes in or beside each cell, (cells, n), filled up with NO_PLANE."""
+    """The planes in or beside each cell, (cells, n), filled up with n."""
     grid = surfels.grid
     image = np.zeros((planes, grid.rows * grid.columns), np.uint8)
     on_plane = label >= 0
     image[label[on_plane], surfels.cell[on_plane]] = 1
     kernel = np.ones((3, 3), np.uint8)
     dilated = np.stack([cv2.dilate(one.reshape(grid.rows, grid.columns), kernel).ravel() for one in image], axis=1)
-    near = np.sort(np.where(dilated > 0, np.arange(planes, dtype=np.int32), planes), axis=1)
-    return np.where(near < planes, near, NO_PLANE).astype(np.int32)
+    near: Ints = np.sort(np.where(dilated > 0, np.arange(planes, dtype=np.int32), np.int32(planes)), axis=1)
+    return near
 
 
 def _cell_sigma(surfels: Surfels) -> Floats:
@@ -100,30 +95,29 @@ def _label(
     unit_px: float,
     homographies: Floats,
     near: Ints,
-    none: int,
     plane: Ints,
-    counts: Ints,
 ) -> None:
-    """Ideal points x, u (N, 2) → `plane` (N,), and `counts` (n + 1,), the last of those on none."""
+    """Ideal points x, u (N, 2) → `plane` (N,)."""
+    h, none = homographies, len(homographies)
     for i in range(len(x)):
-        variance = (sigma_px[i] * sigma_px[i] + model_px * model_px) / (unit_px * unit_px)
+        x0, x1, u0, u1, c = x[i, 0], x[i, 1], u[i, 0], u[i, 1], cell[i]
+        per_variance = unit_px * unit_px / (sigma_px[i] * sigma_px[i] + model_px * model_px)
         best, second, found = np.inf, np.inf, none
-        for candidate in near[cell[i]]:
-            if candidate == none:
+        for candidate in range(none):
+            p = near[c, candidate]
+            if p == none:
                 break
-            h = homographies[candidate]
-            per_third = 1.0 / (h[2, 0] * x[i, 0] + h[2, 1] * x[i, 1] + h[2, 2])
-            off0 = (h[0, 0] * x[i, 0] + h[0, 1] * x[i, 1] + h[0, 2]) * per_third - u[i, 0]
-            off1 = (h[1, 0] * x[i, 0] + h[1, 1] * x[i, 1] + h[1, 2]) * per_third - u[i, 1]
-            error = (off0 * off0 + off1 * off1) / variance
+            per_third = 1.0 / (h[p, 2, 0] * x0 + h[p, 2, 1] * x1 + h[p, 2, 2])
+            off0 = (h[p, 0, 0] * x0 + h[p, 0, 1] * x1 + h[p, 0, 2]) * per_third - u0
+            off1 = (h[p, 1, 0] * x0 + h[p, 1, 1] * x1 + h[p, 1, 2]) * per_third - u1
+            error = (off0 * off0 + off1 * off1) * per_variance
             if error < best:
-                best, second, found = error, best, candidate
+                best, second, found = error, best, p
             elif error < second:
                 second = error
         if best > _GATE * _GATE or second < best + _CLEARER_BY:
             found = none
         plane[i] = found
-        counts[found] += 1
 
 
 @compiled
