@@ -240,8 +240,8 @@ def _off_homography(
             residual[i, d] = (point - u[i, d]) * scale
             row = jacobian[i, d]
             for k in range(3):
-                homogeneous = x[i, k] * per_third if k < 2 else per_third
-                row[3 * d + k], row[3 - 3 * d + k], row[6 + k] = homogeneous, 0.0, -point * homogeneous
+                by_third = x[i, k] * per_third if k < 2 else per_third
+                row[3 * d + k], row[3 - 3 * d + k], row[6 + k] = by_third, 0.0, -point * by_third
             by_x0, by_x1 = (h[d, 0] - point * h[2, 0]) * per_third, (h[d, 1] - point * h[2, 1]) * per_third
             for k in range(4):
                 row[9 + k] = by_x0 * x_by_lens[i, 0, k] + by_x1 * x_by_lens[i, 1, k]

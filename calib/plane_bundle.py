@@ -1,12 +1,14 @@
 """All planes at once: one epipolar geometry and two lenses that explain the surfels on every plane."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from calib.arrays import Floats, Ints
 from calib.compiled import compiled
 from calib.robust import minimise
 from calib.surfels import Surfels
-from calib.two_view import CAMERA_SIGMA, PROJECTOR_SIGMA, TwoView
+from calib.two_view import CAMERA_SIGMA, LENS_TERMS, PROJECTOR_SIGMA, TwoView
 
 _PER_PLANE = 300
 
@@ -21,21 +23,27 @@ def refine(
     chosen = np.concatenate(
         [rng.permutation(np.flatnonzero(label == plane))[:_PER_PLANE] for plane in range(len(planes))]
     )
-    camera_px, projector_px, label = surfels.camera_px[chosen], surfels.projector_px[chosen], label[chosen]
-    count, scale = len(planes), view.projector.unit_px / tolerance_px
+    evaluate, start = residuals_of_planes(
+        surfels.camera_px[chosen], surfels.projector_px[chosen], label[chosen], view, planes, tolerance_px
+    )
+    sigma = np.array([*CAMERA_SIGMA, *PROJECTOR_SIGMA] + [np.inf] * (len(start) - 2 * LENS_TERMS))
+    return _unpack(minimise(evaluate, start, sigma)[0], view)
 
-    def unpack(parameters: Floats) -> tuple[TwoView, Floats]:
-        return TwoView(
-            view.camera.with_parameters(parameters[:4]),
-            view.projector.with_parameters(parameters[4:8]),
-            parameters[8:17].reshape(3, 3),
-            parameters[17:20],
-        ), parameters[20:].reshape(count, 3)
 
-    residual, jacobian = np.empty((2, len(label))).T, np.zeros((20 + 3 * count, 2, len(label))).T
+def residuals_of_planes(
+    camera_px: Floats, projector_px: Floats, label: Ints, view: TwoView, planes: Floats, tolerance_px: float
+) -> tuple[Callable[[Floats], tuple[Floats, Floats]], Floats]:
+    """What gives, for lenses, geometry and planes (P,), the residuals (N, 2) of matches (N, 2) and their Jacobian
+    (N, 2, P); and those of `view` and `planes` (n, 3). `label` (N,): the plane of each match.
+    """
+    start = np.concatenate(
+        [view.camera.parameters, view.projector.parameters, view.base.ravel(), view.epipole, planes.ravel()]
+    )
+    scale = view.projector.unit_px / tolerance_px
+    residual, jacobian = np.empty((2, len(label))).T, np.zeros((len(start), 2, len(label))).T
 
     def evaluate(parameters: Floats) -> tuple[Floats, Floats]:
-        trial, v = unpack(parameters)
+        trial, v = _unpack(parameters, view)
         _off_planes(
             trial.camera.ideal(camera_px),
             trial.projector.ideal(projector_px),
@@ -51,11 +59,17 @@ def refine(
         )
         return residual, jacobian
 
-    start = np.concatenate(
-        [view.camera.parameters, view.projector.parameters, view.base.ravel(), view.epipole, planes.ravel()]
+    return evaluate, start
+
+
+def _unpack(parameters: Floats, view: TwoView) -> tuple[TwoView, Floats]:
+    trial = TwoView(
+        view.camera.with_parameters(parameters[:4]),
+        view.projector.with_parameters(parameters[4:8]),
+        parameters[8:17].reshape(3, 3),
+        parameters[17:20],
     )
-    sigma = np.array([*CAMERA_SIGMA, *PROJECTOR_SIGMA] + [np.inf] * (12 + 3 * count))
-    return unpack(minimise(evaluate, start, sigma)[0])
+    return trial, parameters[20:].reshape(-1, 3)
 
 
 @compiled

@@ -107,8 +107,8 @@ def spill(evidence: Evidence, planes: Floats, label: Ints) -> float:
 
 def _errors(evidence: Evidence, planes: Floats) -> Floats:
     """How far each surfel is from each plane, (n, M): the sum of squares of its three numbers over the gate's."""
-    errors: Floats = sum(evidence.off(planes, number) ** 2 for number in range(3)) / _GATE_3D**2
-    return errors
+    value, slope_x, slope_y = (evidence.off(planes, number) ** 2 for number in range(3))
+    return (value + slope_x + slope_y) / _GATE_3D**2
 
 
 def _without_islands(surfels: Surfels, label: Ints, planes: int) -> Ints:

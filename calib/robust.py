@@ -8,7 +8,7 @@ from calib.arrays import Floats
 from calib.compiled import compiled
 
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-9, 1e6
-_FIRST_GROWTH = 4.0
+_FIRST_GROWTH, _MOST_RELIEF = 4.0, 0.1
 _BLOCK = 128
 _LEAST_GAIN = 1e-5
 
@@ -26,9 +26,10 @@ def minimise(
     """
     precision = prior_sigma**-2.0
     current, damping = start, _FIRST_DAMPING
-    cost = _cost(*(found := evaluate(current)), current, precision)
+    residual, jacobian = evaluate(current)
+    cost = _cost(residual, current, precision)
     for _ in range(steps):
-        hessian, gradient = _normal_equations(*found)
+        hessian, gradient = _normal_equations(residual, jacobian)
         hessian += np.diag(precision)
         gradient += precision * current
         scale = np.sqrt(np.diag(hessian) + 1e-12)
@@ -38,12 +39,13 @@ def minimise(
         while damping < _MOST_DAMPING:
             step = np.linalg.solve(hessian + damping * np.eye(len(current)), gradient)
             trial = current - step / scale
-            trial_cost = _cost(*(found := evaluate(trial)), trial, precision)
+            residual, jacobian = evaluate(trial)
+            trial_cost = _cost(residual, trial, precision)
             if trial_cost < cost:
                 gained = cost - trial_cost
-                foreseen = gradient @ step - 0.5 * step @ hessian @ step
+                ratio = gained / float(gradient @ step - 0.5 * step @ hessian @ step)  # to what the step foresaw
                 current, cost = trial, trial_cost
-                damping = max(damping * max(0.1, 1 - (2 * gained / foreseen - 1) ** 3), _LEAST_DAMPING)
+                damping = max(damping * max(_MOST_RELIEF, 1 - (2 * ratio - 1) ** 3), _LEAST_DAMPING)
                 break
             damping *= growth
             growth *= 2
@@ -52,7 +54,7 @@ def minimise(
     return current, cost
 
 
-def _cost(residual: Floats, _: Floats, parameters: Floats, precision: Floats) -> float:
+def _cost(residual: Floats, parameters: Floats, precision: Floats) -> float:
     loss = float(np.sum(np.log(1 + np.sum(residual * residual, axis=1))))
     return loss + 0.5 * float(np.sum(precision * parameters**2)) if np.isfinite(loss) else np.inf
 
