@@ -2,16 +2,15 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from calib.arrays import Bools, Floats, Ints
+from calib.arrays import Floats, Ints
+from calib.labelling import label_matches, looked_up
 from calib.matches import NO_FACE, Matches
-from calib.pieces import by_columns, in_pieces
 from calib.planes import NO_PLANE
 from calib.refusal import RefusalError
 from calib.segmentation import Segments, segment
-from calib.surfels import Surfels, make_surfels
+from calib.surfels import make_surfels
 from calib.triples import Triple, corner_triples, outermost
 
 _SEED = 20240
@@ -21,9 +20,6 @@ _LEAST_SMOOTH = 0.1
 _NOTABLE_PX = 0.3
 # Stated as if surfels erred independently; errors of neighbours are alike, so the true one is several times larger.
 _MOST_DIRECTION_SIGMA_DEG = 0.2
-_GATE = 3.7  # a 2-D normal error of more sigmas than that: 1 in 940
-# A match that two planes explain is given to neither unless one is e^4.5 times as likely.
-_CLEARER_BY = 9.0
 
 
 @dataclass(frozen=True)
@@ -72,7 +68,8 @@ def find_faces(matches: Matches, camera_size: tuple[int, int], projector_size: t
     certain = [triple for triple in triples if triple.direction_sigma_deg < _MOST_DIRECTION_SIGMA_DEG]
     if not certain:
         raise _no_corner(segments, triples)
-    return _faces(matches, segments, _label_matches(matches, surfels, segments), outermost(certain, segments).planes)
+    plane, counts = label_matches(matches, surfels, segments, rng)
+    return _faces(matches, segments, plane, counts, outermost(certain, segments).planes)
 
 
 def _too_few(segments: Segments) -> RefusalError:
@@ -113,69 +110,13 @@ def _unevenness(segments: Segments) -> str:
     return f" (surfaces or decoding deviate from planes by some {segments.model_px:.1f} projector pixels)"
 
 
-def _label_matches(matches: Matches, surfels: Surfels, segments: Segments) -> Ints:
-    """The plane of each match, (N,): a plane of its surfel or of a neighbouring one, that it fits within the noise."""
-    view, homographies = segments.view, segments.view.homography(segments.planes)
-    nearby = _nearby(surfels, segments.label, len(homographies))
-    sigma = _cell_sigma(surfels)
-    scale = 1.0 if matches.sigma_px is None else float(np.median(surfels.sigma_px) / np.median(matches.sigma_px))
-    plane = np.full(len(matches), NO_PLANE, np.int32)
-
-    def label(at: slice) -> None:
-        camera_px, projector_px = by_columns(matches.camera_px[at]), by_columns(matches.projector_px[at])
-        cell = surfels.grid.cell(camera_px)
-        x, u = view.camera.ideal(camera_px).T, view.projector.ideal(projector_px).T
-        spread = sigma[cell] if matches.sigma_px is None else scale * matches.sigma_px[at]
-        limit = (spread * spread + segments.model_px**2) / view.projector.unit_px**2
-        found = np.full(len(cell), NO_PLANE, np.int32)
-        best, second = np.full(len(cell), np.inf), np.full(len(cell), np.inf)
-        for index, homography in enumerate(homographies):
-            near = np.flatnonzero(nearby[index].take(cell))
-            if not len(near):
-                continue
-            predicted = homography[:, :2] @ x.take(near, axis=1) + homography[:, 2:]
-            off = predicted[:2] / predicted[2] - u.take(near, axis=1)
-            error = (off[0] * off[0] + off[1] * off[1]) / limit.take(near)
-            before = best.take(near)
-            second[near] = np.minimum(second.take(near), np.maximum(before, error))
-            best[near] = np.minimum(before, error)
-            found[near[error < before]] = index
-        found[(best > _GATE**2) | (second < best + _CLEARER_BY)] = NO_PLANE
-        plane[at] = found
-
-    in_pieces(len(matches), label)
-    return plane
-
-
-def _nearby(surfels: Surfels, label: Ints, planes: int) -> Bools:
-    """For each plane and cell, (n, cells): whether a surfel in the cell or beside it lies on the plane."""
-    grid = surfels.grid
-    image = np.zeros((planes, grid.rows * grid.columns), np.uint8)
-    on_plane = label >= 0
-    image[label[on_plane], surfels.cell[on_plane]] = 1
-    dilated = [cv2.dilate(one.reshape(grid.rows, grid.columns), np.ones((3, 3), np.uint8)).ravel() for one in image]
-    nearby: Bools = np.stack(dilated) > 0
-    return nearby
-
-
-def _cell_sigma(surfels: Surfels) -> Floats:
-    """Scatter of a match in each cell, in pixels; the usual one where a cell has no surfel of its own."""
-    usual = np.median(surfels.sigma_px)
-    sigma = np.full(surfels.grid.rows * surfels.grid.columns, usual)
-    # A cell that straddles an edge looks noisier than it is.
-    sigma[surfels.cell] = np.minimum(surfels.sigma_px, 3 * usual)
-    return sigma
-
-
-def _faces(matches: Matches, segments: Segments, plane: Ints, corner: tuple[int, int, int]) -> Faces:
+def _faces(matches: Matches, segments: Segments, plane: Ints, counts: Ints, corner: tuple[int, int, int]) -> Faces:
     view, planes = segments.view, segments.planes
-    counts = np.bincount(plane[plane >= 0], minlength=len(planes))
     order = np.argsort(-counts, kind="stable")
-    rank = np.empty(len(order), np.int32)
+    # The last entry is for matches on none.
+    rank, face_of = np.full(len(planes) + 1, NO_PLANE, np.int32), np.full(len(planes) + 1, NO_FACE, np.int32)
     rank[order] = np.arange(len(order))
-    faces = [int(index) for index in order if index in corner]
-    face_of = np.full(len(planes) + 1, NO_FACE, np.int32)  # the last entry is for NO_PLANE
-    face_of[faces] = (0, 1, 2)
+    face_of[[index for index in order if index in corner]] = (0, 1, 2)
     to_camera, to_projector = _pixel_scale(view.camera.size_px), _pixel_scale(view.projector.size_px)
     listed = []
     for index in order:
@@ -184,11 +125,8 @@ def _faces(matches: Matches, segments: Segments, plane: Ints, corner: tuple[int,
         listed.append(
             Plane(homography / np.linalg.norm(homography), int(counts[index]), None if face == NO_FACE else face)
         )
-    return Faces(
-        matches.with_faces(face_of[plane]),
-        tuple(listed),
-        np.where(plane >= 0, rank[plane], NO_PLANE).astype(np.int32),
-    )
+    ranks, faces = looked_up(plane, rank, face_of)
+    return Faces(matches.with_faces(faces), tuple(listed), ranks)
 
 
 def _pixel_scale(size_px: tuple[int, int]) -> Floats:

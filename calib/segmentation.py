@@ -6,8 +6,9 @@ import numpy as np
 
 from calib.arrays import Floats, Ints
 from calib.epipolar import first_geometry, largest_plane
+from calib.evidence import gather_evidence
 from calib.plane_bundle import refine
-from calib.planes import covariances, find_planes, gather_evidence, spill, without_uneven
+from calib.planes import covariances, find_planes, spill, without_uneven
 from calib.surfels import Surfels
 from calib.two_view import TwoView
 
@@ -51,8 +52,8 @@ def _segment_within(surfels: Surfels, view: TwoView, model_px: float, rng: np.ra
         # With both lenses from the planes the tolerance can be tight: nearly coplanar ones come apart.
         view, planes = refine(surfels, label, view, planes, 2 * model_px, rng)
         evidence = gather_evidence(surfels, view, model_px)
-        off = np.abs(evidence.value - np.sum(evidence.x * planes[label], axis=1))[label >= 0]
-        model_px = max(_LEAST_MODEL_PX, 1.5 * float(np.median(off)))
+        off_px = np.abs(evidence.off_own(planes, label) * evidence.sigma)[label >= 0]
+        model_px = max(_LEAST_MODEL_PX, 1.5 * float(np.median(off_px)))
         evidence = gather_evidence(surfels, view, model_px)
         planes, label = find_planes(surfels, evidence, rng)
     sliced = spill(evidence, planes, label)

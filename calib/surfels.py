@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Bools, Floats, Ints
+from calib.arrays import Floats, Ints
+from calib.cell_fits import MOST_PER_CELL, fit_cells
+from calib.compiled import compiled
 from calib.matches import Matches
-from calib.pieces import in_pieces
 
 _MATCHES_PER_CELL = (20, 40)  # few where there are few matches at all
 _WANTED_CELLS = 3000
-_MOST_PER_CELL = 64
 _FEWEST_PER_CELL = 8
 _MOST_CELLS = 9000
 _TRIALS = 10
@@ -34,10 +34,8 @@ class Grid:
 
     def cell(self, camera_px: Floats) -> Ints:
         """The cell of each pixel (N, 2) → (N,)."""
-        # Pixel centres are whole numbers: the image begins at −0.5.
-        column = np.clip((camera_px[:, 0] + 0.5) / self.side_px, 0, self.columns - 1).astype(np.int32)
-        row = np.clip((camera_px[:, 1] + 0.5) / self.side_px, 0, self.rows - 1).astype(np.int32)
-        cell: Ints = row * np.int32(self.columns) + column
+        cell = np.empty(len(camera_px), np.int32)
+        _cell(np.ascontiguousarray(camera_px), self.side_px, self.columns, self.rows, cell)
         return cell
 
 
@@ -73,40 +71,41 @@ def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.
         # One of each so many in a row, for every match to have the same chance.
         steps = np.arange(int(wanted * len(matches)))
         chosen = ((steps + rng.random(len(steps))) / wanted).astype(np.int64)
-    cell, members = _members(grid.cell(matches.camera_px[chosen]))
-    members = np.where(members >= 0, chosen[members], -1)
-    full = np.count_nonzero(members >= 0, axis=1) >= _FEWEST_PER_CELL
-    cell, members = cell[full], members[full]
-
-    camera, projector = (pixels[members].astype(np.float64) for pixels in (matches.camera_px, matches.projector_px))
-    present = members >= 0
-    residual = _best_trial(camera, projector, present, rng)
-    for _ in range(2):
-        inlier = _inliers(residual, present)
-        mean, value, jacobian, spread = _fit_affine(camera, projector, inlier)
-        error = projector - value[:, None] - (camera - mean[:, None]) @ jacobian.transpose(0, 2, 1)
-        residual = np.hypot(error[..., 0], error[..., 1])
-    count = np.count_nonzero(inlier, axis=1)
+    camera_px, projector_px = (
+        pixels.take(chosen, axis=0).astype(np.float64) for pixels in (matches.camera_px, matches.projector_px)
+    )
+    order, start = _by_cell(grid.cell(camera_px), grid.rows * grid.columns)
+    there = np.minimum(np.diff(start), MOST_PER_CELL)
+    cell = np.flatnonzero(there >= _FEWEST_PER_CELL).astype(np.int32)
+    there, picks = there[cell], (rng.random((_TRIALS, 3, len(cell))) * there[cell]).astype(np.int32)
+    fits = fit_cells(camera_px, projector_px, order, start[cell], there, picks)
     # Two coordinates per match, six parameters.
-    scatter = np.sum(residual**2 * inlier, axis=1) / np.maximum(2 * count - 6, 1)
-    good = (count >= _FEWEST_PER_CELL) & (count > _FEWEST_INLIERS * np.count_nonzero(present, axis=1))
-    good &= np.linalg.eigvalsh(spread)[:, 0] > count * (grid.side_px / 12) ** 2
+    scatter = fits.square / np.maximum(2 * fits.count - 6, 1)
+    good = (fits.count >= _FEWEST_PER_CELL) & (fits.count > _FEWEST_INLIERS * there)
+    good &= _least_eigenvalue(fits.spread) > fits.count * (grid.side_px / 12) ** 2
     # Matches that scatter more than the cell is wide in the projector are not neighbours there.
-    span = np.einsum("mij,mjk,mik->m", jacobian, spread, jacobian) / (2 * np.maximum(count, 1))
+    span = np.einsum("mij,mjk,mik->m", fits.jacobian, fits.spread, fits.jacobian) / (2 * np.maximum(fits.count, 1))
     good &= scatter < span
     # Nor does a cell that straddles an edge have one affine map.
     good &= scatter < _MOST_SCATTER**2 * np.median(scatter) + _ALLOWED_SCATTER_PX**2
     return Surfels(
         grid,
         cell[good],
-        mean[good],
-        value[good],
-        jacobian[good],
+        fits.mean[good],
+        fits.value[good],
+        fits.jacobian[good],
         np.sqrt(scatter[good]),
-        spread[good],
-        count[good].astype(np.int32),
+        fits.spread[good],
+        fits.count[good],
         len(cell),
     )
+
+
+def _least_eigenvalue(matrices: Floats) -> Floats:
+    """Of symmetric matrices (N, 2, 2)."""
+    a, b, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    least: Floats = (a + d) / 2 - np.hypot((a - d) / 2, b)
+    return least
 
 
 def _choose_grid(matches: Matches, camera_size: tuple[int, int]) -> tuple[Grid, float]:
@@ -121,73 +120,26 @@ def _choose_grid(matches: Matches, camera_size: tuple[int, int]) -> tuple[Grid, 
     return Grid(side, int(np.ceil(width / side)), int(np.ceil(height / side))), density
 
 
-def _members(cell: Ints) -> tuple[Ints, Ints]:
-    """Cells in use (C,), and the matches in each (C, K), filled up with −1."""
-    order = np.argsort(cell, kind="stable")
-    used, start, count = np.unique(cell[order], return_index=True, return_counts=True)
-    rank = np.arange(len(cell)) - np.repeat(start, count)
-    row = np.repeat(np.arange(len(used)), count)
-    kept = rank < _MOST_PER_CELL
-    members = np.full((len(used), min(_MOST_PER_CELL, int(count.max()))), -1)
-    members[row[kept], rank[kept]] = order[kept]
-    return used.astype(np.int32), members.astype(np.int32)
+def _by_cell(cell: Ints, cells: int) -> tuple[Ints, Ints]:
+    """The matches (N,) cell by cell, in their order, and where each cell starts, (cells + 1,)."""
+    start = np.zeros(cells + 1, np.int32)
+    np.cumsum(np.bincount(cell, minlength=cells), out=start[1:])
+    order = np.empty(len(cell), np.int32)
+    _sort(cell, start[:-1].copy(), order)
+    return order, start
 
 
-def _best_trial(camera: Floats, projector: Floats, present: Bools, rng: np.random.Generator) -> Floats:
-    """Residuals (C, K) of the best of some affine maps through three random matches of each cell.
-
-    Best is the least sum of square roots of the residuals: robust without a scale that would have to be known.
-    """
-    last = np.count_nonzero(present, axis=1)
-    picks = (rng.random((_TRIALS, 3, len(camera))) * last).astype(np.int32)
-
-    def best_of(at: slice) -> Floats:
-        # Coordinate by coordinate: (2, cells, K).
-        x, u = (np.moveaxis(pixels[at], -1, 0).copy() for pixels in (camera, projector))
-        best, lowest = np.full(x.shape[1:], np.inf), np.full(len(present[at]), np.inf)
-        for three in picks[:, :, at]:
-            square = _squared_error(x, u, three)
-            with np.errstate(invalid="ignore"):  # three matches on a line determine no map
-                cost = np.sum(np.sqrt(np.sqrt(square)) * present[at], axis=1)
-            better = cost < lowest
-            best[better], lowest[better] = square[better], cost[better]
-        residual: Floats = np.sqrt(best)
-        return residual
-
-    return np.concatenate(in_pieces(len(camera), best_of, width=present.shape[1]))
+@compiled
+def _cell(camera_px: Floats, side_px: float, columns: int, rows: int, cell: Ints) -> None:
+    # Pixel centres are whole numbers: the image begins at −0.5.
+    for i in range(len(cell)):
+        column, row = int((camera_px[i, 0] + 0.5) / side_px), int((camera_px[i, 1] + 0.5) / side_px)
+        cell[i] = min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
 
 
-def _squared_error(x: Floats, u: Floats, three: Ints) -> Floats:
-    """Of the affine map through three matches of each cell (3, C), for all of its matches x → u, (2, C, K): (C, K)."""
-    cells = np.arange(x.shape[1])
-    (a, u_a), *others = ((x[:, cells, pick], u[:, cells, pick]) for pick in three)
-    (bx, by), (cx, cy) = (other - a for other, _ in others)
-    offset = x - a[:, :, None]
-    square = np.zeros(x.shape[1:])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        area = bx * cy - by * cx
-        for axis in (0, 1):
-            b, c = (image[axis] - u_a[axis] for _, image in others)
-            by_x, by_y = (b * cy - c * by) / area, (c * bx - b * cx) / area
-            error = u[axis] - u_a[axis][:, None] - by_x[:, None] * offset[0] - by_y[:, None] * offset[1]
-            square += error * error
-    return square
-
-
-def _inliers(residual: Floats, present: Bools) -> Bools:
-    ordered = np.sort(np.where(present, residual, np.inf), axis=1)
-    middle = np.take_along_axis(ordered, np.count_nonzero(present, axis=1)[:, None] // 2, axis=1)
-    # The length of a 2-D normal error has the median 1.177 σ; 3.5 σ is passed by 1 in 450.
-    inlier: Bools = present & (residual <= 3.5 / 1.177 * middle)
-    return inlier
-
-
-def _fit_affine(camera: Floats, projector: Floats, inlier: Bools) -> tuple[Floats, Floats, Floats, Floats]:
-    """Least squares over the inliers of each cell: camera mean, projector mean, Jacobian, spread about the mean."""
-    weight = inlier[..., None] / np.maximum(np.count_nonzero(inlier, axis=1), 1)[:, None, None]
-    mean, value = np.sum(camera * weight, axis=1), np.sum(projector * weight, axis=1)
-    from_mean = (camera - mean[:, None]) * inlier[..., None]
-    spread = from_mean.transpose(0, 2, 1) @ from_mean
-    cross = (projector - value[:, None]).transpose(0, 2, 1) @ from_mean
-    jacobian = cross @ np.linalg.pinv(spread, hermitian=True)
-    return mean, value, jacobian, spread
+@compiled
+def _sort(cell: Ints, place: Ints, order: Ints) -> None:
+    """`place` (cells,): where the next match of each cell goes."""
+    for i in range(len(cell)):
+        order[place[cell[i]]] = i
+        place[cell[i]] += 1

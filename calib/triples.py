@@ -19,6 +19,8 @@ from calib.two_view import TwoView
 
 # Lengths are in units of half the image's width, as in calib.two_view: 0.4 to 4 image widths.
 _FOCALS = np.geomspace(0.8, 8.0, 96)
+_MATRICES = _FOCALS[:, None, None] * np.diag([1.0, 1.0, 0.0]) + np.diag([0.0, 0.0, 1.0])
+_INVERSES = np.asarray(np.linalg.inv(_MATRICES))
 _CANDIDATES = 10
 _REGULAR_SHARE = 0.01
 _ANGLE_SIGMA_DEG = 1.0
@@ -123,12 +125,14 @@ def _best_fit(view: TwoView, planes: Floats, x: list[Floats], others: Floats) ->
     lines = np.roll(planes, -1, axis=0) - np.roll(planes, -2, axis=0)
     lines = lines / np.linalg.norm(lines, axis=1, keepdims=True)
     image = CornerImage(np.linalg.svd(lines)[2][2], lines)
-    focal = np.concatenate([_FOCALS, _FOCALS])
-    matrices = focal[:, None, None] * np.diag([1.0, 1.0, 0.0]) + np.diag([0.0, 0.0, 1.0])
-    inverses: Floats = np.linalg.inv(matrices)
+    normals, rays = corner_planes(image, _INVERSES)
+    normals, rays = normals.reshape(-1, 3, 3), np.concatenate([rays, rays])  # both solutions
+    real = np.flatnonzero(np.isfinite(normals).all(axis=(1, 2)))
+    if not len(real):  # most triples, whatever the focal
+        return None
+    focal, matrices, inverses = (of[real % len(_FOCALS)] for of in (_FOCALS, _MATRICES, _INVERSES))
+    normals, rays = normals[real], rays[real]
     with np.errstate(all="ignore"):
-        normals, rays = corner_planes(image, inverses[: len(_FOCALS)])
-        normals, rays = normals.reshape(-1, 3, 3), np.concatenate([rays, rays])
         # Inverse depth of face S at image point x is weights_S · x.
         weights = np.einsum("nsi,nij->nsj", normals, inverses) / np.einsum("nsi,ni->ns", normals, rays)[..., None]
         at_infinity, projector, positive = _transfer(view, planes, weights, matrices, x)

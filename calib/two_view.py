@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Floats
+from calib.compiled import compiled
 from calib.homography import homogeneous
 
 LENS_TERMS = 4
@@ -37,27 +38,28 @@ class Lens:
         """Half the image's width."""
         return self.size_px[0] / 2
 
-    def normalised(self, pixels: Floats) -> Floats:
-        """(..., 2) → (..., 2): the coordinates p above."""
-        width, height = self.size_px
-        normalised: Floats = (pixels - ((width - 1) / 2, (height - 1) / 2)) / self.unit_px
-        return normalised
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """The image's centre."""
+        return (self.size_px[0] - 1) / 2, (self.size_px[1] - 1) / 2
 
     def ideal(self, pixels: Floats) -> Floats:
         """(..., 2) → (..., 2)."""
-        offset = self.normalised(pixels) - self.centre
-        r2 = np.sum(offset * offset, axis=-1, keepdims=True)
-        ideal: Floats = offset * (1 + r2 * (self.k1 + r2 * self.k2)) + self.centre
+        ideal = np.empty(pixels.shape)
+        _ideal(
+            np.ascontiguousarray(pixels).reshape(-1, 2),
+            *self.centre_px,
+            1 / self.unit_px,
+            self.parameters,
+            ideal.reshape(-1, 2),
+        )
         return ideal
 
     def jacobian(self, pixels: Floats) -> Floats:
         """Derivative of `ideal` with respect to `parameters`, (N, 2) → (N, 2, 4)."""
-        offset = self.normalised(pixels) - self.centre
-        r2 = np.sum(offset * offset, axis=-1)[:, None, None]
-        column = offset[:, :, None]
-        by_offset = (r2 * (self.k1 + r2 * self.k2)) * np.eye(2)
-        by_offset = by_offset + 2 * (self.k1 + 2 * r2 * self.k2) * column * offset[:, None, :]
-        return np.concatenate([column * r2, column * r2 * r2, -by_offset], axis=2)
+        jacobian = np.empty((len(pixels), 2, LENS_TERMS))
+        _ideal_jacobian(pixels, *self.centre_px, 1 / self.unit_px, self.parameters, jacobian)
+        return jacobian
 
     @property
     def parameters(self) -> Floats:
@@ -98,13 +100,66 @@ class TwoView:
     def parallax(self, camera_px: Floats, projector_px: Floats) -> Parallax:
         """Parallax of matches (N, 2), (N, 2), along the epipolar line through the point that A predicts."""
         x = homogeneous(self.camera.ideal(camera_px))
-        u = self.projector.ideal(projector_px)
-        base = x @ self.base.T
-        # u ~ base + ρ e: two equations in ρ, ρ along = apart.
-        along = self.epipole[:2] - u * self.epipole[2]
-        apart = u * base[:, 2:] - base[:, :2]
-        size2 = np.sum(along * along, axis=1)
-        value = np.sum(along * apart, axis=1) / size2
-        scale = np.abs(base[:, 2] + value * self.epipole[2]) / self.projector.unit_px
-        across = (along[:, 0] * apart[:, 1] - along[:, 1] * apart[:, 0]) / np.sqrt(size2)
-        return Parallax(x, value, scale / np.sqrt(size2), across / scale)
+        value, per_px, across_px = np.empty((3, len(x)))
+        _parallax(
+            x,
+            self.projector.ideal(projector_px),
+            np.ascontiguousarray(self.base),
+            np.ascontiguousarray(self.epipole),
+            self.projector.unit_px,
+            value,
+            per_px,
+            across_px,
+        )
+        return Parallax(x, value, per_px, across_px)
+
+
+@compiled
+def _ideal(pixels: Floats, x0: float, y0: float, per_px: float, lens: Floats, ideal: Floats) -> None:
+    """The formula of `Lens`, (N, 2) → (N, 2); (x0, y0) is the image's centre."""
+    k1, k2, x_c, y_c = lens[0], lens[1], lens[2], lens[3]
+    for i in range(len(pixels)):
+        x, y = (pixels[i, 0] - x0) * per_px - x_c, (pixels[i, 1] - y0) * per_px - y_c
+        r2 = x * x + y * y
+        ratio = 1.0 + r2 * (k1 + r2 * k2)
+        ideal[i, 0], ideal[i, 1] = x * ratio + x_c, y * ratio + y_c
+
+
+@compiled
+def _ideal_jacobian(pixels: Floats, x0: float, y0: float, per_px: float, lens: Floats, jacobian: Floats) -> None:
+    """Derivative of `_ideal` with respect to the lens, (N, 2) → (N, 2, 4)."""
+    k1, k2, x_c, y_c = lens[0], lens[1], lens[2], lens[3]
+    for i in range(len(pixels)):
+        x, y = (pixels[i, 0] - x0) * per_px - x_c, (pixels[i, 1] - y0) * per_px - y_c
+        r2 = x * x + y * y
+        bent, slope = r2 * (k1 + r2 * k2), 2.0 * (k1 + 2.0 * r2 * k2)
+        jacobian[i, 0, 0], jacobian[i, 0, 1] = x * r2, x * r2 * r2
+        jacobian[i, 1, 0], jacobian[i, 1, 1] = y * r2, y * r2 * r2
+        jacobian[i, 0, 2], jacobian[i, 0, 3] = -bent - slope * x * x, -slope * x * y
+        jacobian[i, 1, 2], jacobian[i, 1, 3] = -slope * x * y, -bent - slope * y * y
+
+
+@compiled
+def _parallax(
+    x: Floats,
+    u: Floats,
+    base: Floats,
+    epipole: Floats,
+    unit_px: float,
+    value: Floats,
+    per_px: Floats,
+    across_px: Floats,
+) -> None:
+    """Of ideal points x (N, 3) and u (N, 2): u ~ base x + ρ e gives two equations in ρ, ρ along = apart."""
+    for i in range(len(x)):
+        x0, x1, u0, u1 = x[i, 0], x[i, 1], u[i, 0], u[i, 1]
+        third = base[2, 0] * x0 + base[2, 1] * x1 + base[2, 2]
+        along0, along1 = epipole[0] - u0 * epipole[2], epipole[1] - u1 * epipole[2]
+        apart0 = u0 * third - (base[0, 0] * x0 + base[0, 1] * x1 + base[0, 2])
+        apart1 = u1 * third - (base[1, 0] * x0 + base[1, 1] * x1 + base[1, 2])
+        size2 = along0 * along0 + along1 * along1
+        size = np.sqrt(size2)
+        value[i] = (along0 * apart0 + along1 * apart1) / size2
+        scale = np.abs(third + value[i] * epipole[2]) / unit_px
+        per_px[i] = scale / size
+        across_px[i] = (along0 * apart1 - along1 * apart0) / size / scale

@@ -111,6 +111,15 @@ def test_the_order_of_the_matches_does_not_matter(room: Scene, faces: Faces) -> 
     assert agreement(shuffled.matches.face, faces.matches.face[order]) > 0.995
 
 
+def test_single_precision_is_enough(room: Scene, faces: Faces) -> None:
+    matches = room.matches
+    sigma_px = np.ones(len(matches), np.float32) if matches.sigma_px is None else matches.sigma_px.astype(np.float32)
+    single = Matches(matches.camera_px.astype(np.float32), matches.projector_px.astype(np.float32), None, sigma_px)
+    found = find_faces(single, size(room.calibration.camera), size(room.calibration.projector))
+    assert agreement(found.matches.face, faces.matches.face) > 0.995
+    assert found.matches.camera_px.dtype == np.float32
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_the_unit_of_the_camera_pixels_does_not_matter(room: Scene, faces: Faces, factor: float) -> None:
     camera = room.calibration.camera
