@@ -23,7 +23,7 @@ _MARGIN = 0.04
 _LINE_WIDTH_PX = 2
 _FILL_PASSES = 3
 # So many points tell how far the cloud reaches and how bright it is.
-_SAMPLE = 50_000
+_SAMPLE, _COUNTED_ROWS = 50_000, 8
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,12 @@ def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wirefr
 
 def _facing(cloud: Cloud | MergedCloud, view: View, most: float) -> tuple[Floats32, Ints]:
     """Points (N, 3) in the view's frame, `most` of them evenly out of all, and which of the cloud's they are (N,)."""
-    there = cloud.there
-    step = ceil(max(1.0, np.count_nonzero(there) / most) ** (1 / there.ndim))
-    rows, row_step = (1, 1) if there.ndim == 1 else (len(there), step)
-    points, normals = (each.reshape(rows, -1, 3) for each in (cloud.points, cloud.normals))
+    is_image = cloud.points.ndim == 3
+    points, normals = (each if is_image else each[None] for each in (cloud.points, cloud.normals))
+    # Every so many rows say well enough how many points there are.
+    total = _COUNTED_ROWS * np.count_nonzero(np.isfinite(points[::_COUNTED_ROWS, :, 2])) if is_image else len(points[0])
+    step = ceil(max(1.0, total / most) ** (1 / cloud.points[..., 0].ndim))
+    row_step = step if is_image else 1
     return facing(points, normals, view.axes.astype(np.float32), row_step, step)
 
 

@@ -38,9 +38,7 @@ def facing(
             away = axes[2, 0] * normal[0] + axes[2, 1] * normal[1] + axes[2, 2] * normal[2]
             if np.isfinite(point[2]) and away < 0:
                 for axis in range(3):
-                    seen[count, axis] = (
-                        axes[axis, 0] * point[0] + axes[axis, 1] * point[1] + axes[axis, 2] * point[2]
-                    )
+                    seen[count, axis] = axes[axis, 0] * point[0] + axes[axis, 1] * point[1] + axes[axis, 2] * point[2]
                 index[count] = row * points.shape[1] + column
                 count += 1
     return seen[:count], index[:count]

@@ -2,8 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from math import ceil
 
-from calib.arrays import Image
+import numpy as np
+
+from calib.arrays import Image, Ints
 from calib.calibration import Calibration
 from calib.matches import Matches
 from calib.refusal import RefusalError
@@ -12,6 +16,8 @@ from scanner.cloud import Cloud
 from scanner.decode import Decoding
 from scanner.merged_cloud import MergedCloud
 from scanner.patterns import Pattern
+
+_MOST_ON_FACES = 100_000
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,20 @@ class ReportInput:
     def __post_init__(self) -> None:
         if (self.calibration is None) == (self.refusal is None):
             raise ValueError("a report needs a calibration or a refusal, and not both")
+
+    @cached_property
+    def on_faces(self) -> Ints:
+        """At most 100,000 of the matches with a face, by number (n,), evenly out of all."""
+        face = self.matches.face
+        labelled = np.zeros(0, np.int64) if face is None else np.flatnonzero(face >= 0)
+        return labelled[:: max(1, ceil(len(labelled) / _MOST_ON_FACES))]
+
+    @cached_property
+    def in_cloud(self) -> Ints:
+        """Which pixels of the camera have a point, row by row, (n,); none without a cloud."""
+        if self.cloud is None:
+            return np.zeros(0, np.int64)
+        return np.flatnonzero(self.cloud.there)
 
     @property
     def texture(self) -> Image | None:

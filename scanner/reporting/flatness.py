@@ -42,8 +42,7 @@ def flatness(report: ReportInput) -> Flatness | None:
     cloud, matches = report.cloud, report.matches
     if cloud is None or matches.face is None:
         return None
-    labelled = np.flatnonzero(matches.face >= 0)
-    labelled = labelled[:: max(1, len(labelled) // _SAMPLE)]
+    labelled = report.on_faces[:: max(1, len(report.on_faces) // _SAMPLE)]
     pixel = np.rint(matches.camera_px[labelled]).astype(np.int64)
     height, width = cloud.points.shape[:2]
     inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=1)

@@ -15,6 +15,7 @@ from calib.uncertainty import Uncertainty
 from scanner.quantities import plain
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
+from scanner.reporting.reduction import first_in_cells
 from scanner.reporting.sections import ScaledMap, picture
 
 # Sigmas vary smoothly over the image, apart from the noise of single matches: so many of them draw the map.
@@ -50,19 +51,14 @@ def _relative_sigmas(
     """Of one match in each cell of a coarse grid over the image: sigma in per cent of its depth, NaN for none."""
     width, height = camera_size
     step = max(1, int(np.ceil(np.sqrt(width * height / _SAMPLES))))
-    column, row = (np.floor((matches.camera_px[:, axis] + 0.5) / step).astype(np.int32) for axis in (0, 1))
-    shape = (height - 1) // step + 1, (width - 1) // step + 1
-    inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0]))
-    # The last of several values for one place is kept: backwards, that is the first match.
-    first = np.full(shape[0] * shape[1], NONE, np.int64)
-    first[(row * np.int32(shape[1]) + column)[inside[::-1]]] = inside[::-1]
-    flat = np.flatnonzero(first != NONE)
-    sample = matches[first[flat]]
+    first = first_in_cells(matches.camera_px, step, (height - 1) // step + 1, (width - 1) // step + 1)
+    known = np.nonzero(first != NONE)
+    sample = matches[first[known]]
     met = intersect(sample, solution.calibration)
     relative = np.where(met.in_front, uncertainty.of_points(sample)[:, 2] / met.points[:, 2], np.nan)
-    grid = np.full(shape[0] * shape[1], np.nan, dtype=np.float32)
-    grid[flat] = 100 * relative
-    return grid.reshape(shape)
+    grid = np.full(first.shape, np.nan, dtype=np.float32)
+    grid[known] = 100 * relative
+    return grid
 
 
 def price_of_principal_point(solution: SelfCalibration | None) -> Sequence[str]:

@@ -1,0 +1,87 @@
+"""Maps of millions of pixels, reduced to what a page shows of them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Floats, Ints
+from calib.compiled import compiled
+from calib.parallel import in_slices
+
+Map = NDArray[np.float32]
+
+_ROWS = 64
+
+
+def averaged(values: Map, size: tuple[int, int]) -> Map:
+    """A map (H, W) with NaN for nothing, reduced to `size` = (width, height) by averaging what is there."""
+    reduced = np.empty(size[::-1], np.float32)
+    in_slices(size[1], _ROWS, lambda at: _average_rows(values, reduced, at.start, at.stop))
+    return reduced
+
+
+@compiled
+def _average_rows(values: Map, reduced: Map, start: int, stop: int) -> None:
+    """Fill some rows of `reduced`. A pixel of `values` counts by how much of it lies within."""
+    row_step, column_step = values.shape[0] / reduced.shape[0], values.shape[1] / reduced.shape[1]
+    for row in range(start, stop):
+        top, bottom = row * row_step, min((row + 1) * row_step, values.shape[0])
+        for column in range(reduced.shape[1]):
+            left, right = column * column_step, min((column + 1) * column_step, values.shape[1])
+            total, weight = 0.0, 0.0
+            for y in range(int(top), int(np.ceil(bottom))):
+                height = min(y + 1, bottom) - max(y, top)
+                for x in range(int(left), int(np.ceil(right))):
+                    if np.isfinite(values[y, x]):
+                        area = height * (min(x + 1, right) - max(x, left))
+                        total += area * values[y, x]
+                        weight += area
+            reduced[row, column] = total / weight if weight > 0 else np.nan
+
+
+@compiled
+def extent(values: Map) -> tuple[int, int, int, int]:
+    """First and last row, first and last column of a map (H, W) in which something is finite; 0, −1, 0, −1 for none."""
+    height, width = values.shape
+    top, bottom = 0, height - 1
+    while top < height and not np.isfinite(values[top]).any():
+        top += 1
+    if top == height:
+        return 0, -1, 0, -1
+    while not np.isfinite(values[bottom]).any():
+        bottom -= 1
+    left, right = width - 1, 0
+    for row in range(top, bottom + 1):
+        # Only what lies beyond the columns found so far can change them.
+        for column in range(left):
+            if np.isfinite(values[row, column]):
+                left = column
+                break
+        for column in range(width - 1, right, -1):
+            if np.isfinite(values[row, column]):
+                right = column
+                break
+    return top, bottom, left, right
+
+
+@compiled
+def labels_on_grid(camera_px: Floats, label: Ints, size: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.uint8]:
+    """Labels (N,) of pixels (N, 2) of an image of `size` on a `grid`, both (width, height): 1 more than each, or 0."""
+    labels = np.zeros((grid[1], grid[0]), np.uint8)
+    for i in range(len(label)):
+        column = int(np.floor((camera_px[i, 0] + 0.5) * grid[0] / size[0]))
+        row = int(np.floor((camera_px[i, 1] + 0.5) * grid[1] / size[1]))
+        if label[i] >= 0 and 0 <= column < grid[0] and 0 <= row < grid[1]:
+            labels[row, column] = label[i] + 1
+    return labels
+
+
+@compiled
+def first_in_cells(camera_px: Floats, step: int, rows: int, columns: int) -> Ints:
+    """The first of pixels (N, 2) in each cell of `step` × `step` pixels, (rows, columns), −1 where there is none."""
+    first = np.full((rows, columns), -1, np.int64)
+    for i in range(len(camera_px)):
+        column = int(np.floor((camera_px[i, 0] + 0.5) / step))
+        row = int(np.floor((camera_px[i, 1] + 0.5) / step))
+        if 0 <= column < columns and 0 <= row < rows and first[row, column] < 0:
+            first[row, column] = i
+    return first
