@@ -3,19 +3,20 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import ceil
 
 import numpy as np
 
 from calib.arrays import Image, Ints
 from calib.calibration import Calibration
 from calib.matches import Matches
+from calib.pixel_index import NONE
 from calib.refusal import RefusalError
 from calib.selfcalibration import SelfCalibration
 from scanner.cloud import Cloud
 from scanner.decode import Decoding
 from scanner.merged_cloud import MergedCloud
 from scanner.patterns import Pattern
+from scanner.reporting.reduction import cells_over, first_in_cells
 
 _MOST_ON_FACES = 100_000
 
@@ -99,10 +100,19 @@ class ReportInput:
 
     @cached_property
     def on_faces(self) -> Ints:
-        """At most 100,000 of the matches with a face, by number (n,), evenly out of all."""
+        """Some of the matches with a face, by number (n,): all, or one in each cell of `cell_px` of the image."""
         face = self.matches.face
-        labelled = np.zeros(0, np.int64) if face is None else np.flatnonzero(face >= 0)
-        return labelled[:: max(1, ceil(len(labelled) / _MOST_ON_FACES))]
+        if face is None:
+            return np.zeros(0, np.int64)
+        if np.count_nonzero(face >= 0) <= _MOST_ON_FACES:
+            return np.flatnonzero(face >= 0)
+        first = first_in_cells(self.matches.camera_px, face, *cells_over(self.capture.camera_size, _MOST_ON_FACES))
+        return np.asarray(first[first != NONE])
+
+    @property
+    def cell_px(self) -> int:
+        """Side of square cells that are fine enough for what a page shows of matches."""
+        return cells_over(self.capture.camera_size, _MOST_ON_FACES)[0]
 
     @cached_property
     def in_cloud(self) -> Ints:

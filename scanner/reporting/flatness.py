@@ -14,8 +14,6 @@ from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import ScaledMap, picture
 
-# A plane's fit from so many points is as good as its covariance needs; the map shows no more.
-_SAMPLE = 45_000
 _SHOWN_SHARE = 99
 _MAP_SIDE = 640
 
@@ -42,7 +40,7 @@ def flatness(report: ReportInput) -> Flatness | None:
     cloud, matches = report.cloud, report.matches
     if cloud is None or matches.face is None:
         return None
-    labelled = report.on_faces[:: max(1, len(report.on_faces) // _SAMPLE)]
+    labelled = report.on_faces
     pixel = np.rint(matches.camera_px[labelled]).astype(np.int64)
     height, width = cloud.points.shape[:2]
     inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
@@ -56,13 +54,13 @@ def flatness(report: ReportInput) -> Flatness | None:
     rows = tuple(
         FlatnessRow(face.name, (unit.error(face.errors.mean_absolute), unit.error(face.errors.form))) for face in faces
     )
-    return Flatness(_map(faces, (width, height), unit.factor, unit.name), rows, tuple(map(_shown, angles)))
+    painted = _map(faces, (width, height), report.cell_px, unit.factor, unit.name)
+    return Flatness(painted, rows, tuple(map(_shown, angles)))
 
 
-def _map(faces: tuple[FaceMeasurement, ...], size: tuple[int, int], factor: float, unit: str) -> ScaledMap:
+def _map(faces: tuple[FaceMeasurement, ...], size: tuple[int, int], step: int, factor: float, unit: str) -> ScaledMap:
     off: Floats = factor * np.concatenate([face.errors.residual for face in faces])
     pixel = np.concatenate([face.errors.pixel for face in faces])
-    step = max(1, int(np.ceil(np.sqrt(size[0] * size[1] / _SAMPLE / 2))))
     grid: NDArray[np.float32] = np.full(((size[1] - 1) // step + 1, (size[0] - 1) // step + 1), np.nan, np.float32)
     grid[tuple((pixel // step).T[::-1])] = off
     painted, scale = maps.signed_map(grid, float(np.percentile(np.abs(off), _SHOWN_SHARE)) or 1e-6, unit, _MAP_SIDE)

@@ -1,5 +1,7 @@
 """Maps of millions of pixels, reduced to what a page shows of them."""
 
+from math import ceil, sqrt
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -75,13 +77,20 @@ def labels_on_grid(camera_px: Floats, label: Ints, size: tuple[int, int], grid: 
     return labels
 
 
+def cells_over(size: tuple[int, int], most: int) -> tuple[int, int, int]:
+    """Square cells over an image of (width, height), about `most` of them: their side in pixels, rows, and columns."""
+    width, height = size
+    side = max(1, ceil(sqrt(width * height / most)))
+    return side, ceil(height / side), ceil(width / side)
+
+
 @compiled
-def first_in_cells(camera_px: Floats, step: int, rows: int, columns: int) -> Ints:
-    """The first of pixels (N, 2) in each cell of `step` × `step` pixels, (rows, columns), −1 where there is none."""
+def first_in_cells(camera_px: Floats, label: Ints, side: int, rows: int, columns: int) -> Ints:
+    """The first of pixels (N, 2) with a `label` (N,) from 0 in each cell, (rows, columns), −1 where there is none."""
     first = np.full((rows, columns), -1, np.int64)
     for i in range(len(camera_px)):
-        column = int(np.floor((camera_px[i, 0] + 0.5) / step))
-        row = int(np.floor((camera_px[i, 1] + 0.5) / step))
-        if 0 <= column < columns and 0 <= row < rows and first[row, column] < 0:
+        column = int(np.floor((camera_px[i, 0] + 0.5) / side))
+        row = int(np.floor((camera_px[i, 1] + 0.5) / side))
+        if label[i] >= 0 and 0 <= column < columns and 0 <= row < rows and first[row, column] < 0:
             first[row, column] = i
     return first

@@ -1,6 +1,7 @@
 """What the matches are off by: maps, histograms, and whether that is random or has a pattern."""
 
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from markupsafe import Markup
@@ -20,7 +21,7 @@ from scanner.reporting.sections import LegendEntry, ScaledMap, picture
 # Blur and noise of a decoder reach a few pixels; squares of this share of the image's width are beyond that.
 _CELL_OF_WIDTH = 1 / 64
 # Of millions so many show the same, to the width of a histogram's line.
-_SAMPLE = 250_000
+_SAMPLE, _TESTED = 250_000, 100_000
 _HALF_PAGE = 480
 _SHOWN_SHARE = 99
 
@@ -58,9 +59,8 @@ def face_residuals(report: ReportInput) -> Residuals | None:
         return None
     size = report.capture.camera_size
     limit = float(np.percentile(np.abs(residual_px), _SHOWN_SHARE)) or 1e-3
-    step = max(1, int(np.ceil(np.sqrt(np.count_nonzero(report.matches.face >= 0) / len(sample)))))
     drawn = tuple(
-        (_map(_on_grid(pixel, residual_px[:, axis], size, step), limit, f"residuals in {name}"), caption)
+        (_map(_on_grid(pixel, residual_px[:, axis], size, report.cell_px), limit, f"residuals in {name}"), caption)
         for axis, (name, caption) in enumerate((name, f"Along the {report.capture.second}'s {name}.") for name in "xy")
     )
     found = spatial_correlation(pixel, residual_px, _cell_px(size))
@@ -93,10 +93,14 @@ def misses(report: ReportInput) -> Misses | None:
     statistics = cloud.statistics
     limit = _shown_range(report, cloud)
     close = np.flatnonzero(np.abs(cloud.residual_px) <= statistics.limit_px)
-    close = close[:: max(1, len(close) // _SAMPLE)]
+    if len(close) > _SAMPLE:
+        # One from each of so many stretches: at even distances, they would fall into step with the rows of the image.
+        places = np.arange(_SAMPLE) + np.random.default_rng(0).random(_SAMPLE)
+        close = close[(places * (len(close) / _SAMPLE)).astype(np.int64)]
     pixel = np.stack(np.divmod(close, cloud.residual_px.shape[1])[::-1], axis=1).astype(np.float64)
     residual_px = cloud.residual_px.ravel()[close].astype(np.float64)
-    found = spatial_correlation(pixel, residual_px, _cell_px(report.capture.camera_size))
+    every = max(1, ceil(len(pixel) / _TESTED))
+    found = spatial_correlation(pixel[::every], residual_px[::every], _cell_px(report.capture.camera_size))
     painted = _map(cloud.residual_px, limit, "misses of the rays", maps.LONGEST_SIDE)
     residuals = Residuals(
         ((painted, ""),),
@@ -137,7 +141,8 @@ def _map(values: NDArray[np.float32], limit: float, alt: str, longest_side: int 
 def _on_grid(pixel: Floats, values: Floats, size: tuple[int, int], step: int) -> NDArray[np.float32]:
     """Values (N,) at pixels (N, 2) of an image of (width, height), on a grid `step` times as coarse, NaN for none."""
     grid = np.full(((size[1] - 1) // step + 1, (size[0] - 1) // step + 1), np.nan, np.float32)
-    column, row = (np.clip(np.rint(pixel[:, axis] / step), 0, grid.shape[1 - axis] - 1).astype(int) for axis in (0, 1))
+    cell = np.floor((pixel + 0.5) / step).astype(np.int64)
+    column, row = (np.clip(cell[:, axis], 0, grid.shape[1 - axis] - 1) for axis in (0, 1))
     grid[row, column] = values
     return grid
 

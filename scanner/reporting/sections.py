@@ -136,8 +136,8 @@ def faces(report: ReportInput) -> Faces | None:
 
 
 def scene(report: ReportInput) -> Picture | None:
-    """The camera's image of the lit scene."""
-    if report.texture is None:
+    """The camera's image of the lit scene, where no faces were found to show in it."""
+    if report.texture is None or len(report.on_faces):
         return None
     return picture(maps.photograph(report.texture), "the camera's image under white light", jpeg=True)
 

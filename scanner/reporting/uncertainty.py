@@ -15,7 +15,7 @@ from calib.uncertainty import Uncertainty
 from scanner.quantities import plain
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.reduction import first_in_cells
+from scanner.reporting.reduction import cells_over, first_in_cells
 from scanner.reporting.sections import ScaledMap, picture
 
 # Sigmas vary smoothly over the image, apart from the noise of single matches: so many of them draw the map.
@@ -49,9 +49,8 @@ def _relative_sigmas(
     matches: Matches, solution: SelfCalibration, uncertainty: Uncertainty, camera_size: tuple[int, int]
 ) -> NDArray[np.float32]:
     """Of one match in each cell of a coarse grid over the image: sigma in per cent of its depth, NaN for none."""
-    width, height = camera_size
-    step = max(1, int(np.ceil(np.sqrt(width * height / _SAMPLES))))
-    first = first_in_cells(matches.camera_px, step, (height - 1) // step + 1, (width - 1) // step + 1)
+    anything = np.zeros(len(matches), np.int32)
+    first = first_in_cells(matches.camera_px, anything, *cells_over(camera_size, _SAMPLES))
     known = np.nonzero(first != NONE)
     sample = matches[first[known]]
     met = intersect(sample, solution.calibration)
