@@ -2,7 +2,7 @@
 
 import base64
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -38,7 +38,7 @@ _FILES = {
 
 
 # What takes a while to make; the longest first, so that none of them is left for the end.
-PARTS: Mapping[str, Callable[[ReportInput], object]] = {
+PARTS: dict[str, Callable[[ReportInput], object]] = {
     "views": sections.cloud_views,
     "misses": misses,
     "faces": sections.faces,

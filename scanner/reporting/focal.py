@@ -70,7 +70,7 @@ def _by_calibration(matches: Matches, calibration: Calibration) -> Objective:
     """The objective of pinhole cameras, the bend of whose lenses the calibration knows."""
     camera_px = _without_bend(matches.camera_px, calibration.camera)
     projector_px = _without_bend(matches.projector_px, calibration.projector)
-    known = np.isfinite(camera_px).all(axis=1) & np.isfinite(projector_px).all(axis=1)
+    known = np.flatnonzero(np.isfinite(camera_px + projector_px).all(axis=1))
     straight = replace(matches[known], camera_px=camera_px[known], projector_px=projector_px[known])
     return objective_for(straight, calibration.camera.principal_point_px)
 

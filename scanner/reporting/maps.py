@@ -119,10 +119,10 @@ def faces_over(background: Pixels, labels: Pixels) -> Pixels:
     covered = np.zeros_like(labels)
     for face in range(1, len(FACE_COLOURS) + 1):
         np.maximum(covered, _closed(labels == face) * np.uint8(face), out=covered)
-    greys = np.arange(256)[:, None]
-    shades = [np.repeat(greys, 3, axis=1)]
-    shades += [(1 - _FACE_OPACITY) * greys + _FACE_OPACITY * np.array(colour) for colour in FACE_COLOURS]
-    return _as_pixels(np.concatenate(shades))[covered * np.uint16(256) + grey]
+    greys = np.repeat(np.arange(256.0)[:, None], 3, axis=1)
+    shades = [greys, *((1 - _FACE_OPACITY) * greys + _FACE_OPACITY * np.array(colour) for colour in FACE_COLOURS)]
+    painted: Pixels = _as_pixels(np.concatenate(shades))[covered * np.uint16(256) + grey]
+    return painted
 
 
 def _closed(mask: Bools) -> Pixels:

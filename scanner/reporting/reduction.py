@@ -7,25 +7,19 @@ from numpy.typing import NDArray
 
 from calib.arrays import Floats, Ints
 from calib.compiled import compiled
-from calib.parallel import in_slices
 
 Map = NDArray[np.float32]
 
-_ROWS = 64
-
-
-def averaged(values: Map, size: tuple[int, int]) -> Map:
-    """A map (H, W) with NaN for nothing, reduced to `size` = (width, height) by averaging what is there."""
-    reduced = np.empty(size[::-1], np.float32)
-    in_slices(size[1], _ROWS, lambda at: _average_rows(values, reduced, at.start, at.stop))
-    return reduced
-
 
 @compiled
-def _average_rows(values: Map, reduced: Map, start: int, stop: int) -> None:
-    """Fill some rows of `reduced`. A pixel of `values` counts by how much of it lies within."""
+def averaged(values: Map, size: tuple[int, int]) -> Map:
+    """A map (H, W) with NaN for nothing, reduced to `size` = (width, height) by averaging what is there.
+
+    A pixel counts by how much of it lies in one of the new ones.
+    """
+    reduced = np.empty((size[1], size[0]), np.float32)
     row_step, column_step = values.shape[0] / reduced.shape[0], values.shape[1] / reduced.shape[1]
-    for row in range(start, stop):
+    for row in range(reduced.shape[0]):
         top, bottom = row * row_step, min((row + 1) * row_step, values.shape[0])
         for column in range(reduced.shape[1]):
             left, right = column * column_step, min((column + 1) * column_step, values.shape[1])
@@ -38,6 +32,7 @@ def _average_rows(values: Map, reduced: Map, start: int, stop: int) -> None:
                         total += area * values[y, x]
                         weight += area
             reduced[row, column] = total / weight if weight > 0 else np.nan
+    return reduced
 
 
 @compiled

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 
 from calib.arrays import Floats
-from calib.parallel import in_parallel
 from scanner.decode import Decoding, MaskReason
 from scanner.patterns import Gray, Pattern, Phase
 from scanner.quantities import Quantity, corner_quantities, device_quantities, percent, pose_quantities
@@ -158,7 +157,7 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
             caption=_caption(name, report.capture) + (_CORNER_CAPTIONS[name] if report.solution else ""),
         )
 
-    return tuple(in_parallel(show, views))
+    return tuple(map(show, views))
 
 
 def _caption(view: str, capture: CaptureFacts) -> str:
