@@ -16,7 +16,7 @@ from scanner.cloud import Cloud
 from scanner.decode import Decoding
 from scanner.merged_cloud import MergedCloud
 from scanner.patterns import Pattern
-from scanner.reporting.reduction import cells_over, first_in_cells
+from scanner.reporting.reduction import cells_over, one_in_cells
 
 _MOST_ON_FACES = 100_000
 
@@ -106,8 +106,8 @@ class ReportInput:
             return np.zeros(0, np.int64)
         if np.count_nonzero(face >= 0) <= _MOST_ON_FACES:
             return np.flatnonzero(face >= 0)
-        first = first_in_cells(self.matches.camera_px, face, *cells_over(self.capture.camera_size, _MOST_ON_FACES))
-        return np.asarray(first[first != NONE])
+        drawn = one_in_cells(self.matches.camera_px, face, *cells_over(self.capture.camera_size, _MOST_ON_FACES))
+        return np.asarray(drawn[drawn != NONE])
 
     @property
     def cell_px(self) -> int:

@@ -15,7 +15,7 @@ from calib.uncertainty import Uncertainty
 from scanner.quantities import plain
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.reduction import cells_over, first_in_cells
+from scanner.reporting.reduction import cells_over, one_in_cells
 from scanner.reporting.sections import ScaledMap, picture
 
 # Sigmas vary smoothly over the image, apart from the noise of single matches: so many of them draw the map.
@@ -50,12 +50,12 @@ def _relative_sigmas(
 ) -> NDArray[np.float32]:
     """Of one match in each cell of a coarse grid over the image: sigma in per cent of its depth, NaN for none."""
     anything = np.zeros(len(matches), np.int32)
-    first = first_in_cells(matches.camera_px, anything, *cells_over(camera_size, _SAMPLES))
-    known = np.nonzero(first != NONE)
-    sample = matches[first[known]]
+    drawn = one_in_cells(matches.camera_px, anything, *cells_over(camera_size, _SAMPLES))
+    known = np.nonzero(drawn != NONE)
+    sample = matches[drawn[known]]
     met = intersect(sample, solution.calibration)
     relative = np.where(met.in_front, uncertainty.of_points(sample)[:, 2] / met.points[:, 2], np.nan)
-    grid = np.full(first.shape, np.nan, dtype=np.float32)
+    grid = np.full(drawn.shape, np.nan, dtype=np.float32)
     grid[known] = 100 * relative
     return grid
 
