@@ -106,8 +106,13 @@ class ReportInput:
             return np.zeros(0, np.int64)
         if np.count_nonzero(face >= 0) <= _MOST_ON_FACES:
             return np.flatnonzero(face >= 0)
-        drawn = one_in_cells(self.matches.camera_px, face, *cells_over(self.capture.camera_size, _MOST_ON_FACES))
+        drawn = one_in_cells(self.matches.camera_px, face, 0, *cells_over(self.capture.camera_size, _MOST_ON_FACES))
         return np.asarray(drawn[drawn != NONE])
+
+    @cached_property
+    def sample(self) -> Matches:
+        """The matches `on_faces`."""
+        return self.matches[self.on_faces]
 
     @property
     def cell_px(self) -> int:

@@ -37,17 +37,16 @@ class Flatness:
 
 def flatness(report: ReportInput) -> Flatness | None:
     """The faces of the cloud; None without a cloud or labelled faces."""
-    cloud, matches = report.cloud, report.matches
-    if cloud is None or matches.face is None:
+    cloud, face = report.cloud, report.sample.face
+    if cloud is None or face is None:
         return None
-    labelled = report.on_faces
-    pixel = np.rint(matches.camera_px[labelled]).astype(np.int64)
+    pixel = np.rint(report.sample.camera_px).astype(np.int64)
     height, width = cloud.points.shape[:2]
     inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
-    labelled, pixel = labelled[inside], pixel[inside]
+    face, pixel = face[inside], pixel[inside]
     points = cloud.points[pixel[:, 1], pixel[:, 0]].astype(np.float64)
     there = np.isfinite(points[:, 2])
-    faces, angles = measure_faces(points[there], pixel[there], matches.face[labelled[there]], width)
+    faces, angles = measure_faces(points[there], pixel[there], face[there], width)
     if not faces:
         return None
     unit = shown_unit(cloud.unit)

@@ -10,6 +10,7 @@ from calib.compiled import compiled
 
 Map = NDArray[np.float32]
 
+_CANDIDATES = 16
 _GOLDEN_RATIO, _MIXER, _SHIFT = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(30)
 
 
@@ -82,22 +83,25 @@ def cells_over(size: tuple[int, int], most: int) -> tuple[int, int, int]:
 
 
 @compiled
-def one_in_cells(camera_px: Floats, label: Ints, side: int, rows: int, columns: int) -> Ints:
-    """One of the pixels (N, 2) with a `label` (N,) from 0 in each cell, (rows, columns), −1 where there is none.
+def one_in_cells(camera_px: Floats, label: Ints, lowest: int, side: int, rows: int, columns: int) -> Ints:
+    """One of the pixels (N, 2) with at least the `lowest` label (N,) in each cell, (rows, columns); −1 for none.
 
     Drawn at random, though always the same: the first, say, of each would beat with fringes in the image, and show a
-    pattern that is none.
+    pattern that is none. Where pixels are many, there are still a dozen or more to draw from.
     """
     drawn = np.full((rows, columns), -1, np.int64)
     lots = np.zeros((rows, columns), np.uint64)
-    for i in range(len(camera_px)):
+    stride = max(1, len(camera_px) // (_CANDIDATES * rows * columns))
+    for start in range(0, len(camera_px), stride):
+        # Two rounds of SplitMix64 (Steele et al. 2014).
+        lot = np.uint64(start + 1) * _GOLDEN_RATIO
+        lot = (lot ^ (lot >> _SHIFT)) * _MIXER
+        lot = lot ^ (lot >> _SHIFT)
+        i = start + int(lot % np.uint64(stride))
+        if i >= len(camera_px) or label[i] < lowest:
+            continue
         column = int(np.floor((camera_px[i, 0] + 0.5) / side))
         row = int(np.floor((camera_px[i, 1] + 0.5) / side))
-        if label[i] >= 0 and 0 <= column < columns and 0 <= row < rows:
-            # Two rounds of SplitMix64 (Steele et al. 2014).
-            lot = np.uint64(i + 1) * _GOLDEN_RATIO
-            lot = (lot ^ (lot >> _SHIFT)) * _MIXER
-            lot = lot ^ (lot >> _SHIFT)
-            if lot > lots[row, column]:
-                lots[row, column], drawn[row, column] = lot, i
+        if 0 <= column < columns and 0 <= row < rows and lot > lots[row, column]:
+            lots[row, column], drawn[row, column] = lot, i
     return drawn

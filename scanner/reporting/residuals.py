@@ -51,7 +51,7 @@ def face_residuals(report: ReportInput) -> Residuals | None:
     solution = report.solution
     if solution is None or not len(report.on_faces):
         return None
-    sample = report.matches[report.on_faces]
+    sample = report.sample
     residual_px = _off_the_corner(sample, solution.calibration, solution.corner)
     known = np.isfinite(residual_px).all(axis=1)
     pixel, residual_px = sample.camera_px[known], residual_px[known]

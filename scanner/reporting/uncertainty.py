@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.matches import Matches
+from calib.matches import NO_FACE, Matches
 from calib.model import CAMERA, PROJECTOR
 from calib.pixel_index import NONE
 from calib.selfcalibration import SelfCalibration
@@ -49,8 +49,8 @@ def _relative_sigmas(
     matches: Matches, solution: SelfCalibration, uncertainty: Uncertainty, camera_size: tuple[int, int]
 ) -> NDArray[np.float32]:
     """Of one match in each cell of a coarse grid over the image: sigma in per cent of its depth, NaN for none."""
-    anything = np.zeros(len(matches), np.int32)
-    drawn = one_in_cells(matches.camera_px, anything, *cells_over(camera_size, _SAMPLES))
+    label = np.zeros(len(matches), np.int32) if matches.face is None else matches.face
+    drawn = one_in_cells(matches.camera_px, label, NO_FACE, *cells_over(camera_size, _SAMPLES))
     known = np.nonzero(drawn != NONE)
     sample = matches[drawn[known]]
     met = intersect(sample, solution.calibration)

@@ -136,14 +136,12 @@ def _outlines(report: ReportInput, cloud: Cloud | MergedCloud) -> list[dict[str,
 
 def _faces(report: ReportInput, cloud: Cloud) -> list[tuple[str, maps.Colour, Floats]]:
     """Name, colour and convex outline (n, 3) of each labelled face, in the camera's frame."""
-    if report.matches.face is None:
-        return []
-    found, face = [], report.matches.face[report.on_faces]
+    sample, found = report.sample, []
     height, width = cloud.points.shape[:2]
     for label, (name, colour) in enumerate(zip(maps.FACE_NAMES, maps.FACE_COLOURS, strict=True)):
-        on = report.on_faces[face == label]
+        on = np.flatnonzero(sample.face == label)
         on = on[:: max(1, len(on) // _HULL_SAMPLE)]
-        column, row = np.rint(report.matches.camera_px[on]).astype(np.int64).T
+        column, row = np.rint(sample.camera_px[on]).astype(np.int64).T
         inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
         points = cloud.points[row[inside], column[inside]].astype(np.float64)
         points = points[np.isfinite(points[:, 2])]

@@ -45,7 +45,7 @@ def test_labels_and_matches_of_cells() -> None:
     label = rng.integers(-1, 3, 3000).astype(np.int32)
     side, rows, columns = cells_over(size, 300)
     assert (side, rows, columns) == (9, 12, 23)
-    drawn = one_in_cells(camera_px, label, side, rows, columns)
+    drawn = one_in_cells(camera_px, label, 0, side, rows, columns)
     grid = labels_on_grid(camera_px, label, size, (20, 10))
     assert (drawn >= 0).mean() > 0.8
     for (row, column), found in np.ndenumerate(drawn):
@@ -59,7 +59,7 @@ def test_labels_and_matches_of_cells() -> None:
 def test_what_is_drawn_lies_anywhere_in_its_cell() -> None:
     """Of a match for every pixel, as a decoder gives them: no grid remains, and neighbours are drawn alike."""
     pixels = np.stack(np.meshgrid(np.arange(350), np.arange(280)), -1).reshape(-1, 2).astype(np.float32)
-    drawn = one_in_cells(pixels, np.zeros(len(pixels), np.int32), 7, 40, 50)
+    drawn = one_in_cells(pixels, np.zeros(len(pixels), np.int32), 0, 7, 40, 50)
     places, counts = np.unique(pixels[drawn.ravel()] % 7, axis=0, return_counts=True)
     assert len(places) == 49
     assert 10 < counts.min() < counts.max() < 80  # 41 on average
