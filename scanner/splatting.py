@@ -48,11 +48,11 @@ def facing(
 def shaded_colours(
     colours: NDArray[np.uint8], normals: Floats32, index: Ints, brightness: Floats32, lamp: Floats32
 ) -> NDArray[np.uint8]:
-    """RGB (N, 3) of the points `index` (N,) under a `lamp` (3,), a unit vector towards it.
+    """Opaque RGBA (N, 4) of the points `index` (N,) under a `lamp` (3,), a unit vector towards it.
 
     Of all points `colours` (M, 3) and `normals` (M, 3); `brightness` (256,) is what a colour becomes in full light.
     """
-    shaded = np.empty((len(index), 3), np.uint8)
+    shaded = np.full((len(index), 4), _OPAQUE, np.uint8)
     for i in range(len(index)):
         normal = normals[index[i]]
         slant = max(np.float32(0), normal[0] * lamp[0] + normal[1] * lamp[1] + normal[2] * lamp[2])
@@ -63,12 +63,17 @@ def shaded_colours(
     return shaded
 
 
-@compiled
-def splatted(pixels: Floats32, colours: NDArray[np.uint8], height: int, width: int) -> RGBA:
-    """The nearest point at each pixel, opaque, of points (N, 3) at column and row, at a depth, with RGB (N, 3).
+def splatted(pixels: Floats32, colours: RGBA, height: int, width: int) -> RGBA:
+    """A picture (height, width, 4) of points (N, 3) at column and row, and a depth, with their `colours` (N, 4).
 
-    Each is drawn as a square that is large enough to close the gaps around it: by the spacing of the points there.
+    Each is drawn as a square that is large enough to close the gaps around it, by the spacing of the points there. The
+    nearest hides the others.
     """
+    return _splatted(pixels, colours.view(np.uint32)[:, 0], height, width).view(np.uint8).reshape(height, width, 4)
+
+
+@compiled
+def _splatted(pixels: Floats32, colours: NDArray[np.uint32], height: int, width: int) -> NDArray[np.uint32]:
     sides = np.zeros((height // _DENSITY_CELL + 1, width // _DENSITY_CELL + 1), np.int64)
     for i in range(len(pixels)):
         x, y = pixels[i, 0], pixels[i, 1]
@@ -80,7 +85,7 @@ def splatted(pixels: Floats32, colours: NDArray[np.uint8], height: int, width: i
             sides[row, column] = min(max(int(np.ceil(_SPLAT_OF_SPACING * spacing)), 1), _LARGEST_SPLAT)
 
     nearest = np.full((height, width), np.inf, np.float32)
-    picture = np.zeros((height, width, 4), np.uint8)
+    picture = np.zeros((height, width), np.uint32)
     for i in range(len(pixels)):
         x, y, depth = pixels[i]
         if not (0 <= x < width and 0 <= y < height):
@@ -91,10 +96,7 @@ def splatted(pixels: Floats32, colours: NDArray[np.uint8], height: int, width: i
             for column in range(max(left, 0), min(left + side, width)):
                 if depth < nearest[row, column]:
                     nearest[row, column] = depth
-                    picture[row, column, 0] = colours[i, 0]
-                    picture[row, column, 1] = colours[i, 1]
-                    picture[row, column, 2] = colours[i, 2]
-                    picture[row, column, 3] = _OPAQUE
+                    picture[row, column] = colours[i]
     return picture
 
 

@@ -16,9 +16,9 @@ from scanner.cloud import Cloud
 from scanner.decode import Decoding
 from scanner.merged_cloud import MergedCloud
 from scanner.patterns import Pattern
-from scanner.reporting.reduction import cells_over, one_in_cells
+from scanner.reporting.reduction import cells_over, one_in_cells, places_within
 
-_MOST_ON_FACES = 100_000
+_MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
 
 
 @dataclass(frozen=True)
@@ -120,11 +120,11 @@ class ReportInput:
         return cells_over(self.capture.camera_size, _MOST_ON_FACES)[0]
 
     @cached_property
-    def in_cloud(self) -> Ints:
-        """Which pixels of the camera have a point, row by row, (n,); none without a cloud."""
+    def in_cloud(self) -> tuple[int, Ints]:
+        """How many pixels of the camera have a point, and some of them by number (n,): 100,000 at most, row by row."""
         if self.cloud is None:
-            return np.zeros(0, np.int64)
-        return np.flatnonzero(self.cloud.there)
+            return 0, np.zeros(0, np.int64)
+        return places_within(self.cloud.points[..., 2], np.inf, _MOST_IN_CLOUD)
 
     @property
     def texture(self) -> Image | None:

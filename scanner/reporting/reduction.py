@@ -64,12 +64,48 @@ def extent(values: Map) -> tuple[int, int, int, int]:
 
 
 @compiled
+def places_within(values: Map, limit: float, most: int) -> tuple[int, Ints]:
+    """How many numbers of a map (H, W) are within ± `limit`; and where, row by row, of at most so many of them (n,).
+
+    Of each of so many stretches one is drawn at random, though always the same: at even distances they would fall into
+    step with the rows.
+    """
+    count = 0
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            count += abs(values[row, column]) <= limit
+    stretch = max(1, -(-count // most))
+    places = np.empty(-(-count // stretch), np.int64)
+    drawn, met, end, chosen = 0, 0, 0, 0
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            if abs(values[row, column]) <= limit:
+                if met == end:
+                    chosen = met + int(_lot(met) % np.uint64(min(stretch, count - met)))
+                    end = met + stretch
+                if met == chosen:
+                    places[drawn] = row * values.shape[1] + column
+                    drawn += 1
+                met += 1
+    return count, places
+
+
+@compiled
+def _lot(number: int) -> np.uint64:
+    """64 bits that seem random: SplitMix64 (Steele et al. 2014) without its last round."""
+    lot = np.uint64(number + 1) * _GOLDEN_RATIO
+    lot = (lot ^ (lot >> _SHIFT)) * _MIXER
+    return lot ^ (lot >> _SHIFT)
+
+
+@compiled
 def labels_on_grid(camera_px: Floats, label: Ints, size: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.uint8]:
     """Labels (N,) of pixels (N, 2) of an image of `size` on a `grid`, both (width, height): 1 more than each, or 0."""
     labels = np.zeros((grid[1], grid[0]), np.uint8)
+    columns_per_pixel, rows_per_pixel = grid[0] / size[0], grid[1] / size[1]
     for i in range(len(label)):
-        column = int(np.floor((camera_px[i, 0] + 0.5) * grid[0] / size[0]))
-        row = int(np.floor((camera_px[i, 1] + 0.5) * grid[1] / size[1]))
+        column = int(np.floor((camera_px[i, 0] + 0.5) * columns_per_pixel))
+        row = int(np.floor((camera_px[i, 1] + 0.5) * rows_per_pixel))
         if label[i] >= 0 and 0 <= column < grid[0] and 0 <= row < grid[1]:
             labels[row, column] = label[i] + 1
     return labels
@@ -93,10 +129,7 @@ def one_in_cells(camera_px: Floats, label: Ints, lowest: int, side: int, rows: i
     lots = np.zeros((rows, columns), np.uint64)
     stride = max(1, len(camera_px) // (_CANDIDATES * rows * columns))
     for start in range(0, len(camera_px), stride):
-        # Two rounds of SplitMix64 (Steele et al. 2014).
-        lot = np.uint64(start + 1) * _GOLDEN_RATIO
-        lot = (lot ^ (lot >> _SHIFT)) * _MIXER
-        lot = lot ^ (lot >> _SHIFT)
+        lot = _lot(start)
         i = start + int(lot % np.uint64(stride))
         if i >= len(camera_px) or label[i] < lowest:
             continue

@@ -16,6 +16,7 @@ from scanner.cloud import Cloud, CloudStatistics
 from scanner.quantities import percent
 from scanner.reporting import maps, plots
 from scanner.reporting.contents import ReportInput
+from scanner.reporting.reduction import places_within
 from scanner.reporting.sections import LegendEntry, ScaledMap, picture
 
 # Blur and noise of a decoder reach a few pixels; squares of this share of the image's width are beyond that.
@@ -92,11 +93,7 @@ def misses(report: ReportInput) -> Misses | None:
         return None
     statistics = cloud.statistics
     limit = _shown_range(report, cloud)
-    close = np.flatnonzero(np.abs(cloud.residual_px) <= statistics.limit_px)
-    if len(close) > _SAMPLE:
-        # One from each of so many stretches: at even distances, they would fall into step with the rows of the image.
-        places = np.arange(_SAMPLE) + np.random.default_rng(0).random(_SAMPLE)
-        close = close[(places * (len(close) / _SAMPLE)).astype(np.int64)]
+    _, close = places_within(cloud.residual_px, statistics.limit_px, _SAMPLE)
     pixel = np.stack(np.divmod(close, cloud.residual_px.shape[1])[::-1], axis=1).astype(np.float64)
     residual_px = cloud.residual_px.ravel()[close].astype(np.float64)
     every = max(1, ceil(len(pixel) / _TESTED))
@@ -149,8 +146,7 @@ def _on_grid(pixel: Floats, values: Floats, size: tuple[int, int], step: int) ->
 
 def _shown_range(report: ReportInput, cloud: Cloud) -> float:
     """Half-width of the scale: what all but a hundredth of the points stay within."""
-    some = report.in_cloud[:: max(1, len(report.in_cloud) // _SAMPLE)]
-    kept = np.abs(cloud.residual_px.ravel()[some])
+    kept = np.abs(cloud.residual_px.ravel()[report.in_cloud[1]])
     return float(np.percentile(kept, _SHOWN_SHARE)) if len(kept) and kept.any() else cloud.statistics.limit_px
 
 

@@ -43,7 +43,7 @@ class View3d:
 def view3d(report: ReportInput) -> View3d | None:
     """The merged cloud if there is one, else the capture's own; None without a cloud."""
     cloud = report.merged if report.merged is not None and len(report.merged.points) else report.cloud
-    total = len(report.in_cloud) if cloud is report.cloud else len(cloud.points) if cloud else 0
+    total = report.in_cloud[0] if cloud is report.cloud else len(cloud.points) if cloud else 0
     if cloud is None or report.calibration is None or not total:
         return None
     points, colours, normals, grid = _thinned(report, cloud, total)

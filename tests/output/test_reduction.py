@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanner.reporting.reduction import averaged, cells_over, extent, labels_on_grid, one_in_cells
+from scanner.reporting.reduction import averaged, cells_over, extent, labels_on_grid, one_in_cells, places_within
 
 
 @pytest.mark.parametrize("size", [(4, 3), (5, 4), (12, 9)])
@@ -63,3 +63,25 @@ def test_what_is_drawn_lies_anywhere_in_its_cell() -> None:
     places, counts = np.unique(pixels[drawn.ravel()] % 7, axis=0, return_counts=True)
     assert len(places) == 49
     assert 10 < counts.min() < counts.max() < 80  # 41 on average
+
+
+@given(st.integers(0, 60), st.integers(1, 80), st.integers(0, 2**32 - 1))
+def test_places_are_drawn_evenly_out_of_those_within(most_there: int, most: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = np.full((7, 11), np.nan, np.float32)
+    some = rng.permutation(values.size)[:most_there]
+    values.ravel()[some] = rng.uniform(-3, 3, len(some))
+    count, places = places_within(values, 2.0, most)
+    within = np.flatnonzero(np.abs(values) <= 2)
+    assert count == len(within)
+    assert len(places) <= most
+    assert np.all(np.diff(places) > 0)
+    assert set(places) <= set(within)
+    stretch = max(1, -(-count // most))
+    assert [int(np.searchsorted(within, place)) // stretch for place in places] == list(range(-(-count // stretch)))
+
+
+def test_a_column_of_many_is_drawn_from_every_column() -> None:
+    _, places = places_within(np.zeros((100, 100), np.float32), np.inf, 1000)
+    counts = np.bincount(places % 100, minlength=100)
+    assert 0 < counts.min() < counts.max() < 30  # 10 on average
