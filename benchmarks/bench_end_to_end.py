@@ -51,7 +51,7 @@ ALONE = {
     "sweep": "calib.refine.sweep_one",
     "its minima": "calib.refine.explore",
     "refinement": "calib.refine.settle",
-    "triangulation": "scanner.cloud._triangulate",
+    "triangulation": "scanner.cloud.organise",
     "surface": "scanner.cloud.surface",
 }
 BESIDE = {
