@@ -143,7 +143,7 @@ def main() -> None:
     matched = runs[0].matched
     share = matched / (CAMERA.width * CAMERA.height)
     title = f"{CAMERA.width} × {CAMERA.height}, {len(frames)} frames, {matched:,} matches ({share:.0%})"
-    Console(width=120).print(table_of(runs, title))
+    Console(width=60 + 22 * len(runs)).print(table_of(runs, title))
     if options.profile:
         profile = cProfile.Profile()
         one_run(frames, patterns, profile)
