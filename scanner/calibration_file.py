@@ -65,7 +65,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, Any] | None = None) -> None:
-    """Write a calibration and `more` keys for those who know them; every number reads back the same. OSError."""
+    """Write a calibration, and `more` keys for those who know them. Numbers read back the same. Raises OSError."""
     lines = [
         f"camera: {flow_yaml(_device_to_dict(calibration.camera))}",
         f"projector: {flow_yaml(_device_to_dict(calibration.projector))}",

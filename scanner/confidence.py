@@ -65,7 +65,7 @@ def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dic
 
 
 def read_verdict(path: Path) -> Verdict | None:
-    """The verdict in a result's calibration file; None where it says none, as before there were any. InputError."""
+    """The verdict in a result's calibration file. None where it says none, as older ones. Raises InputError."""
     entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).verdict
     return Verdict(entry.grade, entry.headline, tuple(entry.reasons), entry.advice) if entry else None
 
