@@ -1,10 +1,12 @@
 """`calibration.yaml`, and `truth.yaml` of simulated rigs: one format, read and written."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
+import yaml
 from pydantic import Field
 
 from calib.calibration import Calibration
@@ -62,8 +64,8 @@ def read_calibration(path: Path) -> Calibration:
         raise InputError(f"{path}: {error}") from error
 
 
-def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration; every number reads back the same. Raises OSError."""
+def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, Any] | None = None) -> None:
+    """Write a calibration, and `more` keys for those who know them. Numbers read back the same. Raises OSError."""
     lines = [
         f"camera: {flow_yaml(_device_to_dict(calibration.camera))}",
         f"projector: {flow_yaml(_device_to_dict(calibration.projector))}",
@@ -74,7 +76,12 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     ]
     if calibration.sigma:
         lines.append(f"sigma: {flow_yaml(_sigma_to_dict(calibration.sigma))}")
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if more:
+        lines.append(
+            # Lists of plain values on one line each, the rest in blocks.
+            yaml.safe_dump(dict(more), default_flow_style=None, allow_unicode=True, sort_keys=False, width=math.inf)
+        )
+    path.write_text("\n".join(lines).rstrip("\n") + "\n", encoding="utf-8")
 
 
 def _device_to_dict(device: Intrinsics) -> dict[str, object]:

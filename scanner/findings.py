@@ -15,11 +15,13 @@ from calib.refusal import RefusalError
 from calib.selfcalibration import SelfCalibration
 from scanner.calibration_file import write_calibration
 from scanner.cloud import Cloud
+from scanner.confidence import confidence_entries
 from scanner.decode import Decoding
 from scanner.matches_file import MATCHES_FILE, write_matches
 from scanner.merged_cloud import MergedCloud
 from scanner.ply import write_merged_ply, write_ply
 from scanner.report import CaptureFacts, CaptureRow, ReportInput, write_report
+from scanner.reporting.verdict import verdict
 from scanner.result import CALIBRATION_FILE, CAPTURE_FOLDER, CLOUD_FILE, MERGED_FILE, REPORT_FILE, folder_of
 
 log = logging.getLogger(__name__)
@@ -127,13 +129,17 @@ def save(scan: Scan, folder: Path, refusal: RefusalError | None = None) -> None:
             place.mkdir(parents=True, exist_ok=True)
             written.append(pool.submit(write_matches, place / MATCHES_FILE, found.matches, found.plane))
             if refusal is None and found.calibration and found.cloud:
-                write_calibration(place / CALIBRATION_FILE, found.calibration)
                 written.append(pool.submit(write_ply, place / CLOUD_FILE, found.cloud))
         if scan.merged is not None and refusal is None:
             written.append(pool.submit(write_merged_ply, folder / MERGED_FILE, scan.merged))
         # The files are still being written while the reports that list them are made.
         for place, found in zip(places, scan.captures, strict=True):
-            write_report(place / REPORT_FILE, _report_input(scan, found, place, refusal))
+            report = _report_input(scan, found, place, refusal)
+            if report.calibration is not None:
+                uncertainty = found.solution.uncertainty if found.solution else None
+                more = confidence_entries(verdict(report), uncertainty)
+                write_calibration(place / CALIBRATION_FILE, report.calibration, more)
+            write_report(place / REPORT_FILE, report)
         for each in written:
             each.result()
 
@@ -163,7 +169,7 @@ def _files(scan: Scan, found: Findings, folder: Path, refusal: RefusalError | No
     """The names of what is in a capture's folder, or will be, beside the report."""
     names = {MATCHES_FILE, *(path.name for path in folder.iterdir())}
     if refusal is None and found.cloud:
-        names.add(CLOUD_FILE)
+        names |= {CALIBRATION_FILE, CLOUD_FILE}
     if refusal is None and found is scan.newest and scan.merged is not None:
         names.add(MERGED_FILE)
     return tuple(sorted(names - {REPORT_FILE}))

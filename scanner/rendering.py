@@ -12,20 +12,18 @@ from calib.calibration import Calibration
 from calib.camera import Intrinsics
 from scanner.cloud import Cloud
 from scanner.merged_cloud import MergedCloud
+from scanner.splatting import RGBA, Floats32, facing, filled, halved, shaded_colours, splatted
 
-RGBA = NDArray[np.uint8]
 RGB = tuple[int, int, int]
-Floats32 = NDArray[np.float32]
 
 _SUPERSAMPLING = 2
 # Of the picture as it is shown. More would hide each other.
 _POINTS_PER_PIXEL = 1.0
-_LARGEST_SPLAT = 6
-_DENSITY_CELL = 12
 _MARGIN = 0.04
 _LINE_WIDTH_PX = 2
 _FILL_PASSES = 3
-_SURROUNDED = 5  # of eight neighbours
+# So many points tell how far the cloud reaches and how bright it is.
+_SAMPLE, _COUNTED_ROWS = 50_000, 8
 
 
 @dataclass(frozen=True)
@@ -33,15 +31,6 @@ class View:
     """An orthographic view; `axes` (3, 3): the picture's right, down and forward as unit rows, in the cloud's frame."""
 
     axes: Floats
-
-
-@dataclass(frozen=True)
-class _Points:
-    """`points` (N, 3), `normals` (N, 3) facing the camera, `colours` (N, 3) RGB."""
-
-    points: Floats32
-    normals: Floats32
-    colours: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -94,48 +83,39 @@ def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wirefr
 
     Surfaces seen from behind are left out, so that one looks into a room through its walls.
     """
-    points, axes = _thinned(cloud, size), view.axes.astype(np.float32)
-    front = np.flatnonzero(points.normals @ axes[2] < 0)
-    # From far to near: what is drawn later hides what was drawn before.
-    front = front[np.argsort(points.points.take(front, axis=0) @ -axes[2])]
-    seen = points.points.take(front, axis=0) @ axes.T
+    seen, index = _facing(cloud, view, _POINTS_PER_PIXEL * size[0] * size[1])
     drawn = [wireframe.segments @ view.axes.T for wireframe in wireframes]
     low, high = _bounds(seen, drawn)
     scale = _SUPERSAMPLING * min(size[0] / (high - low)[0], size[1] / (high - low)[1])
-    shape = tuple(int(np.ceil(extent * scale)) for extent in (high - low)[::-1])
-    pixels = (seen[:, :2] - low.astype(np.float32)) * np.float32(scale)
-    x, y = pixels.T
-    inside = np.flatnonzero((x >= 0) & (y >= 0) & (x < shape[1]) & (y < shape[0]))
-    pixels, front = pixels.take(inside, axis=0), front[inside]
-    colours = _shaded(points.colours.take(front, axis=0), points.normals.take(front, axis=0), view)
-    picture = _filled(_splat(pixels, colours, (shape[0], shape[1])))
+    height, width = (int(np.ceil(extent * scale)) for extent in (high - low)[::-1])
+    pixels = (seen - np.append(low, 0).astype(np.float32)) * np.float32(scale)
+    picture = splatted(pixels, _shaded(cloud, index, view), height, width)
+    for _ in range(_FILL_PASSES):
+        picture = filled(picture)
     for wireframe, segments in zip(wireframes, drawn, strict=True):
         ends = np.rint((segments[..., :2] - low) * scale).astype(np.int32)
-        width = _LINE_WIDTH_PX * _SUPERSAMPLING
-        cv2.polylines(picture, list(ends), False, (*wireframe.colour, 255), width)
-    return _shrunk(picture)
+        line_width = _LINE_WIDTH_PX * _SUPERSAMPLING
+        cv2.polylines(picture, list(ends), False, (*wireframe.colour, 255), line_width)
+    return halved(picture)
 
 
-def _thinned(cloud: Cloud | MergedCloud, size: tuple[int, int]) -> _Points:
-    """As many points as a picture of `size` = (width, height) can show, evenly out of all."""
-    there = cloud.there
-    most = _POINTS_PER_PIXEL * size[0] * size[1]
-    excess = max(1.0, np.count_nonzero(there) / most)
-    chosen = (slice(None, None, ceil(excess ** (1 / there.ndim))),) * there.ndim
-    there = there[chosen]
-    pixels = np.flatnonzero(there)
-    return _Points(
-        cloud.points[chosen].reshape(-1, 3).take(pixels, axis=0),
-        cloud.normals[chosen].reshape(-1, 3).take(pixels, axis=0),
-        cloud.colours[chosen].reshape(-1, 3).take(pixels, axis=0),
-    )
+def _facing(cloud: Cloud | MergedCloud, view: View, most: float) -> tuple[Floats32, Ints]:
+    """Points (N, 3) in the view's frame, `most` of them evenly out of all, and which of the cloud's they are (N,)."""
+    is_image = cloud.points.ndim == 3
+    points, normals = (each if is_image else each[None] for each in (cloud.points, cloud.normals))
+    # Every so many rows say well enough how many points there are.
+    total = _COUNTED_ROWS * np.count_nonzero(np.isfinite(points[::_COUNTED_ROWS, :, 2])) if is_image else len(points[0])
+    step = ceil(max(1.0, total / most) ** (1 / cloud.points[..., 0].ndim))
+    row_step = step if is_image else 1
+    return facing(points, normals, view.axes.astype(np.float32), row_step, step)
 
 
 def _bounds(seen: Floats32, drawn: list[Floats]) -> tuple[Floats, Floats]:
     """Corners of the picture in the view's plane, (2,) each: all but stray points, all lines, and a margin."""
     ends = [np.array([[0.0, 0.0], [1.0, 1.0]])]
     if len(seen):
-        ends = [np.asarray(np.percentile(seen[:, :2], (0.2, 99.8), axis=0), np.float64)]
+        some = seen[:: max(1, len(seen) // _SAMPLE), :2]
+        ends = [np.asarray(np.percentile(some, (0.2, 99.8), axis=0), np.float64)]
     ends += [segments.reshape(-1, 3)[:, :2] for segments in drawn]
     everything = np.concatenate(ends)
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -143,72 +123,13 @@ def _bounds(seen: Floats32, drawn: list[Floats]) -> tuple[Floats, Floats]:
     return low - margin, high + margin
 
 
-def _shaded(colours: NDArray[np.uint8], normals: NDArray[np.float32], view: View) -> NDArray[np.uint8]:
-    """Colours stretched to the full range, under a lamp above the viewer's left shoulder."""
+def _shaded(cloud: Cloud | MergedCloud, index: Ints, view: View) -> NDArray[np.uint8]:
+    """Colours (N, 3) of some points, stretched to the full range, under a lamp above the viewer's left shoulder."""
+    colours, normals = cloud.colours.reshape(-1, 3), cloud.normals.reshape(-1, 3)
     right, down, forward = view.axes
     lamp = -forward - 0.5 * right - 0.6 * down
-    lamp_direction = (lamp / np.linalg.norm(lamp)).astype(np.float32)
-    light = np.float32(0.45) + np.float32(0.55) * np.clip(normals @ lamp_direction, 0, 1)
-    cumulated = np.cumsum(np.bincount(colours.ravel(), minlength=256))
+    some = colours[index[:: max(1, len(index) // _SAMPLE)]]
+    cumulated = np.cumsum(np.bincount(some.ravel(), minlength=256))
     white = max(1, int(np.searchsorted(cumulated, 0.99 * cumulated[-1])))
-    stretched = (1.05 * 255 * np.clip(np.arange(256) / white, 0, 1) ** 0.8).astype(np.float32)[colours]
-    stretched *= light[:, None]
-    return np.asarray(np.rint(np.minimum(stretched, np.float32(255))), dtype=np.uint8)
-
-
-def _splat(pixels: Floats32, colours: NDArray[np.uint8], shape: tuple[int, int]) -> RGBA:
-    """The last point at each pixel, each point drawn as a square large enough to close the gaps around it."""
-    side = _splat_sides(pixels, shape)
-    corner = np.floor(pixels - (side[:, None] - 1) / np.float32(2)).astype(np.int32) + _LARGEST_SPLAT
-    padded = shape[0] + 2 * _LARGEST_SPLAT, shape[1] + 2 * _LARGEST_SPLAT
-    # Numbers of points, from 1; single precision counts as far as 2²⁴, and dilates fastest.
-    last = np.zeros(padded, np.float32)
-    for width in range(1, _LARGEST_SPLAT + 1):
-        drawn = np.flatnonzero(side == width)
-        corners = np.zeros(padded, np.float32)
-        # Of several values for one place numpy keeps the last.
-        corners[corner[drawn, 1], corner[drawn, 0]] = drawn + 1
-        squares = cv2.dilate(corners, np.ones((width, width), np.uint8), anchor=(width - 1, width - 1))
-        np.maximum(last, squares, out=last)
-    inner = slice(_LARGEST_SPLAT, -_LARGEST_SPLAT)
-    rgba = np.zeros((len(colours) + 1, 4), np.uint8)
-    rgba[1:, :3], rgba[1:, 3] = colours, 255
-    picture: RGBA = rgba[last[inner, inner].astype(np.int32)]
-    return picture
-
-
-def _splat_sides(pixels: Floats32, shape: tuple[int, int]) -> Ints:
-    """Side of each point's square: the spacing of the points around it, in pixels."""
-    columns = shape[1] // _DENSITY_CELL + 1
-    column, row = (pixels.T / np.float32(_DENSITY_CELL)).astype(np.int32)
-    cell = row * np.int32(columns) + column
-    count = np.bincount(cell)
-    spacing = np.zeros(len(count))
-    spacing[count > 0] = _DENSITY_CELL / np.sqrt(count[count > 0])
-    sides: Ints = np.clip(np.ceil(1.2 * spacing), 1, _LARGEST_SPLAT).astype(np.int32)
-    of_points: Ints = sides[cell]
-    return of_points
-
-
-def _filled(picture: RGBA) -> RGBA:
-    """Transparent pixels, which are black, take the mean of the opaque ones that they are mostly surrounded by."""
-    for _ in range(_FILL_PASSES):
-        around = cv2.boxFilter(picture, cv2.CV_16U, (3, 3), normalize=False)
-        gap = np.nonzero((picture[..., 3] == 0) & (around[..., 3] >= 255 * _SURROUNDED))
-        filling = around[gap].astype(np.float32)
-        picture[gap] = np.rint(255 * filling / filling[:, 3:])
-    return picture
-
-
-def _shrunk(picture: RGBA) -> RGBA:
-    """Average over the supersampled pixels.
-
-    Transparent pixels are black, so that colours are means times opacity, and are divided by it.
-    """
-    size = (picture.shape[1] // _SUPERSAMPLING, picture.shape[0] // _SUPERSAMPLING)
-    small = np.asarray(cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
-    edge = np.nonzero((small[..., 3] > 0) & (small[..., 3] < 255))
-    mixed = small[edge]
-    mixed[:, :3] *= 255 / mixed[:, 3:]
-    small[edge] = mixed
-    return np.asarray(np.rint(small), np.uint8)
+    brightness = (1.05 * 255 * np.clip(np.arange(256) / white, 0, 1) ** 0.8).astype(np.float32)
+    return shaded_colours(colours, normals, index, brightness, (lamp / np.linalg.norm(lamp)).astype(np.float32))

@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
+from calib.parallel import in_parallel
 from scanner.quantities import plain
 from scanner.reporting import sections
 from scanner.reporting.contents import CaptureFacts, CaptureRow, ReportInput
@@ -20,7 +22,7 @@ from scanner.reporting.uncertainty import point_sigmas, price_of_principal_point
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
 
-__all__ = ["CaptureFacts", "CaptureRow", "ReportInput", "write_report"]
+__all__ = ["PARTS", "CaptureFacts", "CaptureRow", "ReportInput", "write_report"]
 
 _FILES = {
     "calibration.yaml": "intrinsics of both devices, and the motion between them",
@@ -35,13 +37,32 @@ _FILES = {
 }
 
 
+# What takes a while to make; the longest first, so that none of them is left for the end.
+PARTS: dict[str, Callable[[ReportInput], object]] = {
+    "views": sections.cloud_views,
+    "misses": misses,
+    "faces": sections.faces,
+    "sigmas": point_sigmas,
+    "focal": focal_length,
+    "merged": merged_views,
+    "face_residuals": face_residuals,
+    "flatness": flatness,
+    "depth": sections.depth,
+    "view3d": view3d,
+    "scene": sections.scene,
+    "mask": lambda report: sections.mask(report.decoding),
+}
+
+
 def write_report(path: Path, report: ReportInput) -> None:
     """Write the page. It needs no network and no other file.
 
     Raises OSError if the file cannot be written.
     """
-    tables, faces = sections.tables(report), sections.faces(report)
+    parts = dict(zip(PARTS, in_parallel(lambda part: part(report), PARTS.values()), strict=True))
+    tables = sections.tables(report)
     page = _template().render(
+        **parts,
         title=report.title,
         subtitle=sections.subtitle(report.capture),
         verdict=verdict(report),
@@ -57,22 +78,10 @@ def write_report(path: Path, report: ReportInput) -> None:
         plain=plain,
         has_truth=report.truth is not None,
         photos=report.capture.photos,
-        faces=faces,
-        scene=None if faces else sections.scene(report),
         captures=joint_rows(report),
-        merged=merged_views(report),
-        sigmas=point_sigmas(report),
-        focal=focal_length(report),
-        views=sections.cloud_views(report),
-        view3d=view3d(report),
+        capture=sections.capture_rows(report),
         script=_script(),
         script_hash=_hash(_script()),
-        depth=sections.depth(report),
-        flatness=flatness(report),
-        face_residuals=face_residuals(report),
-        misses=misses(report),
-        mask=sections.mask(report.decoding),
-        capture=sections.capture_rows(report),
         files=[(name, _FILES.get(name, "")) for name in report.files],
         unit=report.calibration.unit if report.calibration else "",
     )

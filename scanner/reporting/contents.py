@@ -2,16 +2,23 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
-from calib.arrays import Image
+import numpy as np
+
+from calib.arrays import Image, Ints
 from calib.calibration import Calibration
 from calib.matches import Matches
+from calib.pixel_index import NONE
 from calib.refusal import RefusalError
 from calib.selfcalibration import SelfCalibration
 from scanner.cloud import Cloud
 from scanner.decode import Decoding
 from scanner.merged_cloud import MergedCloud
 from scanner.patterns import Pattern
+from scanner.reporting.reduction import cells_over, one_in_cells, places_within
+
+_MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
 
 
 @dataclass(frozen=True)
@@ -90,6 +97,34 @@ class ReportInput:
     def __post_init__(self) -> None:
         if (self.calibration is None) == (self.refusal is None):
             raise ValueError("a report needs a calibration or a refusal, and not both")
+
+    @cached_property
+    def on_faces(self) -> Ints:
+        """Some of the matches with a face, by number (n,): all, or one in each cell of `cell_px` of the image."""
+        face = self.matches.face
+        if face is None:
+            return np.zeros(0, np.int64)
+        if np.count_nonzero(face >= 0) <= _MOST_ON_FACES:
+            return np.flatnonzero(face >= 0)
+        drawn = one_in_cells(self.matches.camera_px, face, 0, *cells_over(self.capture.camera_size, _MOST_ON_FACES))
+        return np.asarray(drawn[drawn != NONE])
+
+    @cached_property
+    def sample(self) -> Matches:
+        """The matches `on_faces`."""
+        return self.matches[self.on_faces]
+
+    @property
+    def cell_px(self) -> int:
+        """Side of square cells that are fine enough for what a page shows of matches."""
+        return cells_over(self.capture.camera_size, _MOST_ON_FACES)[0]
+
+    @cached_property
+    def in_cloud(self) -> tuple[int, Ints]:
+        """How many pixels of the camera have a point, and some of them by number (n,): 100,000 at most, row by row."""
+        if self.cloud is None:
+            return 0, np.zeros(0, np.int64)
+        return places_within(self.cloud.points[..., 2], np.inf, _MOST_IN_CLOUD)
 
     @property
     def texture(self) -> Image | None:

@@ -14,8 +14,6 @@ from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import ScaledMap, picture
 
-# A plane's fit from so many points is as good as its covariance needs; the map shows no more.
-_SAMPLE = 45_000
 _SHOWN_SHARE = 99
 _MAP_SIDE = 640
 
@@ -39,31 +37,29 @@ class Flatness:
 
 def flatness(report: ReportInput) -> Flatness | None:
     """The faces of the cloud; None without a cloud or labelled faces."""
-    cloud, matches = report.cloud, report.matches
-    if cloud is None or matches.face is None:
+    cloud, face = report.cloud, report.sample.face
+    if cloud is None or face is None:
         return None
-    labelled = np.flatnonzero(matches.face >= 0)
-    labelled = labelled[:: max(1, len(labelled) // _SAMPLE)]
-    pixel = np.rint(matches.camera_px[labelled]).astype(np.int64)
+    pixel = np.rint(report.sample.camera_px).astype(np.int64)
     height, width = cloud.points.shape[:2]
     inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
-    labelled, pixel = labelled[inside], pixel[inside]
+    face, pixel = face[inside], pixel[inside]
     points = cloud.points[pixel[:, 1], pixel[:, 0]].astype(np.float64)
     there = np.isfinite(points[:, 2])
-    faces, angles = measure_faces(points[there], pixel[there], matches.face[labelled[there]], width)
+    faces, angles = measure_faces(points[there], pixel[there], face[there], width)
     if not faces:
         return None
     unit = shown_unit(cloud.unit)
     rows = tuple(
         FlatnessRow(face.name, (unit.error(face.errors.mean_absolute), unit.error(face.errors.form))) for face in faces
     )
-    return Flatness(_map(faces, (width, height), unit.factor, unit.name), rows, tuple(map(_shown, angles)))
+    painted = _map(faces, (width, height), report.cell_px, unit.factor, unit.name)
+    return Flatness(painted, rows, tuple(map(_shown, angles)))
 
 
-def _map(faces: tuple[FaceMeasurement, ...], size: tuple[int, int], factor: float, unit: str) -> ScaledMap:
+def _map(faces: tuple[FaceMeasurement, ...], size: tuple[int, int], step: int, factor: float, unit: str) -> ScaledMap:
     off: Floats = factor * np.concatenate([face.errors.residual for face in faces])
     pixel = np.concatenate([face.errors.pixel for face in faces])
-    step = max(1, int(np.ceil(np.sqrt(size[0] * size[1] / _SAMPLE / 2))))
     grid: NDArray[np.float32] = np.full(((size[1] - 1) // step + 1, (size[0] - 1) // step + 1), np.nan, np.float32)
     grid[tuple((pixel // step).T[::-1])] = off
     painted, scale = maps.signed_map(grid, float(np.percentile(np.abs(off), _SHOWN_SHARE)) or 1e-6, unit, _MAP_SIDE)

@@ -1,15 +1,18 @@
 """The camera's focal length: how well it is determined, and which other values were in question."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from markupsafe import Markup
 
 from calib.arrays import Floats
+from calib.calibration import Calibration
+from calib.camera import Intrinsics
 from calib.cells import into_cells
 from calib.homography import TooFewMatchesError
 from calib.likelihood import Knowledge
-from calib.paper import Objective, exact_search
+from calib.matches import Matches
+from calib.paper import Objective, exact_search, objective_for
 from calib.selfcalibration import paper_trials
 from calib.sweep import family_of
 from scanner.reporting import plots
@@ -51,20 +54,39 @@ def _objective(report: ReportInput) -> Markup | None:
     if solution is not None and solution.method == "paper":
         profile = solution.profile
         return plots.objective_plot(profile.focal_px, profile.cost, solution.calibration.camera.focal_px[0])
-    matches = solution.matches if solution else report.matches
-    if matches.face is None or (report.refusal is None and solution is None):
+    if not len(report.on_faces) or (report.refusal is None and solution is None):
         return None
-    width, height = report.capture.camera_size
-    centre = solution.calibration.camera.principal_point_px if solution else ((width - 1) / 2, (height - 1) / 2)
-    labelled = np.flatnonzero(matches.face >= 0)
-    sample = matches[labelled[:: max(1, len(labelled) // _SAMPLE)].astype(np.int32)]
-    knowledge = Knowledge((width, height), report.capture.projector_size, centre, 0.0, _SQUARE)
+    sample = report.sample[:: max(1, len(report.sample) // _SAMPLE)]
+    size = report.capture.camera_size
     try:
-        family = family_of(into_cells(sample), knowledge)
+        objective = _by_calibration(sample, solution.calibration) if solution else _by_straightness(sample, report)
     except TooFewMatchesError:
         return None
     chosen = solution.calibration.camera.focal_px[0] if solution else None
-    return plots.objective_plot(*_searched(family.objective, paper_trials((width, height))), chosen)
+    return plots.objective_plot(*_searched(objective, paper_trials(size)), chosen)
+
+
+def _by_calibration(matches: Matches, calibration: Calibration) -> Objective:
+    """The objective of pinhole cameras, the bend of whose lenses the calibration knows."""
+    camera_px = _without_bend(matches.camera_px, calibration.camera)
+    projector_px = _without_bend(matches.projector_px, calibration.projector)
+    known = np.flatnonzero(np.isfinite(camera_px + projector_px).all(axis=1))
+    straight = replace(matches[known], camera_px=camera_px[known], projector_px=projector_px[known])
+    return objective_for(straight, calibration.camera.principal_point_px)
+
+
+def _without_bend(pixels: Floats, device: Intrinsics) -> Floats:
+    """Where pixels (N, 2) would be without the lens's distortion; NaN where the lens model has no inverse."""
+    straight: Floats = device.unproject(pixels)[:, :2] * np.array(device.focal_px) + np.array(device.principal_point_px)
+    return straight
+
+
+def _by_straightness(matches: Matches, report: ReportInput) -> Objective:
+    """The objective of lenses whose bend makes the faces' homographies straight, for want of a calibration."""
+    width, height = report.capture.camera_size
+    centre = (width - 1) / 2, (height - 1) / 2
+    knowledge = Knowledge((width, height), report.capture.projector_size, centre, 0.0, _SQUARE)
+    return family_of(into_cells(matches), knowledge).objective
 
 
 def _searched(objective: Objective, focal_px: Floats) -> tuple[Floats, Floats]:

@@ -7,10 +7,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Bools, Floats, Image
+from calib.arrays import Bools, Floats, Image, Ints
 from calib.camera import Intrinsics
 from calib.corner import Corner
-from calib.matches import NO_FACE, Matches
+from calib.matches import Matches
+from scanner.reporting.png import IndexedPicture, Pixels, png_of
+from scanner.reporting.reduction import Map, averaged, extent, labels_on_grid
 
 # Okabe & Ito (2008): told apart by every kind of colour vision, and in print.
 ORANGE, SKY_BLUE, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
@@ -24,11 +26,8 @@ _FACE_OPACITY = 0.5
 # Noise compresses badly; this many steps are as many as an eye tells apart in a map of it.
 _RESIDUAL_STEPS = 25
 _EDGE_SAMPLES = 400
-# Higher levels take several times as long for a few per cent.
-_PNG_LEVEL = 3
-_LETTER_SAMPLE = 20_000
+_SAMPLE = 100_000
 
-Pixels = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 
@@ -75,15 +74,18 @@ class Overlay:
     letters: tuple[tuple[str, float, float], ...]
 
 
-def data_uri(picture: Pixels, *, jpeg: bool = False) -> str:
-    """RGB or RGBA (H, W, 3 or 4) as a data URI; `jpeg` for photographs, which must be RGB."""
-    bgr = cv2.cvtColor(picture, cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR)
-    kind, options = (
-        ("jpeg", [cv2.IMWRITE_JPEG_QUALITY, 85]) if jpeg else ("png", [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])
-    )
-    written, encoded = cv2.imencode(f".{kind}", bgr, options)
-    assert written, "OpenCV encodes PNG and JPEG in every build"
-    return f"data:image/{kind};base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"
+def data_uri(picture: Pixels | IndexedPicture, *, jpeg: bool = False) -> str:
+    """RGBA (H, W, 4), or one with a palette, as a data URI; with `jpeg`, for photographs, it must be RGB."""
+    kind, encoded = ("jpeg", _jpeg_of(picture)) if jpeg else ("png", png_of(picture))
+    return f"data:image/{kind};base64,{base64.b64encode(encoded).decode('ascii')}"
+
+
+def _jpeg_of(picture: Pixels | IndexedPicture) -> bytes:
+    assert not isinstance(picture, IndexedPicture)
+    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    written, encoded = cv2.imencode(".jpeg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    assert written, "OpenCV encodes JPEG in every build"
+    return encoded.tobytes()
 
 
 def css_colour(colour: Colour) -> str:
@@ -93,16 +95,11 @@ def css_colour(colour: Colour) -> str:
 
 def photograph(texture: Image) -> Pixels:
     """The camera's image of the lit scene for the eye: RGB (H, W, 3), reduced, stretched and brightened."""
-    small = _reduced_photograph(texture)
-    white = max(1.0, float(np.percentile(small, 99.5)))
-    shown = 255 * np.clip(small / white, 0, 1) ** (1 / 1.8)
-    rgb = shown[..., ::-1] if shown.ndim == 3 else np.repeat(shown[..., None], 3, axis=2)
-    return _as_pixels(rgb)
-
-
-def _reduced_photograph(texture: Image) -> Floats:
     small = cv2.resize(texture, _reduced_size(texture.shape[1], texture.shape[0]), interpolation=cv2.INTER_AREA)
-    return np.asarray(small, dtype=np.float64)
+    levels = np.arange(np.iinfo(texture.dtype).max + 1)
+    white = max(1.0, float(np.percentile(small[::2, ::2], 99.5)))
+    shown = _as_pixels(255 * np.clip(levels / white, 0, 1) ** (1 / 1.8))[small]
+    return np.ascontiguousarray(shown[..., ::-1] if shown.ndim == 3 else cv2.cvtColor(shown, cv2.COLOR_GRAY2RGB))
 
 
 def _reduced_size(width: int, height: int, longest_side: int = LONGEST_SIDE) -> tuple[int, int]:
@@ -110,45 +107,53 @@ def _reduced_size(width: int, height: int, longest_side: int = LONGEST_SIDE) -> 
     return max(1, round(width * factor)), max(1, round(height * factor))
 
 
-def faces_over(background: Pixels, matches: Matches, camera: tuple[int, int]) -> Pixels:
-    """Faces in colour over a grey `background` (H, W, 3); `camera` is the (width, height) of the matches' image."""
-    height, width = background.shape[:2]
+def face_labels(matches: Matches, camera: tuple[int, int]) -> Pixels:
+    """Which face is where, 1, 2, 3, or 0 for none: the image of the `camera` (width, height), reduced."""
     assert matches.face is not None
-    labels = np.full((height, width), NO_FACE, dtype=np.int32)
-    column, row = (
-        np.floor((matches.camera_px[:, axis] + 0.5) * (small / full)).astype(np.int32)
-        for axis, (small, full) in enumerate(zip((width, height), camera, strict=True))
-    )
-    shown = np.flatnonzero((matches.face >= 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height))
-    labels[row[shown], column[shown]] = matches.face[shown]
-    picture = np.asarray(cv2.cvtColor(cv2.cvtColor(background, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), np.uint8)
-    for face, colour in enumerate(FACE_COLOURS):
-        covered = np.nonzero(_closed(labels == face))
-        picture[covered] = _as_pixels((1 - _FACE_OPACITY) * picture[covered] + _FACE_OPACITY * np.array(colour))
-    return picture
+    return labels_on_grid(matches.camera_px, matches.face, camera, _reduced_size(*camera))
 
 
-def _closed(mask: Bools) -> Bools:
-    """A mask without the gaps that sparse matches leave."""
+def faces_over(background: Pixels, labels: Pixels) -> Pixels:
+    """Faces in colour over a grey `background` (h, w, 3), as `labels` (h, w) says."""
+    grey = np.asarray(cv2.cvtColor(background, cv2.COLOR_RGB2GRAY), np.uint8)
+    covered = np.zeros_like(labels)
+    for face in range(1, len(FACE_COLOURS) + 1):
+        np.maximum(covered, _closed(labels == face) * np.uint8(face), out=covered)
+    greys = np.repeat(np.arange(256.0)[:, None], 3, axis=1)
+    shades = [greys, *((1 - _FACE_OPACITY) * greys + _FACE_OPACITY * np.array(colour) for colour in FACE_COLOURS)]
+    painted: Pixels = _as_pixels(np.concatenate(shades))[covered * np.uint16(256) + grey]
+    return painted
+
+
+def _closed(mask: Bools) -> Pixels:
+    """A mask, 0 or 1, without the gaps that sparse matches leave."""
     kernel = np.ones((5, 5), np.uint8)
-    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0, np.bool_)
+    return np.asarray(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, kernel), np.uint8)
 
 
 def face_overlay(
-    matches: Matches, camera_size: tuple[int, int], corner: Corner | None, camera: Intrinsics | None
+    labels: Pixels, camera_size: tuple[int, int], corner: Corner | None, camera: Intrinsics | None
 ) -> Overlay:
     """The faces' letters, and where the corner's edges should be if the calibration is right."""
-    assert matches.face is not None
     letters = []
-    for face, name in enumerate(FACE_NAMES):
-        members = np.flatnonzero(matches.face == face)
-        if len(members):
-            x, y = np.median(matches.camera_px[members[:: max(1, len(members) // _LETTER_SAMPLE)]], axis=0)
-            letters.append((name, float(x), float(y)))
+    for face, name in enumerate(FACE_NAMES, start=1):
+        on_face = labels == face
+        if on_face.any():
+            x, y = (
+                (_median_place(on_face.sum(axis=axis)) + 0.5) * full / small - 0.5
+                for axis, (full, small) in enumerate(zip(camera_size, labels.shape[::-1], strict=True))
+            )
+            letters.append((name, x, y))
     edges = []
     if corner is not None and camera is not None:
         edges = [_edge(corner.vertex, leg, camera) for leg in corner.legs]
     return Overlay(*camera_size, tuple(edge for edge in edges if edge), tuple(letters))
+
+
+def _median_place(counts: Ints) -> float:
+    """The median of numbers from 0, of which there are so many each."""
+    cumulated = np.cumsum(counts)
+    return float(np.searchsorted(cumulated, cumulated[-1] / 2))
 
 
 def _edge(vertex: Floats, leg: Floats, camera: Intrinsics) -> str:
@@ -167,15 +172,13 @@ def _edge(vertex: Floats, leg: Floats, camera: Intrinsics) -> str:
     return " ".join(f"{x:.1f},{y:.1f}" for x, y in visible)
 
 
-def _cropped(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _cropped(values: Map) -> Map:
     """The part of a map (H, W), NaN for nothing, in which there is something, and a margin."""
-    there = np.isfinite(values)
-    if not there.any():
+    top, bottom, left, right = extent(values)
+    if bottom < top:
         return values
-    rows, columns = (np.flatnonzero(there.any(axis=axis)) for axis in (1, 0))
     margin = max(2, max(values.shape) // 50)
-    top, left = max(0, int(rows[0]) - margin), max(0, int(columns[0]) - margin)
-    return values[top : int(rows[-1]) + margin + 1, left : int(columns[-1]) + margin + 1]
+    return values[max(0, top - margin) : bottom + margin + 1, max(0, left - margin) : right + margin + 1]
 
 
 def shaded(share: NDArray[np.floating], shades: Pixels) -> Pixels:
@@ -184,25 +187,19 @@ def shaded(share: NDArray[np.floating], shades: Pixels) -> Pixels:
     return np.asarray(shades[np.minimum(share * count, count - 1).astype(np.intp)], np.uint8)
 
 
-def _reduced(values: NDArray[np.float32], longest_side: int = LONGEST_SIDE) -> NDArray[np.float32]:
+def _reduced(values: Map, longest_side: int = LONGEST_SIDE) -> Map:
     """A map (H, W) with NaN for nothing, reduced by averaging what is there."""
-    size = _reduced_size(values.shape[1], values.shape[0], longest_side)
-    there = np.isfinite(values)
-    weight = cv2.resize(there.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    total = cv2.resize(np.where(there, values, np.float32(0)), size, interpolation=cv2.INTER_AREA)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(weight > 0, total / weight, np.nan).astype(np.float32)
+    return averaged(values, _reduced_size(values.shape[1], values.shape[0], longest_side))
 
 
-def _painted(values: NDArray[np.float32], low: float, high: float, shades: Pixels, steps: int = 256) -> Pixels:
-    """RGBA, transparent for NaN, of values clipped to low … high in a number of steps."""
+def _painted(values: Map, low: float, high: float, shades: Pixels, steps: int = 255) -> IndexedPicture:
+    """Transparent for NaN, of values clipped to low … high in a number of steps."""
     there = np.isfinite(values)
-    position = np.clip((np.where(there, values, low) - low) / max(high - low, 1e-30), 0, 1)
+    position = np.clip((np.where(there, values, np.float32(low)) - low) / max(high - low, 1e-30), 0, 1)
     chosen = shades[np.rint(np.linspace(0, len(shades) - 1, steps)).astype(np.intp)]
-    table = np.concatenate([chosen, np.full((steps, 1), 255, np.uint8)], axis=1)
-    painted: Pixels = table[np.rint(position * (steps - 1)).astype(np.intp)]
-    painted[~there] = 0
-    return painted
+    palette = np.zeros((steps + 1, 4), np.uint8)
+    palette[1:, :3], palette[1:, 3] = chosen, 255
+    return IndexedPicture((np.rint(position * (steps - 1)).astype(np.uint8) + np.uint8(1)) * there, palette)
 
 
 def _legend(shades: Pixels, low: str, high: str) -> ColourScale:
@@ -210,37 +207,38 @@ def _legend(shades: Pixels, low: str, high: str) -> ColourScale:
     return ColourScale(tuple(css_colour((int(r), int(g), int(b))) for r, g, b in chosen), low, high)
 
 
-def depth_map(points: NDArray[np.float32], unit: str) -> tuple[Pixels, ColourScale]:
+def depth_map(points: NDArray[np.float32], unit: str) -> tuple[IndexedPicture, ColourScale]:
     """Depth z of a cloud (H, W, 3) in colour, near to far."""
     depth = _reduced(_cropped(points[..., 2]))
-    low, high = np.nanpercentile(depth, (0.5, 99.5)) if np.isfinite(depth).any() else (0.0, 1.0)
+    there = depth[np.isfinite(depth)]
+    low, high = np.percentile(there[:: max(1, len(there) // _SAMPLE)], (0.5, 99.5)) if len(there) else (0.0, 1.0)
     name = "baselines" if unit == "baseline" else unit
     legend = _legend(_DEPTHS, f"{low:.3g} {name}", f"{high:.3g} {name}")
     return _painted(depth, float(low), float(high), _DEPTHS), legend
 
 
-def sigma_map(percent: NDArray[np.float32]) -> tuple[Pixels, ColourScale]:
+def sigma_map(percent: Map) -> tuple[IndexedPicture, ColourScale]:
     """Relative standard deviations (h, w) on a coarse grid in colour, enlarged, low to high."""
     low, high = (float(value) for value in np.nanpercentile(percent, (1, 99)))
     factor = max(1, LONGEST_SIDE // max(percent.shape))
     painted = _painted(_cropped(percent), low, high, _SIGMAS)
-    enlarged: Pixels = painted.repeat(factor, axis=0).repeat(factor, axis=1)
+    enlarged = IndexedPicture(painted.index.repeat(factor, axis=0).repeat(factor, axis=1), painted.palette)
     return enlarged, _legend(_SIGMAS, f"{low:.2g} %", f"{high:.2g} %")
 
 
 def signed_map(
-    values: NDArray[np.float32], limit: float, unit: str, longest_side: int = LONGEST_SIDE
-) -> tuple[Pixels, ColourScale]:
+    values: Map, limit: float, unit: str, longest_side: int = LONGEST_SIDE
+) -> tuple[IndexedPicture, ColourScale]:
     """Values (H, W) of either sign, NaN for none, in two colours around light grey, ± `limit`."""
     legend = _legend(_SIGNED, f"−{limit:.2g} {unit}", f"+{limit:.2g} {unit}")
     return _painted(_reduced(_cropped(values), longest_side), -limit, limit, _SIGNED, _RESIDUAL_STEPS), legend
 
 
-def category_map(categories: NDArray[np.uint8], colours: dict[int, Colour]) -> Pixels:
-    """RGBA of an image of numbers (H, W); numbers without a colour are transparent."""
-    table = np.zeros((256, 4), dtype=np.uint8)
+def category_map(categories: Pixels, colours: dict[int, Colour]) -> IndexedPicture:
+    """An image of numbers (H, W) in colours; numbers without one are transparent."""
+    palette = np.zeros((256, 4), dtype=np.uint8)
     for number, colour in colours.items():
-        table[number] = (*colour, 255)
+        palette[number] = (*colour, 255)
     size = _reduced_size(categories.shape[1], categories.shape[0])
-    painted: Pixels = table[cv2.resize(categories, size, interpolation=cv2.INTER_NEAREST)]
-    return painted
+    small = cv2.resize(categories, size, interpolation=cv2.INTER_NEAREST)
+    return IndexedPicture(np.asarray(small, np.uint8), palette)

@@ -1,6 +1,7 @@
 """What the matches are off by: maps, histograms, and whether that is random or has a pattern."""
 
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from markupsafe import Markup
@@ -15,11 +16,13 @@ from scanner.cloud import Cloud, CloudStatistics
 from scanner.quantities import percent
 from scanner.reporting import maps, plots
 from scanner.reporting.contents import ReportInput
+from scanner.reporting.reduction import places_within
 from scanner.reporting.sections import LegendEntry, ScaledMap, picture
 
 # Blur and noise of a decoder reach a few pixels; squares of this share of the image's width are beyond that.
 _CELL_OF_WIDTH = 1 / 64
-_SAMPLE = 100_000
+# Of millions so many show the same, to the width of a histogram's line.
+_SAMPLE, _TESTED = 250_000, 100_000
 _HALF_PAGE = 480
 _SHOWN_SHARE = 99
 
@@ -47,10 +50,9 @@ class Misses:
 def face_residuals(report: ReportInput) -> Residuals | None:
     """Matches on the three faces against the corner, in x and y of the projector; None without a solution."""
     solution = report.solution
-    if solution is None or solution.matches.face is None:
+    if solution is None or not len(report.on_faces):
         return None
-    labelled = np.flatnonzero(solution.matches.face >= 0)
-    sample = solution.matches[labelled[:: max(1, len(labelled) // _SAMPLE)].astype(np.int32)]
+    sample = report.sample
     residual_px = _off_the_corner(sample, solution.calibration, solution.corner)
     known = np.isfinite(residual_px).all(axis=1)
     pixel, residual_px = sample.camera_px[known], residual_px[known]
@@ -58,9 +60,8 @@ def face_residuals(report: ReportInput) -> Residuals | None:
         return None
     size = report.capture.camera_size
     limit = float(np.percentile(np.abs(residual_px), _SHOWN_SHARE)) or 1e-3
-    step = max(1, int(np.ceil(np.sqrt(len(labelled) / len(sample)))))
     drawn = tuple(
-        (_map(_on_grid(pixel, residual_px[:, axis], size, step), limit, f"residuals in {name}"), caption)
+        (_map(_on_grid(pixel, residual_px[:, axis], size, report.cell_px), limit, f"residuals in {name}"), caption)
         for axis, (name, caption) in enumerate((name, f"Along the {report.capture.second}'s {name}.") for name in "xy")
     )
     found = spatial_correlation(pixel, residual_px, _cell_px(size))
@@ -91,16 +92,16 @@ def misses(report: ReportInput) -> Misses | None:
     if cloud is None or not np.isfinite(cloud.residual_px).any():
         return None
     statistics = cloud.statistics
-    limit = _shown_range(cloud)
-    row, column = np.nonzero(np.abs(cloud.residual_px) <= statistics.limit_px)
-    chosen = slice(None, None, max(1, len(row) // _SAMPLE))
-    pixel = np.stack([column[chosen], row[chosen]], axis=1).astype(np.float64)
-    residual_px = cloud.residual_px[row[chosen], column[chosen]].astype(np.float64)
-    found = spatial_correlation(pixel, residual_px, _cell_px(report.capture.camera_size))
+    limit = _shown_range(report, cloud)
+    _, close = places_within(cloud.residual_px, statistics.limit_px, _SAMPLE)
+    pixel = np.stack(np.divmod(close, cloud.residual_px.shape[1])[::-1], axis=1).astype(np.float64)
+    residual_px = cloud.residual_px.ravel()[close].astype(np.float64)
+    every = max(1, ceil(len(pixel) / _TESTED))
+    found = spatial_correlation(pixel[::every], residual_px[::every], _cell_px(report.capture.camera_size))
     painted = _map(cloud.residual_px, limit, "misses of the rays", maps.LONGEST_SIDE)
     residuals = Residuals(
         ((painted, ""),),
-        plots.residual_histogram([cloud.residual_px], statistics.decoder_px, limit, f"miss ({report.capture.pixels})"),
+        plots.residual_histogram([residual_px], statistics.decoder_px, limit, f"miss ({report.capture.pixels})"),
         float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else 0.0,
         statement(found),
         found is not None and found.structured,
@@ -137,14 +138,15 @@ def _map(values: NDArray[np.float32], limit: float, alt: str, longest_side: int 
 def _on_grid(pixel: Floats, values: Floats, size: tuple[int, int], step: int) -> NDArray[np.float32]:
     """Values (N,) at pixels (N, 2) of an image of (width, height), on a grid `step` times as coarse, NaN for none."""
     grid = np.full(((size[1] - 1) // step + 1, (size[0] - 1) // step + 1), np.nan, np.float32)
-    column, row = (np.clip(np.rint(pixel[:, axis] / step), 0, grid.shape[1 - axis] - 1).astype(int) for axis in (0, 1))
+    cell = np.floor((pixel + 0.5) / step).astype(np.int64)
+    column, row = (np.clip(cell[:, axis], 0, grid.shape[1 - axis] - 1) for axis in (0, 1))
     grid[row, column] = values
     return grid
 
 
-def _shown_range(cloud: Cloud) -> float:
+def _shown_range(report: ReportInput, cloud: Cloud) -> float:
     """Half-width of the scale: what all but a hundredth of the points stay within."""
-    kept = np.abs(cloud.residual_px[cloud.there])
+    kept = np.abs(cloud.residual_px.ravel()[report.in_cloud[1]])
     return float(np.percentile(kept, _SHOWN_SHARE)) if len(kept) and kept.any() else cloud.statistics.limit_px
 
 

@@ -3,19 +3,20 @@
 from collections import Counter
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from calib.arrays import Floats
-from calib.parallel import in_parallel
-from scanner.cloud import Cloud
 from scanner.decode import Decoding, MaskReason
 from scanner.patterns import Gray, Pattern, Phase, Xor
 from scanner.quantities import Quantity, corner_quantities, device_quantities, percent, pose_quantities
 from scanner.rendering import render, rig_frusta, standard_views
 from scanner.reporting import maps
 from scanner.reporting.contents import CaptureFacts, ReportInput
+from scanner.reporting.png import IndexedPicture, Pixels
 
 _VIEW_SIZES = {"oblique": (960, 640), "top": (560, 400), "front": (560, 400)}
+_STEP = 8  # of rows and columns, which tell as well as all how bright an image is
 FRUSTUM_LENGTH = 0.15  # of the scene's depth
 _VIEW_CAPTIONS = {
     "oblique": "From the side and above, with the camera (blue) and the projector (red).",
@@ -109,19 +110,19 @@ def tables(report: ReportInput) -> tuple[Table, ...]:
 
 def faces(report: ReportInput) -> Faces | None:
     """The faces over the white frame; None if none were found."""
-    matches = report.solution.matches if report.solution else report.matches
-    if matches.face is None or not (matches.face >= 0).any():
+    if not len(report.on_faces):
         return None
     width, height = report.capture.camera_size
+    labels = maps.face_labels(report.matches, (width, height))
     texture = np.full((height, width), 128, dtype=np.uint8) if report.texture is None else report.texture
-    painted = maps.faces_over(maps.photograph(texture), matches, (width, height))
+    painted = maps.faces_over(maps.photograph(texture), labels)
     overlay = maps.face_overlay(
-        matches,
+        labels,
         (width, height),
         report.solution.corner if report.solution else None,
         report.calibration.camera if report.calibration else None,
     )
-    counts = [int((matches.face == face).sum()) for face in range(3)]
+    counts = [np.count_nonzero(report.matches.face == face) for face in range(3)]
     return Faces(
         picture(painted, "the camera's image with the faces of the corner in colour", jpeg=True),
         overlay,
@@ -133,8 +134,8 @@ def faces(report: ReportInput) -> Faces | None:
 
 
 def scene(report: ReportInput) -> Picture | None:
-    """The camera's image of the lit scene."""
-    if report.texture is None:
+    """The camera's image of the lit scene, where no faces were found to show in it."""
+    if report.texture is None or len(report.on_faces):
         return None
     return picture(maps.photograph(report.texture), "the camera's image under white light", jpeg=True)
 
@@ -142,11 +143,11 @@ def scene(report: ReportInput) -> Picture | None:
 def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
     """Pictures of the cloud from the side, above and the front."""
     cloud, calibration = report.cloud, report.calibration
-    if cloud is None or calibration is None or not cloud.there.any():
+    if cloud is None or calibration is None or not report.in_cloud[0]:
         return ()
     forward = np.array([0.0, 0.0, 1.0])
     views = standard_views(forward, upright(report))
-    frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(cloud), maps.BLUE, maps.VERMILION)
+    frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(report), maps.BLUE, maps.VERMILION)
 
     def show(name: str) -> Picture:
         return picture(
@@ -155,7 +156,7 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
             caption=_caption(name, report.capture) + (_CORNER_CAPTIONS[name] if report.solution else ""),
         )
 
-    return tuple(in_parallel(show, views))
+    return tuple(map(show, views))
 
 
 def _caption(view: str, capture: CaptureFacts) -> str:
@@ -175,14 +176,15 @@ def upright(report: ReportInput) -> Floats:
     return upright
 
 
-def typical_depth(cloud: Cloud) -> float:
-    """Median depth of the points."""
-    return float(np.median(cloud.points[..., 2][cloud.there]))
+def typical_depth(report: ReportInput) -> float:
+    """Median depth of the points of the cloud, in its unit."""
+    assert report.cloud is not None
+    return float(np.median(report.cloud.points.reshape(-1, 3)[report.in_cloud[1], 2]))
 
 
 def depth(report: ReportInput) -> ScaledMap | None:
     """Depth over the camera's image."""
-    if report.cloud is None or not report.cloud.there.any():
+    if report.cloud is None or not report.in_cloud[0]:
         return None
     painted, scale = maps.depth_map(report.cloud.points, report.cloud.unit)
     return ScaledMap(picture(painted, "depth over the camera's image"), scale)
@@ -192,7 +194,7 @@ def mask(decoding: Decoding | None) -> Mask | None:
     """Why pixels have no match, as a map with shares."""
     if decoding is None:
         return None
-    counts = np.bincount(decoding.reasons.ravel(), minlength=256)
+    counts = cv2.calcHist([decoding.reasons], [0], None, [256], [0, 256]).ravel()
     present = [reason for reason in MaskReason if counts[reason]]
     return Mask(
         picture(
@@ -245,7 +247,7 @@ def capture_rows(report: ReportInput) -> tuple[tuple[str, str], ...]:
 def _about_frames(decoding: Decoding) -> list[tuple[str, str]]:
     """Saturation, noise and flicker of the frames."""
     saturated = np.count_nonzero(decoding.reasons == MaskReason.SATURATED) / decoding.reasons.size
-    dark, bright = decoding.noise.sigma(np.array([0.0, float(np.percentile(decoding.texture, 95))]))
+    dark, bright = decoding.noise.sigma(np.array([0.0, float(np.percentile(decoding.texture[::_STEP, ::_STEP], 95))]))
     rows = [
         ("saturated", f"{percent(saturated)} of the pixels"),
         (
@@ -279,6 +281,6 @@ def _kind(pattern: Pattern) -> str:
     return type(pattern).__name__.lower()
 
 
-def picture(pixels: maps.Pixels, alt: str, *, caption: str = "", jpeg: bool = False) -> Picture:
+def picture(pixels: Pixels | IndexedPicture, alt: str, *, caption: str = "", jpeg: bool = False) -> Picture:
     """Pixels as an image for the page; `jpeg` for photographs."""
     return Picture(maps.data_uri(pixels, jpeg=jpeg), pixels.shape[1], pixels.shape[0], alt, caption)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.matches import Matches
+from calib.matches import NO_FACE, Matches
 from calib.model import CAMERA, PROJECTOR
 from calib.pixel_index import NONE
 from calib.selfcalibration import SelfCalibration
@@ -15,6 +15,7 @@ from calib.uncertainty import Uncertainty
 from scanner.quantities import plain
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
+from scanner.reporting.reduction import cells_over, one_in_cells
 from scanner.reporting.sections import ScaledMap, picture
 
 # Sigmas vary smoothly over the image, apart from the noise of single matches: so many of them draw the map.
@@ -48,21 +49,15 @@ def _relative_sigmas(
     matches: Matches, solution: SelfCalibration, uncertainty: Uncertainty, camera_size: tuple[int, int]
 ) -> NDArray[np.float32]:
     """Of one match in each cell of a coarse grid over the image: sigma in per cent of its depth, NaN for none."""
-    width, height = camera_size
-    step = max(1, int(np.ceil(np.sqrt(width * height / _SAMPLES))))
-    column, row = (np.floor((matches.camera_px[:, axis] + 0.5) / step).astype(np.int32) for axis in (0, 1))
-    shape = (height - 1) // step + 1, (width - 1) // step + 1
-    inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0]))
-    # The last of several values for one place is kept: backwards, that is the first match.
-    first = np.full(shape[0] * shape[1], NONE, np.int64)
-    first[(row * np.int32(shape[1]) + column)[inside[::-1]]] = inside[::-1]
-    flat = np.flatnonzero(first != NONE)
-    sample = matches[first[flat]]
+    label = np.zeros(len(matches), np.int32) if matches.face is None else matches.face
+    drawn = one_in_cells(matches.camera_px, label, NO_FACE, *cells_over(camera_size, _SAMPLES))
+    known = np.nonzero(drawn != NONE)
+    sample = matches[drawn[known]]
     met = intersect(sample, solution.calibration)
     relative = np.where(met.in_front, uncertainty.of_points(sample)[:, 2] / met.points[:, 2], np.nan)
-    grid = np.full(shape[0] * shape[1], np.nan, dtype=np.float32)
-    grid[flat] = 100 * relative
-    return grid.reshape(shape)
+    grid = np.full(drawn.shape, np.nan, dtype=np.float32)
+    grid[known] = 100 * relative
+    return grid
 
 
 def price_of_principal_point(solution: SelfCalibration | None) -> Sequence[str]:

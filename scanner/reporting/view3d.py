@@ -43,9 +43,10 @@ class View3d:
 def view3d(report: ReportInput) -> View3d | None:
     """The merged cloud if there is one, else the capture's own; None without a cloud."""
     cloud = report.merged if report.merged is not None and len(report.merged.points) else report.cloud
-    if cloud is None or report.calibration is None or not cloud.there.any():
+    total = report.in_cloud[0] if cloud is report.cloud else len(cloud.points) if cloud else 0
+    if cloud is None or report.calibration is None or not total:
         return None
-    points, colours, normals, grid = _thinned(cloud, report.calibration.camera.focal_px[0])
+    points, colours, normals, grid = _thinned(report, cloud, total)
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 1e-9)
     return View3d(
@@ -62,15 +63,15 @@ def view3d(report: ReportInput) -> View3d | None:
             separators=(",", ":"),
         ),
         len(points),
-        int(np.count_nonzero(cloud.there)),
+        total,
     )
 
 
 def _thinned(
-    cloud: Cloud | MergedCloud, focal_px: float
+    report: ReportInput, cloud: Cloud | MergedCloud, total: int
 ) -> tuple[Floats, NDArray[np.uint8], NDArray[np.float32], float]:
     """Points (n, 3), colours, normals, and the typical distance of neighbours."""
-    total = np.count_nonzero(cloud.there)
+    assert report.calibration is not None
     if isinstance(cloud, MergedCloud):
         stride = max(1, ceil(total / _MOST_POINTS))
         chosen: tuple[slice, ...] = (slice(None, None, stride),)
@@ -78,8 +79,8 @@ def _thinned(
     else:
         stride = max(1, ceil(np.sqrt(total / _MOST_POINTS)))
         chosen = (slice(None, None, stride),) * 2
-        grid = stride * typical_depth(cloud) / focal_px
-    there = cloud.there[chosen]
+        grid = stride * typical_depth(report) / report.calibration.camera.focal_px[0]
+    there = np.isfinite(cloud.points[chosen][..., 2])
     colours = cloud.colours[chosen][there]
     white = max(1.0, float(np.percentile(colours, _WHITE_PERCENTILE))) if len(colours) else 255.0
     table = np.rint(255 * np.clip(np.arange(256) / white, 0, 1) ** 0.8).astype(np.uint8)
@@ -113,7 +114,7 @@ def _outlines(report: ReportInput, cloud: Cloud | MergedCloud) -> list[dict[str,
         length = FRUSTUM_LENGTH * float(np.linalg.norm(np.median(cloud.points, axis=0)))
         to_cloud = cloud.from_cameras
     else:
-        length = FRUSTUM_LENGTH * typical_depth(cloud)
+        length = FRUSTUM_LENGTH * typical_depth(report)
         to_cloud = (np.eye(3, 4),)
     lines: list[dict[str, object]] = []
     if report.cloud is not None and to_cloud:
@@ -135,14 +136,12 @@ def _outlines(report: ReportInput, cloud: Cloud | MergedCloud) -> list[dict[str,
 
 def _faces(report: ReportInput, cloud: Cloud) -> list[tuple[str, maps.Colour, Floats]]:
     """Name, colour and convex outline (n, 3) of each labelled face, in the camera's frame."""
-    if report.matches.face is None:
-        return []
-    found = []
+    sample, found = report.sample, []
     height, width = cloud.points.shape[:2]
     for label, (name, colour) in enumerate(zip(maps.FACE_NAMES, maps.FACE_COLOURS, strict=True)):
-        on = np.flatnonzero(report.matches.face == label)
+        on = np.flatnonzero(sample.face == label)
         on = on[:: max(1, len(on) // _HULL_SAMPLE)]
-        column, row = np.rint(report.matches.camera_px[on]).astype(np.int64).T
+        column, row = np.rint(sample.camera_px[on]).astype(np.int64).T
         inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
         points = cloud.points[row[inside], column[inside]].astype(np.float64)
         points = points[np.isfinite(points[:, 2])]

@@ -14,6 +14,14 @@ from scanner.viewing.result import ViewedCloud
 _NAMED_SHADES = ("dark blue", "grey", "yellow")
 _FACE_WORDS = ("orange", "sky blue", "green")
 _SHOWN_SHARE = (0.01, 0.99)
+_NOISE_ALONE = (
+    "It is that of the single point, from the decoder's noise; errors of the calibration move neighbouring points "
+    "alike and are stated below."
+)
+_BOTH = (
+    "It comes from the decoder's noise, which moves each point by itself, and from the calibration's covariance, which "
+    "moves neighbouring points alike. The unit of length is not part of it."
+)
 
 
 class Colouring(StrEnum):
@@ -52,7 +60,8 @@ def coloured(cloud: ViewedCloud, chosen: NDArray[np.int64], colouring: Colouring
         case Colouring.FACES:
             return _by_face(cloud, chosen)
         case Colouring.SIGMA:
-            return _by_sigma(cloud.depth_sigma(chosen), cloud.unit)
+            source = _NOISE_ALONE if cloud.uncertainty is None else _BOTH
+            return _by_sigma(cloud.depth_sigma(chosen), cloud.unit, source)
 
 
 def _brightened(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -72,7 +81,7 @@ def _by_face(cloud: ViewedCloud, chosen: NDArray[np.int64]) -> Coloured:
     return Coloured(table[index], f"Faces: {named}; grey: on none of them.")
 
 
-def _by_sigma(sigma: Floats, unit: str) -> Coloured:
+def _by_sigma(sigma: Floats, unit: str, source: str) -> Coloured:
     low, high = (float(value) for value in np.quantile(sigma, _SHOWN_SHARE)) if len(sigma) else (0.0, 1.0)
     share = np.clip((sigma - low) / max(high - low, np.finfo(np.float64).tiny), 0, 1)
     colours = shaded(share, CIVIDIS)
@@ -81,6 +90,5 @@ def _by_sigma(sigma: Floats, unit: str) -> Coloured:
     named = ", ".join(f"{shade} {shown.error(value)}" for shade, value in zip(_NAMED_SHADES, values, strict=True))
     return Coloured(
         colours,
-        f"Standard deviation of the depth: {named}. It is that of the single point, from the decoder's noise; errors "
-        "of the calibration move neighbouring points alike and are stated below.",
+        f"Standard deviation of the depth: {named}. {source}",
     )

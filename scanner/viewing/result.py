@@ -13,8 +13,10 @@ from calib.arrays import Floats
 from calib.calibration import Calibration
 from calib.corner import Corner
 from calib.point_noise import point_covariances
+from calib.uncertainty import Uncertainty
 from scanner.calibration_file import read_calibration
 from scanner.cloud_file import CloudPoints, read_cloud
+from scanner.confidence import read_uncertainty, read_verdict
 from scanner.errors import InputError
 from scanner.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
 from scanner.images import read_image
@@ -23,10 +25,9 @@ from scanner.patterns import White
 from scanner.recording import open_capture
 from scanner.reporting import maps
 from scanner.reporting.verdict import Verdict
-from scanner.result import CAPTURE_FOLDER, CAPTURES_FOLDER, CLOUD_FILE, MERGED_FILE, TRUTH_FILE
+from scanner.result import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, CLOUD_FILE, MERGED_FILE, TRUTH_FILE
 from scanner.viewing.corner import MeasuredCorner, measured_corner, triangulated
 from scanner.viewing.decimation import shuffled
-from scanner.viewing.verdict import read_verdict
 
 ALL_CAPTURES = "All captures, merged"
 _PLACING_POINTS = 2_000
@@ -59,7 +60,7 @@ class ViewedCloud:
 
     `points` (N, 3), `colours` (N, 3) RGB; `up` (3,) points up. What each point was triangulated from takes a while to
     find out for millions, so `read_scan` does that when it is asked for; None for a merged cloud. `has_faces` and
-    `has_sigma`: what will be known then.
+    `has_sigma`: what will be known then. `uncertainty` is the calibration's, where the result knows it.
     """
 
     points: Floats
@@ -71,6 +72,7 @@ class ViewedCloud:
     read_scan: Callable[[], FinishedScan] | None = None
     has_faces: bool = False
     has_sigma: bool = False
+    uncertainty: Uncertainty | None = None
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
@@ -85,12 +87,18 @@ class ViewedCloud:
         return self.read_scan()
 
     def depth_sigma(self, chosen: NDArray[np.int64]) -> Floats:
-        """Standard deviation of the depth of points (n,), from the matches' noise alone, in `unit`."""
+        """Standard deviation of the depth of points (n,), in `unit`.
+
+        From the matches' noise and the covariance of the calibration; from the noise alone where that is not known.
+        """
         sigma = np.empty(len(chosen))
         for start in range(0, len(chosen), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
-            covariance = point_covariances(self.scan.matches[chosen[part]], self.scan.calibration)
-            sigma[part] = np.sqrt(covariance[:, 2, 2])
+            matches, calibration = self.scan.matches[chosen[part]], self.scan.calibration
+            if self.uncertainty is None:
+                sigma[part] = np.sqrt(point_covariances(matches, calibration)[:, 2, 2])
+            else:
+                sigma[part] = calibration.baseline * self.uncertainty.of_points(matches)[:, 2]
         return sigma
 
 
@@ -107,8 +115,8 @@ class ViewedResult:
 
     @cached_property
     def verdict(self) -> Verdict | None:
-        """What the report concludes, if there is a report."""
-        return read_verdict(self.folder)
+        """What the report concludes; None for a result that does not say."""
+        return read_verdict(self.folder / CALIBRATION_FILE)
 
     def _names(self) -> tuple[str, ...]:
         """What can be looked at, the best first."""
@@ -133,6 +141,7 @@ class ViewedResult:
         if not len(points):
             raise InputError(f"{folder}: the cloud is empty")
         calibration = read_calibration_of(folder)
+        uncertainty = read_uncertainty(folder / CALIBRATION_FILE, calibration)
         corner = measured_corner(matches, calibration)
         return ViewedCloud(
             points.points,
@@ -143,7 +152,8 @@ class ViewedResult:
             calibration.unit,
             partial(read_finished_scan, folder),
             matches.face is not None,
-            matches.sigma_px is not None,
+            matches.sigma_px is not None or uncertainty is not None,
+            uncertainty,
         )
 
     def _merged(self) -> ViewedCloud:

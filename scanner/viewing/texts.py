@@ -20,7 +20,7 @@ def escaped(text: str) -> str:
 def verdict_text(verdict: Verdict | None) -> str:
     """The verdict with its reasons, or where to look for it."""
     if verdict is None:
-        return "This result has no report to take a verdict from."
+        return "This result does not say how far it can be trusted. Its report.html does."
     lines = [f"**{_SIGNS[verdict.grade]} {escaped(verdict.headline)}**", ""]
     lines += [f"- {escaped(reason)}" for reason in verdict.reasons]
     if verdict.advice:

@@ -10,11 +10,17 @@ from result_folder import Written, write_result
 from scene import room
 
 from calib.corner_view import View
-from scanner.calibration_file import write_calibration
+from calib.model import SHARED, State
+from calib.point_noise import point_covariances
+from calib.triangulation import intersect
+from calib.uncertainty import Uncertainty
+from scanner.calibration_file import read_calibration, write_calibration
 from scanner.cloud import build_cloud
+from scanner.confidence import confidence_entries
 from scanner.errors import InputError
 from scanner.merged_cloud import merged
 from scanner.ply import write_merged_ply
+from scanner.reporting.verdict import Verdict
 from scanner.viewing.colouring import Colouring, coloured, possible_colourings
 from scanner.viewing.geometry import (
     FIELD_OF_VIEW_RAD,
@@ -101,6 +107,35 @@ def test_the_sigma_of_depth_is_that_of_the_errors(written: Written, cloud: Viewe
     errors = (cloud.points[chosen, 2] - depth) / cloud.depth_sigma(chosen)
     # Of the two coordinates' noise, the part along the epipolar line moves the point.
     assert 0.9 < np.sqrt(np.mean(errors**2)) < 1.1
+
+
+def test_the_sigma_of_depth_contains_the_calibrations(tmp_path: Path) -> None:
+    """Of a result that knows its covariance, here an uncertain focal length of the camera alone."""
+    written = write_result(tmp_path / "room", noise_px=0.005)
+    calibration = read_calibration(written.folder / "calibration.yaml")
+    covariance = np.zeros((SHARED, SHARED))
+    covariance[0, 0] = 0.001**2
+    devices = (
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        for device in (calibration.camera, calibration.projector)
+    )
+    direction = calibration.translation / calibration.baseline
+    state = State(*devices, calibration.rotation, direction, np.zeros((0, 3)), ())
+    more = confidence_entries(Verdict("good", "Well", ("so",)), Uncertainty(state, covariance, None, 0.05))
+    write_calibration(written.folder / "calibration.yaml", calibration, more)
+    result = ViewedResult(written.folder)
+    assert result.verdict == Verdict("good", "Well", ("so",))
+    cloud = result.cloud("The capture")
+    chosen = cloud.order[:2000]
+    noise = np.sqrt(point_covariances(cloud.scan.matches[chosen], calibration)[:, 2, 2])
+    camera = replace(calibration.camera, focal_px=(1.001 * calibration.camera.focal_px[0],) * 2)
+    moved = intersect(cloud.scan.matches[chosen], replace(calibration, camera=camera)).points[:, 2]
+    expected = np.hypot(noise, moved - cloud.points[chosen, 2])
+    assert np.median(expected / noise) > 2
+    ratio = cloud.depth_sigma(chosen) / expected
+    # The rays that no longer meet are taken to meet halfway, and here where the camera's is nearest to the other.
+    assert 0.9 < np.quantile(ratio, 0.05) < np.quantile(ratio, 0.95) < 1.1
+    assert "covariance" in coloured(cloud, chosen, Colouring.SIGMA).legend
 
 
 def test_without_faces_and_sigmas_there_is_still_a_cloud(tmp_path: Path, edit_matches: Callable[..., None]) -> None:

@@ -1,0 +1,98 @@
+"""Where the time of a scan goes: its steps, and functions within them, by the clock and by the processors."""
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import wraps
+from importlib import import_module
+from typing import Any
+from unittest.mock import patch
+
+from scanner.terminal import Terminal
+
+
+@dataclass
+class Duration:
+    """Seconds by the clock, and seconds that processors worked."""
+
+    clock_s: float = 0.0
+    processors_s: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.clock_s:.2f} ({self.processors_s:.2f})"
+
+
+@dataclass
+class Stopwatch(Terminal):
+    """A terminal that notes how long each step takes, and how long each of the functions in it that are `watched`.
+
+    `matched`: how many matches there were.
+    """
+
+    steps: dict[str, Duration] = field(default_factory=dict)
+    parts: dict[str, dict[str, Duration]] = field(default_factory=lambda: defaultdict(dict))
+    matched: int = 0
+
+    def __post_init__(self) -> None:
+        super().__init__(quiet=True)
+        self._step = ""
+
+    @contextmanager
+    def step(self, what: str) -> Iterator[None]:
+        self._step = what
+        with measured(self.steps, what):
+            yield
+
+    @contextmanager
+    def watched(
+        self,
+        alone: Mapping[str, str],
+        beside: Mapping[str, str],
+        parts: MutableMapping[str, Callable[..., Any]],
+        prefix: str,
+    ) -> Iterator[None]:
+        """Note how long functions take, under names for people.
+
+        `alone`: called while nothing else runs, as "module.name" of the module that calls them. `beside`: run in
+        threads beside others, so only the processor time of their own thread can be told; `parts`: likewise, the table
+        in which functions are looked up when they are called, whose names get a `prefix`.
+        """
+        with ExitStack() as patches:
+            for targets, processors in ((alone, time.process_time), (beside, time.thread_time)):
+                for name, target in targets.items():
+                    module, _, attribute = target.rpartition(".")
+                    function = getattr(import_module(module), attribute)
+                    patches.enter_context(patch(target, self._timed(name, function, processors)))
+            timed = {name: self._timed(prefix + name, part, time.thread_time) for name, part in parts.items()}
+            patches.enter_context(patch.dict(parts, timed))
+            yield
+
+    def rest(self, step: str) -> Duration:
+        """What a step takes besides the functions in it, none of which runs beside another."""
+        of_parts = self.parts[step].values()
+        return Duration(
+            self.steps[step].clock_s - sum(part.clock_s for part in of_parts),
+            self.steps[step].processors_s - sum(part.processors_s for part in of_parts),
+        )
+
+    def _timed(self, name: str, function: Callable[..., Any], processors: Callable[[], float]) -> Callable[..., Any]:
+        @wraps(function)
+        def timed(*arguments: Any, **options: Any) -> Any:
+            with measured(self.parts[self._step], name, processors):
+                return function(*arguments, **options)
+
+        return timed
+
+
+@contextmanager
+def measured(
+    durations: dict[str, Duration], name: str, processors: Callable[[], float] = time.process_time
+) -> Iterator[None]:
+    """Add what the block takes to one of the durations; `processors` tells the seconds that they have worked so far."""
+    clock, worked = time.perf_counter(), processors()
+    yield
+    duration = durations.setdefault(name, Duration())
+    duration.clock_s += time.perf_counter() - clock
+    duration.processors_s += processors() - worked
