@@ -1,0 +1,150 @@
+"""Matches → points on the camera's pixel grid: of those that share a pixel, the one whose rays meet best."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Floats, Ints
+from calib.calibration import Calibration
+from calib.compiled import compiled
+from calib.matches import Matches
+from calib.parallel import in_slices
+from calib.pieces import by_columns
+from calib.triangulation import intersect_rays
+from scanner.agreement import Misses, expected_misses
+
+_SAMPLE = 100_000
+_PIECE = 1 << 13  # of matches, so that all that lies between stays in the processor's cache
+_STRIP_ROWS = 64
+# Places in the array of counts.
+_OUTSIDE, _BEHIND, _DISAGREEING, _SHARED, _FATES = 0, 1, 2, 3, 4
+
+
+@dataclass(frozen=True)
+class Organised:
+    """What became of matches: all of them are kept, or counted by why they were not.
+
+    `points` (H, W, 3) in the camera's frame, NaN where there is none; `residual_px` (H, W): that of the point, or of
+    one that was dropped for it, NaN where no rays met. `outside_image`, `behind`, `disagreeing`, `shared_pixel`: as of
+    `CloudStatistics`. `misses`: what was expected; `trend_px`: root mean square of their smooth part.
+    """
+
+    points: NDArray[np.float32]
+    residual_px: NDArray[np.float32]
+    outside_image: int
+    behind: int
+    disagreeing: int
+    shared_pixel: int
+    misses: Misses
+    trend_px: float
+
+
+def organise(matches: Matches, calibration: Calibration) -> Organised:
+    """Triangulate every match, judge whether its rays meet, and put its point at the camera's pixel."""
+    count, shape = len(matches), (calibration.camera.height, calibration.camera.width)
+    misses = _expected_misses(matches, calibration)
+    points, residual_px = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
+
+    def clear(rows: slice) -> None:
+        points[rows] = np.nan
+        residual_px[rows] = np.nan
+
+    def place(at: slice) -> tuple[Ints, float]:
+        camera_px = by_columns(matches.camera_px[at])
+        met = intersect_rays(camera_px, matches.projector_px[at], calibration)
+        trend_px = misses.trend_px(camera_px, met.foot_px, calibration)
+        fates = np.zeros(_FATES, np.int64)
+        squared = _place(
+            camera_px.T, met.points.T, met.residual_px, trend_px, misses.limit_px, points, residual_px, fates
+        )
+        return fates, squared
+
+    in_slices(shape[0], _STRIP_ROWS, clear)
+    if _row_by_row(matches, calibration.camera.width):
+        placed = in_slices(count, _PIECE, place)
+    else:  # side by side, threads could put two points at one pixel at the same time
+        placed = [place(slice(start, start + _PIECE)) for start in range(0, count, _PIECE)]
+    fates = np.stack([fates for fates, _ in placed]).sum(axis=0)
+    agreeing = count - int(fates[[_OUTSIDE, _BEHIND, _DISAGREEING]].sum())
+    squared_trend = sum(squared for _, squared in placed)
+    return Organised(
+        points,
+        residual_px,
+        int(fates[_OUTSIDE]),
+        int(fates[_BEHIND]),
+        int(fates[_DISAGREEING]),
+        int(fates[_SHARED]),
+        misses,
+        float(np.sqrt(squared_trend / max(agreeing, 1))),
+    )
+
+
+def _expected_misses(matches: Matches, calibration: Calibration) -> Misses:
+    """From a sample: of millions of matches, so many say as much."""
+    step = max(1, len(matches) // _SAMPLE)
+    camera_px = by_columns(matches.camera_px[::step])
+    met = intersect_rays(camera_px, matches.projector_px[::step], calibration)
+    there = met.in_front
+    return expected_misses(camera_px[there], met.foot_px[there], met.residual_px[there], calibration)
+
+
+def _row_by_row(matches: Matches, width: int) -> bool:
+    """Whether matches are in the order of their camera's pixels, one for each, as a decoder gives them."""
+
+    def in_order(at: slice) -> bool:
+        return bool(_increase(by_columns(matches.camera_px[max(0, at.start - 1) : at.stop]).T, width))
+
+    return all(in_slices(len(matches), _PIECE, in_order))
+
+
+@compiled
+def _increase(camera_px: Floats, width: int) -> bool:
+    """Whether the numbers of pixels (2, N) increase."""
+    column, row = camera_px[0], camera_px[1]
+    wrong = 0
+    for i in range(1, len(row)):
+        wrong += np.rint(row[i]) * width + np.rint(column[i]) <= np.rint(row[i - 1]) * width + np.rint(column[i - 1])
+    return wrong == 0
+
+
+@compiled
+def _place(
+    camera_px: Floats,
+    points: Floats,
+    residual_px: Floats,
+    trend_px: Floats,
+    limit_px: float,
+    grid: NDArray[np.float32],
+    grid_residual_px: NDArray[np.float32],
+    fates: Ints,
+) -> float:
+    """Put points (3, N) of camera pixels (2, N) on the grid, count those that are not kept.
+
+    Returns the sum of the squared trends of those that agree.
+    """
+    height, width = grid_residual_px.shape
+    squared_trend = 0.0
+    for i in range(len(residual_px)):
+        column, row, residual = np.rint(camera_px[0, i]), np.rint(camera_px[1, i]), residual_px[i]
+        if not (0 <= column < width and 0 <= row < height):
+            fates[_OUTSIDE] += 1
+        elif not np.isfinite(residual):
+            fates[_BEHIND] += 1
+        else:
+            x, y = int(column), int(row)
+            taken = not np.isnan(grid[y, x, 2])
+            # Where few matches hold the trend it may stray; rays that meet without its help are never dropped.
+            agrees = min(abs(residual - trend_px[i]), abs(residual)) <= limit_px
+            if agrees:
+                squared_trend += trend_px[i] * trend_px[i]
+                fates[_SHARED] += taken
+            else:
+                fates[_DISAGREEING] += 1
+            rounded = np.float32(residual)
+            if not taken or (agrees and abs(rounded) < abs(grid_residual_px[y, x])):
+                grid_residual_px[y, x] = rounded
+                if agrees:
+                    for axis in range(3):
+                        grid[y, x, axis] = points[axis, i]
+    return squared_trend
