@@ -11,6 +11,8 @@ from calib.compiled import compiled
 from calib.matches import Matches
 from calib.pieces import by_columns, in_pieces
 
+# Square of the sine of an angle that is nothing but rounding.
+_PARALLEL = (8 * 2.0**-52) ** 2
 _NUMBERS = 8  # that there are to a match, for pieces that fit into the cache
 
 
@@ -120,10 +122,11 @@ def _meet(
         # The rays' directions in the projector's frame: u the camera's; v, its own, is (vx, vy, 1).
         x, y, vx, vy = camera_x[i], camera_y[i], projector_x[i], projector_y[i]
         ux, uy, uz = r00 * x + r01 * y + r02, r10 * x + r11 * y + r12, r20 * x + r21 * y + r22
-        uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + 1.0, ux * vx + uy * vy + uz
-        ut, vt = ux * tx + uy * ty + uz * tz, vx * tx + vy * ty + tz
-        scale = 1.0 / (uu * vv - uv * uv)
-        along_u, along_v = (uv * vt - vv * ut) * scale, (uu * vt - uv * ut) * scale
+        # a u + t = b v as well as can be: both sides crossed with v, and with u, along u × v.
+        cx, cy, cz = uy - uz * vy, uz * vx - ux, ux * vy - uy * vx
+        cc, uu, vv = cx * cx + cy * cy + cz * cz, ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + 1.0
+        along_u = ((vy * tz - ty) * cx + (tx - vx * tz) * cy + (ty * vx - tx * vy) * cz) / cc
+        along_v = ((uy * tz - uz * ty) * cx + (uz * tx - ux * tz) * cy + (ux * ty - uy * tx) * cz) / cc
         # From the nearest point of the camera's ray half the way to that of the projector's.
         hx = 0.5 * (along_v * vx - along_u * ux - tx)
         hy = 0.5 * (along_v * vy - along_u * uy - ty)
@@ -131,7 +134,8 @@ def _meet(
         point_x[i] = along_u * x + r00 * hx + r10 * hy + r20 * hz
         point_y[i] = along_u * y + r01 * hx + r11 * hy + r21 * hz
         point_z[i] = along_u + r02 * hx + r12 * hy + r22 * hz
-        depth[i] = along_u if (along_u > 0.0) & (along_v > 0.0) else np.nan
+        meet = (along_u > 0.0) & (along_v > 0.0) & (cc > _PARALLEL * uu * vv)
+        depth[i] = along_u if meet else np.nan
 
 
 @compiled

@@ -65,9 +65,9 @@ def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calib
     if count < 20 * _TREND_TERMS:
         return solution
     sample = np.random.default_rng(0).permutation(count)[:_TREND_SAMPLE]
+    camera_px, foot_px, observed = camera_px[sample], foot_px[sample], residual_px[sample]
     one_term_each = np.eye(_TREND_TERMS)
-    basis = np.stack([_trend(term, camera_px[sample], foot_px[sample], calibration) for term in one_term_each])
-    observed = residual_px[sample]
+    basis = np.stack([_trend(term, camera_px, foot_px, calibration) for term in one_term_each])
     solution[0] = np.median(observed)
     for _ in range(_TREND_ITERATIONS):
         error = np.abs(observed - solution @ basis)

@@ -1,6 +1,7 @@
 """Matches and a calibration → an organised point cloud: one point for every camera pixel that earned one."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -54,7 +55,7 @@ class Cloud:
     unit: str
     statistics: CloudStatistics
 
-    @property
+    @cached_property
     def there(self) -> Bools:
         """Which pixels have a point, (H, W)."""
         return np.isfinite(self.points[..., 2])
@@ -77,15 +78,15 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
     on_surface = (
         scattered_surface(points) if scattered else surface(points, float(np.mean(calibration.camera.focal_px)))
     )
-    isolated = np.nonzero(on_surface.isolated)
-    points[isolated] = np.nan
-    on_surface.normals[isolated] = np.nan
+    isolated = np.flatnonzero(on_surface.isolated)
+    points.reshape(-1, 3)[isolated] = np.nan
+    on_surface.normals.reshape(-1, 3)[isolated] = np.nan
     dropped = {
         "outside_image": organised.outside_image,
         "behind": organised.behind,
         "disagreeing": organised.disagreeing,
         "shared_pixel": organised.shared_pixel,
-        "isolated": len(isolated[0]),
+        "isolated": len(isolated),
     }
     return Cloud(
         points=points,
@@ -114,5 +115,4 @@ def _colours(texture: Image | None, there: Bools) -> NDArray[np.uint8]:
     else:
         bright = texture.astype(np.uint8, copy=False)
     rgb = cv2.cvtColor(bright, cv2.COLOR_BGR2RGB if bright.ndim == 3 else cv2.COLOR_GRAY2RGB)
-    rgb[~there] = 0
-    return np.asarray(rgb, np.uint8)
+    return np.asarray(cv2.copyTo(rgb, there.view(np.uint8)), np.uint8)

@@ -10,12 +10,12 @@ from calib.calibration import Calibration
 from calib.compiled import compiled
 from calib.matches import Matches
 from calib.parallel import in_slices
-from calib.pieces import by_columns
+from calib.pieces import by_columns, in_pieces
 from calib.triangulation import intersect_rays
 from scanner.agreement import Misses, expected_misses
 
 _SAMPLE = 100_000
-_PIECE = 1 << 13  # of matches, so that all that lies between stays in the processor's cache
+_CACHED = 1 << 13  # matches for which all that lies between stays in the processor's cache
 _STRIP_ROWS = 64
 # Places in the array of counts.
 _OUTSIDE, _BEHIND, _DISAGREEING, _SHARED, _FATES = 0, 1, 2, 3, 4
@@ -51,20 +51,21 @@ def organise(matches: Matches, calibration: Calibration) -> Organised:
         residual_px[rows] = np.nan
 
     def place(at: slice) -> tuple[Ints, float]:
-        camera_px = by_columns(matches.camera_px[at])
-        met = intersect_rays(camera_px, matches.projector_px[at], calibration)
-        trend_px = misses.trend_px(camera_px, met.foot_px, calibration)
-        fates = np.zeros(_FATES, np.int64)
-        squared = _place(
-            camera_px.T, met.points.T, met.residual_px, trend_px, misses.limit_px, points, residual_px, fates
-        )
-        return fates, squared
+        fates, squared_trend = np.zeros(_FATES, np.int64), 0.0
+        for start in range(at.start, at.stop, _CACHED):
+            some = slice(start, min(start + _CACHED, at.stop))
+            camera_px = by_columns(matches.camera_px[some])
+            met = intersect_rays(camera_px, matches.projector_px[some], calibration)
+            trend_px = misses.trend_px(camera_px, met.foot_px, calibration)
+            squared_trend += _place(
+                camera_px.T, met.points.T, met.residual_px, trend_px, misses.limit_px, points, residual_px, fates
+            )
+        return fates, squared_trend
 
     in_slices(shape[0], _STRIP_ROWS, clear)
-    if _row_by_row(matches, calibration.camera.width):
-        placed = in_slices(count, _PIECE, place)
-    else:  # side by side, threads could put two points at one pixel at the same time
-        placed = [place(slice(start, start + _PIECE)) for start in range(0, count, _PIECE)]
+    # Otherwise two threads could put two points at one pixel at the same time.
+    side_by_side = _row_by_row(matches, calibration.camera.width)
+    placed = in_pieces(count, place) if side_by_side else [place(slice(0, count))]
     fates = np.stack([fates for fates, _ in placed]).sum(axis=0)
     agreeing = count - int(fates[[_OUTSIDE, _BEHIND, _DISAGREEING]].sum())
     squared_trend = sum(squared for _, squared in placed)
@@ -93,18 +94,19 @@ def _row_by_row(matches: Matches, width: int) -> bool:
     """Whether matches are in the order of their camera's pixels, one for each, as a decoder gives them."""
 
     def in_order(at: slice) -> bool:
-        return bool(_increase(by_columns(matches.camera_px[max(0, at.start - 1) : at.stop]).T, width))
+        return _increase(matches.camera_px[max(0, at.start - 1) : at.stop], width)
 
-    return all(in_slices(len(matches), _PIECE, in_order))
+    return all(in_pieces(len(matches), in_order))
 
 
 @compiled
 def _increase(camera_px: Floats, width: int) -> bool:
-    """Whether the numbers of pixels (2, N) increase."""
-    column, row = camera_px[0], camera_px[1]
-    wrong = 0
-    for i in range(1, len(row)):
-        wrong += np.rint(row[i]) * width + np.rint(column[i]) <= np.rint(row[i - 1]) * width + np.rint(column[i - 1])
+    """Whether the numbers of pixels (N, 2) increase."""
+    last, wrong = -np.inf, 0
+    for i in range(len(camera_px)):
+        number = np.rint(camera_px[i, 1]) * width + np.rint(camera_px[i, 0])
+        wrong += number <= last
+        last = number
     return wrong == 0
 
 

@@ -51,14 +51,16 @@ def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
     if wider > window:
         planes, window = window_planes(points, focal_px, wider), wider
         noise, filled = _typical(planes)
-    with np.errstate(invalid="ignore"):
-        hard = there & ~(planes.roughness <= max(1.0, _OUTLIER_SIGMAS * noise))
     normals = planes.normals
-    if hard.any():
-        spacing = max(1.0, window / float(np.sqrt(filled)))
-        reach = max(_STEEPEST * spacing, _OUTLIER_SIGMAS * noise) * points[hard][:, 2].astype(np.float64) / focal_px
-        nearby = cv2.dilate(hard.astype(np.uint8), np.ones((2 * window + 1, 2 * window + 1), np.uint8)) > 0
-        normals[hard], isolated[hard] = _neighbour_planes(points[hard], points[nearby & there], reach)
+    hard = np.flatnonzero(there & ~(planes.roughness <= max(1.0, _OUTLIER_SIGMAS * noise)))
+    if len(hard):
+        spacing, cloud = max(1.0, window / float(np.sqrt(filled))), points.reshape(-1, 3)
+        reach = max(_STEEPEST * spacing, _OUTLIER_SIGMAS * noise) * cloud[hard, 2].astype(np.float64) / focal_px
+        marked = np.zeros(there.shape, np.uint8)
+        marked.flat[hard] = 1
+        nearby = np.asarray(cv2.dilate(marked, np.ones((2 * window + 1, 2 * window + 1), np.uint8)))
+        around = np.flatnonzero(there & (nearby > 0))
+        normals.reshape(-1, 3)[hard], isolated.flat[hard] = _neighbour_planes(cloud[hard], cloud[around], reach)
     return Surface(normals, isolated)
 
 
@@ -74,9 +76,10 @@ def scattered_surface(points: NDArray[np.float32]) -> Surface:
 
 def _typical(planes: WindowPlanes) -> tuple[float, float]:
     """The roughness of an ordinary window, in footprints, and how many points it has; of some of the windows."""
-    places = np.flatnonzero(planes.count)
-    places = places[:: max(1, len(places) // _SAMPLE)]
-    roughness, count = planes.roughness.ravel()[places], planes.count.ravel()[places]
+    counts = planes.count.ravel()
+    places = np.arange(0, len(counts), max(1, int(np.count_nonzero(counts)) // _SAMPLE))
+    places = places[counts[places] > 0]
+    roughness, count = planes.roughness.ravel()[places], counts[places]
     fitted = roughness[np.isfinite(roughness)]
     return float(np.median(fitted)) if len(fitted) else 0.0, float(np.median(count))
 

@@ -82,12 +82,13 @@ def _fit_tile(
             _add_along(sums, totals, window)
             centre = terms[y % window]
             _solve(totals, centre[0, half:], centre[3, half:], focal_px, normal_x, normal_y, normal_z, rough)
+            normals[y, left:right, 0] = normal_x
+            normals[y, left:right, 1] = normal_y
+            normals[y, left:right, 2] = normal_z
+            roughness[y, left:right] = rough
+            number, there = totals[0], centre[0]
             for i in range(width):
-                normals[y, left + i, 0] = normal_x[i]
-                normals[y, left + i, 1] = normal_y[i]
-                normals[y, left + i, 2] = normal_z[i]
-                roughness[y, left + i] = rough[i]
-                count[y, left + i] = np.uint8(totals[0, i] * centre[0, half + i] + 0.5)
+                count[y, left + i] = np.uint8(number[i] * there[half + i] + 0.5)
 
 
 @compiled
