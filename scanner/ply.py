@@ -47,13 +47,13 @@ def write_merged_ply(path: Path, cloud: MergedCloud) -> None:
 
 def _write(path: Path, cloud: PointCloud, frame: str) -> None:
     there = cloud.there.ravel()
-    columns = tuple(values.reshape(-1, 3) for values in (cloud.points, cloud.normals, cloud.colours))
+    points, normals, colours = cloud.points.reshape(-1, 3), cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)
     vertices = np.empty(_PIECE, dtype=_VERTEX)
     with path.open("wb") as file:
         file.write(_header(int(np.count_nonzero(there)), cloud.unit, frame))
         for start in range(0, len(there), _PIECE):
             some = slice(start, start + _PIECE)
-            count = _fill(vertices, there[some], *(values[some] for values in columns))
+            count = _fill(vertices, there[some], points[some], normals[some], colours[some])
             file.write(vertices[:count].data)
 
 
