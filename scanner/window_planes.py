@@ -68,7 +68,7 @@ def _fit_tile(
     window, width = 2 * half + 1, right - left
     terms = np.zeros((window + 1, 4, width + 2 * half))  # of as many rows, in turn; the last stays zero
     sums, totals = np.zeros((10, width + 2 * half)), np.empty((10, width))
-    normal_x, normal_y, normal_z, rough = np.empty(width), np.empty(width), np.empty(width), np.empty(width)
+    normal, rough = np.empty((3, width)), np.empty(width)
     for row in range(top - half, bottom + half):
         place = row % window
         entering = terms[place]
@@ -81,14 +81,14 @@ def _fit_tile(
         if y >= top:
             _add_along(sums, totals, window)
             centre = terms[y % window]
-            _solve(totals, centre[0, half:], centre[3, half:], focal_px, normal_x, normal_y, normal_z, rough)
-            normals[y, left:right, 0] = normal_x
-            normals[y, left:right, 1] = normal_y
-            normals[y, left:right, 2] = normal_z
-            roughness[y, left:right] = rough
-            number, there = totals[0], centre[0]
+            _solve(totals, centre[0, half:], centre[3, half:], focal_px, normal, rough)
+            for axis in range(3):
+                for i in range(width):
+                    normals[y, left + i, axis] = normal[axis, i]
             for i in range(width):
-                count[y, left + i] = np.uint8(number[i] * there[half + i] + 0.5)
+                roughness[y, left + i] = rough[i]
+            for i in range(width):
+                count[y, left + i] = np.uint8(totals[0, i] * centre[0, half + i] + 0.5)
 
 
 @compiled
@@ -135,16 +135,10 @@ def _add_along(sums: Floats, totals: Floats, window: int) -> None:
 
 @compiled
 def _solve(
-    totals: Floats,
-    there: Floats,
-    inverse_depth: Floats,
-    focal_px: float,
-    normal_x: Floats,
-    normal_y: Floats,
-    normal_z: Floats,
-    roughness: Floats,
+    totals: Floats, there: Floats, inverse_depth: Floats, focal_px: float, normal: Floats, roughness: Floats
 ) -> None:
-    """Planes from the windows' sums (10, N) and from which pixels are `there` (N,)."""
+    """Normals (3, N) of planes from windows' sums (10, N), and from which pixels are `there` (N,)."""
+    normal_x, normal_y, normal_z = normal[0], normal[1], normal[2]
     sum_1, sum_x, sum_y, sum_w, sum_xx = totals[0], totals[1], totals[2], totals[3], totals[4]
     sum_xy, sum_xw, sum_yy, sum_yw, sum_ww = totals[5], totals[6], totals[7], totals[8], totals[9]
     for i in range(len(roughness)):
