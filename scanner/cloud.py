@@ -111,7 +111,8 @@ def _colours(texture: Image | None, there: Bools) -> NDArray[np.uint8]:
         bright = np.full(there.shape, _NO_TEXTURE_GREY, dtype=np.uint8)
     elif texture.dtype == np.uint16:
         top = max(1.0, float(np.percentile(texture[there], _WHITE_PERCENTILE))) if there.any() else 1.0
-        bright = np.rint(np.minimum(texture * (255.0 / top), 255.0)).astype(np.uint8)
+        levels = np.arange(1 << 16) * (255.0 / top)
+        bright = np.rint(np.minimum(levels, 255.0)).astype(np.uint8)[texture]
     else:
         bright = texture.astype(np.uint8, copy=False)
     rgb = cv2.cvtColor(bright, cv2.COLOR_BGR2RGB if bright.ndim == 3 else cv2.COLOR_GRAY2RGB)

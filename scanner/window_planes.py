@@ -38,8 +38,9 @@ class WindowPlanes:
 
 def window_planes(points: Floats32, focal_px: float, window: int) -> WindowPlanes:
     """Planes through windows, odd and at most `LARGEST_WINDOW`, of points (H, W, 3), NaN where there is none."""
+    points = np.ascontiguousarray(points)
     height, width = points.shape[:2]
-    normals, roughness = np.empty_like(points), np.empty((height, width), np.float32)
+    normals, roughness = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
     count = np.empty((height, width), np.uint8)
 
     def fit(rows: slice) -> None:
