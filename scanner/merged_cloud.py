@@ -51,12 +51,11 @@ def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...
     kept = nearest_in_voxels(points, distance, grid)
     normals, colours = np.empty((len(kept), 3), np.float32), np.empty((len(kept), 3), np.uint8)
     for cloud, view, turn, pixel, end in zip(clouds, views, turns, pixels, ends, strict=True):
-        own = slice(*np.searchsorted(kept, (end - len(pixel), end)))
-        seen = pixel[kept[own] - (end - len(pixel))]
-        normals[own] = np.roll(cloud.normals.reshape(-1, 3)[seen] @ view.axes.T, turn, axis=1)
-        colours[own] = cloud.colours.reshape(-1, 3)[seen]
+        first = end - len(pixel)
+        own = slice(*np.searchsorted(kept, (first, end)))
+        _dress(cloud, view, turn, pixel.take(kept[own] - first), normals[own], colours[own])
     return MergedCloud(
-        points[kept].astype(np.float32),
+        points.take(kept, axis=0).astype(np.float32),
         colours,
         normals,
         clouds[0].unit,
@@ -71,9 +70,22 @@ def _place(cloud: Cloud, view: View, turn: int, pixel: Ints, points: Floats, dis
     seen = cloud.points.reshape(-1, 3)
 
     def fill(at: slice) -> None:
-        in_camera = seen[pixel[at]].astype(np.float64)
+        in_camera = seen.take(pixel[at], axis=0).astype(np.float64)
         points[at] = view.in_corner(in_camera, turn)
         distance[at] = np.linalg.norm(in_camera, axis=1)
+
+    in_pieces(len(pixel), fill)
+
+
+def _dress(
+    cloud: Cloud, view: View, turn: int, pixel: Ints, normals: NDArray[np.float32], colours: NDArray[np.uint8]
+) -> None:
+    """Fill in the normals (N, 3), in the corner's frame, and the colours (N, 3) of a cloud's pixels (N,)."""
+    seen, painted = cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)
+
+    def fill(at: slice) -> None:
+        normals[at] = np.roll(seen.take(pixel[at], axis=0) @ view.axes.T, turn, axis=1)
+        colours[at] = painted.take(pixel[at], axis=0)
 
     in_pieces(len(pixel), fill)
 
