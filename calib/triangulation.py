@@ -85,7 +85,8 @@ def _ideal(device: Intrinsics, pixels: Floats) -> Floats:
 def _undistort(pixels: Floats, lens: tuple[float, ...], polynomial: Floats, largest: float, ideal: Floats) -> bool:
     """Fill in where rays meet z = 1, with a polynomial of `Intrinsics.inverse_for`; does it hold for all of them?"""
     per_fx, per_fy, x0, y0 = 1.0 / lens[0], 1.0 / lens[1], lens[2], lens[3]
-    column, row, ratio, r2 = pixels[0], pixels[1], ideal[0], ideal[1]
+    column, row = pixels[0], pixels[1]
+    ratio, r2 = ideal[0], ideal[1]  # until the last loop overwrites them with the result
     beyond = 0
     for i in range(len(ratio)):
         x, y = (column[i] - x0) * per_fx, (row[i] - y0) * per_fy
@@ -111,12 +112,9 @@ def _meet(
     `depth` is NaN where the rays do not meet in front of both devices.
     """
     r00, r01, r02, r10, r11, r12, r20, r21, r22, tx, ty, tz = pose
-    camera_x, camera_y, projector_x, projector_y = (
-        camera_ideal[0],
-        camera_ideal[1],
-        projector_ideal[0],
-        projector_ideal[1],
-    )
+    # Rows are taken out of the arrays before the loop: columns indexed inside it kept the compiler from vectorising.
+    camera_x, camera_y = camera_ideal[0], camera_ideal[1]
+    projector_x, projector_y = projector_ideal[0], projector_ideal[1]
     point_x, point_y, point_z = points[0], points[1], points[2]
     for i in range(len(depth)):
         # The rays' directions in the projector's frame: u the camera's; v, its own, is (vx, vy, 1).
