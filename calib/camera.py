@@ -15,7 +15,7 @@ from calib.arrays import Bools, Floats
 
 _NEWTON_STEPS = 30
 _NEWTON_TOLERANCE = 1e-12
-_WORTH_A_POLYNOMIAL = 2000
+_WORTH_A_POLYNOMIAL = 1000
 _DEGREES = (6, 10, 14, 18)
 _CHECKED = 64
 _POLYNOMIAL_TOLERANCE = 1e-10
@@ -87,14 +87,25 @@ class Intrinsics:
         """Inverse of `distort`; NaN where it has none within the lens's monotonic range."""
         if not any(self.distortion):
             return distorted.copy("K")
-        if distorted.size < _WORTH_A_POLYNOMIAL or self._radial_inverse is None:
+        inverse = self.inverse_for(distorted.size // 2)
+        if inverse is None:
             return self._undistort_by_newton(distorted)
-        polynomial, largest = self._radial_inverse
+        polynomial, largest = inverse
         r2 = distorted[..., 0] * distorted[..., 0] + distorted[..., 1] * distorted[..., 1]
         if not np.max(r2) <= largest:
             return self._undistort_by_newton(distorted)
         normalised: Floats = distorted * polyval(r2, polynomial)[..., None]
         return normalised
+
+    def inverse_for(self, count: int) -> tuple[Floats, float] | None:
+        """The inverse of `distort` as a polynomial: ideal over distorted radius by the distorted radius squared.
+
+        Its coefficients from the constant upwards, and the radius squared up to which it holds. None where there is
+        none as good as Newton's method, or where it is not worth finding it for so few points.
+        """
+        if not any(self.distortion):
+            return np.ones(1), np.inf
+        return self._radial_inverse if count >= _WORTH_A_POLYNOMIAL else None
 
     @cached_property
     def _radial_inverse(self) -> tuple[Floats, float] | None:

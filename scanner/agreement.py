@@ -9,9 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Bools, Floats
+from calib.arrays import Floats
 from calib.calibration import Calibration
+from calib.compiled import compiled
 from calib.fit_statistics import robust_sigma
+from calib.pieces import by_columns
 
 _TREND_TERMS = 19
 _TREND_SAMPLE = 5_000
@@ -36,14 +38,7 @@ class Misses:
 
     def trend_px(self, camera_px: Floats, foot_px: Floats, calibration: Calibration) -> Floats:
         """The smooth part of the misses (N,) of points at pixels (N, 2) of both devices."""
-        trend: Floats = self.trend @ _cubic_terms(camera_px, foot_px, calibration)
-        return trend
-
-    def agree(self, residual_px: Floats, trend_px: Floats) -> Bools:
-        """Which of the misses (N,) are no mistakes."""
-        # Where few matches hold the trend it may stray; rays that meet without its help are never dropped.
-        agree: Bools = np.minimum(np.abs(residual_px - trend_px), np.abs(residual_px)) <= self.limit_px
-        return agree
+        return _trend(self.trend, camera_px, foot_px, calibration)
 
 
 def expected_misses(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> Misses:
@@ -56,7 +51,7 @@ def expected_misses(camera_px: Floats, foot_px: Floats, residual_px: Floats, cal
     trend = _smooth_trend(camera_px, foot_px, residual_px, calibration)
     if not len(residual_px):
         return Misses(trend, 0.0, _FINEST_MISTAKE_PX)
-    noise = robust_sigma(residual_px - trend @ _cubic_terms(camera_px, foot_px, calibration))
+    noise = robust_sigma(residual_px - _trend(trend, camera_px, foot_px, calibration))
     return Misses(trend, noise, max(_OUTLIER_SIGMAS * noise, _FINEST_MISTAKE_PX))
 
 
@@ -70,7 +65,9 @@ def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calib
     if count < 20 * _TREND_TERMS:
         return solution
     sample = np.random.default_rng(0).permutation(count)[:_TREND_SAMPLE]
-    basis, observed = _cubic_terms(camera_px[sample], foot_px[sample], calibration), residual_px[sample]
+    camera_px, foot_px, observed = camera_px[sample], foot_px[sample], residual_px[sample]
+    one_term_each = np.eye(_TREND_TERMS)
+    basis = np.stack([_trend(term, camera_px, foot_px, calibration) for term in one_term_each])
     solution[0] = np.median(observed)
     for _ in range(_TREND_ITERATIONS):
         error = np.abs(observed - solution @ basis)
@@ -81,15 +78,27 @@ def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calib
     return solution
 
 
-def _cubic_terms(camera_px: Floats, foot_px: Floats, calibration: Calibration) -> Floats:
-    """1, then x^i y^j up to degree 3 of both devices' pixels (N, 2), scaled to −1 … 1: (_TREND_TERMS, N)."""
-    terms = np.empty((_TREND_TERMS, len(camera_px)))
-    terms[0] = 1.0
-    for first, pixels, device in ((1, camera_px, calibration.camera), (10, foot_px, calibration.projector)):
-        x, y, xx, xy, yy, *cubes = terms[first : first + 9]
-        np.subtract(pixels[:, 0] * (2 / device.width), 1.0, out=x)
-        np.subtract(pixels[:, 1] * (2 / device.height), 1.0, out=y)
-        factors = ((x, x), (x, y), (y, y), (xx, x), (xx, y), (x, yy), (yy, y))
-        for (one, other), product in zip(factors, (xx, xy, yy, *cubes), strict=True):
-            np.multiply(one, other, out=product)
-    return terms
+def _trend(coefficients: Floats, camera_px: Floats, foot_px: Floats, calibration: Calibration) -> Floats:
+    """A constant and two cubics (_TREND_TERMS,) at pixels (N, 2) of both devices, scaled to −1 … 1: (N,)."""
+    camera, projector = calibration.camera, calibration.projector
+    scale = (2 / camera.width, 2 / camera.height, 2 / projector.width, 2 / projector.height)
+    trend = np.empty(len(camera_px))
+    _cubics(by_columns(camera_px).T, by_columns(foot_px).T, scale, tuple(coefficients.tolist()), trend)
+    return trend
+
+
+@compiled
+def _cubics(
+    camera_px: Floats, foot_px: Floats, scale: tuple[float, ...], coefficients: tuple[float, ...], trend: Floats
+) -> None:
+    """Fill in a constant, then x^i y^j up to degree 3, at pixels (2, N) of the camera, and of the projector."""
+    constant, ax, ay, axx, axy, ayy, axxx, axxy, axyy, ayyy, bx, by, bxx, bxy, byy, bxxx, bxxy, bxyy, byyy = (
+        coefficients
+    )
+    camera_x, camera_y, foot_x, foot_y = camera_px[0], camera_px[1], foot_px[0], foot_px[1]
+    for i in range(len(trend)):
+        x, y = camera_x[i] * scale[0] - 1.0, camera_y[i] * scale[1] - 1.0
+        camera = x * (ax + x * (axx + x * axxx + y * axxy) + y * (axy + y * axyy)) + y * (ay + y * (ayy + y * ayyy))
+        x, y = foot_x[i] * scale[2] - 1.0, foot_y[i] * scale[3] - 1.0
+        projector = x * (bx + x * (bxx + x * bxxx + y * bxxy) + y * (bxy + y * bxyy)) + y * (by + y * (byy + y * byyy))
+        trend[i] = constant + camera + projector

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Bools, Floats
-from calib.corner_view import View, cells_of
+from calib.arrays import Bools, Floats, Ints
+from calib.corner_view import View
+from calib.pieces import in_pieces
+from calib.voxels import nearest_in_voxels
 from scanner.cloud import Cloud
 
 
@@ -39,26 +41,53 @@ def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...
 
     The grid's edge is the distance between neighbouring camera pixels at the captures' median distance.
     """
-    points, normals, colours, far = [], [], [], []
-    for cloud, view, turn in zip(clouds, views, turns, strict=True):
-        seen = cloud.points[cloud.there].astype(np.float64)
-        points.append(view.in_corner(seen, turn))
-        normals.append(np.roll(cloud.normals[cloud.there].astype(np.float64) @ view.axes.T, turn, axis=1))
-        colours.append(cloud.colours[cloud.there])
-        far.append(np.linalg.norm(seen, axis=1))
+    pixels = [np.flatnonzero(cloud.there) for cloud in clouds]
+    ends = np.cumsum([len(pixel) for pixel in pixels])
+    points, distance = np.empty((ends[-1], 3)), np.empty(ends[-1])
+    for cloud, view, turn, pixel, end in zip(clouds, views, turns, pixels, ends, strict=True):
+        own = slice(end - len(pixel), end)
+        _place(cloud, view, turn, pixel, points[own], distance[own])
     grid = float(np.median([view.distance / np.mean(view.camera.focal_px) for view in views]))
-    everything, distance = np.concatenate(points), np.concatenate(far)
-    order = np.argsort(distance, kind="stable")
-    kept = np.sort(order[np.unique(cells_of(everything, grid)[order], return_index=True)[1]])
+    kept = nearest_in_voxels(points, distance, grid)
+    normals, colours = np.empty((len(kept), 3), np.float32), np.empty((len(kept), 3), np.uint8)
+    for cloud, view, turn, pixel, end in zip(clouds, views, turns, pixels, ends, strict=True):
+        first = end - len(pixel)
+        own = slice(*np.searchsorted(kept, (first, end)))
+        _dress(cloud, view, turn, pixel.take(kept[own] - first), normals[own], colours[own])
     return MergedCloud(
-        everything[kept].astype(np.float32),
-        np.concatenate(colours)[kept],
-        np.concatenate(normals)[kept].astype(np.float32),
+        points.take(kept, axis=0).astype(np.float32),
+        colours,
+        normals,
         clouds[0].unit,
         grid,
         turns,
         tuple(_pose(view, turn) for view, turn in zip(views, turns, strict=True)),
     )
+
+
+def _place(cloud: Cloud, view: View, turn: int, pixel: Ints, points: Floats, distance: Floats) -> None:
+    """Fill in the points (N, 3) of a cloud's pixels (N,) in the corner's frame, and their distances (N,)."""
+    seen = cloud.points.reshape(-1, 3)
+
+    def fill(at: slice) -> None:
+        in_camera = seen.take(pixel[at], axis=0).astype(np.float64)
+        points[at] = view.in_corner(in_camera, turn)
+        distance[at] = np.linalg.norm(in_camera, axis=1)
+
+    in_pieces(len(pixel), fill)
+
+
+def _dress(
+    cloud: Cloud, view: View, turn: int, pixel: Ints, normals: NDArray[np.float32], colours: NDArray[np.uint8]
+) -> None:
+    """Fill in the normals (N, 3), in the corner's frame, and the colours (N, 3) of a cloud's pixels (N,)."""
+    seen, painted = cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)
+
+    def fill(at: slice) -> None:
+        normals[at] = np.roll(seen.take(pixel[at], axis=0) @ view.axes.T, turn, axis=1)
+        colours[at] = painted.take(pixel[at], axis=0)
+
+    in_pieces(len(pixel), fill)
 
 
 def _pose(view: View, turn: int) -> Floats:

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Bools
+from calib.compiled import compiled
 from scanner.merged_cloud import MergedCloud
 
-_VERTEX = np.dtype([("point", "<f4", 3), ("normal", "<f4", 3), ("colour", "u1", 3)])
-_PROPERTIES = (
-    *(f"float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
-    *(f"uchar {name}" for name in ("red", "green", "blue")),
-)
+_FLOATS, _BYTES = ("x", "y", "z", "nx", "ny", "nz"), ("red", "green", "blue")
+_VERTEX = np.dtype([*((name, "<f4") for name in _FLOATS), *((name, "u1") for name in _BYTES)])
+_PROPERTIES = (*(f"float {name}" for name in _FLOATS), *(f"uchar {name}" for name in _BYTES))
+_PIECE = 1 << 15  # points to be written at once, from the processor's cache
 _CAMERA_FRAME = "camera frame: x right, y down, z forward, origin at the camera's centre"
 
 
@@ -46,13 +46,35 @@ def write_merged_ply(path: Path, cloud: MergedCloud) -> None:
 
 
 def _write(path: Path, cloud: PointCloud, frame: str) -> None:
-    there = np.flatnonzero(cloud.there)
-    vertices = np.empty(len(there), dtype=_VERTEX)
-    for name, values in (("point", cloud.points), ("normal", cloud.normals), ("colour", cloud.colours)):
-        vertices[name] = values.reshape(-1, 3).take(there, axis=0)
+    there = cloud.there.ravel()
+    points, normals, colours = cloud.points.reshape(-1, 3), cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)
+    vertices = np.empty(_PIECE, dtype=_VERTEX)
     with path.open("wb") as file:
-        file.write(_header(len(vertices), cloud.unit, frame))
-        file.write(vertices.data)
+        file.write(_header(int(np.count_nonzero(there)), cloud.unit, frame))
+        for start in range(0, len(there), _PIECE):
+            some = slice(start, start + _PIECE)
+            count = _fill(vertices, there[some], points[some], normals[some], colours[some])
+            file.write(vertices[:count].data)
+
+
+@compiled
+def _fill(
+    vertices: NDArray[np.void],
+    there: Bools,
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    colours: NDArray[np.uint8],
+) -> int:
+    """Fill in the first vertices with those of N points that are there; returns how many they are."""
+    count = 0
+    for i in range(len(there)):
+        if there[i]:
+            vertex = vertices[count]
+            vertex.x, vertex.y, vertex.z = points[i, 0], points[i, 1], points[i, 2]
+            vertex.nx, vertex.ny, vertex.nz = normals[i, 0], normals[i, 1], normals[i, 2]
+            vertex.red, vertex.green, vertex.blue = colours[i, 0], colours[i, 1], colours[i, 2]
+            count += 1
+    return count
 
 
 def _header(count: int, unit: str, frame: str) -> bytes:

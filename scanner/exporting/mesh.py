@@ -40,8 +40,10 @@ def build_mesh(scan: FinishedScan) -> Mesh:
             "no three points are neighbours on a surface, so there is nothing to make a mesh of: export the cloud as "
             "ply instead"
         )
-    used, corners = np.unique(triangles, return_inverse=True)
-    return Mesh(scan.points[used], scan.normals[used], scan.colours[used], corners.reshape(triangles.shape), scan.unit)
+    used = np.zeros(len(scan.points), dtype=np.bool_)
+    used[triangles.ravel()] = True
+    corners = (np.cumsum(used, dtype=np.int32) - np.int32(1))[triangles]
+    return Mesh(scan.points[used], scan.normals[used], scan.colours[used], corners, scan.unit)
 
 
 def write_mesh_ply(path: Path, mesh: Mesh) -> None:
@@ -65,8 +67,8 @@ def write_mesh_ply(path: Path, mesh: Mesh) -> None:
     ]
     with path.open("wb") as file:
         file.write("".join(f"{line}\n" for line in header).encode("ascii", errors="replace"))
-        file.write(vertices.tobytes())
-        file.write(faces.tobytes())
+        file.write(vertices.data)
+        file.write(faces.data)
 
 
 def write_mesh_obj(path: Path, mesh: Mesh) -> None:
