@@ -73,7 +73,7 @@ def _project(device: Floats, points: Floats, pixels: Floats, by_point: Floats, b
 
 @compiled
 def _distortion(x: float, y: float, k1: float, k2: float) -> tuple[float, float, float, float, float]:
-    """r², the distorted over the ideal radius, and the Jacobian [[a, b], [b, d]] of the distorted point by the ideal."""
+    """r², distorted over ideal radius, and the Jacobian [[a, b], [b, d]] of the distorted point by the ideal one."""
     r2 = x * x + y * y
     factor = 1 + r2 * (k1 + r2 * k2)
     slope = 2 * (k1 + 2 * k2 * r2)

@@ -1,0 +1,216 @@
+"""Passes over all matches, compiled: how far the planes reach in the image, and sums over cells of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import Floats, Ints
+from calib.compiled import compiled
+from calib.matches import Matches
+from calib.pieces import in_pieces
+from calib.polynomial import monomials
+
+_DEGREE = 4  # of `monomials`, told to the compiler: twice as fast as a number that it does not know
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Of the matches on one plane: their number, and the lowest and the highest of their camera pixels, (2,)."""
+
+    count: int
+    low: Floats
+    high: Floats
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Square cells of `side` pixels from `low` (2,); `columns` × `rows` of them."""
+
+    low: Floats
+    side: float
+    columns: int
+    rows: int
+
+    def __len__(self) -> int:
+        return self.columns * self.rows
+
+    def number(self, camera_px: Floats) -> Ints:
+        """Number of the cell (N,) of each pixel (N, 2)."""
+        place = ((camera_px - self.low) / self.side).astype(np.int32)
+        number: Ints = np.asarray(place[:, 1] * self.columns + place[:, 0], np.int32)
+        return number
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What is expected of a match on a plane: a homography and, in `coefficients` (TERMS, 2), a polynomial on top.
+
+    `scale`: the normalisation of camera pixels. `sigma`: scatter around it for weight 1.
+    """
+
+    homography: Floats
+    scale: Floats
+    coefficients: Floats
+    sigma: float
+
+    def straight(self, camera_px: Floats) -> Floats:
+        """The homography's part, (N, 2)."""
+        mapped = self.homography[:, :2] @ camera_px.T + self.homography[:, 2:]
+        straight: Floats = mapped[:2] / mapped[2]
+        return straight.T
+
+    def curved(self, camera_px: Floats) -> Floats:
+        """The polynomial's part, (N, 2)."""
+        curved: Floats = monomials(camera_px, self.scale) @ self.coefficients
+        return curved
+
+
+def slots(labels: Sequence[int]) -> Ints:
+    """For each label from 0 to the highest of them its place among them, −1 for the others."""
+    slot = np.full(max(labels) + 1, -1, np.int32)
+    slot[list(labels)] = np.arange(len(labels))
+    return slot
+
+
+def extents(camera_px: Floats, label: Ints, slot: Ints) -> list[Extent]:
+    """Of the matches with each label."""
+
+    def of_piece(at: slice) -> Floats:
+        totals = np.tile([0.0, -np.inf, -np.inf, -np.inf, -np.inf], (slot.max() + 1, 1))
+        _extend(np.ascontiguousarray(camera_px[at], np.float64), _as_ints(label[at]), slot, totals)
+        return totals
+
+    totals = np.stack(in_pieces(len(label), of_piece))
+    counts, ends = totals[:, :, 0].sum(axis=0), totals[:, :, 1:].max(axis=0)
+    return [Extent(int(count), -end[:2], end[2:]) for count, end in zip(counts, ends, strict=True)]
+
+
+def every(label: Ints, slot: Ints, strides: Sequence[int], most: int) -> list[Ints]:
+    """For each label the indices of the first, and then of every stride-th, match that has it; at most so many."""
+    chosen, found = np.empty((len(strides), most), np.int64), np.zeros(len(strides), np.int64)
+    _choose(_as_ints(label), slot, np.array(strides), chosen, found)
+    return [indices[:count] for indices, count in zip(chosen, found, strict=True)]
+
+
+def sums_over_cells(
+    matches: Matches,
+    label: Ints,
+    slot: Ints,
+    references: Sequence[Reference],
+    rasters: Sequence[Raster],
+    limits: Sequence[float],
+    typical_sigma_px: float,
+) -> list[Floats]:
+    """For each label the sums over its cells, (cells, 7).
+
+    Number of matches, their weight (that of the typical sigma being 1), weighted sums of camera pixels (2) and of
+    offsets from the reference's homography (2), weighted sum of squared deviations from homography and polynomial.
+    Matches with a larger weighted square than the `limits` are left out.
+    """
+    first = np.cumsum([0, *(len(raster) for raster in rasters)])
+    grids = np.array([[*raster.low, raster.side, raster.columns] for raster in rasters])
+    homographies = np.stack([reference.homography for reference in references])
+    scales = np.stack([reference.scale for reference in references])
+    coefficients = np.stack([reference.coefficients for reference in references])
+
+    def of_piece(at: slice) -> Floats:
+        camera_px, projector_px = (
+            np.ascontiguousarray(pixels[at], np.float64) for pixels in (matches.camera_px, matches.projector_px)
+        )
+        weights = np.ones(len(camera_px))
+        if matches.sigma_px is not None:
+            weights = (typical_sigma_px / matches.sigma_px[at].astype(np.float64)) ** 2
+        expected = homographies, scales, coefficients, np.array(limits)
+        sums = np.zeros((first[-1], 7))
+        _add_up(camera_px, projector_px, weights, _as_ints(label[at]), slot, *expected, grids, first, sums)
+        return sums
+
+    sums: Floats = np.sum(in_pieces(len(label), of_piece), axis=0)
+    return np.split(sums, first[1:-1])
+
+
+def _as_ints(label: Ints) -> Ints:
+    return np.ascontiguousarray(label, np.int32)
+
+
+@compiled
+def _extend(camera_px: Floats, label: Ints, slot: Ints, totals: Floats) -> None:
+    """For each label (L, 5): number of matches, the highest of −x, −y, x, y."""
+    for i in range(len(label)):
+        plane = _plane_of(label[i], slot)
+        if plane >= 0:
+            x, y, total = camera_px[i, 0], camera_px[i, 1], totals[plane]
+            total[0] += 1
+            total[1], total[2] = max(total[1], -x), max(total[2], -y)
+            total[3], total[4] = max(total[3], x), max(total[4], y)
+
+
+@compiled
+def _choose(label: Ints, slot: Ints, strides: Ints, chosen: Ints, found: Ints) -> None:
+    left_out = strides - 1
+    for i in range(len(label)):
+        plane = _plane_of(label[i], slot)
+        if plane >= 0:
+            left_out[plane] += 1
+            if left_out[plane] == strides[plane] and found[plane] < chosen.shape[1]:
+                chosen[plane, found[plane]] = i
+                found[plane] += 1
+                left_out[plane] = 0
+
+
+@compiled
+def _add_up(
+    camera_px: Floats,
+    projector_px: Floats,
+    weights: Floats,
+    label: Ints,
+    slot: Ints,
+    homographies: Floats,
+    scales: Floats,
+    coefficients: Floats,
+    limits: Floats,
+    grids: Floats,
+    first: Ints,
+    sums: Floats,
+) -> None:
+    """Sums (cells, 7); the cells of each plane begin at `first`, `grids`: its left and upper end, side, columns."""
+    for i in range(len(label)):
+        plane = _plane_of(label[i], slot)
+        if plane < 0:
+            continue
+        x, y, weight = camera_px[i, 0], camera_px[i, 1], weights[i]
+        h, scale, (left, top, side, columns) = homographies[plane], scales[plane], grids[plane]
+        third = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+        offset_x = projector_px[i, 0] - (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / third
+        offset_y = projector_px[i, 1] - (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / third
+        u, v = scale[0, 0] * x + scale[0, 2], scale[1, 1] * y + scale[1, 2]
+        bent_x, bent_y = _polynomial(coefficients[plane], u, v)
+        square = weight * ((offset_x - bent_x) ** 2 + (offset_y - bent_y) ** 2)
+        if square <= limits[plane]:
+            cell = sums[first[plane] + int((y - top) / side) * int(columns) + int((x - left) / side)]
+            cell[0] += 1
+            cell[1] += weight
+            cell[2] += weight * x
+            cell[3] += weight * y
+            cell[4] += weight * offset_x
+            cell[5] += weight * offset_y
+            cell[6] += square
+
+
+@compiled
+def _plane_of(label: int, slot: Ints) -> int:
+    return slot[label] if 0 <= label < len(slot) else -1
+
+
+@compiled
+def _polynomial(coefficients: Floats, x: float, y: float) -> tuple[float, float]:
+    """Two polynomials by their coefficients (TERMS, 2) in the order of `monomials`: x^d, x^(d−1) y, … for each d."""
+    u = v = 0.0
+    for j in range(_DEGREE, -1, -1):
+        of_x = of_y = 0.0
+        for d in range(_DEGREE, j - 1, -1):
+            place = d * (d + 1) // 2 + j
+            of_x, of_y = of_x * x + coefficients[place, 0], of_y * x + coefficients[place, 1]
+        u, v = u * y + of_x, v * y + of_y
+    return u, v
