@@ -134,29 +134,58 @@ def _as_ints(label: Ints) -> Ints:
     return np.ascontiguousarray(label, np.int32)
 
 
+# Matches come in the image's order: long runs of them have one label, and one row.
+
+
+@compiled
+def _end_of_run(label: Ints, start: int) -> int:
+    """Where the matches with the label of the one at `start` end."""
+    end = start + 1
+    while end < len(label) and label[end] == label[start]:
+        end += 1
+    return end
+
+
+@compiled
+def _plane_of(label: int, slot: Ints) -> int:
+    return slot[label] if 0 <= label < len(slot) else -1
+
+
 @compiled
 def _extend(camera_px: Floats, label: Ints, slot: Ints, totals: Floats) -> None:
     """For each label (L, 5): number of matches, the highest of −x, −y, x, y."""
-    for i in range(len(label)):
-        plane = _plane_of(label[i], slot)
-        if plane >= 0:
-            x, y, total = camera_px[i, 0], camera_px[i, 1], totals[plane]
-            total[0] += 1
-            total[1], total[2] = max(total[1], -x), max(total[2], -y)
-            total[3], total[4] = max(total[3], x), max(total[4], y)
+    end = 0
+    while end < len(label):
+        start, end = end, _end_of_run(label, end)
+        plane = _plane_of(label[start], slot)
+        if plane < 0:
+            continue
+        total = totals[plane]
+        left, top, right, bottom = total[1], total[2], total[3], total[4]
+        for i in range(start, end):
+            x, y = camera_px[i, 0], camera_px[i, 1]
+            left, right = max(left, -x), max(right, x)
+            top, bottom = max(top, -y), max(bottom, y)
+        total[0] += end - start
+        total[1], total[2], total[3], total[4] = left, top, right, bottom
 
 
 @compiled
 def _choose(label: Ints, slot: Ints, strides: Ints, chosen: Ints, found: Ints) -> None:
-    left_out = strides - 1
-    for i in range(len(label)):
-        plane = _plane_of(label[i], slot)
-        if plane >= 0:
-            left_out[plane] += 1
-            if left_out[plane] == strides[plane] and found[plane] < chosen.shape[1]:
-                chosen[plane, found[plane]] = i
-                found[plane] += 1
-                left_out[plane] = 0
+    """Indices (L, most) of every stride-th match with each label from the first on; `found` (L,): how many."""
+    passed_over = strides - 1
+    end = 0
+    while end < len(label):
+        start, end = end, _end_of_run(label, end)
+        plane = _plane_of(label[start], slot)
+        if plane < 0:
+            continue
+        at = start + strides[plane] - 1 - passed_over[plane]
+        while at < end:
+            chosen[plane, found[plane]] = at
+            found[plane] += 1
+            at += strides[plane]
+        passed_over[plane] = end - 1 - (at - strides[plane])
 
 
 @compiled
@@ -175,42 +204,50 @@ def _add_up(
     sums: Floats,
 ) -> None:
     """Sums (cells, 7); the cells of each plane begin at `first`, `grids`: its left and upper end, side, columns."""
-    for i in range(len(label)):
-        plane = _plane_of(label[i], slot)
+    along = np.empty((_DEGREE + 1, 2))
+    end = 0
+    while end < len(label):
+        start, end = end, _end_of_run(label, end)
+        plane = _plane_of(label[start], slot)
         if plane < 0:
             continue
-        x, y, weight = camera_px[i, 0], camera_px[i, 1], weights[i]
-        h, scale, (left, top, side, columns) = homographies[plane], scales[plane], grids[plane]
-        third = h[2, 0] * x + h[2, 1] * y + h[2, 2]
-        offset_x = projector_px[i, 0] - (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / third
-        offset_y = projector_px[i, 1] - (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / third
-        u, v = scale[0, 0] * x + scale[0, 2], scale[1, 1] * y + scale[1, 2]
-        bent_x, bent_y = _polynomial(coefficients[plane], u, v)
-        square = weight * ((offset_x - bent_x) ** 2 + (offset_y - bent_y) ** 2)
-        if square <= limits[plane]:
-            cell = sums[first[plane] + int((y - top) / side) * int(columns) + int((x - left) / side)]
-            cell[0] += 1
-            cell[1] += weight
-            cell[2] += weight * x
-            cell[3] += weight * y
-            cell[4] += weight * offset_x
-            cell[5] += weight * offset_y
-            cell[6] += square
+        (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = homographies[plane]
+        (scale, _, shift_x), (_, _, shift_y), _ = scales[plane]
+        left, top, side, columns = grids[plane]
+        limit, row = limits[plane], np.nan
+        for i in range(start, end):
+            x, y, weight = camera_px[i, 0], camera_px[i, 1], weights[i]
+            if y != row:
+                _polynomials_in_x(coefficients[plane], scale * y + shift_y, along)
+                row = y
+            third = h20 * x + h21 * y + h22
+            offset_x = projector_px[i, 0] - (h00 * x + h01 * y + h02) / third
+            offset_y = projector_px[i, 1] - (h10 * x + h11 * y + h12) / third
+            bent_x = bent_y = 0.0
+            for degree in range(_DEGREE, -1, -1):
+                bent_x = bent_x * (scale * x + shift_x) + along[degree, 0]
+                bent_y = bent_y * (scale * x + shift_x) + along[degree, 1]
+            square = weight * ((offset_x - bent_x) ** 2 + (offset_y - bent_y) ** 2)
+            if square <= limit:
+                cell = sums[first[plane] + int((y - top) / side) * int(columns) + int((x - left) / side)]
+                cell[0] += 1
+                cell[1] += weight
+                cell[2] += weight * x
+                cell[3] += weight * y
+                cell[4] += weight * offset_x
+                cell[5] += weight * offset_y
+                cell[6] += square
 
 
 @compiled
-def _plane_of(label: int, slot: Ints) -> int:
-    return slot[label] if 0 <= label < len(slot) else -1
+def _polynomials_in_x(coefficients: Floats, y: float, along: Floats) -> None:
+    """Two polynomials in x and y, at a y, as polynomials in x alone (degrees, 2).
 
-
-@compiled
-def _polynomial(coefficients: Floats, x: float, y: float) -> tuple[float, float]:
-    """Two polynomials by their coefficients (TERMS, 2) in the order of `monomials`: x^d, x^(d−1) y, … for each d."""
-    u = v = 0.0
-    for j in range(_DEGREE, -1, -1):
-        of_x = of_y = 0.0
-        for d in range(_DEGREE, j - 1, -1):
-            place = d * (d + 1) // 2 + j
-            of_x, of_y = of_x * x + coefficients[place, 0], of_y * x + coefficients[place, 1]
-        u, v = u * y + of_x, v * y + of_y
-    return u, v
+    `coefficients` (TERMS, 2) in the order of `monomials`: x^d, x^(d−1) y, … y^d for each degree d.
+    """
+    for i in range(_DEGREE + 1):
+        u = v = 0.0
+        for j in range(_DEGREE - i, -1, -1):
+            place = (i + j) * (i + j + 1) // 2 + j
+            u, v = u * y + coefficients[place, 0], v * y + coefficients[place, 1]
+        along[i, 0], along[i, 1] = u, v

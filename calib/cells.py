@@ -23,6 +23,7 @@ from calib.homography import (
     normalisation,
 )
 from calib.matches import Matches
+from calib.parallel import in_parallel
 from calib.polynomial import CONIC, TERMS, monomials
 
 # The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).
@@ -104,7 +105,7 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
     typical = _typical_sigma(matches, label, labels)
     strides = [max(1, extent.count // _SAMPLE) for extent in reach]
     samples = [matches[chosen] for chosen in every(label, slot, strides, 2 * _SAMPLE)]
-    references = [_reference(sample, typical) for sample in samples]
+    references = in_parallel(lambda sample: _reference(sample, typical), samples)
     rasters = [_raster(extent) for extent in reach]
     limits = [(_OUTLIER_SIGMAS * reference.sigma) ** 2 for reference in references]
     sums = sums_over_cells(matches, label, slot, references, rasters, limits, typical)

@@ -111,8 +111,8 @@ def _normalisations(matches: Matches, face: Ints) -> tuple[Ints, Floats, Floats]
     """Number of matches on each face (3,), and the normalisations (3, 3) of both images for all of them together."""
 
     def piece(at: slice) -> tuple[Floats, Floats, Ints]:
-        pixels = (np.ascontiguousarray(each[at], np.float64) for each in (matches.camera_px, matches.projector_px))
-        return (*pixels, np.ascontiguousarray(face[at], np.int32))
+        camera_px, projector_px = _as_floats(matches.camera_px[at]), _as_floats(matches.projector_px[at])
+        return camera_px, projector_px, _as_ints(face[at])
 
     def summed(at: slice) -> Floats:
         totals = np.zeros((len(FACES), 5))
@@ -137,13 +137,22 @@ def _moments(
 
     def summed(at: slice) -> Floats:
         sums = np.zeros((labels, 6, 6))
-        pieces = (np.ascontiguousarray(each[at], np.float64) for each in (source, target))
-        _add_products(*pieces, np.ascontiguousarray(label[at], np.int32), source_scale, target_scale, sums)
+        _add_products(
+            _as_floats(source[at]), _as_floats(target[at]), _as_ints(label[at]), source_scale, target_scale, sums
+        )
         return sums
 
     sums: Floats = np.sum(in_pieces(len(label), summed), axis=0)
     means = sums / sums[:, 5:, 5:]
     return means[:, _PRODUCT][:, :, :, _PRODUCT].transpose(0, 1, 3, 2, 4)
+
+
+def _as_floats(points: Floats) -> Floats:
+    return np.ascontiguousarray(points, np.float64)
+
+
+def _as_ints(labels: Ints) -> Ints:
+    return np.ascontiguousarray(labels, np.int32)
 
 
 @compiled
