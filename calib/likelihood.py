@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import Bools, Floats
+from calib.arrays import Bools, Floats, Ints
 from calib.cells import Cells
 from calib.compiled import compiled
 from calib.model import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
@@ -39,6 +39,11 @@ class Prior:
         if self.held is not None:
             free[self.held] = False
         return free
+
+    @cached_property
+    def free_columns(self) -> Ints:
+        """Indices of the columns that are estimated."""
+        return np.flatnonzero(self.free)
 
     @cached_property
     def root_precision(self) -> Floats:
@@ -139,22 +144,19 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
     residuals = []
     for i, (cells, variance) in enumerate(zip(captures, variances, strict=True)):
         predicted, jacobian, depths = predict(state, cells.camera_px, cells.plane, i)
-        residual, size = np.empty(predicted.shape), jacobian.shape[2]
-        slope, curvature = np.zeros(size), np.zeros((size, size))
+        residual = np.empty(predicted.shape)
         cost += _misfit(
             predicted,
             np.ascontiguousarray(cells.projector_px),
             jacobian,
             depths,
             variance,
+            state.columns(i),
             residual,
-            slope,
-            curvature,
+            gradient,
+            information,
         )
         residuals.append(residual)
-        columns = state.columns(i)
-        gradient[columns] += slope
-        information[columns[:, None], columns] += curvature
     return Fit(state, cost, tuple(residuals), gradient, information)
 
 
@@ -165,15 +167,17 @@ def _misfit(
     jacobian: Floats,
     depths: Floats,
     variance: Floats,
+    columns: Ints,
     residual: Floats,
     gradient: Floats,
     information: Floats,
 ) -> float:
-    """Cost of one capture's cells; their residuals, half the cost's gradient and its Gauss–Newton Hessian.
+    """Cost of one capture's cells, and their residuals; adds to half the cost's gradient and Gauss–Newton Hessian.
 
     A cell behind a device, or on the horizon, costs the same wherever it is.
     """
-    cost, behind, columns = 0.0, 0, len(gradient)
+    cost, behind, count = 0.0, 0, len(columns)
+    slope, curvature = np.zeros(count), np.zeros((count, count))
     for i in range(len(predicted)):
         if not (depths[i, 0] > 0 and depths[i, 1] > 0 and np.isfinite(np.sum(jacobian[i]))):
             residual[i] = 0.0
@@ -187,9 +191,13 @@ def _misfit(
         robust = min(1.0, ROBUST_SIGMAS / size)
         cost += robust * size * (2 * size - robust * size)
         weight = robust / variance[i]
-        for a in range(columns):
+        for a in range(count):
             by_x, by_y = weight * jacobian[i, 0, a], weight * jacobian[i, 1, a]
-            gradient[a] += by_x * x + by_y * y
-            for b in range(columns):
-                information[a, b] += by_x * jacobian[i, 0, b] + by_y * jacobian[i, 1, b]
+            slope[a] += by_x * x + by_y * y
+            for b in range(count):
+                curvature[a, b] += by_x * jacobian[i, 0, b] + by_y * jacobian[i, 1, b]
+    for a in range(count):
+        gradient[columns[a]] += slope[a]
+        for b in range(count):
+            information[columns[a], columns[b]] += curvature[a, b]
     return cost if behind <= (1 - _LEAST_IN_FRONT) * len(predicted) else np.inf

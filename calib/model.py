@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from calib import lens
 from calib.arrays import Floats, Ints
 from calib.compiled import compiled
-from calib.homography import FACES
 from calib.motion import Motion, rotation_about, tangent_basis
 
 CAMERA, PROJECTOR = slice(0, 5), slice(5, 10)
@@ -26,8 +25,10 @@ ROTATION, TRANSLATION = slice(10, 13), slice(13, 15)
 SHARED = 15
 PER_CORNER, PER_POSE, PER_PLANE, PER_MOTION = 3, 6, 3, 6
 
+_MOTION = np.arange(ROTATION.start, TRANSLATION.stop, dtype=np.int32)
+
 # First columns of a capture, for compiled functions.
-_PER_DEVICE, _ROTATION, _POSE, _FACES = CAMERA.stop, ROTATION.start, SHARED + PER_CORNER, len(FACES)
+_PER_DEVICE, _ROTATION, _POSE, _FACES = CAMERA.stop, ROTATION.start, SHARED + PER_CORNER, 3
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ class State:
     def motion_columns(self, capture: int) -> Ints:
         """Columns of a capture's motion: rotation (3), direction (2), and with further photos the length."""
         if not (self.one_camera and capture):
-            return np.arange(ROTATION.start, TRANSLATION.stop, dtype=np.int32)
+            return _MOTION
         start = self._starts[-1] + PER_MOTION * (capture - 1)
         return np.arange(start, start + PER_MOTION, dtype=np.int32)
 
@@ -171,7 +172,8 @@ class State:
         """The columns that may have a prior, as numbers that a step adds to, (size,); zero for rotations and such."""
         values = np.zeros(self.size)
         for columns, device in ((CAMERA, self.camera), (PROJECTOR, self.projector)):
-            values[columns] = np.concatenate([[np.log(device[0])], device[1:]])
+            values[columns] = device
+            values[columns.start] = np.log(device[0])
         values[SHARED : self._starts[0]] = self.off_square.ravel()
         for i, pose in enumerate(self.poses):
             for j, plane in enumerate(pose.planes):
@@ -378,15 +380,15 @@ def _faces(off_square: Floats, frame: Floats) -> tuple[Floats, Floats]:
 
 
 def _moved_device(device: Floats, step: Floats) -> Floats:
-    return np.concatenate([[device[0] * np.exp(step[0])], device[1:] + step[1:]])
+    moved: Floats = device + step
+    moved[0] = device[0] * np.exp(step[0])
+    return moved
 
 
 def _moved_pose(pose: Pose, step: Floats) -> Pose:
-    turned = pose.frame @ rotation_about(step[:3]).T
     planes = tuple(
         replace(plane, tilt=plane.tilt + part[:2], height=plane.height + float(part[2]))
         for plane, part in zip(pose.planes, step[PER_POSE:].reshape(-1, PER_PLANE), strict=True)
     )
-    return replace(
-        pose, frame=turned, vertex=pose.vertex + step[3:PER_POSE] * np.linalg.norm(pose.vertex), planes=planes
-    )
+    distance = np.sqrt(pose.vertex @ pose.vertex)
+    return Pose(pose.frame @ rotation_about(step[:3]).T, pose.vertex + step[3:PER_POSE] * distance, pose.corner, planes)

@@ -25,13 +25,12 @@ class Motion:
 
     def moved(self, step: Floats) -> "Motion":
         """After a step (5,) of rotation and direction, or (6,) of the length's logarithm as well."""
-        direction = self.translation / self.length
-        direction = direction + tangent_basis(direction) @ step[3:5]
-        length = self.length * np.exp(step[5:].sum())
-        return Motion(
-            rotation_about(step[:3]) @ self.rotation,
-            direction * (length / np.linalg.norm(direction)),
-        )
+        length = self.length
+        ahead = self.translation / length
+        aside: Floats = ahead + tangent_basis(ahead) @ step[3:5]
+        if len(step) > 5:
+            length *= np.exp(step[5])
+        return Motion(rotation_about(step[:3]) @ self.rotation, aside * (length / np.sqrt(aside @ aside)))
 
     def step_to(self, other: "Motion") -> Floats:
         """The step (6,) to another motion not too far away."""
