@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from calib import lens
 from calib.arrays import Floats, Ints
-from calib.compiled import compiled
+from calib.homography import FACES
 from calib.motion import Motion, rotation_about, tangent_basis
+from calib.prediction import chain, face_normals, meet, move
 
 CAMERA, PROJECTOR = slice(0, 5), slice(5, 10)
 ROTATION, TRANSLATION = slice(10, 13), slice(13, 15)
@@ -26,9 +27,6 @@ SHARED = 15
 PER_CORNER, PER_POSE, PER_PLANE, PER_MOTION = 3, 6, 3, 6
 
 _MOTION = np.arange(ROTATION.start, TRANSLATION.stop, dtype=np.int32)
-
-# First columns of a capture, for compiled functions.
-_PER_DEVICE, _ROTATION, _POSE, _FACES = CAMERA.stop, ROTATION.start, SHARED + PER_CORNER, 3
 
 
 @dataclass(frozen=True)
@@ -192,7 +190,7 @@ class State:
     def normals(self, capture: int = 0) -> Floats:
         """Unit normals of the faces in the camera's frame, (3, 3) rows."""
         pose = self.pose(capture)
-        return _faces(self.off_square[pose.corner], pose.frame)[0]
+        return face_normals(self.off_square[pose.corner], pose.frame)[0]
 
     def legs(self, capture: int = 0) -> Floats:
         """Unit directions of the edges in the camera's frame, (3, 3) rows."""
@@ -218,128 +216,28 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
     Jacobian (N, 2, columns) by `state.columns(capture)`, and depths (N, 2) in both devices (not positive where the
     prediction means nothing).
     """
-    count, columns = len(plane), state.count(capture)
-    motion, plane = state.motion(capture), np.ascontiguousarray(plane, np.int32)
-    met, moved, depths = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 2))
-    met_by_columns, moved_by_columns = np.zeros((count, 3, columns)), np.empty((count, 3, columns))
-    jacobian = np.empty((count, 2, columns))
+    motion, vertex = state.motion(capture), state.pose(capture).vertex
+    plane = np.ascontiguousarray(plane, np.int32)
+    by_columns = np.zeros((len(plane), 3, state.count(capture)))
+    corner, pose = slice(SHARED, SHARED + PER_CORNER), slice(SHARED + PER_CORNER, None)
+    filled = (by_columns[:, :, part] for part in (CAMERA, corner, pose))
 
     rays, rays_by_camera = lens.unproject(state.camera, camera_px)
-    planes, vertex = _planes(state, capture), state.pose(capture).vertex
-    _meet(rays, rays_by_camera, plane, *planes, vertex, met, met_by_columns, depths)
-    _move(met, met_by_columns, motion.rotation, *_translation(state, capture), moved, moved_by_columns, depths)
-    pixels, by_point, by_projector = lens.project(state.projector, moved)
-    _chain(by_point, moved_by_columns, by_projector, (CAMERA if state.one_camera else PROJECTOR).start, jacobian)
-    return pixels, jacobian, depths
+    met, depth = meet(rays, rays_by_camera, plane, *_planes(state, capture), vertex, *filled)
+    by_translation = _by_translation(state, capture)
+    moved, by_columns = move(met, by_columns, motion.rotation, motion.translation, by_translation, ROTATION.start)
+    pixels, by_moved, by_projector = lens.project(state.projector, moved)
+    jacobian = chain(by_moved, by_columns, by_projector, (CAMERA if state.one_camera else PROJECTOR).start)
+    return pixels, jacobian, np.stack([depth, moved[:, 2]], axis=1)
 
 
-@compiled
-def _meet(
-    rays: Floats,
-    rays_by_camera: Floats,
-    plane: Ints,
-    normals: Floats,
-    heights: Floats,
-    normals_by_angles: Floats,
-    normals_by_tilts: Floats,
-    vertex: Floats,
-    points: Floats,
-    by_columns: Floats,
-    depths: Floats,
-) -> None:
-    """Where rays r meet their planes n · X = n · vertex + height, in the camera's frame, with derivatives.
-
-    dX = depth (dr − r n·dr / n·r) + r / (n·r) (dn·(vertex − X) + n·dvertex + dheight)
-    """
-    distance = np.sqrt(_dot(vertex, vertex))
-    to_vertex, along = np.empty(3), np.empty(3)
-    for i in range(len(rays)):
-        on, normal, by_column = plane[i], normals[plane[i]], by_columns[i]
-        facing = _dot(normal, rays[i])
-        depth = (_dot(normal, vertex) + heights[on]) / facing
-        depths[i, 0] = depth
-        for k in range(3):
-            points[i, k] = depth * rays[i, k]
-            to_vertex[k] = vertex[k] - points[i, k]
-            along[k] = rays[i, k] / facing
-
-        for c in range(_PER_DEVICE):
-            back = depth * _dot(normal, rays_by_camera[i, :, c])
-            for k in range(3):
-                by_column[k, c] = depth * rays_by_camera[i, k, c] - along[k] * back
-        for c in range(3):
-            second, third = (c + 1) % 3, (c + 2) % 3
-            turned = normal[second] * to_vertex[third] - normal[third] * to_vertex[second]  # (n × (vertex − X))_c
-            for k in range(3):
-                by_column[k, SHARED + c] = along[k] * _dot(normals_by_angles[on, c], to_vertex)
-                by_column[k, _POSE + c] = along[k] * turned
-                by_column[k, _POSE + 3 + c] = along[k] * normal[c] * distance
-        if on >= _FACES:
-            own = _POSE + PER_POSE + PER_PLANE * (on - _FACES)
-            for k in range(3):
-                by_column[k, own] = along[k] * _dot(normals_by_tilts[on, 0], to_vertex)
-                by_column[k, own + 1] = along[k] * _dot(normals_by_tilts[on, 1], to_vertex)
-                by_column[k, own + 2] = along[k]
-
-
-@compiled
-def _move(
-    points: Floats,
-    points_by_columns: Floats,
-    rotation: Floats,
-    translation: Floats,
-    translation_by_columns: Floats,
-    moved: Floats,
-    by_columns: Floats,
-    depths: Floats,
-) -> None:
-    """R X + t in the second device's frame, with derivatives R dX + ω × R X + dt."""
-    turned = np.empty(3)
-    for i in range(len(points)):
-        for k in range(3):
-            turned[k] = _dot(rotation[k], points[i])
-            moved[i, k] = turned[k] + translation[k]
-            for c in range(by_columns.shape[2]):
-                by_columns[i, k, c] = translation_by_columns[k, c] + (
-                    rotation[k, 0] * points_by_columns[i, 0, c]
-                    + rotation[k, 1] * points_by_columns[i, 1, c]
-                    + rotation[k, 2] * points_by_columns[i, 2, c]
-                )
-        for c in range(3):
-            second, third = (c + 1) % 3, (c + 2) % 3
-            by_columns[i, second, _ROTATION + c] -= turned[third]
-            by_columns[i, third, _ROTATION + c] += turned[second]
-        depths[i, 1] = moved[i, 2]
-
-
-@compiled
-def _chain(by_point: Floats, point_by_columns: Floats, by_device: Floats, first: int, by_columns: Floats) -> None:
-    """By the point (N, 2, 3) times the point's (N, 3, columns), and by the device (N, 2, 5) from its `first` column."""
-    for i in range(len(by_point)):
-        for k in range(2):
-            for c in range(by_columns.shape[2]):
-                by_columns[i, k, c] = (
-                    by_point[i, k, 0] * point_by_columns[i, 0, c]
-                    + by_point[i, k, 1] * point_by_columns[i, 1, c]
-                    + by_point[i, k, 2] * point_by_columns[i, 2, c]
-                )
-            for c in range(_PER_DEVICE):
-                by_columns[i, k, first + c] += by_device[i, k, c]
-
-
-@compiled
-def _dot(a: Floats, b: Floats) -> float:
-    dot: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return dot
-
-
-def _translation(state: State, capture: int) -> tuple[Floats, Floats]:
-    """A capture's translation (3,) and how it changes with the capture's columns, (3, columns)."""
+def _by_translation(state: State, capture: int) -> Floats:
+    """How a capture's translation changes with its columns, (3, columns)."""
     motion = state.motion(capture)
     by_columns = np.zeros((3, state.count(capture)))
     by_columns[:, TRANSLATION] = tangent_basis(motion.translation / motion.length) * motion.length
-    by_columns[:, _POSE + state.pose(capture).size :] = motion.translation[:, None]
-    return motion.translation, by_columns
+    by_columns[:, SHARED + PER_CORNER + state.pose(capture).size :] = motion.translation[:, None]
+    return by_columns
 
 
 def _planes(state: State, capture: int) -> tuple[Floats, Floats, Floats, Floats]:
@@ -348,35 +246,17 @@ def _planes(state: State, capture: int) -> tuple[Floats, Floats, Floats, Floats]
     Then the normals' derivatives by the corner's angles (P, 3 angles, 3) and by a further plane's tilts (P, 2, 3).
     """
     pose = state.pose(capture)
-    count = _FACES + len(pose.planes)
+    count = len(FACES) + len(pose.planes)
     normals, heights = np.empty((count, 3)), np.zeros(count)
     by_angles, by_tilts = np.zeros((count, 3, 3)), np.zeros((count, 2, 3))
-    normals[:_FACES], by_angles[:_FACES] = _faces(state.off_square[pose.corner], pose.frame)
-    for i, plane in enumerate(pose.planes, start=_FACES):
+    normals[: len(FACES)], by_angles[: len(FACES)] = face_normals(state.off_square[pose.corner], pose.frame)
+    for i, plane in enumerate(pose.planes, start=len(FACES)):
         tilted = plane.axes[0] + plane.tilt @ plane.axes[1:]
         length = np.linalg.norm(tilted)
         unit = tilted / length
         normals[i], heights[i] = unit @ pose.frame, plane.height
         by_tilts[i] = (plane.axes[1:] - np.outer(plane.axes[1:] @ unit, unit)) / length @ pose.frame
     return normals, heights, by_angles, by_tilts
-
-
-@compiled
-def _faces(off_square: Floats, frame: Floats) -> tuple[Floats, Floats]:
-    """Unit normals (3, 3) of a corner's faces in the camera's frame, and derivatives (3, 3 angles, 3) by its angles.
-
-    In the corner's frame they are the rows of a symmetric matrix, scaled to unit length: ones on the diagonal, and half
-    the angle by which the faces i and j are off square, which is numbered like the third face, in row i, column j.
-    """
-    normals, by_angles = np.empty((3, 3)), np.zeros((3, 3, 3))
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        row = frame[i] + off_square[k] / 2 * frame[j] + off_square[j] / 2 * frame[k]
-        length = np.sqrt(_dot(row, row))
-        normals[i] = row / length
-        for angle, other in ((k, j), (j, k)):
-            by_angles[i, angle] = (frame[other] - _dot(normals[i], frame[other]) * normals[i]) / (2 * length)
-    return normals, by_angles
 
 
 def _moved_device(device: Floats, step: Floats) -> Floats:
