@@ -179,8 +179,11 @@ def _misfit(
     cost, behind, count = 0.0, 0, len(columns)
     slope, curvature = np.zeros(count), np.zeros((count, count))
     for i in range(len(predicted)):
-        if not (depths[i, 0] > 0 and depths[i, 1] > 0 and np.isfinite(np.sum(jacobian[i]))):
-            residual[i] = 0.0
+        total = 0.0
+        for a in range(count):
+            total += jacobian[i, 0, a] + jacobian[i, 1, a]
+        if not (depths[i, 0] > 0 and depths[i, 1] > 0 and np.isfinite(total)):
+            residual[i, 0], residual[i, 1] = 0.0, 0.0
             cost += _BEHIND
             behind += 1
             continue

@@ -21,11 +21,13 @@ def face_normals(off_square: Floats, frame: Floats) -> tuple[Floats, Floats]:
     normals, by_angles = np.empty((3, 3)), np.zeros((3, 3, 3))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        row = frame[i] + off_square[k] / 2 * frame[j] + off_square[j] / 2 * frame[k]
-        length = np.sqrt(_dot(row, row))
-        normals[i] = row / length
-        for angle, other in ((k, j), (j, k)):
-            by_angles[i, angle] = (frame[other] - _dot(normals[i], frame[other]) * normals[i]) / (2 * length)
+        to_j, to_k = off_square[k] / 2, off_square[j] / 2
+        length = np.sqrt(1 + to_j * to_j + to_k * to_k)
+        for c in range(3):
+            normals[i, c] = (frame[i, c] + to_j * frame[j, c] + to_k * frame[k, c]) / length
+        for c in range(3):
+            by_angles[i, k, c] = (frame[j, c] - to_j / length * normals[i, c]) / (2 * length)
+            by_angles[i, j, c] = (frame[k, c] - to_k / length * normals[i, c]) / (2 * length)
     return normals, by_angles
 
 
@@ -92,7 +94,7 @@ def move(
     first: int,
 ) -> tuple[Floats, Floats]:
     """R X + t (N, 3) with derivatives R dX + ω × R X + dt, (N, 3, columns); `first`: the column of the first of ω."""
-    moved, by_columns = np.empty(points.shape), np.empty(points_by_columns.shape)
+    moved, by_columns = np.empty_like(points), np.empty_like(points_by_columns)
     turned = np.empty(3)
     for i in range(len(points)):
         for k in range(3):
@@ -113,7 +115,10 @@ def move(
 
 @compiled
 def chain(by_point: Floats, point_by_columns: Floats, by_device: Floats, first: int) -> Floats:
-    """By the point (N, 2, 3) times the point's (N, 3, columns), plus by the device (N, 2, 5) from its `first` column."""
+    """A pixel's derivatives by the point (N, 2, 3) times the point's (N, 3, columns) → (N, 2, columns).
+
+    Those by the device itself (N, 2, 5) are added from column `first` on.
+    """
     by_columns = np.empty((len(by_point), 2, point_by_columns.shape[2]))
     for i in range(len(by_point)):
         for k in range(2):

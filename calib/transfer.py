@@ -108,7 +108,7 @@ def decompose(motion: Floats) -> tuple[Floats, Floats, Floats]:
     placed = np.full(motion.shape, np.nan)
     solved = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(motion).all(axis=(1, 2))
     placed[solved] = np.linalg.solve(matrix[solved], motion[solved]) / scale[solved, None, None]
-    return matrix, placed[:, :, :3], placed[:, :, 3]
+    return matrix, placed[:, :, :3].copy(), placed[:, :, 3].copy()
 
 
 def intrinsic_matrices(focal_px: Floats, principal_point_px: tuple[float, float]) -> Floats:
