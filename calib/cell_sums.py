@@ -86,11 +86,16 @@ def extents(camera_px: Floats, label: Ints, slot: Ints) -> list[Extent]:
     return [Extent(int(count), -end[:2], end[2:]) for count, end in zip(counts, ends, strict=True)]
 
 
-def every(label: Ints, slot: Ints, strides: Sequence[int], most: int) -> list[Ints]:
-    """For each label the indices of the first, and then of every stride-th, match that has it; at most so many."""
+def evenly(label: Ints, slot: Ints, counts: Sequence[int], size: int) -> list[Ints]:
+    """For each label indices of matches that have it, evenly spaced among them: all, or `size` to twice as many.
+
+    `counts`: how many matches there are with each label.
+    """
+    strides = [max(1, count // size) for count in counts]
+    most = max(-(-count // stride) for count, stride in zip(counts, strides, strict=True))
     chosen, found = np.empty((len(strides), most), np.int64), np.zeros(len(strides), np.int64)
     _choose(_as_ints(label), slot, np.array(strides), chosen, found)
-    return [indices[:count] for indices, count in zip(chosen, found, strict=True)]
+    return [indices[:number] for indices, number in zip(chosen, found, strict=True)]
 
 
 def sums_over_cells(
@@ -181,7 +186,7 @@ def _choose(label: Ints, slot: Ints, strides: Ints, chosen: Ints, found: Ints) -
         if plane < 0:
             continue
         at = start + strides[plane] - 1 - passed_over[plane]
-        while at < end:
+        while at < end and found[plane] < chosen.shape[1]:
             chosen[plane, found[plane]] = at
             found[plane] += 1
             at += strides[plane]

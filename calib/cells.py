@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from calib.arrays import Bools, Floats, Ints
-from calib.cell_sums import Extent, Raster, Reference, every, extents, slots, sums_over_cells
+from calib.cell_sums import Extent, Raster, Reference, evenly, extents, slots, sums_over_cells
 from calib.homography import (
     FACES,
     TooFewMatchesError,
@@ -103,8 +103,7 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
         if extent.count < 4:
             raise TooFewMatchesError(f"face {name} has {extent.count} matches; a homography needs at least four")
     typical = _typical_sigma(matches, label, labels)
-    strides = [max(1, extent.count // _SAMPLE) for extent in reach]
-    samples = [matches[chosen] for chosen in every(label, slot, strides, 2 * _SAMPLE)]
+    samples = [matches[chosen] for chosen in evenly(label, slot, [extent.count for extent in reach], _SAMPLE)]
     references = in_parallel(lambda sample: _reference(sample, typical), samples)
     rasters = [_raster(extent) for extent in reach]
     limits = [(_OUTLIER_SIGMAS * reference.sigma) ** 2 for reference in references]
@@ -225,5 +224,5 @@ def _raster(extent: Extent) -> Raster:
     low, high = extent.low, extent.high
     # The share of the bounding box that a face fills is unknown; half is typical of a corner's faces.
     side = max(1.0, float(np.sqrt(np.prod(np.maximum(high - low, 1.0)) / (2 * _CELLS_PER_PLANE))))
-    columns, rows = (int(reach // side) + 1 for reach in high - low)
+    columns, rows = (int(reach / side) + 1 for reach in high - low)
     return Raster(low, side, columns, rows)

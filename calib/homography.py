@@ -14,6 +14,7 @@ from calib.matches import Matches
 from calib.pieces import in_pieces
 
 FACES = (0, 1, 2)
+_FACES = len(FACES)
 # Where the product x_i x_j is among x², xy, y², x, y, 1.
 _PRODUCT = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 
@@ -132,7 +133,7 @@ def _moments(
 ) -> Floats:
     """Means of x_i u_a x_j u_b, (labels, 3, 3, 3, 3) in the order i, a, j, b, over the matches with each label.
 
-    x, u: homogeneous points, normalised by similarities without rotation. Labels that are negative belong to none.
+    x, u: homogeneous points, normalised by similarities without rotation. Other labels than 0 and up are passed over.
     """
 
     def summed(at: slice) -> Floats:
@@ -162,7 +163,7 @@ def _add_products(
     """Sums (labels, 6, 6) of products of the second degree in x times products of the second degree in u."""
     x, u = np.empty(6), np.empty(6)
     for i in range(len(label)):
-        if label[i] < 0:
+        if not 0 <= label[i] < len(sums):
             continue
         for point, scale, products in ((source[i], source_scale, x), (target[i], target_scale, u)):
             a, b = scale[0, 0] * point[0] + scale[0, 2], scale[1, 1] * point[1] + scale[1, 2]
@@ -178,7 +179,7 @@ def _add_products(
 def _add_up(camera_px: Floats, projector_px: Floats, face: Ints, totals: Floats) -> None:
     """For each face the number of its matches and the sums of their four coordinates, (3, 5)."""
     for i in range(len(face)):
-        if face[i] >= 0:
+        if 0 <= face[i] < len(totals):
             total = totals[face[i]]
             total[0] += 1
             total[1] += camera_px[i, 0]
@@ -192,7 +193,7 @@ def _lengths(camera_px: Floats, projector_px: Floats, face: Ints, centre: Floats
     """Sums (2,) of the distances of the matches on faces from the `centre` (4,) of either image."""
     camera = projector = 0.0
     for i in range(len(face)):
-        if face[i] >= 0:
+        if 0 <= face[i] < _FACES:
             camera += np.sqrt((camera_px[i, 0] - centre[0]) ** 2 + (camera_px[i, 1] - centre[1]) ** 2)
             projector += np.sqrt((projector_px[i, 0] - centre[2]) ** 2 + (projector_px[i, 1] - centre[3]) ** 2)
     return np.array([camera, projector])

@@ -56,7 +56,10 @@ def meet(
     distance = np.sqrt(_dot(vertex, vertex))
     to_vertex, along = np.empty(3), np.empty(3)
     for i in range(len(rays)):
-        on, normal = plane[i], normals[plane[i]]
+        on = plane[i]
+        if not 0 <= on < len(normals):
+            raise IndexError("a match is on a plane that its capture does not have")
+        normal = normals[on]
         facing = _dot(normal, rays[i])
         depths[i] = (_dot(normal, vertex) + heights[on]) / facing
         for k in range(3):
