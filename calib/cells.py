@@ -102,8 +102,9 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
     for name, extent in zip(labels, reach, strict=True):
         if extent.count < 4:
             raise TooFewMatchesError(f"face {name} has {extent.count} matches; a homography needs at least four")
-    typical = _typical_sigma(matches, label, labels)
-    samples = [matches[chosen] for chosen in evenly(label, slot, [extent.count for extent in reach], _SAMPLE)]
+    counts = [extent.count for extent in reach]
+    typical = _typical_sigma(matches, label, slot, sum(counts))
+    samples = [matches[chosen] for chosen in evenly(label, slot, counts, _SAMPLE)]
     references = in_parallel(lambda sample: _reference(sample, typical), samples)
     rasters = [_raster(extent) for extent in reach]
     limits = [(_OUTLIER_SIGMAS * reference.sigma) ** 2 for reference in references]
@@ -119,17 +120,16 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
         noise / np.sqrt(np.concatenate([mean.weight for mean in means])),
         np.concatenate([mean.coarseness for mean in means]),
         noise,
-        1.0 - sum(mean.kept for mean in means) / sum(extent.count for extent in reach),
+        1.0 - sum(mean.kept for mean in means) / sum(counts),
     )
 
 
-def _typical_sigma(matches: Matches, label: Ints, labels: Sequence[int]) -> float:
-    """The sigma that a match of weight 1 has: the median of what is stated, from a sample; 1 if nothing is."""
+def _typical_sigma(matches: Matches, label: Ints, slot: Ints, count: int) -> float:
+    """The sigma that a match of weight 1 has: the median of what is stated for (some of) them, 1 if nothing is."""
     if matches.sigma_px is None:
         return 1.0
-    few = slice(None, None, max(1, len(label) // _TYPICAL_SAMPLE))
-    labelled = np.isin(label[few], labels)
-    return float(np.median(matches.sigma_px[few][labelled]))
+    (some,) = evenly(label, np.minimum(slot, 0), [count], _TYPICAL_SAMPLE)
+    return float(np.median(matches.sigma_px[some]))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from calib.cell_sums import evenly, slots
 from calib.cells import Cells, into_cells
 from calib.homography import TooFewMatchesError
 from calib.matches import Matches
@@ -69,6 +72,16 @@ def test_the_order_of_the_matches_does_not_matter(number: type) -> None:
     np.testing.assert_allclose(mixed.camera_px, cells.camera_px, atol=1e-6)
     np.testing.assert_allclose(mixed.projector_px, cells.projector_px, atol=2e-3)
     np.testing.assert_allclose(mixed.sigma_px, cells.sigma_px, rtol=2e-2)
+
+
+@given(st.lists(st.integers(-1, 3), min_size=1, max_size=200), st.integers(1, 20))
+def test_samples_are_evenly_spaced(labels: list[int], size: int) -> None:
+    label = np.array(labels, np.int32)
+    members = [np.flatnonzero(label == 3), np.flatnonzero(label == 0)]
+    samples = evenly(label, slots((3, 0)), [len(some) for some in members], size)
+    for some, sample in zip(members, samples, strict=True):
+        np.testing.assert_array_equal(sample, some[:: max(1, len(some) // size)])
+        assert min(len(some), size) <= len(sample) < 2 * size
 
 
 def test_too_few_matches_are_named() -> None:
