@@ -228,15 +228,16 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
     moved, by_columns = move(met, by_columns, motion.rotation, motion.translation, by_translation, ROTATION.start)
     pixels, by_moved, by_projector = lens.project(state.projector, moved)
     jacobian = chain(by_moved, by_columns, by_projector, (CAMERA if state.one_camera else PROJECTOR).start)
-    return pixels, jacobian, np.stack([depth, moved[:, 2]], axis=1)
+    return pixels, jacobian, np.array([depth, moved[:, 2]]).T
 
 
 def _by_translation(state: State, capture: int) -> Floats:
     """How a capture's translation changes with its columns, (3, columns)."""
     motion = state.motion(capture)
     by_columns = np.zeros((3, state.count(capture)))
-    by_columns[:, TRANSLATION] = tangent_basis(motion.translation / motion.length) * motion.length
-    by_columns[:, SHARED + PER_CORNER + state.pose(capture).size :] = motion.translation[:, None]
+    by_columns[:, TRANSLATION] = motion.length * tangent_basis(motion.translation / motion.length)
+    if state.one_camera and capture:
+        by_columns[:, -1] = motion.translation  # by the logarithm of its length
     return by_columns
 
 

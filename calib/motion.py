@@ -1,6 +1,7 @@
 """How two devices stand to each other, and the steps by which that changes."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,7 +19,7 @@ class Motion:
     rotation: Floats
     translation: Floats
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Distance between the devices."""
         return float(np.sqrt(self.translation @ self.translation))
