@@ -7,11 +7,11 @@ import numpy as np
 
 from calib.arrays import Floats, Ints
 from calib.compiled import compiled
+from calib.homography import mapped
 from calib.matches import Matches
 from calib.pieces import in_pieces
-from calib.polynomial import monomials
 
-_DEGREE = 4  # of `monomials`, told to the compiler: twice as fast as a number that it does not know
+_DEGREE = 4  # `polynomial.DEGREE`, told to the compiler: twice as fast as a number that it does not know
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,18 @@ class Reference:
 
     def straight(self, camera_px: Floats) -> Floats:
         """The homography's part, (N, 2)."""
-        mapped = self.homography[:, :2] @ camera_px.T + self.homography[:, 2:]
-        straight: Floats = mapped[:2] / mapped[2]
-        return straight.T
+        return mapped(self.homography, camera_px)
 
     def curved(self, camera_px: Floats) -> Floats:
         """The polynomial's part, (N, 2)."""
-        curved: Floats = monomials(camera_px, self.scale) @ self.coefficients
-        return curved
+        return polynomial_at(self.coefficients, self.scale, camera_px)
+
+
+def polynomial_at(coefficients: Floats, scale: Floats, camera_px: Floats) -> Floats:
+    """Two polynomials (N, 2) by their coefficients (TERMS, 2), at pixels (N, 2) that `scale` (3, 3) normalises."""
+    values = np.empty((len(camera_px), 2))
+    _evaluate(coefficients, scale, np.ascontiguousarray(camera_px, np.float64), values)
+    return values
 
 
 def slots(labels: Sequence[int]) -> Ints:
@@ -228,10 +232,7 @@ def _add_up(
             third = h20 * x + h21 * y + h22
             offset_x = projector_px[i, 0] - (h00 * x + h01 * y + h02) / third
             offset_y = projector_px[i, 1] - (h10 * x + h11 * y + h12) / third
-            bent_x = bent_y = 0.0
-            for degree in range(_DEGREE, -1, -1):
-                bent_x = bent_x * (scale * x + shift_x) + along[degree, 0]
-                bent_y = bent_y * (scale * x + shift_x) + along[degree, 1]
+            bent_x, bent_y = _at(along, scale * x + shift_x)
             square = weight * ((offset_x - bent_x) ** 2 + (offset_y - bent_y) ** 2)
             if square <= limit:
                 cell = sums[first[plane] + int((y - top) / side) * int(columns) + int((x - left) / side)]
@@ -242,6 +243,22 @@ def _add_up(
                 cell[4] += weight * offset_x
                 cell[5] += weight * offset_y
                 cell[6] += square
+
+
+@compiled
+def _evaluate(coefficients: Floats, scale: Floats, camera_px: Floats, values: Floats) -> None:
+    along = np.empty((_DEGREE + 1, 2))
+    for i in range(len(camera_px)):
+        _polynomials_in_x(coefficients, scale[1, 1] * camera_px[i, 1] + scale[1, 2], along)
+        values[i, 0], values[i, 1] = _at(along, scale[0, 0] * camera_px[i, 0] + scale[0, 2])
+
+
+@compiled
+def _at(along: Floats, x: float) -> tuple[float, float]:
+    u = v = 0.0
+    for degree in range(_DEGREE, -1, -1):
+        u, v = u * x + along[degree, 0], v * x + along[degree, 1]
+    return u, v
 
 
 @compiled

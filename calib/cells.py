@@ -12,19 +12,11 @@ import cv2
 import numpy as np
 
 from calib.arrays import Bools, Floats, Ints
-from calib.cell_sums import Extent, Raster, Reference, evenly, extents, slots, sums_over_cells
-from calib.homography import (
-    FACES,
-    TooFewMatchesError,
-    dehomogenise,
-    dlt_gram,
-    homogeneous,
-    homography_from_gram,
-    normalisation,
-)
+from calib.cell_sums import Extent, Raster, Reference, evenly, extents, polynomial_at, slots, sums_over_cells
+from calib.homography import FACES, TooFewMatchesError, homography_between, mapped, normalisation
 from calib.matches import Matches
 from calib.parallel import in_parallel
-from calib.polynomial import CONIC, TERMS, monomials
+from calib.polynomial import CONIC, TERMS, coefficients_of, monomials
 
 # The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).
 MEDIAN_LENGTH = 1.1774
@@ -36,7 +28,6 @@ _SMALL_SAMPLE = 1_000
 _SPARSE = 0.2
 _OUTLIER_SIGMAS = 4.0
 _CUTS = 4
-_SINGULAR = 1e-13
 
 
 @dataclass(frozen=True)
@@ -181,16 +172,16 @@ def _reference(sample: Matches, typical_sigma_px: float) -> Reference:
     """Homography and polynomial through a plane's matches, whatever a minority of them says."""
     weight = np.ones(len(sample)) if sample.sigma_px is None else (typical_sigma_px / sample.sigma_px) ** 2
     inside = _near_a_homography(sample)
-    homography = _homography(sample.camera_px[inside], sample.projector_px[inside])
-    offset = sample.projector_px - dehomogenise(homogeneous(sample.camera_px) @ homography.T)
+    homography = homography_between(sample.camera_px[inside], sample.projector_px[inside])
+    offset = sample.projector_px - mapped(homography, sample.camera_px)
     scale = normalisation(sample.camera_px)
     terms = monomials(sample.camera_px, scale).T
     if inside.sum() < 3 * TERMS:
         terms[CONIC:] = 0.0  # too few matches for more
     for _ in range(_CUTS):
-        weighted = terms * (weight * inside)
-        coefficients = np.linalg.pinv(weighted @ terms.T, rcond=_SINGULAR, hermitian=True) @ (weighted @ offset)
-        size = np.sqrt(weight * np.sum((offset - terms.T @ coefficients) ** 2, axis=1))
+        coefficients = coefficients_of(terms, offset, weight * inside)
+        deviation = offset - polynomial_at(coefficients, scale, sample.camera_px)
+        size = np.sqrt(weight * (deviation[:, 0] ** 2 + deviation[:, 1] ** 2))
         # A polynomial through few matches follows them; its freedom is given back.
         freedom = max(1.0 - np.count_nonzero(terms.any(axis=1)) / max(inside.sum(), 1), 0.1)
         sigma = max(float(np.median(size[inside])) / MEDIAN_LENGTH / np.sqrt(freedom), 1e-9)
@@ -205,19 +196,9 @@ def _near_a_homography(sample: Matches) -> Bools:
     homography, _ = cv2.findHomography(few.camera_px, few.projector_px, cv2.LMEDS) if len(few) > 4 else (None, None)
     if homography is None:
         return every
-    mapped = dehomogenise(homogeneous(sample.camera_px) @ np.asarray(homography, np.float64).T)
-    size = np.linalg.norm(sample.projector_px - mapped, axis=1)
+    size = np.linalg.norm(sample.projector_px - mapped(np.asarray(homography, np.float64), sample.camera_px), axis=1)
     near: Bools = size <= 2 * _OUTLIER_SIGMAS * np.median(size) / MEDIAN_LENGTH
     return near
-
-
-def _homography(camera_px: Floats, projector_px: Floats) -> Floats:
-    camera, projector = normalisation(camera_px), normalisation(projector_px)
-    gram = dlt_gram(
-        dehomogenise(homogeneous(camera_px) @ camera.T), dehomogenise(homogeneous(projector_px) @ projector.T)
-    )
-    homography: Floats = np.linalg.inv(projector) @ homography_from_gram(gram) @ camera
-    return homography
 
 
 def _raster(extent: Extent) -> Raster:

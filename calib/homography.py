@@ -46,10 +46,28 @@ def _similarity(centre: Floats, length: float) -> Floats:
     return np.array([[scale, 0.0, -scale * centre[0]], [0.0, scale, -scale * centre[1]], [0.0, 0.0, 1.0]])
 
 
-def dlt_gram(source: Floats, target: Floats) -> Floats:
-    """Normal matrix (9, 9) of the DLT for H with target ~ H source; points (N, 2), both normalised. Divided by N."""
-    every = np.zeros(len(source), np.int32)
-    return _gram_of_moments(_moments(source, target, every, np.eye(3), np.eye(3), labels=1)[0])
+def homography_between(source: Floats, target: Floats) -> Floats:
+    """H (3, 3) with target ~ H source for points (N, 2), by the normalised direct linear transform."""
+    before, after = normalisation(source), normalisation(target)
+    (moments,) = _moments(source, target, np.zeros(len(source), np.int32), before, after, labels=1)
+    homography: Floats = np.linalg.inv(after) @ homography_from_gram(_gram_of_moments(moments)) @ before
+    return homography
+
+
+def mapped(homography: Floats, points: Floats) -> Floats:
+    """Points (N, 2) after a homography (3, 3)."""
+    image = np.empty((len(points), 2))
+    _map(np.ascontiguousarray(homography, np.float64), _as_floats(points), image)
+    return image
+
+
+@compiled
+def _map(homography: Floats, points: Floats, image: Floats) -> None:
+    (a, b, c), (d, e, f), (g, h, k) = homography
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        third = g * x + h * y + k
+        image[i, 0], image[i, 1] = (a * x + b * y + c) / third, (d * x + e * y + f) / third
 
 
 def _gram_of_moments(moments: Floats) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.arrays import Floats
 from calib.cells import Cells
-from calib.homography import FACES, dehomogenise, dlt_gram, homogeneous, homography_from_gram, normalisation
+from calib.homography import FACES, homography_between
 from calib.lens import project, unproject
 from calib.matches import Matches
 
@@ -73,9 +73,7 @@ def _homographies(cells: Cells, camera: Floats, projector: Floats) -> Floats:
         on_face = cells.plane == face
         source = (cells.camera_px[on_face] - camera[1:3]) / camera[0]
         target = (cells.projector_px[on_face] - projector[1:3]) / projector[0]
-        before, after = normalisation(source), normalisation(target)
-        gram = dlt_gram(dehomogenise(homogeneous(source) @ before.T), dehomogenise(homogeneous(target) @ after.T))
-        homography = np.linalg.inv(after) @ homography_from_gram(gram) @ before
+        homography = homography_between(source, target)
         homographies.append(homography / np.linalg.norm(homography))
     return np.stack(homographies)
 

@@ -5,19 +5,51 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.homography import TooFewMatchesError, dehomogenise, dlt_gram, face_grams, homogeneous, homography_from_gram
+from calib.homography import (
+    TooFewMatchesError,
+    dehomogenise,
+    face_grams,
+    homogeneous,
+    homography_between,
+    homography_from_gram,
+    mapped,
+)
 from calib.synthetic import random_capture
 
 
-def test_the_gram_matrix_is_that_of_the_stacked_equations() -> None:
-    rng = np.random.default_rng(1)
-    source, target = rng.normal(size=(2, 50, 2))
+def _equations(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The rows of the direct linear transform, (2 N, 9)."""
     x = homogeneous(source)
     zero = np.zeros_like(x)
     first = np.concatenate([x, zero, -target[:, :1] * x], axis=1)
-    second = np.concatenate([zero, x, -target[:, 1:] * x], axis=1)
-    expected = (first.T @ first + second.T @ second) / len(source)
-    np.testing.assert_allclose(dlt_gram(source, target), expected, atol=1e-12)
+    return np.concatenate([first, np.concatenate([zero, x, -target[:, 1:] * x], axis=1)])
+
+
+def test_gram_matrices_are_those_of_the_stacked_equations() -> None:
+    matches = random_capture(np.random.default_rng(1), count=3000).matches
+    grams = face_grams(matches)
+    for label in range(3):
+        on_face = matches.on_face(label)
+        camera, projector = (
+            dehomogenise(homogeneous(pixels) @ scale.T)
+            for pixels, scale in (
+                (on_face.camera_px, grams.camera_scale),
+                (on_face.projector_px, grams.projector_scale),
+            )
+        )
+        there, back = _equations(camera, projector), _equations(projector, camera)
+        np.testing.assert_allclose(grams.to_projector[label], there.T @ there / len(on_face), atol=1e-12)
+        np.testing.assert_allclose(grams.to_camera[label], back.T @ back / len(on_face), atol=1e-12)
+
+
+def test_a_homography_is_found_and_applied() -> None:
+    rng = np.random.default_rng(2)
+    homography = np.array([[900.0, 30.0, 700.0], [-20.0, 850.0, 400.0], [0.1, -0.05, 1.0]]) @ np.diag([1e-3, 1e-3, 1])
+    source = rng.uniform(0, 2000, (200, 2))
+    target = dehomogenise(homogeneous(source) @ homography.T)
+    np.testing.assert_allclose(mapped(homography, source), target, rtol=1e-12)
+    found = homography_between(source, target)
+    np.testing.assert_allclose(found / found[2, 2], homography, rtol=1e-6, atol=1e-10)
 
 
 @pytest.mark.parametrize("number", [np.float32, np.float64])
