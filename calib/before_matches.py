@@ -5,8 +5,10 @@ import numpy as np
 from calib.arrays import Floats
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
+from calib.cell_sums import evenly
 from calib.cells import MEDIAN_LENGTH
 from calib.corner import Corner
+from calib.homography import FACES
 from calib.matches import Matches
 
 _SAMPLE = 50_000
@@ -18,8 +20,9 @@ def before_the_matches(corner: Corner, calibration: Calibration, matches: Matche
     The error is in projector pixels; a sample of the matches tells both.
     """
     assert matches.face is not None
-    chosen = np.flatnonzero(matches.face >= 0)
-    labelled = matches[chosen[:: max(1, len(chosen) // _SAMPLE)].astype(np.int32)]
+    count = int(np.count_nonzero(matches.face >= 0))
+    (chosen,) = evenly(matches.face, np.zeros(len(FACES), np.int32), [count], _SAMPLE)
+    labelled = matches[chosen]
     points = _on_faces(corner, calibration.camera, labelled)
     signs = leg_signs(corner.legs, corner.vertex, points)
     return Corner(corner.vertex, corner.legs * signs[:, None]), _reprojection_error(calibration, points, labelled)

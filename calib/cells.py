@@ -12,24 +12,18 @@ import cv2
 import numpy as np
 
 from calib.arrays import Bools, Floats, Ints
-from calib.homography import (
-    FACES,
-    TooFewMatchesError,
-    dehomogenise,
-    dlt_gram,
-    homogeneous,
-    homography_from_gram,
-    normalisation,
-)
+from calib.cell_sums import Extent, Raster, Reference, evenly, extents, polynomial_at, slots, sums_over_cells
+from calib.homography import FACES, TooFewMatchesError, homography_between, mapped, normalisation
 from calib.matches import Matches
-from calib.pieces import by_columns, in_pieces
-from calib.polynomial import CONIC, TERMS, monomials
+from calib.parallel import in_parallel
+from calib.polynomial import CONIC, TERMS, coefficients_of, monomials
 
 # The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).
 MEDIAN_LENGTH = 1.1774
 
 _CELLS_PER_PLANE = 200
 _SAMPLE = 20_000
+_TYPICAL_SAMPLE = 100_000
 _SMALL_SAMPLE = 1_000
 _SPARSE = 0.2
 _OUTLIER_SIGMAS = 4.0
@@ -86,64 +80,30 @@ def joined(a: Cells, b: Cells) -> Cells:
     )
 
 
-@dataclass(frozen=True)
-class _Raster:
-    """Square cells of `side` pixels from `low` (2,); `columns` × `rows` of them."""
-
-    low: Floats
-    side: float
-    columns: int
-    rows: int
-
-    def number(self, camera_px: Floats) -> Ints:
-        """Number of the cell (N,) of each pixel (N, 2)."""
-        place = ((camera_px - self.low) / self.side).astype(np.int32)
-        number: Ints = np.asarray(place[:, 1] * self.columns + place[:, 0], np.int32)
-        return number
-
-
-@dataclass(frozen=True)
-class _Reference:
-    """What is expected of a match on a plane: a homography and, in `coefficients` (TERMS, 2), a polynomial on top.
-
-    `scale`: the normalisation of camera pixels. `sigma`: scatter of the sample around it, for weight 1.
-    """
-
-    homography: Floats
-    scale: Floats
-    coefficients: Floats
-    sigma: float
-
-    def straight(self, camera_px: Floats) -> Floats:
-        """The homography's part, (N, 2)."""
-        mapped = self.homography[:, :2] @ camera_px.T + self.homography[:, 2:]
-        straight: Floats = mapped[:2] / mapped[2]
-        return straight.T
-
-    def curved(self, camera_px: Floats) -> Floats:
-        """The polynomial's part, (N, 2)."""
-        curved: Floats = self.coefficients.T @ monomials(camera_px, self.scale).T
-        return curved.T
-
-
-def into_cells(matches: Matches, labels: Sequence[int] = FACES) -> Cells:
+def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | None = None) -> Cells:
     """Average the matches with each label over cells, without those that deviate from the others around them.
 
-    Raises TooFewMatchesError if a label has fewer than four.
+    `plane` (N,): other labels than those of the faces. Raises TooFewMatchesError if a label has fewer than four.
     """
-    if matches.face is None:
+    label = matches.face if plane is None else plane
+    if label is None:
         raise ValueError("these matches have no face labels")
-    members = [np.flatnonzero(matches.face == label) for label in labels]
-    for label, some in zip(labels, members, strict=True):
-        if len(some) < 4:
-            raise TooFewMatchesError(f"face {label} has {len(some)} matches; a homography needs at least four")
-    typical = 1.0
-    if matches.sigma_px is not None:
-        typical = float(np.median(np.concatenate([matches.sigma_px[some] for some in members])))
-    means = [_plane_cells(label, matches, some, typical) for label, some in zip(labels, members, strict=True)]
+    slot = slots(labels)
+    reach = extents(matches.camera_px, label, slot)
+    for name, extent in zip(labels, reach, strict=True):
+        if extent.count < 4:
+            raise TooFewMatchesError(f"face {name} has {extent.count} matches; a homography needs at least four")
+    counts = [extent.count for extent in reach]
+    typical = _typical_sigma(matches, label, slot, sum(counts))
+    samples = [matches[chosen] for chosen in evenly(label, slot, counts, _SAMPLE)]
+    references = in_parallel(lambda sample: _reference(sample, typical), samples)
+    rasters = [_raster(extent) for extent in reach]
+    limits = [(_OUTLIER_SIGMAS * reference.sigma) ** 2 for reference in references]
+    sums = sums_over_cells(matches, label, slot, references, rasters, limits, typical)
+    means = [_means(*each) for each in zip(labels, sums, samples, references, rasters, strict=True)]
+
     squares, freedom = (sum(mean.scatter[i] for mean in means) for i in (0, 1))
     noise = max(float(np.sqrt(squares / max(freedom, 1.0))), 1e-6)
-    kept = sum(mean.kept for mean in means)
     return Cells(
         np.concatenate([mean.camera_px for mean in means]),
         np.concatenate([mean.projector_px for mean in means]),
@@ -151,8 +111,16 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES) -> Cells:
         noise / np.sqrt(np.concatenate([mean.weight for mean in means])),
         np.concatenate([mean.coarseness for mean in means]),
         noise,
-        1.0 - kept / sum(len(some) for some in members),
+        1.0 - sum(mean.kept for mean in means) / sum(counts),
     )
+
+
+def _typical_sigma(matches: Matches, label: Ints, slot: Ints, count: int) -> float:
+    """The sigma that a match of weight 1 has: the median of what is stated for (some of) them, 1 if nothing is."""
+    if matches.sigma_px is None:
+        return 1.0
+    (some,) = evenly(label, np.minimum(slot, 0), [count], _TYPICAL_SAMPLE)
+    return float(np.median(matches.sigma_px[some]))
 
 
 @dataclass(frozen=True)
@@ -168,59 +136,30 @@ class _Means:
     kept: int
 
 
-def _plane_cells(label: int, matches: Matches, members: Ints, typical_sigma_px: float) -> _Means:
-    sample = matches[members[:: max(1, len(members) // _SAMPLE)]]
-    reference = _reference(sample, typical_sigma_px)
-    raster = _raster(matches.camera_px, members)
-
-    def sums_of(at: slice) -> Floats:
-        return _sums(_columns_of(matches, members[at]), reference, raster, typical_sigma_px)
-
-    sums = sum(in_pieces(len(members), sums_of), np.zeros((7, raster.columns * raster.rows)))
-    count, weight = sums[0], sums[1]
+def _means(label: int, sums: Floats, sample: Matches, reference: Reference, raster: Raster) -> _Means:
+    """The means over the cells of one plane from the sums over them."""
+    count = sums[:, 0]
     # A cell far emptier than the one that a typical match is in holds stray labels, not a piece of the plane.
     full = np.sort(count[count > 0])
     typical = full[np.searchsorted(np.cumsum(full), full.sum() / 2)]
     filled = np.flatnonzero(count >= max(1.0, _SPARSE * typical))
-    count, weight = count[filled], weight[filled]
-    camera_px = (sums[2:4, filled] / weight).T
-    offset = (sums[4:6, filled] / weight).T
+    sums = sums[filled]
+    count, weight = sums[:, 0], sums[:, 1]
+    camera_px, offset = sums[:, 2:4] / weight[:, None], sums[:, 4:6] / weight[:, None]
     return _Means(
         camera_px,
         reference.straight(camera_px) + offset - _bias(sample, reference, raster)[filled],
         np.full(len(filled), label, np.int32),
         weight,
         np.sqrt(count / weight),
-        (float(sums[6, filled].sum()), max(2.0 * count.sum() - 2 * TERMS, 1.0)),
+        (float(sums[:, 6].sum()), max(2.0 * count.sum() - 2 * TERMS, 1.0)),
         int(count.sum()),
     )
 
 
-def _columns_of(matches: Matches, members: Ints) -> Matches:
-    """A piece of the matches, column by column in memory."""
-    camera_px, projector_px = (
-        by_columns(pixels.take(members, axis=0)) for pixels in (matches.camera_px, matches.projector_px)
-    )
-    sigma_px = None if matches.sigma_px is None else matches.sigma_px[members].astype(np.float64)
-    return Matches(camera_px, projector_px, sigma_px=sigma_px)
-
-
-def _sums(part: Matches, reference: _Reference, raster: _Raster, typical_sigma_px: float) -> Floats:
-    """By cells: number, weight, weighted sums of pixels (2) and of offsets from the homography (2), squares; (7, n)."""
-    offset = part.projector_px - reference.straight(part.camera_px)
-    deviation = offset - reference.curved(part.camera_px)
-    weight = np.ones(len(part)) if part.sigma_px is None else (typical_sigma_px / part.sigma_px) ** 2
-    square = weight * np.sum(deviation * deviation, axis=1)
-    weight[square > (_OUTLIER_SIGMAS * reference.sigma) ** 2] = 0.0
-    square *= weight > 0
-    cell, size = raster.number(part.camera_px), raster.columns * raster.rows
-    rows = [weight > 0, weight, *(weight * part.camera_px.T), *(weight * offset.T), square]
-    return np.stack([np.bincount(cell, row, minlength=size) for row in rows])
-
-
-def _bias(sample: Matches, reference: _Reference, raster: _Raster) -> Floats:
+def _bias(sample: Matches, reference: Reference, raster: Raster) -> Floats:
     """By how much the polynomial's mean over a cell's matches exceeds its value at their mean, (cells, 2)."""
-    cell, size = raster.number(sample.camera_px), raster.columns * raster.rows
+    cell, size = raster.number(sample.camera_px), len(raster)
     count = np.maximum(np.bincount(cell, minlength=size), 1)[:, None]
 
     def mean(values: Floats) -> Floats:
@@ -229,27 +168,25 @@ def _bias(sample: Matches, reference: _Reference, raster: _Raster) -> Floats:
     return mean(reference.curved(sample.camera_px)) - reference.curved(mean(sample.camera_px))
 
 
-def _reference(sample: Matches, typical_sigma_px: float) -> _Reference:
+def _reference(sample: Matches, typical_sigma_px: float) -> Reference:
     """Homography and polynomial through a plane's matches, whatever a minority of them says."""
     weight = np.ones(len(sample)) if sample.sigma_px is None else (typical_sigma_px / sample.sigma_px) ** 2
     inside = _near_a_homography(sample)
-    homography = _homography(sample.camera_px[inside], sample.projector_px[inside])
-    offset = sample.projector_px - dehomogenise(homogeneous(sample.camera_px) @ homography.T)
+    homography = homography_between(sample.camera_px[inside], sample.projector_px[inside])
+    offset = sample.projector_px - mapped(homography, sample.camera_px)
     scale = normalisation(sample.camera_px)
-    terms = monomials(sample.camera_px, scale)
+    terms = monomials(sample.camera_px, scale).T
     if inside.sum() < 3 * TERMS:
-        terms[:, CONIC:] = 0.0  # too few matches for more
+        terms[CONIC:] = 0.0  # too few matches for more
     for _ in range(_CUTS):
-        root = np.sqrt(weight[inside])[:, None]
-        coefficients: Floats = np.linalg.lstsq(terms[inside] * root, offset[inside] * root, rcond=1e-10)[0].astype(
-            np.float64
-        )
-        size = np.linalg.norm(offset - terms @ coefficients, axis=1) * np.sqrt(weight)
+        coefficients = coefficients_of(terms, offset, weight * inside)
+        deviation = offset - polynomial_at(coefficients, scale, sample.camera_px)
+        size = np.sqrt(weight * (deviation[:, 0] ** 2 + deviation[:, 1] ** 2))
         # A polynomial through few matches follows them; its freedom is given back.
-        freedom = max(1.0 - np.count_nonzero(terms.any(axis=0)) / max(inside.sum(), 1), 0.1)
+        freedom = max(1.0 - np.count_nonzero(terms.any(axis=1)) / max(inside.sum(), 1), 0.1)
         sigma = max(float(np.median(size[inside])) / MEDIAN_LENGTH / np.sqrt(freedom), 1e-9)
         inside = size <= _OUTLIER_SIGMAS * sigma
-    return _Reference(homography, scale, coefficients, sigma)
+    return Reference(homography, scale, coefficients, sigma)
 
 
 def _near_a_homography(sample: Matches) -> Bools:
@@ -259,26 +196,14 @@ def _near_a_homography(sample: Matches) -> Bools:
     homography, _ = cv2.findHomography(few.camera_px, few.projector_px, cv2.LMEDS) if len(few) > 4 else (None, None)
     if homography is None:
         return every
-    mapped = dehomogenise(homogeneous(sample.camera_px) @ np.asarray(homography, np.float64).T)
-    size = np.linalg.norm(sample.projector_px - mapped, axis=1)
+    size = np.linalg.norm(sample.projector_px - mapped(np.asarray(homography, np.float64), sample.camera_px), axis=1)
     near: Bools = size <= 2 * _OUTLIER_SIGMAS * np.median(size) / MEDIAN_LENGTH
     return near
 
 
-def _homography(camera_px: Floats, projector_px: Floats) -> Floats:
-    camera, projector = normalisation(camera_px), normalisation(projector_px)
-    gram = dlt_gram(
-        dehomogenise(homogeneous(camera_px) @ camera.T), dehomogenise(homogeneous(projector_px) @ projector.T)
-    )
-    homography: Floats = np.linalg.inv(projector) @ homography_from_gram(gram) @ camera
-    return homography
-
-
-def _raster(camera_px: Floats, members: Ints) -> _Raster:
-    low, high = (
-        np.array([end(camera_px[:, axis].take(members)) for axis in (0, 1)], np.float64) for end in (np.min, np.max)
-    )
+def _raster(extent: Extent) -> Raster:
+    low, high = extent.low, extent.high
     # The share of the bounding box that a face fills is unknown; half is typical of a corner's faces.
     side = max(1.0, float(np.sqrt(np.prod(np.maximum(high - low, 1.0)) / (2 * _CELLS_PER_PLANE))))
-    columns, rows = (int(extent // side) + 1 for extent in high - low)
-    return _Raster(low, side, columns, rows)
+    columns, rows = (int(reach / side) + 1 for reach in high - low)
+    return Raster(low, side, columns, rows)

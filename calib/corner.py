@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Floats
+from calib.motion import cross
 
 
 @dataclass(frozen=True)
@@ -83,10 +84,10 @@ def corner_planes(image: CornerImage, inverse_matrices: Floats, *, nearest: bool
     # A line l in the image is the plane Kᵀ l through the centre; l K⁻ᵀ would be a point.
     matrices = np.linalg.inv(inverse_matrices)
     planes = np.einsum("nji,sj->nsi", matrices, image.lines)
-    across = np.cross(planes, rays[:, None, :])
+    across = cross(planes, rays[:, None, :])
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
 
-    products = np.sum(np.roll(across, -1, axis=1) * np.roll(across, -2, axis=1), axis=-1)  # m_B·m_C, m_C·m_A, m_A·m_B
+    products = np.sum(across[:, [1, 2, 0]] * across[:, [2, 0, 1]], axis=-1)  # m_B·m_C, m_C·m_A, m_A·m_B
     with np.errstate(invalid="ignore", divide="ignore"):
         a, b, c = products[:, 0], products[:, 1], products[:, 2]
         square = -b * c / a

@@ -6,9 +6,8 @@ what a person should change.
 
 import numpy as np
 
-from calib.arrays import Floats
 from calib.cells import Cells
-from calib.homography import FACES, dehomogenise, dlt_gram, homogeneous, homography_from_gram, normalisation
+from calib.homography import FACES, homography_between, mapped
 from calib.matches import Matches
 from calib.model import State
 from calib.straightness import Straightened
@@ -83,12 +82,5 @@ def _off_one_plane(matches: Matches, i: int, j: int) -> float:
     assert matches.face is not None
     chosen = (matches.face == i) | (matches.face == j)
     camera_px, projector_px = matches.camera_px[chosen], matches.projector_px[chosen]
-    camera, projector = normalisation(camera_px), normalisation(projector_px)
-    source, target = (_apply(camera, camera_px), _apply(projector, projector_px))
-    homography = homography_from_gram(dlt_gram(source, target))
-    deviation = np.linalg.norm(_apply(homography, source) - target, axis=1) / projector[0, 0]
-    return float(np.median(deviation))
-
-
-def _apply(homography: Floats, points: Floats) -> Floats:
-    return dehomogenise(homogeneous(points) @ homography.T)
+    homography = homography_between(camera_px, projector_px)
+    return float(np.median(np.linalg.norm(mapped(homography, camera_px) - projector_px, axis=1)))

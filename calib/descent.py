@@ -90,11 +90,11 @@ def relax(
 
 def _newton(fit: Fit, prior: Prior, damping: float) -> tuple[Floats, float]:
     """The damped Gauss–Newton step (size,) over the free columns, and the gain that it promises."""
-    free = np.flatnonzero(prior.free)
-    normal = fit.information[np.ix_(free, free)]
-    scale = np.sqrt(np.diag(normal)) + 1e-12
-    damped = normal / np.outer(scale, scale)
-    damped[np.diag_indices(len(free))] += max(damping, _LEAST_DAMPING)
+    free = prior.free_columns
+    normal = fit.information[free[:, None], free]
+    scale = np.sqrt(normal.diagonal()) + 1e-12
+    damped = normal / (scale[:, None] * scale)
+    damped.ravel()[:: len(free) + 1] += max(damping, _LEAST_DAMPING)
     slope = fit.gradient[free] / scale
     downhill = np.linalg.solve(damped, slope)
     step = np.zeros(len(prior.mean))

@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.arrays import Floats, Ints
 from calib.cells import Cells, into_cells, joined
+from calib.compiled import compiled
 from calib.homography import FACES
 from calib.lens import unproject
 from calib.matches import Matches
@@ -35,7 +36,7 @@ def with_further_planes(
     for i, (cells, points, label) in enumerate(zip(captures, matches, planes, strict=True)):
         pose = state.poses[i]
         for candidate in _candidates(points, label):
-            part = into_cells(points.with_faces(np.where(label == candidate, 0, -1).astype(np.int32)), labels=(0,))
+            part = into_cells(points, (candidate,), label)
             plane = _square_plane(part, state, i)
             if plane is not None:
                 number = len(FACES) + len(pose.planes)
@@ -71,11 +72,19 @@ def without(captures: Sequence[Cells], state: State, planes: list[tuple[int, int
 
 def _candidates(matches: Matches, plane: Ints) -> list[int]:
     """Planes with enough matches, none of which is on a face."""
-    face = matches.face
-    assert face is not None
-    counts = np.bincount(plane[plane >= 0], minlength=1)
-    faces = set(np.unique(plane[(face >= 0) & (plane >= 0)]).tolist())
-    return [int(label) for label in np.flatnonzero(counts >= _LEAST_MATCHES) if label not in faces]
+    assert matches.face is not None
+    counts = np.zeros((max(int(plane.max(initial=-1)), 0) + 1, 2), np.int64)
+    _count(np.ascontiguousarray(plane, np.int32), np.ascontiguousarray(matches.face, np.int32), counts)
+    return [int(label) for label in np.flatnonzero((counts[:, 0] >= _LEAST_MATCHES) & (counts[:, 1] == 0))]
+
+
+@compiled
+def _count(plane: Ints, face: Ints, counts: Ints) -> None:
+    """For each plane (P, 2) the number of matches on it, and of those that are on a face as well."""
+    for i in range(len(plane)):
+        if plane[i] >= 0:
+            counts[plane[i], 0] += 1
+            counts[plane[i], 1] += face[i] >= 0
 
 
 def _square_plane(cells: Cells, state: State, capture: int) -> FurtherPlane | None:

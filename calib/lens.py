@@ -1,72 +1,93 @@
 """What a lens with two radial terms does to pixels and to points, with the exact derivatives that the model needs.
 
-A device is (5,): f, x_0, y_0, k1, k2.
+A device is (5,): f, x_0, y_0, k1, k2. A lens moves the ideal image point x, in units of the focal length, to
+x (1 + k1 r² + k2 r⁴) with r = |x|.
 """
 
 import numpy as np
 
 from calib.arrays import Floats
+from calib.compiled import compiled
 
 _UNDISTORT_STEPS = 12
+_UNDISTORTED = 1e-13
 
 
 def unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
     """Rays (N, 3) at z = 1 and their derivatives (N, 3, 5) by log f, x_0, y_0, k1, k2."""
-    focal, centre, k = device[0], device[1:3], device[3:]
-    distorted = (pixels - centre) / focal
-    ideal = distorted * _inverse_radius_ratio(np.linalg.norm(distorted, axis=1), k)[:, None]
-    _, slope, by_k = _radial(ideal, k)
-    change = np.zeros((len(pixels), 2, 5))
-    change[:, :, 0] = -distorted
-    change[:, 0, 1] = change[:, 1, 2] = -1 / focal
-    change[:, :, 3:] = -by_k
-    derivatives = np.zeros((len(pixels), 3, 5))
-    derivatives[:, :2] = _inverse_2x2(slope) @ change
-    return np.concatenate([ideal, np.ones((len(ideal), 1))], axis=1), derivatives
+    rays, by_device = np.empty((len(pixels), 3)), np.zeros((len(pixels), 3, 5))
+    _unproject(device, np.ascontiguousarray(pixels, np.float64), rays, by_device)
+    return rays, by_device
 
 
 def project(device: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
     """Pixels (N, 2), their derivatives (N, 2, 3) by the point and (N, 2, 5) by log f, x_0, y_0, k1, k2."""
-    focal, centre, k = device[0], device[1:3], device[3:]
-    ideal = points[:, :2] / points[:, 2:]
-    distorted, slope, by_k = _radial(ideal, k)
-    by_point = np.zeros((len(points), 2, 3))
-    by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0
-    by_point[:, :, 2] = -ideal
-    by_point /= points[:, 2, None, None]
-    by_device = np.zeros((len(points), 2, 5))
-    by_device[:, :, 0] = focal * distorted
-    by_device[:, 0, 1] = by_device[:, 1, 2] = 1.0
-    by_device[:, :, 3:] = focal * by_k
-    return focal * distorted + centre, focal * slope @ by_point, by_device
+    count = len(points)
+    pixels, by_point, by_device = np.empty((count, 2)), np.empty((count, 2, 3)), np.zeros((count, 2, 5))
+    _project(device, np.ascontiguousarray(points, np.float64), pixels, by_point, by_device)
+    return pixels, by_point, by_device
 
 
-def _inverse_radius_ratio(distorted: Floats, k: Floats) -> Floats:
-    """r / r_d (N,) for distorted radii (N,), by Newton's method on r (1 + k1 r² + k2 r⁴) = r_d."""
-    ideal = distorted.copy()
+@compiled
+def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) -> None:
+    focal, x_0, y_0, k1, k2 = device
+    for i in range(len(pixels)):
+        # Distorted, in units of the focal length: u = (pixel − centre) / f.
+        u, v = (pixels[i, 0] - x_0) / focal, (pixels[i, 1] - y_0) / focal
+        ratio = _ideal_over_distorted(np.sqrt(u * u + v * v), k1, k2)
+        x, y = ratio * u, ratio * v
+        rays[i, 0], rays[i, 1], rays[i, 2] = x, y, 1.0
+
+        # J dx = du − (∂ distorted / ∂k) dk
+        r2, _, a, b, d = _distortion(x, y, k1, k2)
+        determinant = a * d - b * b
+        for column, du, dv in (
+            (0, -u, -v),
+            (1, -1 / focal, 0.0),
+            (2, 0.0, -1 / focal),
+            (3, -x * r2, -y * r2),
+            (4, -x * r2 * r2, -y * r2 * r2),
+        ):
+            by_device[i, 0, column] = (d * du - b * dv) / determinant
+            by_device[i, 1, column] = (a * dv - b * du) / determinant
+
+
+@compiled
+def _project(device: Floats, points: Floats, pixels: Floats, by_point: Floats, by_device: Floats) -> None:
+    focal, x_0, y_0, k1, k2 = device
+    for i in range(len(points)):
+        z = points[i, 2]
+        x, y = points[i, 0] / z, points[i, 1] / z
+        r2, factor, a, b, d = _distortion(x, y, k1, k2)
+        u, v = factor * x, factor * y
+        pixels[i, 0], pixels[i, 1] = focal * u + x_0, focal * v + y_0
+        # dx = (dX − x dZ) / Z
+        scale = focal / z
+        by_point[i, 0, 0], by_point[i, 0, 1], by_point[i, 0, 2] = scale * a, scale * b, -scale * (a * x + b * y)
+        by_point[i, 1, 0], by_point[i, 1, 1], by_point[i, 1, 2] = scale * b, scale * d, -scale * (b * x + d * y)
+        by_device[i, 0, 0], by_device[i, 1, 0] = focal * u, focal * v
+        by_device[i, 0, 1], by_device[i, 1, 2] = 1.0, 1.0
+        by_device[i, 0, 3], by_device[i, 1, 3] = focal * x * r2, focal * y * r2
+        by_device[i, 0, 4], by_device[i, 1, 4] = focal * x * r2 * r2, focal * y * r2 * r2
+
+
+@compiled
+def _distortion(x: float, y: float, k1: float, k2: float) -> tuple[float, float, float, float, float]:
+    """r², distorted over ideal radius, and the Jacobian [[a, b], [b, d]] of the distorted point by the ideal one."""
+    r2 = x * x + y * y
+    factor = 1 + r2 * (k1 + r2 * k2)
+    slope = 2 * (k1 + 2 * k2 * r2)
+    return r2, factor, factor + slope * x * x, slope * x * y, factor + slope * y * y
+
+
+@compiled
+def _ideal_over_distorted(distorted: float, k1: float, k2: float) -> float:
+    """r / r_d by Newton's method on r (1 + k1 r² + k2 r⁴) = r_d."""
+    ideal = distorted
     for _ in range(_UNDISTORT_STEPS):
-        r2 = ideal**2
-        step = (ideal * (1 + r2 * (k[0] + r2 * k[1])) - distorted) / (1 + r2 * (3 * k[0] + 5 * r2 * k[1]))
-        ideal = ideal - step
-        if np.abs(step).max(initial=0.0) < 1e-13:
+        r2 = ideal * ideal
+        step = (ideal * (1 + r2 * (k1 + r2 * k2)) - distorted) / (1 + r2 * (3 * k1 + 5 * r2 * k2))
+        ideal -= step
+        if abs(step) < _UNDISTORTED:
             break
-    return np.where(distorted > 0, ideal / np.where(distorted > 0, distorted, 1.0), 1.0)
-
-
-def _inverse_2x2(matrices: Floats) -> Floats:
-    """Inverses of (N, 2, 2)."""
-    a, b, c, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1]
-    adjugate = np.stack([d, -b, -c, a], axis=1).reshape(-1, 2, 2)
-    inverse: Floats = adjugate / (a * d - b * c)[:, None, None]
-    return inverse
-
-
-def _radial(ideal: Floats, k: Floats) -> tuple[Floats, Floats, Floats]:
-    """x (1 + k1 r² + k2 r⁴) of (N, 2), its Jacobian (N, 2, 2) by x and (N, 2, 2) by k1, k2."""
-    r2 = np.sum(ideal**2, axis=1)
-    factor = 1 + r2 * (k[0] + r2 * k[1])
-    slope = 2 * (k[0] + 2 * k[1] * r2)
-    jacobian = slope[:, None, None] * ideal[:, :, None] * ideal[:, None, :]
-    jacobian[:, 0, 0] += factor
-    jacobian[:, 1, 1] += factor
-    return ideal * factor[:, None], jacobian, ideal[:, :, None] * np.stack([r2, r2**2], axis=1)[:, None, :]
+    return ideal / distorted if distorted > 0 else 1.0

@@ -6,11 +6,13 @@ pixels and v_i the variance of each of its coordinates; Huber's loss beyond thre
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import Bools, Floats
+from calib.arrays import Bools, Floats, Ints
 from calib.cells import Cells
+from calib.compiled import compiled
 from calib.model import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
 from calib.wording import PHOTOS, RIG, Wording
 
@@ -30,7 +32,7 @@ class Prior:
     sigma: Floats
     held: int | None = None
 
-    @property
+    @cached_property
     def free(self) -> Bools:
         """Columns that are estimated, (size,)."""
         free = self.sigma > 0
@@ -38,16 +40,25 @@ class Prior:
             free[self.held] = False
         return free
 
-    def deviation(self, state: State) -> Floats:
-        """(value − mean) / σ of each column, (size,); zero where the prior says nothing."""
-        informative = (self.sigma > 0) & np.isfinite(self.sigma)
-        scale = np.where(informative, self.sigma, 1.0)
-        return np.where(informative, (state.additive() - self.mean) / scale, 0.0)
+    @cached_property
+    def free_columns(self) -> Ints:
+        """Indices of the columns that are estimated."""
+        return np.flatnonzero(self.free)
+
+    @cached_property
+    def root_precision(self) -> Floats:
+        """1 / σ of the columns that are not known, 0 elsewhere, (size,)."""
+        unknown = self.sigma > 0
+        return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0), 0.0)
 
     def precision(self) -> Floats:
         """1 / σ² of the columns that are not known, 0 elsewhere, (size,)."""
-        unknown = self.sigma > 0
-        return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0) ** 2, 0.0)
+        return self.root_precision**2
+
+    def deviation(self, state: State) -> Floats:
+        """(value − mean) / σ of each column, (size,); zero where the prior says nothing."""
+        deviation: Floats = (state.additive() - self.mean) * self.root_precision
+        return deviation
 
     def with_known(self, column: int) -> "Prior":
         """The same with one column held fixed."""
@@ -127,27 +138,69 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
 
     `variances`: (M,) for each capture, of each coordinate of each cell.
     """
-    deviation, precision = prior.deviation(state), prior.precision()
-    cost = float(np.sum(deviation**2))
-    gradient, information = deviation * np.sqrt(precision), np.diag(precision)
+    deviation = prior.deviation(state)
+    cost = float(deviation @ deviation)
+    gradient, information = deviation * prior.root_precision, np.diag(prior.precision())
     residuals = []
     for i, (cells, variance) in enumerate(zip(captures, variances, strict=True)):
-        with np.errstate(all="ignore"):
-            predicted, jacobian, depths = predict(state, cells.camera_px, cells.plane, i)
-        meant = np.all(depths > 0, axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
-        if meant.mean() < _LEAST_IN_FRONT:
-            cost = np.inf
-        residual = np.where(meant[:, None], predicted - cells.projector_px, 0.0)
+        predicted, jacobian, depths = predict(state, cells.camera_px, cells.plane, i)
+        residual = np.empty(predicted.shape)
+        cost += _misfit(
+            predicted,
+            np.ascontiguousarray(cells.projector_px),
+            jacobian,
+            depths,
+            variance,
+            state.columns(i),
+            residual,
+            gradient,
+            information,
+        )
         residuals.append(residual)
-        jacobian[~meant] = 0.0
-        cost += _BEHIND * np.count_nonzero(~meant)
-        size = np.linalg.norm(residual, axis=1) / np.sqrt(variance)
-        robust = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(size, 1e-12))
-        flat = jacobian.reshape(-1, jacobian.shape[2])
-        weighted = flat * np.repeat(robust / variance, 2)[:, None]
-        # Huber's loss: the square up to the threshold, linear beyond it.
-        cost += float(np.sum(np.where(size <= ROBUST_SIGMAS, size**2, 2 * ROBUST_SIGMAS * size - ROBUST_SIGMAS**2)))
-        columns = state.columns(i)
-        gradient[columns] += weighted.T @ residual.ravel()
-        information[np.ix_(columns, columns)] += flat.T @ weighted
     return Fit(state, cost, tuple(residuals), gradient, information)
+
+
+@compiled
+def _misfit(
+    predicted: Floats,
+    seen: Floats,
+    jacobian: Floats,
+    depths: Floats,
+    variance: Floats,
+    columns: Ints,
+    residual: Floats,
+    gradient: Floats,
+    information: Floats,
+) -> float:
+    """Cost of one capture's cells, and their residuals; adds to half the cost's gradient and Gauss–Newton Hessian.
+
+    A cell behind a device, or on the horizon, costs the same wherever it is.
+    """
+    cost, behind, count = 0.0, 0, len(columns)
+    slope, curvature = np.zeros(count), np.zeros((count, count))
+    for i in range(len(predicted)):
+        total = 0.0
+        for a in range(count):
+            total += jacobian[i, 0, a] + jacobian[i, 1, a]
+        if not (depths[i, 0] > 0 and depths[i, 1] > 0 and np.isfinite(total)):
+            residual[i, 0], residual[i, 1] = 0.0, 0.0
+            cost += _BEHIND
+            behind += 1
+            continue
+        x, y = predicted[i, 0] - seen[i, 0], predicted[i, 1] - seen[i, 1]
+        residual[i, 0], residual[i, 1] = x, y
+        # Huber's loss: the square up to the threshold, linear beyond it.
+        size = np.sqrt((x * x + y * y) / variance[i])
+        robust = min(1.0, ROBUST_SIGMAS / size)
+        cost += robust * size * (2 * size - robust * size)
+        weight = robust / variance[i]
+        for a in range(count):
+            by_x, by_y = weight * jacobian[i, 0, a], weight * jacobian[i, 1, a]
+            slope[a] += by_x * x + by_y * y
+            for b in range(count):
+                curvature[a, b] += by_x * jacobian[i, 0, b] + by_y * jacobian[i, 1, b]
+    for a in range(count):
+        gradient[columns[a]] += slope[a]
+        for b in range(count):
+            information[columns[a], columns[b]] += curvature[a, b]
+    return cost if behind <= (1 - _LEAST_IN_FRONT) * len(predicted) else np.inf

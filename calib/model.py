@@ -18,15 +18,15 @@ from scipy.spatial.transform import Rotation
 from calib import lens
 from calib.arrays import Floats, Ints
 from calib.homography import FACES
-from calib.motion import Motion, cross, tangent_basis
+from calib.motion import Motion, rotation_about, tangent_basis
+from calib.prediction import chain, face_normals, meet, move
 
 CAMERA, PROJECTOR = slice(0, 5), slice(5, 10)
 ROTATION, TRANSLATION = slice(10, 13), slice(13, 15)
 SHARED = 15
 PER_CORNER, PER_POSE, PER_PLANE, PER_MOTION = 3, 6, 3, 6
 
-# (face, face) of each angle: angle 0 is between the faces 1 and 2, and so on round.
-_PAIRS = ((1, 2), (2, 0), (0, 1))
+_MOTION = np.arange(ROTATION.start, TRANSLATION.stop, dtype=np.int32)
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class State:
     def motion_columns(self, capture: int) -> Ints:
         """Columns of a capture's motion: rotation (3), direction (2), and with further photos the length."""
         if not (self.one_camera and capture):
-            return np.arange(ROTATION.start, TRANSLATION.stop, dtype=np.int32)
+            return _MOTION
         start = self._starts[-1] + PER_MOTION * (capture - 1)
         return np.arange(start, start + PER_MOTION, dtype=np.int32)
 
@@ -131,6 +131,10 @@ class State:
                 motion[5:],
             ]
         )
+
+    def count(self, capture: int) -> int:
+        """Number of columns that a capture depends on."""
+        return SHARED + PER_CORNER + self.pose(capture).size + bool(self.one_camera and capture)
 
     def moved(self, step: Floats) -> "State":
         """The state after a step (size,) in the columns' coordinates."""
@@ -166,7 +170,8 @@ class State:
         """The columns that may have a prior, as numbers that a step adds to, (size,); zero for rotations and such."""
         values = np.zeros(self.size)
         for columns, device in ((CAMERA, self.camera), (PROJECTOR, self.projector)):
-            values[columns] = np.concatenate([[np.log(device[0])], device[1:]])
+            values[columns] = device
+            values[columns.start] = np.log(device[0])
         values[SHARED : self._starts[0]] = self.off_square.ravel()
         for i, pose in enumerate(self.poses):
             for j, plane in enumerate(pose.planes):
@@ -185,9 +190,7 @@ class State:
     def normals(self, capture: int = 0) -> Floats:
         """Unit normals of the faces in the camera's frame, (3, 3) rows."""
         pose = self.pose(capture)
-        mixing = _mixing(self.off_square[pose.corner])
-        unit: Floats = mixing / np.linalg.norm(mixing, axis=1, keepdims=True) @ pose.frame
-        return unit
+        return face_normals(self.off_square[pose.corner], pose.frame)[0]
 
     def legs(self, capture: int = 0) -> Floats:
         """Unit directions of the edges in the camera's frame, (3, 3) rows."""
@@ -213,109 +216,60 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
     Jacobian (N, 2, columns) by `state.columns(capture)`, and depths (N, 2) in both devices (not positive where the
     prediction means nothing).
     """
-    pose, motion = state.pose(capture), state.motion(capture)
+    motion, vertex = state.motion(capture), state.pose(capture).vertex
+    plane = np.ascontiguousarray(plane, np.int32)
+    by_columns = np.zeros((len(plane), 3, state.count(capture)))
+    corner, pose = slice(SHARED, SHARED + PER_CORNER), slice(SHARED + PER_CORNER, None)
+    filled = (by_columns[:, :, part] for part in (CAMERA, corner, pose))
+
     rays, rays_by_camera = lens.unproject(state.camera, camera_px)
-    every_normal, every_height = _planes(state, capture)
-    normals, heights = every_normal[plane], every_height[plane]
-    facing = np.sum(normals * rays, axis=1)
-    depth = (np.sum(normals * pose.vertex, axis=1) + heights) / facing
-    points = depth[:, None] * rays
-
-    # d(point) = depth (dr − r n·dr / n·r) + r / (n·r) (dn·(vertex − point) + n·dvertex + dheight)
-    to_vertex = pose.vertex - points
-    along = rays / facing[:, None]
-    turned = points @ motion.rotation.T
-    moved = turned + motion.translation
+    met, depth = meet(rays, rays_by_camera, plane, *_planes(state, capture), vertex, *filled)
+    by_translation = _by_translation(state, capture)
+    moved, by_columns = move(met, by_columns, motion.rotation, motion.translation, by_translation, ROTATION.start)
     pixels, by_moved, by_projector = lens.project(state.projector, moved)
-
-    by_point = by_moved @ motion.rotation
-    by_depth = np.einsum("nij,nj->ni", by_point, along)
-    jacobian = np.zeros((len(plane), 2, len(state.columns(capture))))
-    facing_by_camera = np.einsum("ni,nij->nj", normals, rays_by_camera)
-    jacobian[:, :, CAMERA] = by_point[:, :, :2] @ rays_by_camera[:, :2]  # the third coordinate of a ray is 1
-    jacobian[:, :, CAMERA] -= by_depth[:, :, None] * facing_by_camera[:, None, :]
-    jacobian[:, :, CAMERA] *= depth[:, None, None]
-    jacobian[:, :, PROJECTOR] = by_projector
-    # d(R X) = ω × R X, so each row g of by_moved gives g · (ω × RX) = ω · (RX × g).
-    jacobian[:, :, ROTATION] = cross(turned[:, None, :], by_moved)
-    jacobian[:, :, TRANSLATION] = by_moved @ tangent_basis(motion.translation / motion.length) * motion.length
-    on_plane = np.concatenate(
-        [
-            np.einsum("nai,ni->na", _normals_by_angles(state, capture)[plane], to_vertex),
-            cross(normals, to_vertex),
-            normals * np.linalg.norm(pose.vertex),
-            *_by_further_planes(pose, plane, to_vertex),
-        ],
-        axis=1,
-    )
-    jacobian[:, :, SHARED : SHARED + on_plane.shape[1]] = by_depth[:, :, None] * on_plane[:, None, :]
-    jacobian[:, :, SHARED + on_plane.shape[1] :] = (by_moved @ motion.translation)[:, :, None]
-    if state.one_camera:
-        jacobian[:, :, CAMERA] += jacobian[:, :, PROJECTOR]
-        jacobian[:, :, PROJECTOR] = 0.0
-    return pixels, jacobian, np.stack([depth, moved[:, 2]], axis=1)
+    jacobian = chain(by_moved, by_columns, by_projector, (CAMERA if state.one_camera else PROJECTOR).start)
+    return pixels, jacobian, np.array([depth, moved[:, 2]]).T
 
 
-def _planes(state: State, capture: int) -> tuple[Floats, Floats]:
-    """Unit normals (P, 3) of faces and further planes in the camera's frame, and their heights (P,)."""
+def _by_translation(state: State, capture: int) -> Floats:
+    """How a capture's translation changes with its columns, (3, columns)."""
+    motion = state.motion(capture)
+    by_columns = np.zeros((3, state.count(capture)))
+    by_columns[:, TRANSLATION] = motion.length * tangent_basis(motion.translation / motion.length)
+    if state.one_camera and capture:
+        by_columns[:, -1] = motion.translation  # by the logarithm of its length
+    return by_columns
+
+
+def _planes(state: State, capture: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """The planes of a capture in the camera's frame: unit normals (P, 3) of faces and further planes, heights (P,).
+
+    Then the normals' derivatives by the corner's angles (P, 3 angles, 3) and by a further plane's tilts (P, 2, 3).
+    """
     pose = state.pose(capture)
-    further = [_tilted(plane) / np.linalg.norm(_tilted(plane)) @ pose.frame for plane in pose.planes]
-    normals = np.concatenate([state.normals(capture), np.reshape(further, (-1, 3))])
-    return normals, np.array([0.0] * len(FACES) + [plane.height for plane in pose.planes])
-
-
-def _tilted(plane: FurtherPlane) -> Floats:
-    tilted: Floats = plane.axes[0] + plane.tilt @ plane.axes[1:]
-    return tilted
-
-
-def _by_further_planes(pose: Pose, plane: Ints, to_vertex: Floats) -> list[Floats]:
-    """For each further plane (N, 3): how n·(vertex − point) + height changes with its tilts and its height."""
-    changes = []
-    for i, further in enumerate(pose.planes):
-        tilted = _tilted(further)
+    count = len(FACES) + len(pose.planes)
+    normals, heights = np.empty((count, 3)), np.zeros(count)
+    by_angles, by_tilts = np.zeros((count, 3, 3)), np.zeros((count, 2, 3))
+    normals[: len(FACES)], by_angles[: len(FACES)] = face_normals(state.off_square[pose.corner], pose.frame)
+    for i, plane in enumerate(pose.planes, start=len(FACES)):
+        tilted = plane.axes[0] + plane.tilt @ plane.axes[1:]
         length = np.linalg.norm(tilted)
         unit = tilted / length
-        by_tilt = (further.axes[1:] - np.outer(further.axes[1:] @ unit, unit)) / length @ pose.frame
-        change = np.concatenate([to_vertex @ by_tilt.T, np.ones((len(plane), 1))], axis=1)
-        changes.append(np.where((plane == len(FACES) + i)[:, None], change, 0.0))
-    return changes
+        normals[i], heights[i] = unit @ pose.frame, plane.height
+        by_tilts[i] = (plane.axes[1:] - np.outer(plane.axes[1:] @ unit, unit)) / length @ pose.frame
+    return normals, heights, by_angles, by_tilts
 
 
 def _moved_device(device: Floats, step: Floats) -> Floats:
-    return np.concatenate([[device[0] * np.exp(step[0])], device[1:] + step[1:]])
+    moved: Floats = device + step
+    moved[0] = device[0] * np.exp(step[0])
+    return moved
 
 
 def _moved_pose(pose: Pose, step: Floats) -> Pose:
-    turned = pose.frame @ Rotation.from_rotvec(step[:3]).as_matrix().T
     planes = tuple(
         replace(plane, tilt=plane.tilt + part[:2], height=plane.height + float(part[2]))
         for plane, part in zip(pose.planes, step[PER_POSE:].reshape(-1, PER_PLANE), strict=True)
     )
-    return replace(
-        pose, frame=turned, vertex=pose.vertex + step[3:PER_POSE] * np.linalg.norm(pose.vertex), planes=planes
-    )
-
-
-def _mixing(off_square: Floats) -> Floats:
-    """Symmetric (3, 3) matrix whose rows, in the corner's frame, are the faces' normals: I + ½ angles off diagonal."""
-    mixing = np.eye(3)
-    for angle, (i, j) in zip(off_square, _PAIRS, strict=True):
-        mixing[i, j] = mixing[j, i] = angle / 2
-    return mixing
-
-
-def _normals_by_angles(state: State, capture: int) -> Floats:
-    """Derivatives (P, 3 angles, 3) of the unit normals by the angles off square; zero for further planes."""
-    pose = state.pose(capture)
-    mixing = _mixing(state.off_square[pose.corner])
-    lengths = np.linalg.norm(mixing, axis=1)
-    unit = mixing / lengths[:, None]
-    derivatives = np.zeros((len(FACES) + len(pose.planes), 3, 3))
-    for angle, pair in enumerate(_PAIRS):
-        for i, j in (pair, pair[::-1]):
-            change = np.zeros(3)
-            change[j] = 0.5
-            derivatives[i, angle] = (change - unit[i] * (unit[i] @ change)) / lengths[i]
-    turned: Floats = derivatives @ pose.frame
-    return turned
+    distance = np.sqrt(pose.vertex @ pose.vertex)
+    return Pose(pose.frame @ rotation_about(step[:3]).T, pose.vertex + step[3:PER_POSE] * distance, pose.corner, planes)

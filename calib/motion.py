@@ -1,11 +1,15 @@
 """How two devices stand to each other, and the steps by which that changes."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.arrays import Floats
+from calib.compiled import compiled
+
+_TINY = 1e-8  # radians, below which the quotients of Rodrigues' formula are at their limits
 
 
 @dataclass(frozen=True)
@@ -15,20 +19,19 @@ class Motion:
     rotation: Floats
     translation: Floats
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Distance between the devices."""
-        return float(np.linalg.norm(self.translation))
+        return float(np.sqrt(self.translation @ self.translation))
 
     def moved(self, step: Floats) -> "Motion":
         """After a step (5,) of rotation and direction, or (6,) of the length's logarithm as well."""
-        direction = self.translation / self.length
-        direction = direction + tangent_basis(direction) @ step[3:5]
-        length = self.length * np.exp(step[5:].sum())
-        return Motion(
-            Rotation.from_rotvec(step[:3]).as_matrix() @ self.rotation,
-            direction * (length / np.linalg.norm(direction)),
-        )
+        length = self.length
+        ahead = self.translation / length
+        aside: Floats = ahead + tangent_basis(ahead) @ step[3:5]
+        if len(step) > 5:
+            length *= np.exp(step[5])
+        return Motion(rotation_about(step[:3]) @ self.rotation, aside * (length / np.sqrt(aside @ aside)))
 
     def step_to(self, other: "Motion") -> Floats:
         """The step (6,) to another motion not too far away."""
@@ -37,13 +40,37 @@ class Motion:
         return np.concatenate([turn, tangent_basis(ahead).T @ (there - ahead), [np.log(other.length / self.length)]])
 
 
+@compiled
+def rotation_about(vector: Floats) -> Floats:
+    """The rotation (3, 3) about a vector (3,) by its length in radians.
+
+    Rodrigues' formula: I + a [ω]× + b (ω ωᵀ − |ω|² I) with a = sin |ω| / |ω| and b = (1 − cos |ω|) / |ω|².
+    """
+    x, y, z = vector
+    square = x * x + y * y + z * z
+    angle = np.sqrt(square)
+    a, b = (np.sin(angle) / angle, 2 * np.sin(angle / 2) ** 2 / square) if angle > _TINY else (1.0, 0.5)
+    return np.array(
+        [
+            [1 + b * (x * x - square), b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, 1 + b * (y * y - square), b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, 1 + b * (z * z - square)],
+        ]
+    )
+
+
+@compiled
 def tangent_basis(direction: Floats) -> Floats:
     """Two unit vectors (3, 2) perpendicular to a unit vector (3,)."""
-    first = np.zeros(3)
-    first[int(np.argmin(np.abs(direction)))] = 1.0
-    first -= direction * (direction @ first)
-    first /= np.sqrt(first @ first)
-    return np.stack([first, cross(direction, first)], axis=1)
+    smallest = np.argmin(np.abs(direction))
+    length = np.sqrt(1 - direction[smallest] ** 2)
+    basis = np.empty((3, 2))
+    for k in range(3):
+        basis[k, 0] = ((k == smallest) - direction[smallest] * direction[k]) / length
+    for k in range(3):
+        second, third = (k + 1) % 3, (k + 2) % 3
+        basis[k, 1] = direction[second] * basis[third, 0] - direction[third] * basis[second, 0]
+    return basis
 
 
 def cross(a: Floats, b: Floats) -> Floats:

@@ -126,7 +126,8 @@ def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: floa
     alone = replace(state, poses=(pose,), off_square=state.off_square[pose.corner][None])
     alone = replace(alone, poses=(replace(pose, corner=0),))
     prior = knowledge.prior(alone)
-    prior.sigma[:SHARED][~refinement.prior.free[:SHARED]] = 0.0  # lens terms that are left out
+    for column in np.flatnonzero(~refinement.prior.free[:SHARED]):  # lens terms that are left out
+        prior = prior.with_known(int(column))
     flat = replace(prior, sigma=np.where(prior.free, np.inf, 0.0))
     new = evaluate([cells], alone, flat, [np.full(len(cells), variance)]).information
     kept = np.flatnonzero(prior.free)

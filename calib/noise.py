@@ -45,11 +45,12 @@ def _independent(cells: Cells, systematic_px: float) -> Floats:
 
 def _systematic(residual: Floats, sigma_px: Floats) -> float:
     """τ such that the residuals (M, 2) have the median size that variances σ² + τ² predict (robust, in px)."""
-    low, high = 0.0, 2 * float(np.median(np.linalg.norm(residual, axis=1))) + 1e-12
+    size, variance = np.linalg.norm(residual, axis=1), sigma_px**2
+    low, high = 0.0, 2 * float(np.median(size)) + 1e-12
     for _ in range(50):
         middle = (low + high) / 2
-        size = np.linalg.norm(residual, axis=1) / np.sqrt(sigma_px**2 + middle**2)
-        low, high = (middle, high) if np.median(size) > MEDIAN_LENGTH else (low, middle)
+        relative = size / np.sqrt(variance + middle**2)
+        low, high = (middle, high) if np.median(relative) > MEDIAN_LENGTH else (low, middle)
     return high if high > 1e-3 * float(np.median(sigma_px)) else 0.0
 
 

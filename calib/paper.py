@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from calib.arrays import Bools, Floats
+from calib.arrays import Bools, Floats, Ints
+from calib.compiled import compiled
 from calib.corner import CornerImage
 from calib.homography import FaceGrams, face_grams
 from calib.matches import Matches
@@ -85,15 +86,42 @@ class Objective:
         focal = np.concatenate([focal_px, focal_px])
         face = self.sample.face
         assert face is not None
-        rays = (self.sample.camera_px - np.array(self.principal_point_px))[None] / focal[:, None, None]
-        rays = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            heights = np.einsum("nsi,ni->ns", forward.normals, forward.vertex)[:, face]
-            depth = heights / np.einsum("nmi,nmi->nm", forward.normals[:, face], rays)
-            second = np.einsum("ni,nmi->nm", forward.rotation[:, 2], rays) * depth + forward.translation[:, 2:]
-        share = np.mean((depth > 0) & (second > 0), axis=1)
-        front: Bools = np.asarray(share) >= _POINTS_IN_FRONT
+        count = np.zeros(len(focal), np.int32)
+        _count_in_front(
+            np.ascontiguousarray(self.sample.camera_px - np.array(self.principal_point_px)),
+            np.ascontiguousarray(face, np.int32),
+            focal,
+            forward.normals,
+            forward.vertex,
+            forward.rotation,
+            forward.translation,
+            count,
+        )
+        front: Bools = count >= _POINTS_IN_FRONT * len(face)
         return front
+
+
+@compiled
+def _count_in_front(
+    centred_px: Floats,
+    face: Ints,
+    focal_px: Floats,
+    normals: Floats,
+    vertex: Floats,
+    rotation: Floats,
+    translation: Floats,
+    count: Ints,
+) -> None:
+    """For each trial, the number of camera pixels whose points on their faces are in front of both devices."""
+    for trial in range(len(focal_px)):
+        ahead = rotation[trial, 2]
+        for i in range(len(face)):
+            normal = normals[trial, face[i]]
+            x, y = centred_px[i, 0] / focal_px[trial], centred_px[i, 1] / focal_px[trial]
+            height = normal[0] * vertex[trial, 0] + normal[1] * vertex[trial, 1] + normal[2] * vertex[trial, 2]
+            depth = height / (normal[0] * x + normal[1] * y + normal[2])
+            second = depth * (ahead[0] * x + ahead[1] * y + ahead[2]) + translation[trial, 2]
+            count[trial] += depth > 0 and second > 0
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Floats
+from calib.compiled import compiled
 from calib.corner import CornerImage, corner_image, corner_planes
 from calib.homography import FaceGrams
 
@@ -57,13 +58,33 @@ def transfer(grams: FaceGrams, image: CornerImage, matrices: Floats, *, nearest:
     embed = np.concatenate([np.broadcast_to(inverses[:, None], (count, 3, 3, 3)), weights[:, :, None, :]], axis=2)
     embed = embed @ np.linalg.inv(grams.camera_scale)
 
-    blocks = grams.to_projector.reshape(3, 3, 3, 3, 3)
-    normal_matrix = np.einsum("nsai,spiqj,nsbj->npaqb", embed, blocks, embed, optimize=True).reshape(count, 12, 12)
+    normal_matrix = np.empty((count, 12, 12))
+    _normal_matrices(embed, grams.to_projector, normal_matrix)
     solved = np.isfinite(normal_matrix).all(axis=(1, 2))
     motion = np.full((count, 3, 4), np.nan)
     motion[solved] = np.linalg.eigh(normal_matrix[solved])[1][:, :, 0].reshape(-1, 3, 4)
     matrix, rotation, translation = decompose(np.linalg.inv(grams.projector_scale) @ motion)
     return Transfer(matrix, rotation, translation, normals, rays)
+
+
+@compiled
+def _normal_matrices(embed: Floats, grams: Floats, normal_matrices: Floats) -> None:
+    """Σ_S (I ⊗ B_S) G_S (I ⊗ B_Sᵀ) of each trial's B_S (n, 3, 4, 3) and the Gram matrices (3, 9, 9) → (n, 12, 12)."""
+    half = np.empty((4, 3))
+    for trial in range(len(embed)):
+        normal_matrices[trial] = 0.0
+        for face in range(3):
+            b = embed[trial, face]
+            for row in range(3):
+                for column in range(3):
+                    g = grams[face, 3 * row : 3 * row + 3, 3 * column : 3 * column + 3]
+                    for i in range(4):
+                        for j in range(3):
+                            half[i, j] = b[i, 0] * g[0, j] + b[i, 1] * g[1, j] + b[i, 2] * g[2, j]
+                    block = normal_matrices[trial, 4 * row : 4 * row + 4, 4 * column : 4 * column + 4]
+                    for i in range(4):
+                        for j in range(4):
+                            block[i, j] += half[i, 0] * b[j, 0] + half[i, 1] * b[j, 1] + half[i, 2] * b[j, 2]
 
 
 def decompose(motion: Floats) -> tuple[Floats, Floats, Floats]:
@@ -87,7 +108,7 @@ def decompose(motion: Floats) -> tuple[Floats, Floats, Floats]:
     placed = np.full(motion.shape, np.nan)
     solved = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(motion).all(axis=(1, 2))
     placed[solved] = np.linalg.solve(matrix[solved], motion[solved]) / scale[solved, None, None]
-    return matrix, placed[:, :, :3], placed[:, :, 3]
+    return matrix, placed[:, :, :3].copy(), placed[:, :, 3].copy()
 
 
 def intrinsic_matrices(focal_px: Floats, principal_point_px: tuple[float, float]) -> Floats:
