@@ -22,14 +22,15 @@ from scanner.decoding.checks_of_codes import check_codes
 from scanner.decoding.checks_of_frames import check_frames
 from scanner.decoding.checks_of_maps import check_fringes, check_maps
 from scanner.decoding.continuity import isolated
-from scanner.decoding.coordinate import MaskReason
 from scanner.decoding.exposures import ExposureMerger, exposures_of
 from scanner.decoding.flicker import flicker_of
-from scanner.decoding.maps import Maps, coordinate_maps, signals_of
+from scanner.decoding.maps import Maps, coordinate_maps
 from scanner.decoding.noise import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.plan import SequencePlan, plan_sequence
+from scanner.decoding.reasons import MaskReason
 from scanner.decoding.sample import Sample
 from scanner.decoding.saturation import saturation_level
+from scanner.decoding.signals import signals_of
 from scanner.decoding.strips import in_strips
 from scanner.errors import InputError
 from scanner.patterns import Pattern
@@ -171,7 +172,8 @@ def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     check_codes(plan, accumulators.codes, noise, accumulators.middle)
     accumulators.forget_contrasts()
 
-    thin = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
+    x, y = (signals_of(accumulators, axis, lambda image: image.reshape(1, -1)[:, sample.pixels]) for axis in plan.axes)
+    thin = x, y
     decoders = calibrated_decoders(plan, noise, saturation, thin)
     for decoder, signals in zip(decoders, thin, strict=True):
         check_fringes(plan, decoder, signals)

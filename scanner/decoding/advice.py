@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from scanner.decoding.arrays import Reasons
-from scanner.decoding.coordinate import MaskReason
+from scanner.decoding.reasons import MaskReason
 
 _LOW_MODULATION = 0.2
 _LARGE_SHARE = 0.1

@@ -11,12 +11,13 @@ import numpy as np
 
 from calib.arrays import Bools, Ints
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.calibrate import sample_orders
-from scanner.decoding.codes import interval_of
-from scanner.decoding.coordinate import AxisDecoder, MaskReason, Signals
+from scanner.decoding.calibrate import agreeing
+from scanner.decoding.coordinate import AxisDecoder
 from scanner.decoding.maps import Maps
 from scanner.decoding.plan import AxisPlan, SequencePlan
-from scanner.decoding.unwrap import widest_tolerances
+from scanner.decoding.reasons import MaskReason
+from scanner.decoding.signals import Signals
+from scanner.decoding.unwrap import disagreements, widest_tolerances
 from scanner.errors import InputError
 
 _FEWEST_PIXELS = 100
@@ -35,8 +36,9 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     axis = decoder.plan
     if not axis.fringes:
         return
-    interval = interval_of(axis, signals.words)
-    lit = decoder.well_lit(signals) & ~interval.outside & ~interval.contradictory
+    measured = replace(decoder, tolerances=widest_tolerances(axis)).measure(signals)
+    interval = measured.interval
+    lit = measured.well_lit & interval.possible
     if np.count_nonzero(lit) < _FEWEST_PIXELS:
         return
     for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):
@@ -47,10 +49,8 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
                 f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were some "
                 f"of these frames exchanged{_or_code(plan, axis)}?"
             )
-    orders, _ = sample_orders(replace(decoder, tolerances=widest_tolerances(axis)), signals)
-    for (longer, shorter), distance in zip(
-        pairwise(axis.fringes[: decoder.finest + 1]), orders.distances(), strict=False
-    ):
+    between_px = disagreements(measured.orders, interval, agreeing(measured)).between_px
+    for (longer, shorter), distance in zip(pairwise(axis.fringes[: decoder.finest + 1]), between_px, strict=False):
         apart = float(np.median(distance))
         if apart > _UNRELATED_CYCLES * shorter.period:
             raise InputError(

@@ -1,6 +1,5 @@
 """What was accumulated → the coordinates of all pixels, strip by strip, with all that needs a pixel's neighbours."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Bools, Ints
-from scanner.decoding.accumulate import Accumulators, FringeFold
+from scanner.decoding.accumulate import Accumulators
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.continuity import breaks
-from scanner.decoding.coordinate import AxisDecoder, Coordinate, MaskReason, Signals
-from scanner.decoding.plan import AxisPlan
-from scanner.decoding.shading import UNCERTAIN_SHARE, footprint_variance, shift_per_variance
+from scanner.decoding.coordinate import AxisDecoder, Coordinate
+from scanner.decoding.reasons import MaskReason
+from scanner.decoding.shading import footprint_variance, straighten
+from scanner.decoding.signals import signals_of
 from scanner.decoding.strips import in_strips
 from scanner.decoding.systematic import BLOCK_PX
 
@@ -38,32 +38,6 @@ class Maps:
     counts: Ints
 
 
-def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArray[Any]]) -> tuple[Signals, Signals]:
-    """The accumulated signals of x and y at some pixels; `select` takes these from an (H, W) image, as a 2-D array."""
-
-    def of_axis(axis: AxisPlan) -> Signals:
-        codes = [fold for fold in accumulators.codes if fold.code in axis.codes]
-        fringes = [fold for fold in accumulators.fringes if fold.fringe in axis.fringes]
-        return Signals(
-            [select(fold.words) for fold in codes],
-            [select(fold.least) for fold in codes if not axis.corrects_bits],
-            [select(fold.contrast) for fold in codes if fold.contrast is not None],
-            [(_in_levels(select(fold.cosine), fold), _in_levels(select(fold.sine), fold)) for fold in fringes],
-            select(accumulators.brightest),
-            select(accumulators.middle),
-            select(accumulators.peak),
-            None if accumulators.log_exposure is None else select(accumulators.log_exposure),
-        )
-
-    return of_axis(accumulators.plan.x), of_axis(accumulators.plan.y)
-
-
-def _in_levels(component: NDArray[Any], fold: FringeFold) -> Floats32:
-    levels: Floats32 = component.astype(np.float32)
-    levels *= np.float32(fold.scale)
-    return levels
-
-
 def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Maps:
     """Both coordinates of all pixels."""
     shape = accumulators.middle.shape
@@ -75,14 +49,12 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         above, below = min(rows.start, _HALO), min(shape[0] - rows.stop, _HALO)
         wider = slice(rows.start - above, rows.stop + below)
         inner = slice(above, above + rows.stop - rows.start)
-        found = [
-            decoder.decode(part)
-            for decoder, part in zip(decoders, signals_of(accumulators, lambda image: image[wider]), strict=True)
-        ]
+        found = [d.decode(signals_of(accumulators, d.plan, lambda image: image[wider])) for d in decoders]
         reason = _first_reason(found)
         kept = reason == MaskReason.KEPT
-        for coordinate in found:
-            _straighten(coordinate, kept, footprint_px2)
+        for c in found:
+            if c.log_amplitude is not None and footprint_px2:
+                straighten(c.value, c.variance, c.log_amplitude, kept, footprint_px2)
         x[rows], y[rows] = (coordinate.value[inner] for coordinate in found)
         variance[rows] = np.float32(0.5) * (found[0].variance[inner] + found[1].variance[inner])
         reasons[rows] = reason[inner]
@@ -100,18 +72,6 @@ def _first_reason(coordinates: list[Coordinate]) -> Reasons:
     return reason
 
 
-def _straighten(coordinate: Coordinate, kept: Bools, footprint_px2: float) -> None:
-    """Take out what shading shifts, and be less sure of what was shifted; in place."""
-    if coordinate.log_amplitude is None or footprint_px2 == 0:
-        return
-    shift = shift_per_variance(coordinate.value, coordinate.log_amplitude, kept)
-    shift *= np.float32(footprint_px2)
-    np.subtract(coordinate.value, shift, out=coordinate.value)
-    shift *= shift
-    shift *= np.float32(UNCERTAIN_SHARE**2)
-    np.add(coordinate.variance, shift, out=coordinate.variance)
-
-
 def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> float:
     """The variance of a camera pixel's footprint, from tiles spread over the lit part of the image."""
     height, width = accumulators.middle.shape
@@ -120,11 +80,11 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     if not accumulators.fringes or not len(corners):
         return 0.0
     middles = tuple((corners + _TILE_PX // 2).T)
-    at_middles = signals_of(accumulators, lambda image: image[middles][None])
     lit = np.ones(len(corners), np.bool_)
-    for decoder, part in zip(decoders, at_middles, strict=True):
+    for decoder in decoders:
         if decoder.plan.fringes:
-            lit &= decoder.well_lit(part)[0]
+            at_middles = signals_of(accumulators, decoder.plan, lambda image: image[middles][None])
+            lit &= decoder.measure(at_middles).well_lit
     corners = corners[lit]
     corners = corners[np.linspace(0, len(corners) - 1, min(len(corners), _MOST_TILES)).astype(np.int64)]
     if not len(corners):
@@ -133,11 +93,10 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     def tiles(image: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([image[row : row + _TILE_PX, column : column + _TILE_PX] for row, column in corners])
 
-    parts = signals_of(accumulators, tiles)
-    found = [decoder.decode(part) for decoder, part in zip(decoders, parts, strict=True)]
+    found = [decoder.decode(signals_of(accumulators, decoder.plan, tiles)) for decoder in decoders]
     usable = _first_reason(found) == MaskReason.KEPT
     shaded = [(c.value, c.log_amplitude) for c in found if c.log_amplitude is not None]
-    log_lit = np.log(np.maximum(parts[0].brightest, 1).astype(np.float32))
-    if parts[0].log_exposure is not None:
-        log_lit -= parts[0].log_exposure
+    log_lit = np.log(np.maximum(tiles(accumulators.brightest), 1).astype(np.float32))
+    if accumulators.log_exposure is not None:
+        log_lit -= tiles(accumulators.log_exposure)
     return footprint_variance(shaded, log_lit, usable, _TILE_PX)

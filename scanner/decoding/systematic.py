@@ -6,49 +6,64 @@ on the period, such as what harmonics leave.
 """
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import cast
 
 import cv2
 import numpy as np
 
 from calib.arrays import Bools
+from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32
 
 # Windows are 3 × 3 blocks.
 BLOCK_PX = 2
 # Share of a window's pixels; a window with none is not asked for.
-_FEWEST = 0.01
+_FEWEST = np.float32(0.01)
 # Some errors are the same share of every period, like the ripple of a bent curve; reflected light fades faster than the
 # period shortens, like λ² close to a crease and λ³ far from it. In between, the variance grows with the cube.
 _POWER = 3
 # Both periods are drawn to the same side where the crease is near: their difference shows less than the errors are.
 _HIDDEN = 1.6
+_ZERO = np.float32(0)
 
 
-def systematic_variances(
-    periods: Sequence[float], coordinates: Sequence[Floats32], variances: Sequence[Floats32], usable: Bools
-) -> list[Floats32]:
-    """Per fringe, the variance (H, W) of its coordinate beyond the noise, from `usable` pixels in windows around each.
+def excess_variances(coordinates: Floats32, variances: Floats32, usable: Bools, shape: tuple[int, int]) -> Floats32:
+    """By how much the squared distance between every two successive fringes exceeds the noise; (fringes − 1, P).
 
-    `variances`: those of the noise. Of a single fringe nothing is known, and its is zero, (1, 1).
+    From `coordinates` and `variances` of the noise (fringes, P), at `usable` pixels (P,) of an image of `shape` in windows
+    around each.
     """
-    found = [np.zeros((1, 1), np.float32) for _ in periods]
-    weight = _coarse(usable.astype(np.float32))
-    np.maximum(weight, np.float32(_FEWEST), out=weight)
-    there = usable.astype(np.float32)
-    for i, j in pairwise(range(len(periods))):
-        excess = coordinates[i] - coordinates[j]
-        excess *= excess
-        excess -= variances[i]
-        excess -= variances[j]
-        excess *= there
-        mean = np.maximum(_coarse(excess) / weight, np.float32(0))
-        powers = np.array([periods[i], periods[j]]) ** _POWER
-        for k, share in zip((i, j), _HIDDEN * powers / powers.sum(), strict=True):
-            fine = cast(Floats32, cv2.resize(np.float32(share) * mean, usable.shape[::-1]))
-            found[k] = np.maximum(found[k], fine, out=fine)
+    weight = np.maximum(_coarse(usable.reshape(shape).astype(np.float32)), _FEWEST)
+    found = np.empty((len(coordinates) - 1, len(usable)), np.float32)
+    excess = np.empty(shape, np.float32)
+    for k, of_pair in enumerate(found):
+        _excess(coordinates[k], coordinates[k + 1], variances[k], variances[k + 1], usable, excess.reshape(-1))
+        mean = np.maximum(_coarse(excess) / weight, _ZERO)
+        cv2.resize(mean, shape[::-1], dst=of_pair.reshape(shape))
     return found
+
+
+def shares(periods: Sequence[float]) -> Floats32:
+    """(fringes − 1, 2): how much of the excess between two successive fringes is the longer and the shorter one's."""
+    powers = np.array(periods) ** _POWER
+    pairs = np.stack([powers[:-1], powers[1:]], axis=1)
+    found: Floats32 = (_HIDDEN * pairs / pairs.sum(axis=1, keepdims=True)).astype(np.float32)
+    return found
+
+
+@compiled
+def _excess(
+    longer: Floats32,
+    shorter: Floats32,
+    longer_variance: Floats32,
+    shorter_variance: Floats32,
+    usable: Bools,
+    excess: Floats32,
+) -> None:
+    for i in range(len(excess)):
+        distance = longer[i] - shorter[i]
+        beyond = distance * distance - longer_variance[i] - shorter_variance[i]
+        excess[i] = beyond if usable[i] else _ZERO
 
 
 def _coarse(image: Floats32) -> Floats32:

@@ -1,0 +1,75 @@
+"""What was accumulated, for one axis at some pixels, in the form in which it is decoded."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Image
+from scanner.decoding.accumulate import Accumulators
+from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.plan import AxisPlan
+
+
+@dataclass(frozen=True)
+class Signals:
+    """One axis at P pixels, which make up an image of `shape` (H, W), row after row.
+
+    `words` (codes, P) of 32 bits. `least` (codes, P) unless fringes contradict wrong bits, and `contrast` (codes, P)
+    without fringes, as in `GrayFold`; else with no codes. `components` (fringes, 2, P): longest period first.
+    `brightest`, `middle` (P,): grey level when lit, and half-way between lit and unlit. `peak` (P,): largest among the
+    fringes. `log_exposure` (P,): None if all pixels have the same.
+    """
+
+    shape: tuple[int, int]
+    words: Words
+    least: Floats32
+    contrast: Floats32
+    components: Floats32
+    brightest: Floats32
+    middle: Floats32
+    peak: Image
+    log_exposure: Floats32 | None = None
+
+
+Select = Callable[[NDArray[Any]], NDArray[Any]]
+
+
+def signals_of(accumulators: Accumulators, axis: AxisPlan, select: Select) -> Signals:
+    """The accumulated signals of an axis at some pixels; `select` takes these from an (H, W) image, as a 2-D array."""
+    codes = [fold for fold in accumulators.codes if fold.code in axis.codes]
+    fringes = [fold for fold in accumulators.fringes if fold.fringe in axis.fringes]
+    middle = select(accumulators.middle)
+    components = np.empty((len(fringes), 2, middle.size), np.float32)
+    for of_fringe, fold in zip(components, fringes, strict=True):
+        for levels, component in zip(of_fringe, (fold.cosine, fold.sine), strict=True):
+            np.multiply(select(component).reshape(-1), np.float32(fold.scale), out=levels)
+    least = [] if axis.corrects_bits else [select(fold.least) for fold in codes]
+    contrast = [select(fold.contrast) for fold in codes if fold.contrast is not None]
+    log_exposure = accumulators.log_exposure
+    return Signals(
+        (middle.shape[0], middle.shape[1]),
+        _stack([select(fold.words) for fold in codes], middle.size, np.uint32),
+        _stack(least, middle.size, np.float32),
+        _stack(contrast, middle.size, np.float32),
+        components,
+        _levels(select(accumulators.brightest)),
+        _levels(middle),
+        select(accumulators.peak).reshape(-1),
+        None if log_exposure is None else select(log_exposure).reshape(-1),
+    )
+
+
+def _levels(image: NDArray[Any]) -> Floats32:
+    levels: Floats32 = image.reshape(-1).astype(np.float32)
+    return levels
+
+
+def _stack(images: Sequence[NDArray[Any]], pixels: int, dtype: type[np.generic]) -> NDArray[Any]:
+    """(images, P), one type for all."""
+    stack = np.empty((len(images), pixels), dtype)
+    for row, image in zip(stack, images, strict=True):
+        row[:] = image.reshape(-1)
+    return stack
