@@ -12,10 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Floats, Image
+from calib.arrays import Bools, Floats, Image
+from calib.compiled import compiled
 from calib.matches import Matches
 from scanner.decoding.accumulate import Accumulators
 from scanner.decoding.advice import warnings_of
+from scanner.decoding.arrays import Floats32
 from scanner.decoding.calibrate import calibrated_decoders, modulation
 from scanner.decoding.cells import average_cells
 from scanner.decoding.checks_of_codes import check_codes
@@ -118,7 +120,7 @@ class Decoder:
         # The running images are as large as the matches, and have served.
         del held
         matches, reasons = _match(self._plan, measured)
-        check_maps(self._plan, measured.maps, reasons == MaskReason.KEPT)
+        check_maps(self._plan, measured.maps, reasons == np.uint8(MaskReason.KEPT))
         warnings = tuple(warnings_of(reasons, measured.modulation, measured.flicker))
         texture = self._texture if self._merger is None else self._merger.alike(self._texture)
         return Decoding(matches, texture, reasons, measured.noise, measured.modulation, warnings, measured.flicker)
@@ -186,7 +188,7 @@ def _match(plan: SequencePlan, measured: _Measured) -> tuple[Matches, NDArray[np
     """The matches, and for all pixels (H, W) the reason why they have none."""
     maps = measured.maps
     reasons = maps.reason
-    kept = reasons == MaskReason.KEPT
+    kept = reasons == np.uint8(MaskReason.KEPT)
     if not plan.fringes:
         cells = average_cells(kept, maps.x, maps.y, maps.variance, measured.brightest)
         reasons[cells.rejected] = MaskReason.ISOLATED
@@ -200,21 +202,38 @@ def _pixel_matches(reasons: NDArray[np.uint8], maps: Maps) -> Matches:
 
     Single precision is exact for the camera's pixels, and all that the maps have for the projector's.
     """
-    kept = reasons == MaskReason.KEPT
+    kept = reasons == np.uint8(MaskReason.KEPT)
     ends = np.cumsum(np.count_nonzero(kept, axis=1))
     count = int(ends[-1])
     camera_px, projector_px = np.empty((count, 2), np.float32), np.empty((count, 2), np.float32)
     sigma_px = np.empty(count, np.float32)
 
     def fill(rows: slice) -> None:
-        there = np.flatnonzero(kept[rows])
-        part = slice(ends[rows.stop - 1] - len(there), ends[rows.stop - 1])
-        row, column = np.divmod(there.astype(np.int32), np.int32(kept.shape[1]))
-        camera_px[part, 0] = column
-        camera_px[part, 1] = row + np.int32(rows.start)
-        projector_px[part, 0] = maps.x[rows].ravel()[there]
-        projector_px[part, 1] = maps.y[rows].ravel()[there]
-        np.sqrt(maps.variance[rows].ravel()[there], out=sigma_px[part])
+        part = slice(ends[rows.stop - 1] - np.count_nonzero(kept[rows]), ends[rows.stop - 1])
+        of_rows = kept[rows], maps.x[rows], maps.y[rows], maps.variance[rows]
+        _gather(rows.start, *of_rows, camera_px[part], projector_px[part], sigma_px[part])
 
     in_strips(len(kept), fill)
     return Matches(cast(Floats, camera_px), cast(Floats, projector_px), sigma_px=cast(Floats, sigma_px))
+
+
+@compiled
+def _gather(
+    first_row: int,
+    kept: Bools,
+    x: Floats32,
+    y: Floats32,
+    variance: Floats32,
+    camera_px: Floats32,
+    projector_px: Floats32,
+    sigma_px: Floats32,
+) -> None:
+    """The matches (N,) of the kept pixels of some rows of the maps, of which the first has that number."""
+    match = 0
+    for row in range(kept.shape[0]):
+        for column in range(kept.shape[1]):
+            if kept[row, column]:
+                camera_px[match, 0], camera_px[match, 1] = column, first_row + row
+                projector_px[match, 0], projector_px[match, 1] = x[row, column], y[row, column]
+                sigma_px[match] = np.sqrt(variance[row, column])
+                match += 1

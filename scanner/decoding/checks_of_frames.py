@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.arrays import Bools
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.noise import NoiseModel
 from scanner.decoding.plan import Fringe, SequencePlan
 from scanner.errors import InputError
@@ -82,12 +83,11 @@ def _extremes(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
     for frame, side, word in ((plan.white, 1, "darker"), (plan.black, -1, "brighter")):
         if frame is None:
             continue
-        others = side * np.delete(shown.levels, frame, axis=0)
-        excess = (others - side * shown.levels[frame]) / shown.swing
-        wrong = np.mean(excess.max(axis=0) > _WRONG)
+        excess = shown.levels - shown.levels[frame]
+        beyond = excess > _WRONG * shown.swing if side > 0 else excess < -_WRONG * shown.swing
+        wrong = np.mean(beyond.any(axis=0))
         if wrong > _WRONG_SHARE:
-            suspect = int(np.argmax(np.mean(excess > _WRONG, axis=1)))
-            suspect += suspect >= frame
+            suspect = int(np.argmax(np.count_nonzero(beyond, axis=1)))
             yield (
                 f"{plan.name(frame)} is {word} than others at {wrong:.0%} of the lit pixels, above all than "
                 f"{plan.name(suspect)}"
@@ -99,7 +99,7 @@ def _complements(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
     if len(pairs) < 2:
         return
     sums = np.stack([shown.levels[a] + shown.levels[b] for a, b in pairs])
-    wrong = np.mean(np.abs(sums - np.median(sums, axis=0)) > _WRONG * shown.swing, axis=1)
+    wrong = np.mean(np.abs(sums - medians(sums, axis=0)) > _WRONG * shown.swing, axis=1)
     if wrong.max() > _WRONG_SHARE:
         suspects = [frame for pair, share in zip(pairs, wrong, strict=True) for frame in pair if share > _WRONG_SHARE]
         yield (
@@ -113,12 +113,12 @@ def _means(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
     if not even:
         return
     means = [np.mean(shown.levels[list(fringe.frames)], axis=0) for fringe in even]
-    reference = np.median(means, axis=0) if len(even) > 1 else shown.levels.min(axis=0)
+    reference = medians(np.stack(means), axis=0) if len(even) > 1 else shown.levels.min(axis=0)
     for fringe, mean in zip(even, means, strict=True):
         steps = len(fringe.shifts)
         _, cosine, sine = _components(fringe, shown)
         amplitude = float(np.median(np.hypot(cosine, sine) / shown.swing))
-        spread = _robust_sigma((mean - reference) / shown.swing)
+        spread = float(robust_sigmas(((mean - reference) / shown.swing)[None])[0])
         noise = float(np.median(shown.sigma / shown.swing)) / np.sqrt(steps)
         if steps * np.sqrt(max(spread**2 - noise**2, 0.0)) > _WRONG_MEAN * amplitude:
             yield f"the mean of {plan.names(fringe.frames)} is no even grey, as it is for a fringe in equal steps"
@@ -157,7 +157,3 @@ def _components(fringe: Fringe, shown: _Shown) -> tuple[Floats32, Floats32, Floa
     frames = shown.levels[list(fringe.frames)]
     offset, cosine, sine = np.tensordot(fringe.weights.astype(np.float32), frames, axes=1)
     return offset, cosine, sine
-
-
-def _robust_sigma(values: Floats32) -> float:
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))

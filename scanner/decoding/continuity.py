@@ -14,6 +14,7 @@ from calib.arrays import Bools
 from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.coordinate import Coordinate
+from scanner.decoding.patches import SMALLEST_PATCH, remove_small_patches
 from scanner.decoding.plan import AxisPlan
 from scanner.decoding.strips import in_strips
 
@@ -21,7 +22,6 @@ _SIGMAS = 5.0
 # A surface may bend by this much of the step between two neighbours, and this many projector pixels, from one camera pixel to the next.
 _BEND_OF_SLOPE = np.float32(0.25)
 _BEND_PX = 1.0
-_SMALLEST_PATCH = 24
 _PATCH_ROWS = 512
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _TWO = np.float32(2)
@@ -60,15 +60,10 @@ def isolated(kept: Bools, broken: Bools) -> Bools:
 
     def find(rows: slice) -> None:
         # A patch that reaches from these rows to beyond the wider ones is not small.
-        first, last = max(0, rows.start - _SMALLEST_PATCH), min(height, rows.stop + _SMALLEST_PATCH)
+        first, last = max(0, rows.start - SMALLEST_PATCH), min(height, rows.stop + SMALLEST_PATCH)
         whole = kept[first:last] & ~broken[first:last]
-        _, patches, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
-            whole.view(np.uint8), 4, cv2.CV_32S, cv2.CCL_SPAGHETTI
-        )
-        is_large = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST_PATCH
-        is_large[0] = False
-        inner = slice(rows.start - first, rows.stop - first)
-        np.greater(kept[rows], is_large[patches[inner]], out=result[rows])
+        remove_small_patches(whole)
+        np.greater(kept[rows], whole[rows.start - first : rows.stop - first], out=result[rows])
 
     in_strips(height, find, rows=_PATCH_ROWS)
     return result
@@ -84,10 +79,12 @@ def _note_bends(
     """
     height, width = value.shape
     for row in range(down, height - down):
-        for column in range(across, width - across):
-            before, after = value[row - down, column - across], value[row + down, column + across]
-            bend = abs(before + after - _TWO * value[row, column]) - _BEND_OF_SLOPE * abs(after - before)
-            broken[row, column] |= bend > least + sigmas * np.sqrt(variance[row, column])
+        before, after = value[row - down, : width - 2 * across], value[row + down, 2 * across :]
+        middle = slice(across, width - across)
+        of_row, noise, note = value[row, middle], variance[row, middle], broken[row, middle]
+        for i in range(len(of_row)):
+            bend = abs(before[i] + after[i] - _TWO * of_row[i]) - _BEND_OF_SLOPE * abs(after[i] - before[i])
+            note[i] |= bend > least + sigmas * np.sqrt(noise[i])
 
 
 @compiled

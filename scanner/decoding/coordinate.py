@@ -1,7 +1,7 @@
 """One projector coordinate from what was accumulated: code words, fringe components → coordinate, variance, reason."""
 
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
 from math import pi, sqrt
 
 import cv2
@@ -95,6 +95,19 @@ class AxisDecoder:
     tolerances: Tolerances
     finest: int = 0
 
+    @cached_property
+    def _units_px2(self) -> list[float]:
+        """Per fringe, the variance of its coordinate where noise and amplitude are equal.
+
+        σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal shifts.
+        """
+        return [(fringe.period / (2 * pi) * fringe.noise_gain) ** 2 for fringe in self.plan.fringes]
+
+    @cached_property
+    def _darkest_px2(self) -> np.float32:
+        """The variance of the longest fringe where it is just seen; lenses blur the others more."""
+        return np.float32(largest_variance(self.plan.fringes[0], with_gray=bool(self.plan.codes)))
+
     def decode(self, signals: Signals) -> Coordinate:
         """The coordinate at every pixel of the signals."""
         return self._from_fringes(signals) if self.plan.fringes else self._from_codes(signals)
@@ -103,8 +116,7 @@ class AxisDecoder:
         """What the fringes say at every pixel, of an axis that has fringes."""
         interval = interval_of(self.plan, signals.words)
         powers, variances = (np.empty((len(self.plan.fringes), len(signals.middle)), np.float32) for _ in range(2))
-        for k, (fringe, (cosine, sine)) in enumerate(zip(self.plan.fringes, signals.components, strict=True)):
-            unit = (fringe.period / (2 * pi) * fringe.noise_gain) ** 2
+        for k, (unit, (cosine, sine)) in enumerate(zip(self._units_px2, signals.components, strict=True)):
             at_black, per_level = np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)
             _amplitude(cosine, sine, signals.middle, at_black, per_level, powers[k], variances[k])
         orders = unwrap(self.plan, interval, Wrapped(self.positions(signals), variances), self.tolerances)
@@ -112,9 +124,7 @@ class AxisDecoder:
         note_codes(interval.outside, interval.contradictory, against)
         note_orders(orders.agree, orders.unique, against)
         note_indirect(powers[0], signals.brightest, signals.middle, against)
-        # Lenses blur the shorter fringes more, and they are not needed.
-        darkest = np.float32(largest_variance(self.plan.fringes[0], with_gray=bool(self.plan.codes)))
-        note_light(variances[0], darkest, self._saturated(signals), against)
+        note_light(variances[0], self._darkest_px2, self._saturated(signals), against)
         # No second period would contradict a bit that global light has turned over.
         for least in () if self.plan.corrects_bits else signals.least:
             note_turned_over(least, powers[0], signals.brightest, signals.middle, against)
@@ -189,14 +199,14 @@ def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
 
 
 def _add_systematic(variances: Floats32, excess: Floats32, periods: list[float]) -> None:
-    """Add to each fringe's variance (fringes, P) its share of the excess (fringes − 1, P) beside it, or the larger one."""
-    more = np.zeros_like(variances)
-    for of_pair, (of_longer, of_shorter), (longer, shorter) in zip(
-        excess, shares(periods), pairwise(more), strict=True
-    ):
-        np.maximum(longer, of_longer * of_pair, out=longer)
-        np.maximum(shorter, of_shorter * of_pair, out=shorter)
-    variances += more
+    """Add to each fringe's variance (fringes, P) its share of the excess (fringes − 1, P) on either side, the larger."""
+    of_longer, of_shorter = shares(periods).T
+    last = len(excess) - 1
+    for k, variance in enumerate(variances):
+        # The first and the last fringe have an excess on one side only.
+        before, after = max(k - 1, 0), min(k, last)
+        shares_here = of_shorter[before] if k > 0 else of_longer[0], of_longer[after] if k <= last else of_shorter[last]
+        _add_larger(excess[before], shares_here[0], excess[after], shares_here[1], variance)
 
 
 @compiled
@@ -209,11 +219,7 @@ def _amplitude(
     power: Floats32,
     variance: Floats32,
 ) -> None:
-    """The square of a fringe's amplitude, and the variance of its coordinate by noise.
-
-    σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal shifts; σ_I² depends on the grey level, and
-    is given in units of (λ/2π · gain)².
-    """
+    """The square of a fringe's amplitude, and the variance of its coordinate by noise that grows with the grey level."""
     for i in range(len(cosine)):
         power[i] = max(cosine[i] * cosine[i] + sine[i] * sine[i], _FAINTEST_POWER)
         variance[i] = (at_black + per_level * level[i]) / power[i]
@@ -225,6 +231,15 @@ def _straighten(phase: Floats32, ripple: Floats32) -> None:
     last, steps_per_radian = np.int32(len(ripple) - 1), np.float32(len(ripple)) / _CYCLE
     for i in range(len(phase)):
         phase[i] += ripple[np.int32(phase[i] * steps_per_radian) & last]
+
+
+@compiled
+def _add_larger(
+    first: Floats32, first_share: np.float32, second: Floats32, second_share: np.float32, variance: Floats32
+) -> None:
+    """Add the larger of two shares."""
+    for i in range(len(variance)):
+        variance[i] += max(first_share * first[i], second_share * second[i])
 
 
 @compiled

@@ -11,7 +11,7 @@ from scanner.decoding.accumulate import Accumulators
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.continuity import breaks
 from scanner.decoding.coordinate import AxisDecoder, Coordinate
-from scanner.decoding.reasons import MaskReason
+from scanner.decoding.reasons import MaskReason, count_reasons
 from scanner.decoding.shading import footprint_variance, straighten
 from scanner.decoding.signals import signals_of
 from scanner.decoding.strips import in_strips
@@ -51,7 +51,7 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         inner = slice(above, above + rows.stop - rows.start)
         found = [d.decode(signals_of(accumulators, d.plan, lambda image: image[wider])) for d in decoders]
         reason = _first_reason(found)
-        kept = reason == MaskReason.KEPT
+        kept = reason == np.uint8(MaskReason.KEPT)
         for c in found:
             if c.log_amplitude is not None and footprint_px2:
                 straighten(c.value, c.variance, c.log_amplitude, kept, footprint_px2)
@@ -59,7 +59,7 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         variance[rows] = np.float32(0.5) * (found[0].variance[inner] + found[1].variance[inner])
         reasons[rows] = reason[inner]
         broken[rows] = breaks(kept, found, accumulators.plan.axes)[inner]
-        return np.array([[np.count_nonzero(c.reason[inner] == reason) for reason in MaskReason] for c in found])
+        return np.stack([count_reasons(c.reason[inner]) for c in found])
 
     counts = np.sum(in_strips(shape[0], decode), axis=0)
     return Maps(x, y, variance, reasons, broken, counts)

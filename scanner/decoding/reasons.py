@@ -9,7 +9,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.arrays import Bools
+from calib.arrays import Bools, Ints
 from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32, Reasons
 
@@ -73,6 +73,11 @@ _ZERO, _TWO, _FOUR = np.float32(0), np.float32(2), np.float32(4)
 def reasons_of(against: Reasons) -> Reasons:
     """A `MaskReason` for each pixel, from its flags (P,)."""
     return cast(Reasons, cv2.LUT(against, _TABLE).reshape(against.shape))
+
+
+def count_reasons(reasons: Reasons) -> Ints:
+    """How many pixels, in an array of any shape, have each `MaskReason`."""
+    return np.array([np.count_nonzero(reasons == np.uint8(reason)) for reason in MaskReason])
 
 
 @compiled

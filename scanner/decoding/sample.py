@@ -1,5 +1,7 @@
 """A thin sample of every frame: what noise, tolerances and the checks between frames are computed from."""
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,9 +42,9 @@ class Sample:
             self._left.append(flat[self.pixels - _STEP])
             self._right.append(flat[self.pixels + _STEP])
 
-    @property
+    @cached_property
     def levels(self) -> Floats32:
-        """(frames, P) grey levels."""
+        """(frames, P) grey levels, once all frames are in."""
         return np.stack(self._frames).astype(np.float32)
 
     @property

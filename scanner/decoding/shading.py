@@ -15,6 +15,7 @@ import numpy as np
 from calib.arrays import Bools, Floats
 from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.medians import SIGMA_PER_MEDIAN
 
 # Central differences at the sharpest edges, and what the first order leaves: share of the shift that stays uncertain.
 _UNCERTAIN_SHARE2 = np.float32(0.35**2)
@@ -26,7 +27,7 @@ _MARGIN_PX = 6
 _JUMP_PX = 0.5
 _FEWEST_TILES = 4
 # Standard deviation of a median of n normal deviates, times √n, over their median deviation from it.
-_MEDIAN_SIGMA = 1.2533 * 1.4826
+_MEDIAN_SIGMA = 1.2533 * SIGMA_PER_MEDIAN
 _SIGNIFICANT = 5.0
 _LARGEST_PX2 = 9.0
 
@@ -63,10 +64,13 @@ def _add_products(
     """Add, at chosen pixels, the product of the two slopes along a column or along a row."""
     height, width = value.shape
     for row in range(down, height - down):
-        for column in range(across, width - across):
-            run = value[row + down, column + across] - value[row - down, column - across]
-            run *= log_amplitude[row + down, column + across] - log_amplitude[row - down, column - across]
-            sums[row, column] += _QUARTER * run if chosen[row, column] else _ZERO
+        above, left, right = row - down, width - 2 * across, 2 * across
+        value_before, value_after = value[above, :left], value[row + down, right:]
+        log_before, log_after = log_amplitude[above, :left], log_amplitude[row + down, right:]
+        is_chosen, total = chosen[row, across : width - across], sums[row, across : width - across]
+        for i in range(len(total)):
+            product = (value_after[i] - value_before[i]) * (log_after[i] - log_before[i])
+            total[i] += _QUARTER * product if is_chosen[i] else _ZERO
 
 
 @compiled

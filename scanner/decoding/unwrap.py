@@ -125,11 +125,12 @@ def unwrap(plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tol
     _first_order(positions[0], periods[0], search, interval.low, interval.high, order)
     best = coordinates[0]
     best[:] = order
-    best_cost, second_cost = np.full_like(best, np.inf), np.full_like(best, np.inf)
-    for _ in range(1 + others):
+    best_cost = _followed(order, interval, wrapped, periods, tolerances)
+    second_cost = np.full_like(best_cost, np.inf)
+    for _ in range(others):
+        order += periods[0]
         cost = _followed(order, interval, wrapped, periods, tolerances)
         _choose(order, cost, best, best_cost, second_cost)
-        order += periods[0]
     for longer, shorter, position, period in zip(coordinates, coordinates[1:], positions[1:], periods[1:], strict=False):
         _nearest_order(position, period, longer, shorter)
     return Orders(coordinates, best_cost < _INFINITE, second_cost >= best_cost + _CLEAR_MARGIN)
