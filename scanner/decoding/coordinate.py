@@ -27,7 +27,7 @@ from scanner.decoding.reasons import (
 )
 from scanner.decoding.shading import log_amplitude
 from scanner.decoding.signals import Signals
-from scanner.decoding.systematic import excess_variances, shares
+from scanner.decoding.systematic import add_systematic
 from scanner.decoding.unwrap import Orders, Tolerances, Wrapped, unwrap
 
 # A signal counts from five standard deviations on: an unlit pixel passes by chance once in three million times.
@@ -157,8 +157,8 @@ class AxisDecoder:
             usable = measured.certain
             for fringe, variance in zip(self.plan.fringes, variances, strict=True):
                 usable &= variance <= np.float32(largest_variance(fringe))
-            excess = excess_variances(coordinates, variances, usable, signals.shape)
-            _add_systematic(variances, excess, [fringe.period for fringe in self.plan.fringes])
+            periods = [fringe.period for fringe in self.plan.fringes]
+            add_systematic(periods, coordinates, variances, usable, signals.shape)
         value, variance = coordinates[0], variances[0]
         for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
             _average_in(of_fringe, own_variance, value, variance)
@@ -198,17 +198,6 @@ def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
     return (fringe.period / (2 * pi) / needed) ** 2
 
 
-def _add_systematic(variances: Floats32, excess: Floats32, periods: list[float]) -> None:
-    """Add to each fringe's variance (fringes, P) its share of the excess (fringes − 1, P) on either side, the larger."""
-    of_longer, of_shorter = shares(periods).T
-    last = len(excess) - 1
-    for k, variance in enumerate(variances):
-        # The first and the last fringe have an excess on one side only.
-        before, after = max(k - 1, 0), min(k, last)
-        shares_here = of_shorter[before] if k > 0 else of_longer[0], of_longer[after] if k <= last else of_shorter[last]
-        _add_larger(excess[before], shares_here[0], excess[after], shares_here[1], variance)
-
-
 @compiled
 def _amplitude(
     cosine: Floats32,
@@ -231,15 +220,6 @@ def _straighten(phase: Floats32, ripple: Floats32) -> None:
     last, steps_per_radian = np.int32(len(ripple) - 1), np.float32(len(ripple)) / _CYCLE
     for i in range(len(phase)):
         phase[i] += ripple[np.int32(phase[i] * steps_per_radian) & last]
-
-
-@compiled
-def _add_larger(
-    first: Floats32, first_share: np.float32, second: Floats32, second_share: np.float32, variance: Floats32
-) -> None:
-    """Add the larger of two shares."""
-    for i in range(len(variance)):
-        variance[i] += max(first_share * first[i], second_share * second[i])
 
 
 @compiled

@@ -27,12 +27,26 @@ _HIDDEN = 1.6
 _ZERO = np.float32(0)
 
 
-def excess_variances(coordinates: Floats32, variances: Floats32, usable: Bools, shape: tuple[int, int]) -> Floats32:
-    """By how much the squared distance between every two successive fringes exceeds the noise; (fringes − 1, P).
+def add_systematic(
+    periods: Sequence[float], coordinates: Floats32, variances: Floats32, usable: Bools, shape: tuple[int, int]
+) -> None:
+    """Add to each fringe's `variances` (fringes, P) that of its coordinate beyond the noise, of two fringes or more.
 
-    From `coordinates` and `variances` of the noise (fringes, P), at `usable` pixels (P,) of an image of `shape` in windows
-    around each.
+    From the `coordinates` (fringes, P) of `usable` pixels (P,) in windows around each, in an image of `shape` (H, W).
     """
+    excess = _excess_variances(coordinates, variances, usable, shape)
+    powers = np.array(periods) ** _POWER
+    of_longer, of_shorter = (_HIDDEN * part / (powers[:-1] + powers[1:]) for part in (powers[:-1], powers[1:]))
+    last = len(excess) - 1
+    for k, variance in enumerate(variances):
+        # Of what a fringe is apart from that before and that after it, the first and the last have one only.
+        before = (excess[k - 1], of_shorter[k - 1]) if k > 0 else (excess[0], of_longer[0])
+        after = (excess[k], of_longer[k]) if k <= last else (excess[last], of_shorter[last])
+        _add_larger(before[0], np.float32(before[1]), after[0], np.float32(after[1]), variance)
+
+
+def _excess_variances(coordinates: Floats32, variances: Floats32, usable: Bools, shape: tuple[int, int]) -> Floats32:
+    """By how much the squared distance between every two successive fringes exceeds the noise; (fringes − 1, P)."""
     weight = np.maximum(_coarse(usable.reshape(shape).astype(np.float32)), _FEWEST)
     found = np.empty((len(coordinates) - 1, len(usable)), np.float32)
     excess = np.empty(shape, np.float32)
@@ -40,14 +54,6 @@ def excess_variances(coordinates: Floats32, variances: Floats32, usable: Bools, 
         _excess(coordinates[k], coordinates[k + 1], variances[k], variances[k + 1], usable, excess.reshape(-1))
         mean = np.maximum(_coarse(excess) / weight, _ZERO)
         cv2.resize(mean, shape[::-1], dst=of_pair.reshape(shape))
-    return found
-
-
-def shares(periods: Sequence[float]) -> Floats32:
-    """(fringes − 1, 2): how much of the excess between two successive fringes is the longer and the shorter one's."""
-    powers = np.array(periods) ** _POWER
-    pairs = np.stack([powers[:-1], powers[1:]], axis=1)
-    found: Floats32 = (_HIDDEN * pairs / pairs.sum(axis=1, keepdims=True)).astype(np.float32)
     return found
 
 
@@ -64,6 +70,15 @@ def _excess(
         distance = longer[i] - shorter[i]
         beyond = distance * distance - longer_variance[i] - shorter_variance[i]
         excess[i] = beyond if usable[i] else _ZERO
+
+
+@compiled
+def _add_larger(
+    first: Floats32, first_share: np.float32, second: Floats32, second_share: np.float32, variance: Floats32
+) -> None:
+    """Add the larger of two shares."""
+    for i in range(len(variance)):
+        variance[i] += max(first_share * first[i], second_share * second[i])
 
 
 def _coarse(image: Floats32) -> Floats32:
