@@ -169,7 +169,9 @@ class AxisDecoder:
         if signals.log_exposure is not None:
             brightness -= signals.log_exposure
         shape = signals.shape
-        return Coordinate(value.reshape(shape), variance.reshape(shape), reason.reshape(shape), brightness.reshape(shape))
+        return Coordinate(
+            value.reshape(shape), variance.reshape(shape), reason.reshape(shape), brightness.reshape(shape)
+        )
 
     def _from_codes(self, signals: Signals) -> Coordinate:
         interval = interval_of(self.plan, signals.words)
@@ -183,9 +185,7 @@ class AxisDecoder:
         # Evenly spread over the interval.
         variance = np.float32(1 / 12) * (interval.high - interval.low) ** 2
         shape = signals.shape
-        return Coordinate(
-            interval.centre.reshape(shape), variance.reshape(shape), reasons_of(against).reshape(shape)
-        )
+        return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reasons_of(against).reshape(shape))
 
 
 def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
@@ -232,9 +232,7 @@ def _average_in(coordinate: Floats32, own_variance: Floats32, value: Floats32, v
 
 
 @compiled
-def _note_beyond(
-    value: Floats32, centre: np.float32, reach: np.float32, outside: np.uint8, reason: Reasons
-) -> None:
+def _note_beyond(value: Floats32, centre: np.float32, reach: np.float32, outside: np.uint8, reason: Reasons) -> None:
     """Give a reason to pixels that have none and are too far from the centre."""
     for i in range(len(value)):
         reason[i] = outside if (abs(value[i] - centre) > reach) & (reason[i] == 0) else reason[i]

@@ -131,7 +131,9 @@ def unwrap(plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tol
         order += periods[0]
         cost = _followed(order, interval, wrapped, periods, tolerances)
         _choose(order, cost, best, best_cost, second_cost)
-    for longer, shorter, position, period in zip(coordinates, coordinates[1:], positions[1:], periods[1:], strict=False):
+    for longer, shorter, position, period in zip(
+        coordinates, coordinates[1:], positions[1:], periods[1:], strict=False
+    ):
         _nearest_order(position, period, longer, shorter)
     return Orders(coordinates, best_cost < _INFINITE, second_cost >= best_cost + _CLEAR_MARGIN)
 
