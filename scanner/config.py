@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from calib.selfcalibration import PrincipalPoint
 from hw.settings import RigSettings
 from scanner.errors import InputError
-from scanner.patterns import Pattern
+from scanner.patterns import Code, Pattern
 from scanner.presets import PRESETS, Preset, PresetName
 from scanner.projector_response import ProjectorResponse
 from scanner.validation import Flag, Number, Pair, Section, Whole, validate
@@ -96,8 +96,13 @@ class SequenceSettings(Section):
     """Which patterns are projected; a key that is given overrides the preset."""
 
     preset: PresetName = Field(default="standard", description="The sequence to start from.")
+    code: Code | None = Field(
+        default=None,
+        description="gray; or xor: the same cells in fine stripes, which bounced light does not turn over; or both, "
+        "which must agree with each other or one of them with the fringes.",
+    )
     cell: Whole | None = Field(default=None, ge=1, le=1024, description="Finest Gray code stripe in projector pixels.")
-    inverses: Flag | None = Field(default=None, description="Whether each Gray code is followed by its inverse.")
+    inverses: Flag | None = Field(default=None, description="Whether each bit is followed by its inverse.")
     periods: tuple[Period, ...] | None = Field(
         default=None, min_length=1, max_length=8, description="Periods of the fringes in projector pixels."
     )
@@ -127,7 +132,7 @@ class SequenceSettings(Section):
 
     @property
     def _chosen(self) -> Preset:
-        keys = ("cell", "inverses", "periods", "shifts")
+        keys = ("code", "cell", "inverses", "periods", "shifts")
         return replace(
             PRESETS[self.preset], **{key: value for key in keys if (value := getattr(self, key)) is not None}
         )

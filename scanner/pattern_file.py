@@ -1,7 +1,8 @@
 """How patterns are written in `capture.yaml` and `sequence.yaml`: a format that other programs read and write, such as
 
-`{kind: gray, axis: x, bit: 0, bits: 10, cell: 1, offset: 0, inverted: false}` and
-`{kind: phase, axis: x, period: 16.0, shift: 0.0}`.
+`{kind: gray, axis: x, bit: 0, bits: 10, cell: 1, offset: 0, inverted: false}`,
+`{kind: xor, axis: x, bit: 0, bits: 10, base: 9, cell: 1, offset: 0, inverted: false}` and `{kind: phase, axis: x,
+period: 16.0, shift: 0.0}`.
 """
 
 from dataclasses import asdict
@@ -12,7 +13,7 @@ import yaml
 from pydantic import Field, model_validator
 
 from scanner.images import write_png
-from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, draw
+from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
 from scanner.validation import Entry, Flag, Number, Whole
 
 FORMAT = 1
@@ -39,10 +40,9 @@ class BlackEntry(Entry):
         return Black()
 
 
-class GrayEntry(Entry):
-    """A bit of a Gray code."""
+class _BitEntry(Entry):
+    """A bit of a code."""
 
-    kind: Literal["gray"]
     axis: Axis
     bit: Whole = Field(ge=0)
     bits: Whole = Field(ge=1, le=32)
@@ -51,14 +51,37 @@ class GrayEntry(Entry):
     inverted: Flag
 
     @model_validator(mode="after")
-    def _bit_exists(self) -> "GrayEntry":
+    def _bit_exists(self) -> "_BitEntry":
         if self.bit >= self.bits:
             raise ValueError(f"bit must be less than bits, found bit {self.bit} of {self.bits}")
         return self
 
+
+class GrayEntry(_BitEntry):
+    """A bit of a Gray code."""
+
+    kind: Literal["gray"]
+
     def pattern(self) -> Gray:
         """What the entry describes."""
         return Gray(self.axis, self.bit, self.bits, self.cell, self.offset, self.inverted)
+
+
+class XorEntry(_BitEntry):
+    """A bit of a Gray code relative to another of its bits."""
+
+    kind: Literal["xor"]
+    base: Whole = Field(ge=0)
+
+    @model_validator(mode="after")
+    def _base_is_another(self) -> "XorEntry":
+        if self.base >= self.bits or self.base == self.bit:
+            raise ValueError(f"base must be another of the {self.bits} bits than bit {self.bit}, found {self.base}")
+        return self
+
+    def pattern(self) -> Xor:
+        """What the entry describes."""
+        return Xor(self.axis, self.bit, self.bits, self.base, self.cell, self.offset, self.inverted)
 
 
 class PhaseEntry(Entry):
@@ -74,7 +97,7 @@ class PhaseEntry(Entry):
         return Phase(self.axis, self.period, self.shift)
 
 
-PatternEntry = Annotated[WhiteEntry | BlackEntry | GrayEntry | PhaseEntry, Field(discriminator="kind")]
+PatternEntry = Annotated[WhiteEntry | BlackEntry | GrayEntry | XorEntry | PhaseEntry, Field(discriminator="kind")]
 
 
 def pattern_to_dict(pattern: Pattern) -> dict[str, Any]:

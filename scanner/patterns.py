@@ -4,7 +4,7 @@ Coordinates are projector pixels, x to the right and y down, pixel centres at in
 format that other programs depend on (see docs/formats.md).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, log2
 from typing import Literal
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calib.arrays import Floats
 
 Axis = Literal["x", "y"]
+Code = Literal["gray", "xor", "both"]
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,31 @@ class Gray:
 
 
 @dataclass(frozen=True)
+class Xor:
+    """One bit of a Gray code, exclusive or its bit `base`: its stripes are as fine as those of that bit.
+
+    Light that bounces averages over fine stripes and reaches a place in equal parts, whatever the pattern, so that it
+    turns over no bit (Gupta et al., CVPR 2011). The base itself is shown as a bit of the Gray code.
+    """
+
+    axis: Axis
+    bit: int
+    bits: int
+    base: int
+    cell: int = 1
+    offset: int = 0
+    inverted: bool = False
+
+    def brightness(self, x: Floats, y: Floats) -> Floats:
+        """Brightness 0 … 1 at projector coordinates of equal shape."""
+        bit, base = (
+            Gray(self.axis, number, self.bits, self.cell, self.offset).brightness(x, y)
+            for number in (self.bit, self.base)
+        )
+        return np.where((bit != base) != self.inverted, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Phase:
     """A fringe: ½ (1 + cos 2π(coordinate / period + shift)), period in pixels, shift in cycles."""
 
@@ -68,7 +94,7 @@ class Phase:
         return 0.5 * (1 + np.cos(2 * np.pi * (coordinate / self.period + self.shift)))
 
 
-Pattern = White | Black | Gray | Phase
+Pattern = White | Black | Gray | Xor | Phase
 
 
 def draw(pattern: Pattern, size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -88,21 +114,45 @@ def gray_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) 
             yield Gray(axis, bit, bits, cell, inverted=inverted)
 
 
+def xor_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) -> Iterator[Gray | Xor]:
+    """The same cells by stripes that are nearly all two cells wide: the finest bit, and the others relative to it."""
+    for shown in gray_sequence(axis, length, cell, inverses=inverses):
+        base = shown.bits - 1
+        if shown.bit == base:
+            yield shown
+        else:
+            yield Xor(axis, shown.bit, shown.bits, base, cell, inverted=shown.inverted)
+
+
 def phase_sequence(axis: Axis, period: float, shifts: int) -> Iterator[Phase]:
     """One fringe in `shifts` equal steps over a cycle."""
     for step in range(shifts):
         yield Phase(axis, period, step / shifts)
 
 
+def both_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) -> Iterator[Gray | Xor]:
+    """The Gray code, then the XOR code on the same finest bit."""
+    yield from gray_sequence(axis, length, cell, inverses=inverses)
+    yield from (p for p in xor_sequence(axis, length, cell, inverses=inverses) if isinstance(p, Xor))
+
+
+_CODES: dict[Code, Callable[..., Iterator[Gray | Xor]]] = {
+    "gray": gray_sequence,
+    "xor": xor_sequence,
+    "both": both_sequence,
+}
+
+
 def sequence_for(
     size: tuple[int, int],
     *,
+    code: Code = "gray",
     cell: int = 8,
     inverses: bool = True,
     periods: Sequence[float] = (16.0, 6.7),
     shifts: int = 4,
 ) -> tuple[Pattern, ...]:
-    """White, black, then for each axis Gray code down to `cell` and fringes of `periods` in `shifts` steps each.
+    """White, black, then for each axis a code down to `cell` and fringes of `periods` in `shifts` steps each.
 
     A cell of half the longest period leaves a quarter of that period as slack on either side of each Gray edge, so that
     no fringe order hangs on a single edge. `shifts` = 0 leaves the fringes out.
@@ -110,7 +160,7 @@ def sequence_for(
     patterns: list[Pattern] = [White(), Black()]
     axes: tuple[tuple[Axis, int], ...] = (("x", size[0]), ("y", size[1]))
     for axis, length in axes:
-        patterns += gray_sequence(axis, length, cell, inverses=inverses)
+        patterns += _CODES[code](axis, length, cell, inverses=inverses)
         for period in periods if shifts else ():
             patterns += phase_sequence(axis, period, shifts)
     return tuple(patterns)

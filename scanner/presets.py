@@ -3,15 +3,16 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from scanner.patterns import Pattern, sequence_for
+from scanner.patterns import Code, Pattern, sequence_for
 
 PresetName = Literal["standard", "quick", "concave"]
 
 
 @dataclass(frozen=True)
 class Preset:
-    """The arguments of `sequence_for`: Gray code down to `cell` px, fringes of `periods` px in `shifts` steps each."""
+    """The arguments of `sequence_for`: a code down to `cell` px, fringes of `periods` px in `shifts` steps each."""
 
+    code: Code
     cell: int
     inverses: bool
     periods: tuple[float, ...]
@@ -20,7 +21,12 @@ class Preset:
     def patterns(self, projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
         """The sequence for a projector of (width, height)."""
         return sequence_for(
-            projector_size, cell=self.cell, inverses=self.inverses, periods=self.periods, shifts=self.shifts
+            projector_size,
+            code=self.code,
+            cell=self.cell,
+            inverses=self.inverses,
+            periods=self.periods,
+            shifts=self.shifts,
         )
 
 
@@ -28,7 +34,7 @@ class Preset:
 # for long, and a wrong bit shows. None is a whole number of pixels where it decides: then the rounding to 256 grey
 # levels would fall on the same places of every cycle, and shift all coordinates by a thousandth of a pixel.
 PRESETS: dict[PresetName, Preset] = {
-    "standard": Preset(cell=8, inverses=True, periods=(16.0, 6.7), shifts=4),
-    "quick": Preset(cell=8, inverses=False, periods=(12.3,), shifts=4),
-    "concave": Preset(cell=4, inverses=False, periods=(8.43, 6.1), shifts=4),
+    "standard": Preset("gray", cell=8, inverses=True, periods=(16.0, 6.7), shifts=4),
+    "quick": Preset("gray", cell=8, inverses=False, periods=(12.3,), shifts=4),
+    "concave": Preset("gray", cell=4, inverses=False, periods=(8.43, 6.1), shifts=4),
 }

@@ -38,7 +38,7 @@ _LEAST_OF_CAMERA = 1 / 16
 # Off centre by more than this share of a picture's side: enough to say which way to turn.
 _OFF_CENTRE = 0.05
 # Stripes that survive a blur of several pixels, where the quick ones do not.
-_COARSE = Preset(cell=16, inverses=True, periods=(32.7,), shifts=4)
+_COARSE = Preset("gray", cell=16, inverses=True, periods=(32.7,), shifts=4)
 _UNREADABLE = "Correct what the lines above say about light and focus, keep the scene still, and check again."
 
 

@@ -4,6 +4,7 @@ A Gray bit is one compare of two frames. A fringe is two weighted sums. Only Gra
 came, for the frames that give their threshold.
 """
 
+from collections import defaultdict
 from functools import cached_property
 from typing import Any, cast
 
@@ -47,13 +48,13 @@ class GrayFold:
 
     @cached_property
     def words(self) -> Words:
-        """(H, W): bit 0 of the code in place bits − 1, as in the pattern; once all frames are in."""
+        """(H, W): the plain Gray code's, bit 0 in place bits − 1, as in the pattern; once all frames are in."""
         planes, self._planes = self._planes, []
         if len(planes) == 1:
-            return planes[0]
+            return self.code.relative_to_base(planes[0])
         merged = cast(Words, cv2.merge(planes))
         words: Words = merged.view("<u2" if len(planes) == 2 else "<u4")[..., 0]
-        return words
+        return self.code.relative_to_base(words)
 
 
 class FringeFold:
@@ -108,10 +109,15 @@ class Accumulators:
         self._darkest: Image | None = first.copy() if _needs_midrange(plan) else None
         self._threshold: Image | None = None
         self._waiting: dict[int, Image] = {}
-        self._pairs = {
-            frame: (fold, bit, pair) for fold in self.codes for bit, pair in fold.code.pairs.items() for frame in pair
-        }
-        self._alone = {frame: (fold, bit) for fold in self.codes for bit, frame in fold.code.unpaired.items()}
+        # The base of an XOR code may be a bit of a plain one, too.
+        self._pairs: dict[tuple[int, int], list[tuple[GrayFold, int]]] = defaultdict(list)
+        self._alone: dict[int, list[tuple[GrayFold, int]]] = defaultdict(list)
+        for fold in self.codes:
+            for bit, pair in fold.code.pairs.items():
+                self._pairs[pair].append((fold, bit))
+            for bit, frame in fold.code.unpaired.items():
+                self._alone[frame].append((fold, bit))
+        self._pair_of = {frame: pair for pair in self._pairs for frame in pair}
         self._steps = {frame: (fold, step) for fold in self.fringes for step, frame in enumerate(fold.fringe.frames)}
 
     def add(self, index: int, grey: Image) -> None:
@@ -120,7 +126,7 @@ class Accumulators:
             fold, step = self._steps[index]
             fold.fold(step, grey)
             np.maximum(self.peak, grey, out=self.peak)
-        elif index in self._pairs:
+        elif index in self._pair_of:
             self._add_of_pair(index, grey)
         elif index in self._alone:
             self._waiting[index] = grey.copy()
@@ -159,13 +165,14 @@ class Accumulators:
         return self.brightest // 2 if black is None else _mean(self.brightest, black)
 
     def _add_of_pair(self, index: int, grey: Image) -> None:
-        fold, bit, (normal, inverse) = self._pairs[index]
+        normal, inverse = pair = self._pair_of[index]
         other = self._waiting.pop(inverse if index == normal else normal, None)
         if other is None:
             self._waiting[index] = grey.copy()
             return
         bright, dark = (grey, other) if index == normal else (other, grey)
-        fold.fold(bit, bright, dark)
+        for fold, bit in self._pairs[pair]:
+            fold.fold(bit, bright, dark)
         if self._alone and self._threshold is None:
             self._threshold = _mean(bright, dark)
 
@@ -178,10 +185,10 @@ class Accumulators:
         if self._threshold is None:
             return
         for index in [index for index in self._waiting if index in self._alone]:
-            fold, bit = self._alone[index]
             frame = self._waiting.pop(index)
-            bright, dark = (self._threshold, frame) if bit in fold.code.inverse else (frame, self._threshold)
-            fold.fold(bit, bright, dark, half=True)
+            for fold, bit in self._alone[index]:
+                bright, dark = (self._threshold, frame) if bit in fold.code.inverse else (frame, self._threshold)
+                fold.fold(bit, bright, dark, half=True)
 
 
 def _needs_midrange(plan: SequencePlan) -> bool:

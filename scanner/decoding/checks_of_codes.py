@@ -55,13 +55,14 @@ class _Changes:
         adjacent: Bools = step == 1
         return adjacent
 
-    def repaired(self, bits: int, exchange: tuple[int, int]) -> "_Changes":
-        """The same with two bits exchanged, or with one inverted if both are the same."""
-        first, second = (np.uint32(bits - 1 - bit) for bit in exchange)
+    def repaired(self, code: GrayCode, exchange: tuple[int, int]) -> "_Changes":
+        """The same with two bits as shown exchanged, or with one inverted if both are the same."""
+        first, second = (np.uint32(code.bits - 1 - bit) for bit in exchange)
 
         def repair(words: Words) -> Words:
-            differ = np.uint32(1) if first == second else (words >> first ^ words >> second) & np.uint32(1)
-            return words ^ (differ << first | differ << second)
+            shown = code.relative_to_base(words)
+            differ = np.uint32(1) if first == second else (shown >> first ^ shown >> second) & np.uint32(1)
+            return code.relative_to_base(shown ^ (differ << first | differ << second))
 
         return _Changes(repair(self.before), repair(self.after), self.bit)
 
@@ -129,7 +130,7 @@ def _note_changes(words: Words, certain: Bools, before: Words, after: Words) -> 
 
 def _require_unrepairable(plan: SequencePlan, code: GrayCode, changes: _Changes, wrong: int) -> None:
     exchanges = [*combinations(range(code.bits), 2), *((bit, bit) for bit in range(code.bits))]
-    left = [np.count_nonzero(~changes.repaired(code.bits, exchange).adjacent()) for exchange in exchanges]
+    left = [np.count_nonzero(~changes.repaired(code, exchange).adjacent()) for exchange in exchanges]
     if min(left) > _REPAIRED * wrong:
         return
     first, second = exchanges[int(np.argmin(left))]

@@ -12,8 +12,9 @@ from math import ceil, inf
 import numpy as np
 
 from calib.arrays import Floats
+from scanner.decoding.arrays import Words
 from scanner.errors import InputError
-from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
+from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor
 
 _MAX_BITS = 32
 _MOST_NAMED = 12
@@ -21,11 +22,17 @@ _MOST_NAMED = 12
 _DISTINCT_CYCLES = 0.05
 
 
+# Bits, cell and offset of a Gray code; and its frames, by whether they are inverted, and by bit.
+_Numbering = tuple[int, int, int]
+_Shown = dict[bool, dict[int, int]]
+
+
 @dataclass(frozen=True)
 class GrayCode:
     """The bits of one Gray code. `normal` and `inverse` map a bit to the index of its frame.
 
-    `constant` is the part of the code word that never changes on this projector and was not shown.
+    `constant` is the part of the code word that never changes on this projector and was not shown. `base`: the bit
+    that all others are shown relative to, by exclusive or (an XOR code); None for a plain Gray code.
     """
 
     axis: Axis
@@ -35,6 +42,15 @@ class GrayCode:
     normal: Mapping[int, int]
     inverse: Mapping[int, int]
     constant: int = 0
+    base: int | None = None
+
+    def relative_to_base(self, words: Words) -> Words:
+        """The words of the plain code from those that an XOR code shows, and the other way round; any shape."""
+        if self.base is None:
+            return words
+        shown = sum(1 << self.bits - 1 - bit for bit in {*self.normal, *self.inverse} - {self.base})
+        base = words >> words.dtype.type(self.bits - 1 - self.base) & words.dtype.type(1)
+        return words ^ base * words.dtype.type(shown)
 
     @property
     def pairs(self) -> dict[int, tuple[int, int]]:
@@ -104,7 +120,7 @@ class AxisPlan:
     def frames(self) -> list[int]:
         """All frames of this axis, in order."""
         of_codes = [frame for code in self.codes for frame in code.frames]
-        return sorted([*of_codes, *(frame for fringe in self.fringes for frame in fringe.frames)])
+        return sorted({*of_codes, *(frame for fringe in self.fringes for frame in fringe.frames)})
 
 
 @dataclass(frozen=True)
@@ -144,7 +160,7 @@ class SequencePlan:
     @property
     def complements(self) -> list[tuple[int, int]]:
         """Pairs of frames whose light adds up to white plus black: patterns and inverses, and white and black."""
-        pairs = [pair for code in self.codes for pair in code.pairs.values()]
+        pairs = [*dict.fromkeys(pair for code in self.codes for pair in code.pairs.values())]
         if self.white is not None and self.black is not None:
             pairs.append((self.white, self.black))
         return pairs
@@ -170,6 +186,8 @@ def describe(pattern: Pattern) -> str:
             return "black"
         case Gray():
             return f"gray {pattern.axis} bit {pattern.bit}{' inverted' if pattern.inverted else ''}"
+        case Xor():
+            return f"xor {pattern.axis} bit {pattern.bit} base {pattern.base}{' inverted' if pattern.inverted else ''}"
         case Phase():
             return f"phase {pattern.axis} period {pattern.period:g} shift {pattern.shift:g}"
 
@@ -205,16 +223,36 @@ def _plan_axis(axis: Axis, length: int, index: Mapping[Pattern, int]) -> AxisPla
 
 
 def _gray_codes(axis: Axis, length: int, index: Mapping[Pattern, int]) -> list[GrayCode]:
-    groups: dict[tuple[int, int, int], dict[bool, dict[int, int]]] = defaultdict(lambda: {False: {}, True: {}})
+    plain: dict[_Numbering, _Shown] = defaultdict(_nothing)
+    relative: dict[tuple[_Numbering, int], _Shown] = defaultdict(_nothing)
     for pattern, frame in index.items():
-        if isinstance(pattern, Gray) and pattern.axis == axis:
-            groups[pattern.bits, pattern.cell, pattern.offset][pattern.inverted][pattern.bit] = frame
-    return [
-        GrayCode(
-            axis, *key, shown[False], shown[True], _constant_bits(axis, length, key, {*shown[False], *shown[True]})
-        )
-        for key, shown in groups.items()
-    ]
+        if isinstance(pattern, Gray | Xor) and pattern.axis == axis:
+            numbering = pattern.bits, pattern.cell, pattern.offset
+            group = relative[numbering, pattern.base] if isinstance(pattern, Xor) else plain[numbering]
+            group[pattern.inverted][pattern.bit] = frame
+    codes = []
+    for (numbering, base), shown in relative.items():
+        for inverted in (False, True):
+            if base in plain[numbering][inverted]:
+                shown[inverted][base] = plain[numbering][inverted][base]
+        if not any(base in frames for frames in shown.values()):
+            raise InputError(f"an XOR code along {axis} needs its base as well, the Gray code's bit {base}")
+        codes.append(_code(axis, length, numbering, shown, base))
+    # A bit that is shown as the base of an XOR code only is no Gray code.
+    bases = {(numbering, base) for numbering, base in relative}
+    for numbering, shown in plain.items():
+        if {(numbering, bit) for bit in {*shown[False], *shown[True]}} - bases:
+            codes.append(_code(axis, length, numbering, shown, None))
+    return codes
+
+
+def _nothing() -> _Shown:
+    return {False: {}, True: {}}
+
+
+def _code(axis: Axis, length: int, numbering: _Numbering, shown: _Shown, base: int | None) -> GrayCode:
+    constant = _constant_bits(axis, length, numbering, {*shown[False], *shown[True]})
+    return GrayCode(axis, *numbering, shown[False], shown[True], constant, base)
 
 
 def _constant_bits(axis: Axis, length: int, key: tuple[int, int, int], shown: set[int]) -> int:

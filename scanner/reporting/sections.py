@@ -9,7 +9,7 @@ from calib.arrays import Floats
 from calib.parallel import in_parallel
 from scanner.cloud import Cloud
 from scanner.decode import Decoding, MaskReason
-from scanner.patterns import Gray, Pattern, Phase
+from scanner.patterns import Gray, Pattern, Phase, Xor
 from scanner.quantities import Quantity, corner_quantities, device_quantities, percent, pose_quantities
 from scanner.rendering import render, rig_frusta, standard_views
 from scanner.reporting import maps
@@ -270,6 +270,8 @@ def describe_patterns(patterns: tuple[Pattern, ...]) -> str:
 
 
 def _kind(pattern: Pattern) -> str:
+    if isinstance(pattern, Xor):
+        return f"XOR code along {pattern.axis} (cell {pattern.cell} px)"
     if isinstance(pattern, Gray):
         return f"Gray code along {pattern.axis} (cell {pattern.cell} px)"
     if isinstance(pattern, Phase):

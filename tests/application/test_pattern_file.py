@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 
 from scanner.errors import InputError
 from scanner.pattern_file import PatternEntry, frame_line, pattern_to_dict, write_sequence
-from scanner.patterns import Black, Gray, Pattern, Phase, White, draw, sequence_for
+from scanner.patterns import Black, Gray, Pattern, Phase, White, Xor, draw, sequence_for
 from scanner.recording import open_capture
 
 axes = st.sampled_from(["x", "y"])
@@ -24,8 +24,15 @@ def gray_codes(draw_one: st.DrawFn) -> Gray:
     return Gray(draw_one(axes), bit, bits, draw_one(st.integers(1, 1000)), offset, draw_one(st.booleans()))
 
 
+@st.composite
+def xor_codes(draw_one: st.DrawFn) -> Xor:
+    bits = draw_one(st.integers(2, 32))
+    bit, base = draw_one(st.lists(st.integers(0, bits - 1), min_size=2, max_size=2, unique=True))
+    return Xor(draw_one(axes), bit, bits, base, draw_one(st.integers(1, 1000)), draw_one(st.integers(0, 2**32)))
+
+
 fringes = st.builds(Phase, axes, st.floats(2, 1e6), st.floats(-10, 10))
-patterns = st.just(White()) | st.just(Black()) | gray_codes() | fringes
+patterns = st.just(White()) | st.just(Black()) | gray_codes() | xor_codes() | fringes
 
 
 @given(patterns)
@@ -43,6 +50,16 @@ def test_the_keys_are_those_that_others_rely_on() -> None:
         "bit": 0,
         "bits": 10,
         "cell": 1,
+        "offset": 0,
+        "inverted": False,
+    }
+    assert pattern_to_dict(Xor("y", 0, 10, 9, 4)) == {
+        "kind": "xor",
+        "axis": "y",
+        "bit": 0,
+        "bits": 10,
+        "base": 9,
+        "cell": 4,
         "offset": 0,
         "inverted": False,
     }

@@ -61,8 +61,26 @@ def test_any_two_frames_exchanged(patterns: Sequence[Pattern]) -> None:
 
 @pytest.mark.parametrize(
     "patterns",
-    [STANDARD, CODE, LONG_CELLS, PERIODS, STANDARD[2:], sequence_for(SIZE, shifts=4, inverses=False)],
-    ids=["standard", "code", "cell as long as the period", "fringes only", "no white and black", "no inverses"],
+    [
+        STANDARD,
+        CODE,
+        LONG_CELLS,
+        PERIODS,
+        STANDARD[2:],
+        sequence_for(SIZE, shifts=4, inverses=False),
+        sequence_for(SIZE, code="xor", inverses=False),
+        sequence_for(SIZE, code="both"),
+    ],
+    ids=[
+        "standard",
+        "code",
+        "cell as long as the period",
+        "fringes only",
+        "no white and black",
+        "no inverses",
+        "XOR code",
+        "both codes",
+    ],
 )
 @settings(max_examples=12, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())

@@ -1,6 +1,7 @@
 """Every kind of mix that a capture may hold, on one scene against its truth."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ def without_white_and_black(patterns: tuple[Pattern, ...]) -> tuple[Pattern, ...
     return tuple(pattern for pattern in patterns if not isinstance(pattern, White | Black))
 
 
-def standard(**options: int | bool | tuple[float, ...]) -> tuple[Pattern, ...]:
+def standard(**options: Any) -> tuple[Pattern, ...]:
     return sequence_for(SCENE.projector, **options)
 
 
@@ -64,6 +65,9 @@ CASES = [
     Case("one period in eight shifts", standard(periods=(16.0,), shifts=8), (0.005, 0.03), 0.6, 0.999),
     Case("quick", PRESETS["quick"].patterns(SCENE.projector), (0.01, 0.04), 0.6, 0.999),
     Case("concave", PRESETS["concave"].patterns(SCENE.projector), (0.005, 0.03), 0.6, 0.999),
+    Case("XOR code", standard(code="xor"), (0.005, 0.03), 0.6, 0.97),
+    Case("XOR code without inverses", standard(code="xor", inverses=False), (0.005, 0.03), 0.6, 0.97),
+    Case("both codes", standard(code="both"), (0.005, 0.03), 0.6, 0.99),
     Case("three shifts", standard(shifts=3), (0.01, 0.06), 0.7, 0.998),
     Case("five shifts", standard(shifts=5), (0.005, 0.03), 0.6, 0.999),
     Case("shifts at will", (*codes(8), *UNEVEN), (0.01, 0.05), 0.7, 0.999, replace(SCENE, gamma=1.0)),
@@ -76,6 +80,7 @@ CASES = [
     Case("fringes only, beating", fringes([21, 19, 17], 8), (0.005, 0.03), 0.7, 0.999),
     Case("a long fringe", fringes([400], 16), (0.1, 0.8), 20.0, 0.99, replace(SCENE, indirect=0.0)),
     Case("code, cell 1", standard(shifts=0, cell=1), (0.03, 0.15), 0.8, 0.5),
+    Case("XOR code, cell 4", standard(shifts=0, cell=4, code="xor"), (0.02, 0.15), 1.0, 0.4),
     Case("code, cell 4", standard(shifts=0, cell=4), (0.02, 0.15), 1.0, 0.6),
     Case("bare code", without_white_and_black(standard(shifts=0, cell=4, inverses=False)), (0.02, 0.15), 1.0, 0.6),
     Case("two codes", (*codes(4), *shifted(codes(4), 2, 7)), (0.02, 0.2), 1.5, 0.3),

@@ -1,11 +1,26 @@
 """Which mixes determine both coordinates is known, and said, before the first frame."""
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from synthetic_capture import fringes
 
 from scanner.decode import Decoder
 from scanner.errors import InputError
-from scanner.patterns import Black, Gray, Pattern, Phase, White, gray_sequence, phase_sequence, sequence_for
+from scanner.patterns import (
+    Black,
+    Gray,
+    Pattern,
+    Phase,
+    White,
+    Xor,
+    draw,
+    gray_sequence,
+    phase_sequence,
+    sequence_for,
+    xor_sequence,
+)
 
 SIZE = (300, 200)
 X = tuple(gray_sequence("x", 300, 4))
@@ -34,6 +49,8 @@ Y = tuple(gray_sequence("y", 200, 4))
         ((*(Gray("x", bit, 7, 2) for bit in range(7)), *Y), "counts from 0 to 149"),
         ((*(Gray("x", bit, 9, 1, -5) for bit in range(9)), *Y), "counts from -5 to 294"),
         ((*X, Gray("x", 9, 7, 4), *Y), "must be 0 … 6"),
+        ((*(p for p in xor_sequence("x", 300, 4) if isinstance(p, Xor)), *Y), "needs its base as well, .* bit 6"),
+        ((*(p for p in xor_sequence("x", 300, 4) if p.bit != 2), *Y), "no frame shows bit 2"),
     ],
 )
 def test_an_undetermined_mix_is_refused(patterns: tuple[Pattern, ...], said: str) -> None:
@@ -46,6 +63,8 @@ def test_an_undetermined_mix_is_refused(patterns: tuple[Pattern, ...], said: str
     [
         sequence_for(SIZE),
         (*X[::2], *Y[1::2]),
+        tuple(p for axis, length in (("x", 300), ("y", 200)) for p in xor_sequence(axis, length, 4)),
+        (*X, *(p for p in xor_sequence("x", 300, 4) if isinstance(p, Xor)), *xor_sequence("y", 200, 8, inverses=False)),
         (*X, *Y, Black()),
         fringes([300, 30], 3),
         fringes([21, 19, 17], 4),
@@ -63,3 +82,16 @@ def test_a_bit_that_never_changes_may_be_missing() -> None:
     Decoder(patterns, (300, 720))
     with pytest.raises(InputError, match="no frame shows bit 0"):
         Decoder(patterns, (300, 1080))
+
+
+@given(st.integers(3, 400), st.integers(1, 9))
+def test_the_xor_code_counts_cells_by_stripes_of_at_most_two(length: int, cell: int) -> None:
+    patterns = list(xor_sequence("x", length, cell, inverses=False))
+    shown = np.array([draw(pattern, (length, 1))[0] > 0 for pattern in patterns])
+    relative = np.array([isinstance(pattern, Xor) for pattern in patterns])
+    gray = np.where(relative[:, None], shown ^ shown[~relative], shown)
+    numbers = np.logical_xor.accumulate(gray, axis=0).T @ (1 << np.arange(len(patterns))[::-1])
+    assert np.array_equal(numbers, np.arange(length) // cell)
+    edges = [np.flatnonzero(np.diff(row.astype(int))) for row in shown]
+    # Where a bit changes with no change of the base, two stripes of it meet: never more than four cells alike.
+    assert all(np.diff([-1, *edge, length - 1]).max() <= 4 * cell for edge in edges)
