@@ -24,9 +24,11 @@ class Sample:
         height, width = shape
         margin = _STEP if neighbours and width > 2 * _STEP else 0
         inner = width - 2 * margin
-        chosen = np.arange(height * inner)
-        if len(chosen) > _MOST_PIXELS:
-            chosen = np.sort(np.random.default_rng(_SEED).choice(len(chosen), _MOST_PIXELS, replace=False))
+        count = height * inner
+        if count > _MOST_PIXELS:
+            chosen = np.sort(np.random.default_rng(_SEED).choice(count, _MOST_PIXELS, replace=False))
+        else:
+            chosen = np.arange(count)
         row, column = np.divmod(chosen, inner)
         self.pixels: NDArray[np.int64] = row * width + column + margin
         self._margin = margin
