@@ -58,8 +58,8 @@ class GrayFold:
 class FringeFold:
     """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
 
-    `cosine` and `sine` times `scale` are in grey levels. Of four equal shifts each is the difference of two frames, whole
-    numbers, of which the first waits for the second; others are weighted sums.
+    `cosine` and `sine` times `scale` are in grey levels. Of four equal shifts each is the difference of two frames, in
+    whole numbers, of which the first waits for the second; others are weighted sums.
     """
 
     def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:

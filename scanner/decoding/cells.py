@@ -33,14 +33,14 @@ class CellMatches:
     rejected: Bools
 
 
-def average_cells(kept: Bools, x: Floats32, y: Floats32, variance: Floats32, brightness: Image) -> CellMatches:
-    """Average the `kept` pixels (H, W) that share their coordinates `x` and `y`, weighted by `brightness`."""
+def average_cells(kept: Bools, projector_px: Floats32, variance: Floats32, brightness: Image) -> CellMatches:
+    """Average the `kept` pixels (H, W) that share their `projector_px` (H, W, 2), weighted by `brightness` (H, W)."""
     rejected = np.zeros(kept.shape, np.bool_)
     row, column = np.nonzero(kept)
     if not len(row):
         return CellMatches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), rejected)
-    across, cell_x = _numbered(x[kept])
-    down, cell_y = _numbered(y[kept])
+    across, cell_x = _numbered(projector_px[..., 0][kept])
+    down, cell_y = _numbered(projector_px[..., 1][kept])
     cell_of_pixel = cell_y * len(across) + cell_x
     counts = np.bincount(cell_of_pixel, minlength=len(across) * len(down))
     cells = np.flatnonzero(counts)

@@ -70,7 +70,7 @@ def check_maps(plan: SequencePlan, maps: Maps, kept: Bools) -> None:
 
     `kept` (H, W): after all masks.
     """
-    for axis, value, counts in zip(plan.axes, (maps.x, maps.y), maps.counts, strict=True):
+    for axis, value, counts in zip(plan.axes, np.moveaxis(maps.projector_px, 2, 0), maps.counts, strict=True):
         _check_share(plan, axis, counts, int(np.count_nonzero(kept)))
         if axis.codes and axis.fringes:
             _check_direction(plan, axis, value, kept)
@@ -143,8 +143,8 @@ def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | No
     whole = kept[left] & kept[right] & kept[above] & kept[below]
     if np.count_nonzero(whole) < _FEWEST_PIXELS:
         return None
-    x_u, y_u = ((value[right] - value[left])[whole] for value in (maps.x, maps.y))
-    x_v, y_v = ((value[below] - value[above])[whole] for value in (maps.x, maps.y))
+    x_u, y_u = ((value[right] - value[left])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
+    x_v, y_v = ((value[below] - value[above])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
     if np.mean(x_u * y_v < x_v * y_u) <= 0.5:
         return None
     # Devices stand roughly upright: the axis that is against the camera's own is the one that runs backwards.

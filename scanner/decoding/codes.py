@@ -56,8 +56,8 @@ def cell_numbers(words: Words) -> Words:
 
 
 @compiled
-def cell_number(word: int) -> int:
-    """Of a Gray code word of 32 bits: each bit is the exclusive or of it and all bits above."""
+def _cell_number(word: np.uint32) -> np.uint32:
+    """Of a Gray code word: each bit is the exclusive or of it and all bits above."""
     # The type is said again and again because Numba's own integers have 64 bits.
     word = np.uint32(word ^ (word >> np.uint32(1)))
     word = np.uint32(word ^ (word >> np.uint32(2)))
@@ -69,7 +69,7 @@ def cell_number(word: int) -> int:
 @compiled
 def _number(words: Words, numbers: Words) -> None:
     for i in range(len(words)):
-        numbers[i] = cell_number(words[i])
+        numbers[i] = _cell_number(words[i])
 
 
 @compiled
@@ -77,7 +77,7 @@ def _narrow(words: Words, cell: np.float32, before: np.float32, low: Floats32, h
     """What the words of one code, whose cells begin so far before the first pixel, leave of the intervals."""
     for i in range(len(words)):
         # Signed numbers convert faster; the cells of no axis reach 2³¹.
-        start = np.float32(np.int32(cell_number(words[i]))) * cell - before
+        start = np.float32(np.int32(_cell_number(words[i]))) * cell - before
         low[i] = max(low[i], start)
         high[i] = min(high[i], start + cell)
 

@@ -6,6 +6,7 @@ break the map from camera to projector, which is smooth on a surface.
 
 from collections.abc import Sequence
 from math import log, pi, sqrt
+from typing import cast
 
 import cv2
 import numpy as np
@@ -14,15 +15,12 @@ from calib.arrays import Bools
 from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.coordinate import Coordinate
-from scanner.decoding.patches import SMALLEST_PATCH, remove_small_patches
 from scanner.decoding.plan import AxisPlan
-from scanner.decoding.strips import in_strips
 
 _SIGMAS = 5.0
-# A surface may bend by this much of the step between two neighbours, and this many projector pixels, from one camera pixel to the next.
+# A surface may bend by this much of the step from one neighbour to the other, and by this many projector pixels.
 _BEND_OF_SLOPE = np.float32(0.25)
 _BEND_PX = 1.0
-_PATCH_ROWS = 512
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _TWO = np.float32(2)
 # Where the amplitude halves from one pixel to the next, the lens shifts the coordinate by up to half a pixel.
@@ -47,26 +45,11 @@ def breaks(kept: Bools, coordinates: Sequence[Coordinate], axes: Sequence[AxisPl
         if amplitude is not None:
             # In radians the noise of a phase is the relative noise of its amplitude.
             relative = np.float32(_FAINT_SIGMAS * 2 * pi / axis.fringes[-1].period)
-            largest, faint = cv2.dilate(amplitude, np.ones((3, 3), np.uint8)), np.empty(kept.size, np.bool_)
+            largest = cast(Floats32, cv2.dilate(amplitude, np.ones((3, 3), np.uint8)))
+            faint = np.empty(kept.size, np.bool_)
             _note_faint(amplitude.ravel(), largest.ravel(), variance.ravel(), relative, faint)
             broken |= cv2.dilate(faint.reshape(kept.shape).view(np.uint8), _CROSS).view(np.bool_)
     return broken
-
-
-def isolated(kept: Bools, broken: Bools) -> Bools:
-    """Which of the `kept` pixels (H, W) are `broken`, or are left on small patches between breaks."""
-    height = len(kept)
-    result = np.empty_like(kept)
-
-    def find(rows: slice) -> None:
-        # A patch that reaches from these rows to beyond the wider ones is not small.
-        first, last = max(0, rows.start - SMALLEST_PATCH), min(height, rows.stop + SMALLEST_PATCH)
-        whole = kept[first:last] & ~broken[first:last]
-        remove_small_patches(whole)
-        np.greater(kept[rows], whole[rows.start - first : rows.stop - first], out=result[rows])
-
-    in_strips(height, find, rows=_PATCH_ROWS)
-    return result
 
 
 @compiled

@@ -57,8 +57,8 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Measured:
-    """What the fringes of an axis say at each pixel: squared amplitudes `powers` (fringes, P), `variances` (fringes, P) of
-    the coordinates by noise, `orders`, and what speaks `against` it (P,).
+    """What codes and fringes of an axis say at each pixel, with squared amplitudes `powers` (fringes, P), `variances`
+    (fringes, P) of the coordinates by noise, and what speaks `against` them (P,), as flags.
     """
 
     interval: Interval
@@ -208,7 +208,7 @@ def _amplitude(
     power: Floats32,
     variance: Floats32,
 ) -> None:
-    """The square of a fringe's amplitude, and the variance of its coordinate by noise that grows with the grey level."""
+    """The square of a fringe's amplitude, and the variance of its coordinate by noise, which grows with the level."""
     for i in range(len(cosine)):
         power[i] = max(cosine[i] * cosine[i] + sine[i] * sine[i], _FAINTEST_POWER)
         variance[i] = (at_black + per_level * level[i]) / power[i]

@@ -1,4 +1,4 @@
-"""What was accumulated → the coordinates of all pixels, strip by strip, with all that needs a pixel's neighbours."""
+"""What was accumulated → the coordinates of all pixels, tile by tile, with all that needs a pixel's neighbours."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Bools, Ints
+from calib.arrays import Ints
 from scanner.decoding.accumulate import Accumulators
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.continuity import breaks
@@ -14,10 +14,10 @@ from scanner.decoding.coordinate import AxisDecoder, Coordinate
 from scanner.decoding.reasons import MaskReason, count_reasons
 from scanner.decoding.shading import footprint_variance, straighten
 from scanner.decoding.signals import signals_of
-from scanner.decoding.strips import in_strips
+from scanner.decoding.strips import in_tiles, widened
 from scanner.decoding.systematic import BLOCK_PX
 
-# Rows beyond a strip that its pixels depend on: whole blocks, so that these are the same ones in every strip.
+# Pixels beyond a tile that its own depend on: whole blocks, so that these are the same ones in every tile.
 _HALO = 2 * BLOCK_PX
 _TILE_PX = 48
 _MOST_TILES = 48
@@ -25,44 +25,44 @@ _MOST_TILES = 48
 
 @dataclass(frozen=True)
 class Maps:
-    """Of all camera pixels (H, W): both coordinates `x`, `y` in projector pixels, the mean `variance` of the two, the
-    `reason` not to use them, and whether they are `broken`: do not continue their neighbours'. `counts` (2, reasons):
-    how many pixels of x and of y have each reason.
+    """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), the mean `variance` of the two, and the
+    `reason` not to use them. `counts` (2, reasons): how many pixels of x and of y have each reason by themselves.
     """
 
-    x: Floats32
-    y: Floats32
+    projector_px: Floats32
     variance: Floats32
     reason: Reasons
-    broken: Bools
     counts: Ints
 
 
 def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Maps:
-    """Both coordinates of all pixels."""
-    shape = accumulators.middle.shape
+    """Both coordinates of all pixels. Without fringes, what is not smooth is left as it is: cells have steps."""
+    plan, (height, width) = accumulators.plan, accumulators.middle.shape
     footprint_px2 = _footprint(accumulators, decoders)
-    x, y, variance = (np.empty(shape, np.float32) for _ in range(3))
-    reasons, broken = np.empty(shape, np.uint8), np.empty(shape, np.bool_)
+    projector_px, variance = np.empty((height, width, 2), np.float32), np.empty((height, width), np.float32)
+    reasons = np.empty((height, width), np.uint8)
 
-    def decode(rows: slice) -> Ints:
-        above, below = min(rows.start, _HALO), min(shape[0] - rows.stop, _HALO)
-        wider = slice(rows.start - above, rows.stop + below)
-        inner = slice(above, above + rows.stop - rows.start)
-        found = [d.decode(signals_of(accumulators, d.plan, lambda image: image[wider])) for d in decoders]
+    def decode(rows: slice, columns: slice) -> Ints:
+        (wide_rows, own_rows), (wide_columns, own_columns) = (
+            widened(part, _HALO, size) for part, size in ((rows, height), (columns, width))
+        )
+        tile, wide, own = (rows, columns), (wide_rows, wide_columns), (own_rows, own_columns)
+        found = [d.decode(signals_of(accumulators, d.plan, lambda image: image[wide])) for d in decoders]
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
         for c in found:
             if c.log_amplitude is not None and footprint_px2:
                 straighten(c.value, c.variance, c.log_amplitude, kept, footprint_px2)
-        x[rows], y[rows] = (coordinate.value[inner] for coordinate in found)
-        variance[rows] = np.float32(0.5) * (found[0].variance[inner] + found[1].variance[inner])
-        reasons[rows] = reason[inner]
-        broken[rows] = breaks(kept, found, accumulators.plan.axes)[inner]
-        return np.stack([count_reasons(c.reason[inner]) for c in found])
+        if plan.fringes:
+            np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
+        for axis, coordinate in enumerate(found):
+            projector_px[*tile, axis] = coordinate.value[own]
+        variance[tile] = np.float32(0.5) * (found[0].variance[own] + found[1].variance[own])
+        reasons[tile] = reason[own]
+        return np.stack([count_reasons(c.reason[own]) for c in found])
 
-    counts = np.sum(in_strips(shape[0], decode), axis=0)
-    return Maps(x, y, variance, reasons, broken, counts)
+    counts = np.sum(in_tiles((height, width), decode), axis=0)
+    return Maps(projector_px, variance, reasons, counts)
 
 
 def _first_reason(coordinates: list[Coordinate]) -> Reasons:

@@ -4,12 +4,29 @@ import numpy as np
 
 from calib.arrays import Bools, Ints
 from calib.compiled import compiled
+from scanner.decoding.strips import in_strips, widened
 
 SMALLEST_PATCH = 24
+_ROWS = 512
 
 
-def remove_small_patches(image: Bools) -> None:
-    """Clear what is connected, along rows and columns, to fewer than `SMALLEST_PATCH` pixels of an image (H, W)."""
+def small_patches(image: Bools) -> Bools:
+    """Pixels of an image (H, W) that are connected, along rows and columns, to fewer than `SMALLEST_PATCH` of it."""
+    result = np.empty_like(image)
+
+    def find(rows: slice) -> None:
+        # A patch that reaches from these rows to beyond the wider ones is not small.
+        wider, inner = widened(rows, SMALLEST_PATCH, len(image))
+        large = image[wider].copy()
+        _remove_small(large)
+        np.greater(image[rows], large[inner], out=result[rows])
+
+    in_strips(len(image), _ROWS, find)
+    return result
+
+
+def _remove_small(image: Bools) -> None:
+    """Clear small patches of an image (H, W)."""
     starts = image[:, 0].sum() + np.count_nonzero(image[:, 1:] > image[:, :-1])
     runs = np.empty((3, starts), np.int32)
     _remove(image, *runs)

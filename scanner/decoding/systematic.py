@@ -45,15 +45,18 @@ def add_systematic(
         _add_larger(before[0], np.float32(before[1]), after[0], np.float32(after[1]), variance)
 
 
-def _excess_variances(coordinates: Floats32, variances: Floats32, usable: Bools, shape: tuple[int, int]) -> Floats32:
-    """By how much the squared distance between every two successive fringes exceeds the noise; (fringes − 1, P)."""
+def _excess_variances(
+    coordinates: Floats32, variances: Floats32, usable: Bools, shape: tuple[int, int]
+) -> list[Floats32]:
+    """By how much the squared distance (P,) between every two successive fringes exceeds the noise."""
+    height, width = shape
     weight = np.maximum(_coarse(usable.reshape(shape).astype(np.float32)), _FEWEST)
-    found = np.empty((len(coordinates) - 1, len(usable)), np.float32)
-    excess = np.empty(shape, np.float32)
-    for k, of_pair in enumerate(found):
+    excess, whole_blocks = np.empty(shape, np.float32), (width + width % BLOCK_PX, height + height % BLOCK_PX)
+    found = []
+    for k in range(len(coordinates) - 1):
         _excess(coordinates[k], coordinates[k + 1], variances[k], variances[k + 1], usable, excess.reshape(-1))
-        mean = np.maximum(_coarse(excess) / weight, _ZERO)
-        cv2.resize(mean, shape[::-1], dst=of_pair.reshape(shape))
+        fine = cv2.resize(np.maximum(_coarse(excess) / weight, _ZERO), whole_blocks)
+        found.append(fine[:height, :width].reshape(-1))
     return found
 
 
@@ -82,7 +85,9 @@ def _add_larger(
 
 
 def _coarse(image: Floats32) -> Floats32:
-    """Means over windows, one for each block of pixels."""
-    height, width = (-(-size // BLOCK_PX) for size in image.shape)
-    blocks = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    """Means over windows, one for each block of pixels; beyond the image is nothing."""
+    height, width = image.shape
+    if height % BLOCK_PX or width % BLOCK_PX:
+        image = cv2.copyMakeBorder(image, 0, height % BLOCK_PX, 0, width % BLOCK_PX, cv2.BORDER_CONSTANT)
+    blocks = cv2.resize(image, None, fx=1 / BLOCK_PX, fy=1 / BLOCK_PX, interpolation=cv2.INTER_AREA)
     return cast(Floats32, cv2.blur(blocks, (3, 3), borderType=cv2.BORDER_CONSTANT))

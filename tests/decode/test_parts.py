@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
 from scanner.decoding.codes import cell_numbers, interval_of
-from scanner.decoding.patches import SMALLEST_PATCH, remove_small_patches
+from scanner.decoding.patches import SMALLEST_PATCH, small_patches
 from scanner.decoding.plan import AxisPlan, Fringe, plan_sequence, repeat_length
 from scanner.decoding.response import TABLE_LENGTH, straightening
 from scanner.decoding.saturation import saturation_level
@@ -102,10 +102,8 @@ def test_orders_that_are_as_good_as_each_other_decide_nothing() -> None:
 def test_small_patches_are_those_that_opencv_finds(image: NDArray[np.bool_], grown: int) -> None:
     thick = cv2.dilate(image.view(np.uint8), np.ones((2, 2), np.uint8), iterations=grown).view(np.bool_)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(thick.view(np.uint8), connectivity=4)
-    expected = thick & (stats[labels, cv2.CC_STAT_AREA] >= SMALLEST_PATCH)
-    found = thick.copy()
-    remove_small_patches(found)
-    assert np.array_equal(found, expected)
+    expected = thick & (stats[labels, cv2.CC_STAT_AREA] < SMALLEST_PATCH)
+    assert np.array_equal(small_patches(thick), expected)
 
 
 def test_after_how_many_pixels_fringes_look_alike() -> None:
