@@ -5,7 +5,7 @@ from typing import TypeVar
 
 from calib.parallel import in_parallel, in_slices
 
-_TILE_PX = (64, 640)
+_TILE_PX = (64, 832)
 
 Result = TypeVar("Result")
 
