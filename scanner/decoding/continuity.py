@@ -31,13 +31,15 @@ _LINES = ((np.s_[:-2, :], np.s_[1:-1, :], np.s_[2:, :]), (np.s_[:, :-2], np.s_[:
 
 
 def breaks(kept: Bools, coordinates: Sequence[Coordinate], axes: Sequence[AxisPlan]) -> Bools:
-    """Which pixels (H, W) break the map of any axis, or cannot be compared with `kept` ones on opposite sides."""
+    """Which pixels (H, W) break the map of any axis, or cannot be compared with `kept` ones on opposite sides.
+
+    The coordinates of others are NaN.
+    """
     broken = np.ones(kept.shape, np.bool_)
     for before, middle, after in _LINES:
         broken[middle] &= ~(kept[before] & kept[after])
     for coordinate, axis in zip(coordinates, axes, strict=True):
-        value = np.where(kept, coordinate.value, np.float32(np.nan))
-        variance, amplitude = coordinate.variance, coordinate.log_amplitude
+        value, variance, amplitude = coordinate.value, coordinate.variance, coordinate.log_amplitude
         # Cells of a Gray code may be two apart, whatever the variance.
         least, sigmas = (_BEND_PX, _SIGMAS * sqrt(6)) if axis.fringes else (_BEND_PX + 2 * axis.cell, 0.0)
         for down, across in ((1, 0), (0, 1)):

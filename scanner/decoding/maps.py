@@ -11,7 +11,7 @@ from scanner.decoding.accumulate import Accumulators
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.continuity import breaks
 from scanner.decoding.coordinate import AxisDecoder, Coordinate
-from scanner.decoding.reasons import MaskReason, count_reasons
+from scanner.decoding.reasons import CONTRADICTIONS, MaskReason, count_reasons
 from scanner.decoding.shading import footprint_variance, straighten
 from scanner.decoding.signals import signals_of
 from scanner.decoding.strips import in_tiles, widened
@@ -25,8 +25,9 @@ _MOST_TILES = 48
 
 @dataclass(frozen=True)
 class Maps:
-    """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), the mean `variance` of the two, and the
-    `reason` not to use them. `counts` (2, reasons): how many pixels of x and of y have each reason by themselves.
+    """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), NaN where one of them is not known; the mean
+    `variance` of the two; the `reason` not to use them. `counts` (2, reasons): how many pixels of x and of y by itself
+    have each of the `CONTRADICTIONS`.
     """
 
     projector_px: Floats32
@@ -53,13 +54,14 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         for c in found:
             if c.log_amplitude is not None and footprint_px2:
                 straighten(c.value, c.variance, c.log_amplitude, kept, footprint_px2)
+            np.copyto(c.value, np.float32(np.nan), where=~kept)
         if plan.fringes:
             np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
         for axis, coordinate in enumerate(found):
             projector_px[*tile, axis] = coordinate.value[own]
         variance[tile] = np.float32(0.5) * (found[0].variance[own] + found[1].variance[own])
         reasons[tile] = reason[own]
-        return np.stack([count_reasons(c.reason[own]) for c in found])
+        return np.stack([count_reasons(c.reason[own], CONTRADICTIONS) for c in found])
 
     counts = np.sum(in_tiles((height, width), decode), axis=0)
     return Maps(projector_px, variance, reasons, counts)
@@ -94,7 +96,7 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
         return np.concatenate([image[row : row + _TILE_PX, column : column + _TILE_PX] for row, column in corners])
 
     found = [decoder.decode(signals_of(accumulators, decoder.plan, tiles)) for decoder in decoders]
-    usable = _first_reason(found) == MaskReason.KEPT
+    usable = _first_reason(found) == np.uint8(MaskReason.KEPT)
     shaded = [(c.value, c.log_amplitude) for c in found if c.log_amplitude is not None]
     log_lit = np.log(np.maximum(tiles(accumulators.brightest), 1).astype(np.float32))
     if accumulators.log_exposure is not None:

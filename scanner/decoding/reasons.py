@@ -3,6 +3,7 @@
 The loops are compiled. They have no branches and few arrays each, so that they run on many pixels at once.
 """
 
+from collections.abc import Collection
 from enum import IntEnum, IntFlag
 from typing import cast
 
@@ -32,6 +33,10 @@ class MaskReason(IntEnum):
     """It does not continue the surface that its neighbours see: an edge of surface or light, or a lone error."""
     INDIRECT = 7
     """Codes and fringes contradict each other where more light comes from other surfaces than from the projector."""
+
+
+# What many pixels have only if frames are not what the capture says.
+CONTRADICTIONS = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE)
 
 
 class Against(IntFlag):
@@ -75,9 +80,12 @@ def reasons_of(against: Reasons) -> Reasons:
     return cast(Reasons, cv2.LUT(against, _TABLE).reshape(against.shape))
 
 
-def count_reasons(reasons: Reasons) -> Ints:
-    """How many pixels, in an array of any shape, have each `MaskReason`."""
-    return np.array([np.count_nonzero(reasons == np.uint8(reason)) for reason in MaskReason])
+def count_reasons(reasons: Reasons, of_interest: Collection[MaskReason]) -> Ints:
+    """How many pixels, in an array of any shape, have each `MaskReason`; of those only that are of interest."""
+    counts = np.zeros(len(MaskReason), np.int64)
+    for reason in of_interest:
+        counts[reason] = np.count_nonzero(reasons == np.uint8(reason))
+    return counts
 
 
 @compiled

@@ -41,35 +41,29 @@ def signals_of(accumulators: Accumulators, axis: AxisPlan, select: Select) -> Si
     """The accumulated signals of an axis at some pixels; `select` takes these from an (H, W) image, as a 2-D array."""
     codes = [fold for fold in accumulators.codes if fold.code in axis.codes]
     fringes = [fold for fold in accumulators.fringes if fold.fringe in axis.fringes]
-    middle = select(accumulators.middle)
-    components = np.empty((len(fringes), 2, middle.size), np.float32)
+    middle, log_exposure = select(accumulators.middle), accumulators.log_exposure
+    shape = middle.shape[0], middle.shape[1]
+    components = np.empty((len(fringes), 2, *shape), np.float32)
     for of_fringe, fold in zip(components, fringes, strict=True):
         for levels, component in zip(of_fringe, (fold.cosine, fold.sine), strict=True):
-            np.multiply(select(component).reshape(-1), np.float32(fold.scale), out=levels)
+            np.multiply(select(component), np.float32(fold.scale), out=levels)
     least = [] if axis.corrects_bits else [select(fold.least) for fold in codes]
     contrast = [select(fold.contrast) for fold in codes if fold.contrast is not None]
-    log_exposure = accumulators.log_exposure
     return Signals(
-        (middle.shape[0], middle.shape[1]),
-        _stack([select(fold.words) for fold in codes], middle.size, np.uint32),
-        _stack(least, middle.size, np.float32),
-        _stack(contrast, middle.size, np.float32),
-        components,
-        _levels(select(accumulators.brightest)),
-        _levels(middle),
+        shape,
+        _stack([select(fold.words) for fold in codes], shape, np.uint32),
+        _stack(least, shape, np.float32),
+        _stack(contrast, shape, np.float32),
+        components.reshape(len(fringes), 2, middle.size),
+        *_stack([select(accumulators.brightest), middle], shape, np.float32),
         select(accumulators.peak).reshape(-1),
         None if log_exposure is None else select(log_exposure).reshape(-1),
     )
 
 
-def _levels(image: NDArray[Any]) -> Floats32:
-    levels: Floats32 = image.reshape(-1).astype(np.float32)
-    return levels
-
-
-def _stack(images: Sequence[NDArray[Any]], pixels: int, dtype: type[np.generic]) -> NDArray[Any]:
-    """(images, P), one type for all."""
-    stack = np.empty((len(images), pixels), dtype)
+def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int], dtype: type[np.generic]) -> NDArray[Any]:
+    """Images of one shape, (images, P), of one type for all."""
+    stack = np.empty((len(images), *shape), dtype)
     for row, image in zip(stack, images, strict=True):
-        row[:] = image.reshape(-1)
-    return stack
+        row[:] = image
+    return stack.reshape(len(images), shape[0] * shape[1])

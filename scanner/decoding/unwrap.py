@@ -135,7 +135,9 @@ def unwrap(plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tol
         coordinates, coordinates[1:], positions[1:], periods[1:], strict=False
     ):
         _nearest_order(position, period, longer, shorter)
-    return Orders(coordinates, best_cost < _INFINITE, second_cost >= best_cost + _CLEAR_MARGIN)
+    agree, unique = np.empty((2, len(best)), np.bool_)
+    _judge(best_cost, second_cost, agree, unique)
+    return Orders(coordinates, agree, unique)
 
 
 def _followed(
@@ -206,3 +208,10 @@ def _choose(order: Floats32, cost: Floats32, best: Floats32, best_cost: Floats32
     for i in range(len(order)):
         best[i] = order[i] if cost[i] < best_cost[i] else best[i]
         best_cost[i] = min(cost[i], best_cost[i])
+
+
+@compiled
+def _judge(best_cost: Floats32, second_cost: Floats32, agree: Bools, unique: Bools) -> None:
+    for i in range(len(best_cost)):
+        agree[i] = best_cost[i] < _INFINITE
+        unique[i] = second_cost[i] >= best_cost[i] + _CLEAR_MARGIN
