@@ -5,6 +5,7 @@ to be chosen: noise, saturation and tolerances are measured from the capture.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -164,21 +165,24 @@ class _Measured:
 
 def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     """Check the frames, learn noise and tolerances from the sample, decode every pixel. Raises InputError."""
-    plan = accumulators.plan
+    plan, levels = accumulators.plan, sample.levels
     accumulators.finish()
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(plan, sample, saturation)
-    check_frames(plan, sample.levels, noise, saturation)
-    check_codes(plan, accumulators.codes, noise, accumulators.middle)
-    accumulators.forget_contrasts()
-
     x, y = (signals_of(accumulators, axis, lambda image: image.reshape(1, -1)[:, sample.pixels]) for axis in plan.axes)
     thin = x, y
-    decoders = calibrated_decoders(plan, noise, saturation, thin)
-    for decoder, signals in zip(decoders, thin, strict=True):
-        check_fringes(plan, decoder, signals)
-    maps = coordinate_maps(accumulators, decoders)
-    flicker = flicker_of(plan, sample.levels)
+    with ThreadPoolExecutor(1) as aside:
+        # What is wrong with the frames is said first, whatever comes of it here.
+        calibrating = aside.submit(calibrated_decoders, plan, noise, saturation, thin)
+        check_frames(plan, levels, noise, saturation)
+        check_codes(plan, accumulators.codes, noise, accumulators.middle)
+        decoders = calibrating.result()
+        flickering = aside.submit(flicker_of, plan, levels)
+        for decoder, signals in zip(decoders, thin, strict=True):
+            check_fringes(plan, decoder, signals)
+        accumulators.forget_contrasts()
+        maps = coordinate_maps(accumulators, decoders)
+        flicker = flickering.result()
     return _Measured(maps, accumulators.brightest, noise, modulation(decoders, thin), flicker)
 
 

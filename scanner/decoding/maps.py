@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Ints
+from calib.parallel import in_parallel
 from scanner.decoding.accumulate import Accumulators
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.continuity import breaks
@@ -25,9 +26,9 @@ _MOST_TILES = 48
 
 @dataclass(frozen=True)
 class Maps:
-    """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), NaN where one of them is not known; the mean
-    `variance` of the two; the `reason` not to use them. `counts` (2, reasons): how many pixels of x and of y by itself
-    have each of the `CONTRADICTIONS`.
+    """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), NaN where one of them is not known; the
+    mean `variance` of the two; the `reason` not to use them. `counts` (2, reasons): how many pixels of x and of y by
+    itself have each of the `CONTRADICTIONS`.
     """
 
     projector_px: Floats32
@@ -95,7 +96,7 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     def tiles(image: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([image[row : row + _TILE_PX, column : column + _TILE_PX] for row, column in corners])
 
-    found = [decoder.decode(signals_of(accumulators, decoder.plan, tiles)) for decoder in decoders]
+    found = in_parallel(lambda decoder: decoder.decode(signals_of(accumulators, decoder.plan, tiles)), decoders)
     usable = _first_reason(found) == np.uint8(MaskReason.KEPT)
     shaded = [(c.value, c.log_amplitude) for c in found if c.log_amplitude is not None]
     log_lit = np.log(np.maximum(tiles(accumulators.brightest), 1).astype(np.float32))
