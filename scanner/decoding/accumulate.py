@@ -87,12 +87,12 @@ class FringeFold:
         if other is None:
             self._waiting[number] = frame.copy()
             return
-        component = (self.cosine, self.sine)[number]
-        _subtract(*(image.reshape(-1) for image in (frame, other, component, peak)), int(self._signs[number, step]))
+        component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
+        _subtract(frame.reshape(-1), other.reshape(-1), sign, component.reshape(-1), peak.reshape(-1))
 
 
 @compiled
-def _subtract(frame: Image, other: Image, difference: Component, peak: Image, sign: int) -> None:
+def _subtract(frame: Image, other: Image, sign: int, difference: Component, peak: Image) -> None:
     """A frame less another, or the reverse, and the peaks raised to both; (P,)."""
     for i in range(len(frame)):
         difference[i] = sign * (np.int32(frame[i]) - np.int32(other[i]))

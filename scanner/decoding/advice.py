@@ -14,7 +14,7 @@ MUCH_FLICKER = 0.01
 
 def warnings_of(reasons: Reasons, modulation: float | None, flicker: float | None) -> Iterator[str]:
     """Sentences about the `reasons` (H, W) of all pixels, the `modulation` of the finest fringes, and the `flicker`."""
-    count = count_reasons(reasons, MaskReason)
+    count = count_reasons(reasons, tuple(MaskReason))
     matched, dark = count[MaskReason.KEPT], count[MaskReason.DARK]
     lit = max(1, reasons.size - dark)
     if matched < _FEW_MATCHED * reasons.size:

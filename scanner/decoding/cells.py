@@ -56,9 +56,9 @@ def average_cells(kept: Bools, projector_px: Floats32, variance: Floats32, brigh
     good = np.bincount(group, square) / count <= _SMALLEST_SPREAD + np.median(count)
     good &= _is_whole(cell_x, cell_y, count)
     rejected[row, column] = ~good[group]
-    projector_px = np.stack([across[cell_x], down[cell_y]], axis=1)
+    centre_px = np.stack([across[cell_x], down[cell_y]], axis=1)
     of_cell = np.bincount(group, variance[kept]) / count
-    return CellMatches(camera_px[good], projector_px[good], (of_cell / count)[good], rejected)
+    return CellMatches(camera_px[good], centre_px[good], (of_cell / count)[good], rejected)
 
 
 def _numbered(centres: Floats32) -> tuple[Floats, Ints]:

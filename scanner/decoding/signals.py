@@ -49,13 +49,15 @@ def signals_of(accumulators: Accumulators, axis: AxisPlan, select: Select) -> Si
             np.multiply(select(component), np.float32(fold.scale), out=levels)
     least = [] if axis.corrects_bits else [select(fold.least) for fold in codes]
     contrast = [select(fold.contrast) for fold in codes if fold.contrast is not None]
+    brightest, half_lit = _stack([select(accumulators.brightest), middle], shape, np.float32)
     return Signals(
         shape,
         _stack([select(fold.words) for fold in codes], shape, np.uint32),
         _stack(least, shape, np.float32),
         _stack(contrast, shape, np.float32),
         components.reshape(len(fringes), 2, middle.size),
-        *_stack([select(accumulators.brightest), middle], shape, np.float32),
+        brightest,
+        half_lit,
         select(accumulators.peak).reshape(-1),
         None if log_exposure is None else select(log_exposure).reshape(-1),
     )

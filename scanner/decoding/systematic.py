@@ -55,7 +55,7 @@ def _excess_variances(
     found = []
     for k in range(len(coordinates) - 1):
         _excess(coordinates[k], coordinates[k + 1], variances[k], variances[k + 1], usable, excess.reshape(-1))
-        fine = cv2.resize(np.maximum(_coarse(excess) / weight, _ZERO), whole_blocks)
+        fine = cast(Floats32, cv2.resize(np.maximum(_coarse(excess) / weight, _ZERO), whole_blocks))
         found.append(fine[:height, :width].reshape(-1))
     return found
 
@@ -88,6 +88,6 @@ def _coarse(image: Floats32) -> Floats32:
     """Means over windows, one for each block of pixels; beyond the image is nothing."""
     height, width = image.shape
     if height % BLOCK_PX or width % BLOCK_PX:
-        image = cv2.copyMakeBorder(image, 0, height % BLOCK_PX, 0, width % BLOCK_PX, cv2.BORDER_CONSTANT)
+        image = np.pad(image, ((0, height % BLOCK_PX), (0, width % BLOCK_PX)))
     blocks = cv2.resize(image, None, fx=1 / BLOCK_PX, fy=1 / BLOCK_PX, interpolation=cv2.INTER_AREA)
     return cast(Floats32, cv2.blur(blocks, (3, 3), borderType=cv2.BORDER_CONSTANT))
