@@ -39,11 +39,10 @@ _BYTES_PER_MATCH = 20
 _PERIODS, _SHIFTS = (21.0, 19.0), 4
 # What decoding may take; growth is that of the time per pixel, from half the size to the full one.
 _MOST_PER_FRAME_MS, _MOST_COPIES, _MOST_GROWTH, _MOST_MEMORY_MB = 4, 10, 1, 200
-# The functions that each stage after the last frame consists of.
+# The functions that each stage after the last frame consists of. Tolerances are measured beside the checks.
 _STAGES = {
-    "noise, flicker": ("measure_noise", "flicker_of"),
-    "checks": ("check_frames", "check_codes", "check_fringes", "check_maps"),
-    "ripple, tolerances": ("calibrated_decoders", "modulation"),
+    "noise": ("measure_noise",),
+    "checks, tolerances": ("check_frames", "check_codes", "check_fringes", "check_maps"),
     "footprint": ("_footprint",),
     "maps of all pixels": ("coordinate_maps",),
     "patches": ("small_patches",),
