@@ -10,11 +10,15 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.arrays import Image
 from calib.compiled import compiled
 from scanner.decoding.arrays import Component, Floats32, Words
 from scanner.decoding.plan import Fringe, GrayCode, SequencePlan
+
+Planes = NDArray[np.uint8]
+_NO_BIT = np.uint8(0)
 
 
 class GrayFold:
@@ -34,15 +38,11 @@ class GrayFold:
     def fold(self, bit: int, bright: Image, dark: Image, *, half: bool = False) -> None:
         """Set a bit where `bright` is brighter than `dark`; `half` if one of them is the threshold between two."""
         place, position = divmod(self.code.bits - 1 - bit, 8)
-        is_set = cast(Image, cv2.compare(bright, dark, cv2.CMP_GT))
-        np.bitwise_and(is_set, np.uint8(1 << position), out=is_set)
-        np.bitwise_or(self._planes[place], is_set, out=self._planes[place])
-        difference = cast(Image, cv2.absdiff(bright, dark))
-        if half:
-            difference = cast(Image, cv2.add(difference, difference))
+        plane, largest = self._planes[place].reshape(-1), bright.dtype.type(np.iinfo(bright.dtype).max)
+        bright, dark = bright.reshape(-1), dark.reshape(-1)
+        _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, self.least.reshape(-1))
         if self.contrast is not None:
-            np.maximum(self.contrast, difference, out=self.contrast)
-        np.minimum(self.least, difference, out=self.least)
+            _note_contrast(bright, dark, half, largest, self.contrast.reshape(-1))
 
     @cached_property
     def words(self) -> Words:
@@ -89,6 +89,32 @@ class FringeFold:
             return
         component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
         _subtract(frame.reshape(-1), other.reshape(-1), sign, component.reshape(-1), peak.reshape(-1))
+
+
+@compiled
+def _note_bit(bright: Image, dark: Image, bit: np.uint8, half: bool, largest: int, plane: Planes, least: Image) -> None:
+    """Set a bit where one frame is brighter than the other, and lower `least` to their difference; (P,).
+
+    Of the frame and a threshold half-way, the difference is doubled, as far as numbers go.
+    """
+    for i in range(len(bright)):
+        one, other = bright[i], dark[i]
+        plane[i] = plane[i] | (bit if one > other else _NO_BIT)
+        difference = one - other if one > other else other - one
+        if half:
+            difference = difference + difference if difference <= largest // 2 else largest
+        least[i] = difference if difference < least[i] else least[i]
+
+
+@compiled
+def _note_contrast(bright: Image, dark: Image, half: bool, largest: int, contrast: Image) -> None:
+    """Raise `contrast` to the same difference; (P,)."""
+    for i in range(len(bright)):
+        one, other = bright[i], dark[i]
+        difference = one - other if one > other else other - one
+        if half:
+            difference = difference + difference if difference <= largest // 2 else largest
+        contrast[i] = difference if difference > contrast[i] else contrast[i]
 
 
 @compiled
