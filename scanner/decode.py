@@ -169,8 +169,7 @@ def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     accumulators.finish()
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(plan, sample, saturation)
-    x, y = (signals_of(accumulators, axis, lambda image: image.reshape(1, -1)[:, sample.pixels]) for axis in plan.axes)
-    thin = x, y
+    thin = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, noise, saturation, thin)

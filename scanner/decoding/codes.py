@@ -1,5 +1,6 @@
 """Gray code words → the interval of the projector axis that they leave."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,51 +36,36 @@ class Interval:
         return ~(self.outside | self.contradictory)
 
 
-def interval_of(plan: AxisPlan, words: Words) -> Interval:
-    """The interval common to all Gray codes of an axis, given the words (codes, P); without codes the whole axis."""
-    count = words.shape[1]
+def interval_of(plan: AxisPlan, words: Sequence[Words], pixels: int) -> Interval:
+    """The interval common to all Gray codes of an axis, given the words (P,) of each; without codes the whole axis."""
     first, last = np.float32(-0.5), np.float32(plan.length - 0.5)
-    low, high = np.full(count, first), np.full(count, last)
-    outside, contradictory = np.empty(count, np.bool_), np.empty(count, np.bool_)
+    low, high = np.full(pixels, first), np.full(pixels, last)
+    outside, contradictory = np.empty(pixels, np.bool_), np.empty(pixels, np.bool_)
     for code, of_code in zip(plan.codes, words, strict=True):
-        _narrow(of_code, np.float32(code.cell), np.float32(code.offset + 0.5), low, high)
+        numbers: Floats32 = cell_numbers(of_code).astype(np.float32)
+        _narrow(numbers, np.float32(code.cell), np.float32(code.offset + 0.5), low, high)
     # Codes whose edges are a little blurred may miss each other by as little.
     _settle(first, last, np.float32(plan.cell / 2), low, high, outside, contradictory)
     return Interval(low, high, outside, contradictory)
 
 
 def cell_numbers(words: Words) -> Words:
-    """Gray code words (P,) → cell numbers, both of 32 bits."""
-    numbers = np.empty_like(words)
-    _number(words, numbers)
+    """Gray code words → cell numbers, of the same type: each bit is the exclusive or of it and all bits above."""
+    numbers = words.copy()
+    shift = 1
+    while shift < 8 * words.itemsize:
+        np.bitwise_xor(numbers, numbers >> shift, out=numbers)
+        shift *= 2
     return numbers
 
 
 @compiled
-def _cell_number(word: np.uint32) -> np.uint32:
-    """Of a Gray code word: each bit is the exclusive or of it and all bits above."""
-    # The type is said again and again because Numba's own integers have 64 bits.
-    word = np.uint32(word ^ (word >> np.uint32(1)))
-    word = np.uint32(word ^ (word >> np.uint32(2)))
-    word = np.uint32(word ^ (word >> np.uint32(4)))
-    word = np.uint32(word ^ (word >> np.uint32(8)))
-    return np.uint32(word ^ (word >> np.uint32(16)))
-
-
-@compiled
-def _number(words: Words, numbers: Words) -> None:
-    for i in range(len(words)):
-        numbers[i] = _cell_number(words[i])
-
-
-@compiled
-def _narrow(words: Words, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
-    """What the words of one code, whose cells begin so far before the first pixel, leave of the intervals."""
-    for i in range(len(words)):
-        # Signed numbers convert faster; the cells of no axis reach 2³¹.
-        start = np.float32(np.int32(_cell_number(words[i]))) * cell - before
-        low[i] = max(low[i], start)
-        high[i] = min(high[i], start + cell)
+def _narrow(numbers: Floats32, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
+    """What the cell numbers of one code, which begins so far before the first pixel, leave of the intervals."""
+    for i in range(len(numbers)):
+        start, first, last = numbers[i] * cell - before, low[i], high[i]
+        low[i] = max(first, start)
+        high[i] = min(last, start + cell)
 
 
 @compiled

@@ -114,7 +114,7 @@ class AxisDecoder:
 
     def measure(self, signals: Signals) -> Measured:
         """What the fringes say at every pixel, of an axis that has fringes."""
-        interval = interval_of(self.plan, signals.words)
+        interval = interval_of(self.plan, signals.words, len(signals.middle))
         powers, variances = (np.empty((len(self.plan.fringes), len(signals.middle)), np.float32) for _ in range(2))
         for k, (unit, (cosine, sine)) in enumerate(zip(self._units_px2, signals.components, strict=True)):
             at_black, per_level = np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)
@@ -174,7 +174,7 @@ class AxisDecoder:
         )
 
     def _from_codes(self, signals: Signals) -> Coordinate:
-        interval = interval_of(self.plan, signals.words)
+        interval = interval_of(self.plan, signals.words, len(signals.middle))
         difference_sigma = np.float32(sqrt(2)) * self.noise.sigma(signals.middle)
         least_certain = np.maximum(np.float32(_LEAST_DIFFERENCE), np.float32(_CERTAIN_BIT) * difference_sigma)
         least_seen = np.maximum(np.float32(2 * _LEAST_DIFFERENCE), np.float32(_SEEN) * difference_sigma)

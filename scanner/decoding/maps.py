@@ -49,7 +49,8 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
             widened(part, _HALO, size) for part, size in ((rows, height), (columns, width))
         )
         tile, wide, own = (rows, columns), (wide_rows, wide_columns), (own_rows, own_columns)
-        found = [d.decode(signals_of(accumulators, d.plan, lambda image: image[wide])) for d in decoders]
+        signals = signals_of(accumulators, lambda image: image[wide])
+        found = [decoder.decode(part) for decoder, part in zip(decoders, signals, strict=True)]
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
         for c in found:
@@ -84,9 +85,8 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
         return 0.0
     middles = tuple((corners + _TILE_PX // 2).T)
     lit = np.ones(len(corners), np.bool_)
-    for decoder in decoders:
+    for decoder, at_middles in zip(decoders, signals_of(accumulators, lambda image: image[middles][None]), strict=True):
         if decoder.plan.fringes:
-            at_middles = signals_of(accumulators, decoder.plan, lambda image: image[middles][None])
             lit &= decoder.measure(at_middles).well_lit
     corners = corners[lit]
     corners = corners[np.linspace(0, len(corners) - 1, min(len(corners), _MOST_TILES)).astype(np.int64)]
@@ -96,7 +96,8 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     def tiles(image: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([image[row : row + _TILE_PX, column : column + _TILE_PX] for row, column in corners])
 
-    found = in_parallel(lambda decoder: decoder.decode(signals_of(accumulators, decoder.plan, tiles)), decoders)
+    both = zip(decoders, signals_of(accumulators, tiles), strict=True)
+    found = in_parallel(lambda axis: axis[0].decode(axis[1]), both)
     usable = _first_reason(found) == np.uint8(MaskReason.KEPT)
     shaded = [(c.value, c.log_amplitude) for c in found if c.log_amplitude is not None]
     log_lit = np.log(np.maximum(tiles(accumulators.brightest), 1).astype(np.float32))

@@ -31,7 +31,7 @@ def test_the_interval_of_a_word_holds_the_pixel_that_shows_it(cell: int, offset:
     plan = plan_sequence((*code, *gray_sequence("y", 8, 1)), (length, 8)).x
     x = np.arange(length, dtype=np.float64)
     word = sum((p.brightness(x, x) > 0.5).astype(np.uint32) << (bits - 1 - p.bit) for p in code)
-    interval = interval_of(plan, np.atleast_2d(word).astype(np.uint32))
+    interval = interval_of(plan, [word.astype(np.uint32)], length)
     assert np.all(x >= interval.low + 0.5 - 1e-3)
     assert np.all(x <= interval.high - 0.5 + 1e-3)
     assert interval.possible.all()
@@ -44,7 +44,7 @@ def test_codes_that_contradict_each_other_or_the_axis_are_noted() -> None:
     # Cells 3 (24 to 31) and 3 or 4 (20 to 27, 28 to 35) have pixels in common, cell 6 (44 to 51) has none; cell 40
     # begins at 320.
     cells = np.array([[3, 3, 3, 40], [3, 4, 6, 40]], np.uint32)
-    interval = interval_of(plan, cells ^ cells >> 1)
+    interval = interval_of(plan, list(cells ^ cells >> 1), 4)
     assert interval.contradictory[:3].tolist() == [False, False, True]
     assert interval.outside.tolist() == [False, False, False, True]
     assert interval.low[:2].tolist() == [23.5, 27.5]
@@ -79,7 +79,7 @@ def test_beating_fringes_are_unwrapped_over_the_whole_axis(x: float, seed: int) 
     noise = np.random.default_rng(seed).normal(0, 0.05, 3)
     positions = [[(x + e) % f.period] for f, e in zip(plan.fringes, noise, strict=True)]
     wrapped = Wrapped(np.array(positions, np.float32), np.full((3, 1), 0.0025, np.float32))
-    interval = interval_of(plan, np.empty((0, 1), np.uint32))
+    interval = interval_of(plan, [], 1)
     orders = unwrap(plan, interval, wrapped, Tolerances(1.0, (0.05, 0.05)))
     assert orders.agree.all()
     assert abs(orders.coordinates[-1][0] - x) < 0.4
@@ -88,7 +88,7 @@ def test_beating_fringes_are_unwrapped_over_the_whole_axis(x: float, seed: int) 
 def test_orders_that_are_as_good_as_each_other_decide_nothing() -> None:
     plan = plan_sequence([*gray_sequence("x", 256, 16), *gray_sequence("y", 8, 1)], (256, 8)).x
     plan = replace(plan, fringes=axis(256, 8.0).fringes)
-    interval = interval_of(plan, np.array([[3 ^ 3 >> 1]], np.uint32))
+    interval = interval_of(plan, [np.array([3 ^ 3 >> 1], np.uint8)], 1)
     wrapped = Wrapped(np.full((1, 1), 5.0, np.float32), np.full((1, 1), 0.01, np.float32))
     orders = unwrap(plan, interval, wrapped, Tolerances(0.2, ()))
     assert orders.agree.all()
