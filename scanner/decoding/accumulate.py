@@ -92,7 +92,9 @@ class FringeFold:
 
 
 @compiled
-def _note_bit(bright: Image, dark: Image, bit: np.uint8, half: bool, largest: int, plane: Planes, least: Image) -> None:
+def _note_bit(
+    bright: Image, dark: Image, bit: np.uint8, half: bool, largest: np.unsignedinteger[Any], plane: Planes, least: Image
+) -> None:
     """Set a bit where one frame is brighter than the other, and lower `least` to their difference; (P,).
 
     Of the frame and a threshold half-way, the difference is doubled, as far as numbers go.
@@ -107,7 +109,7 @@ def _note_bit(bright: Image, dark: Image, bit: np.uint8, half: bool, largest: in
 
 
 @compiled
-def _note_contrast(bright: Image, dark: Image, half: bool, largest: int, contrast: Image) -> None:
+def _note_contrast(bright: Image, dark: Image, half: bool, largest: np.unsignedinteger[Any], contrast: Image) -> None:
     """Raise `contrast` to the same difference; (P,)."""
     for i in range(len(bright)):
         one, other = bright[i], dark[i]

@@ -132,7 +132,8 @@ def _means(plan: SequencePlan, shown: _Shown, seen: Sequence[_ShownFringe]) -> I
     reference = medians(means, axis=0) if len(even) > 1 else shown.levels.min(axis=0)
     relative_noise = float(np.median(shown.sigma / shown.swing))
     spreads = robust_sigmas((means - reference) / shown.swing)
-    amplitudes = medians(np.stack([np.sqrt(one.cosine**2 + one.sine**2) for one in even]) / shown.swing, axis=1)
+    relative: Floats32 = np.stack([np.hypot(one.cosine, one.sine) for one in even]) / shown.swing
+    amplitudes = medians(relative, axis=1)
     for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):
         steps = len(one.fringe.shifts)
         if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG_MEAN * amplitude:
