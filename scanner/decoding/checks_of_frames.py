@@ -62,6 +62,12 @@ class _ShownFringe:
     sine: Floats32
     is_seen: bool
 
+    @property
+    def amplitude(self) -> Floats32:
+        """(P,)."""
+        amplitude: Floats32 = np.hypot(self.cosine, self.sine)
+        return amplitude
+
 
 def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> None:
     """Raise InputError naming the frames of the sample `levels` (frames, P) that contradict the sequence."""
@@ -132,8 +138,7 @@ def _means(plan: SequencePlan, shown: _Shown, seen: Sequence[_ShownFringe]) -> I
     reference = medians(means, axis=0) if len(even) > 1 else shown.levels.min(axis=0)
     relative_noise = float(np.median(shown.sigma / shown.swing))
     spreads = robust_sigmas((means - reference) / shown.swing)
-    relative: Floats32 = np.stack([np.hypot(one.cosine, one.sine) for one in even]) / shown.swing
-    amplitudes = medians(relative, axis=1)
+    amplitudes = medians(np.stack([one.amplitude for one in even]) / shown.swing, axis=1)
     for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):
         steps = len(one.fringe.shifts)
         if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG_MEAN * amplitude:
