@@ -1,12 +1,16 @@
-"""How long the decoder takes, next to a plain copy of the same frames in the same run.
+"""How long the decoder takes, next to a plain copy of the same frames in the same run, and next to what it may take.
 
     python benchmarks/bench_decode.py [--width 2448 --height 2048] [--projector 1920x1080] [--repeat 3]
+
+At half the size and at the full one. A run before those that are timed loads the machine code, or waits for the
+compiler where that has changed. The second table shows where the time after the last frame goes.
 
 With `--peer-python`, the interpreter of an environment that has opencv-contrib-python-headless and fringes, OpenCV's
 structured_light and the package Fringes decode frames of the same scene as well (see peer_decoders.py).
 """
 
 import argparse
+import cProfile
 import json
 import statistics
 import subprocess
@@ -14,6 +18,8 @@ import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -31,6 +37,17 @@ _WHITE = 180.0
 _AMBIENT = 10.0
 _BYTES_PER_MATCH = 20
 _PERIODS, _SHIFTS = (21.0, 19.0), 4
+# What decoding may take; growth is that of the time per pixel, from half the size to the full one.
+_MOST_PER_FRAME_MS, _MOST_COPIES, _MOST_GROWTH, _MOST_MEMORY_MB = 4, 10, 1, 200
+# The functions that each stage after the last frame consists of. Tolerances are measured beside the checks.
+_STAGES = {
+    "noise": ("measure_noise",),
+    "checks, tolerances": ("check_frames", "check_codes", "check_fringes", "check_maps"),
+    "footprint": ("_footprint",),
+    "maps of all pixels": ("coordinate_maps",),
+    "patches": ("small_patches",),
+    "matches": ("_pixel_matches",),
+}
 
 
 def render(patterns: tuple[Pattern, ...], projector: tuple[int, int], size: tuple[int, int]) -> list[Image]:
@@ -57,49 +74,134 @@ def seen_by_camera(
         yield np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
 
+@dataclass(frozen=True)
+class Run:
+    """Seconds for each frame, seconds for the end, and the number of matches."""
+
+    frames_s: tuple[float, ...]
+    end_s: float
+    matches: int
+
+    @property
+    def seconds(self) -> float:
+        return sum(self.frames_s) + self.end_s
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Medians of several runs, in seconds, at a camera of `size` (width, height); memory in bytes; `stages`: the share
+    of each in the end.
+    """
+
+    size: tuple[int, int]
+    frames: int
+    copy_s: float
+    frame_s: float
+    slowest_frame_s: float
+    end_s: float
+    all_s: float
+    matches: int
+    peak_bytes: int
+    stages: dict[str, float]
+
+    @property
+    def pixels(self) -> int:
+        return self.size[0] * self.size[1]
+
+
 def timed(action: Callable[[], object]) -> float:
     start = time.perf_counter()
     action()
     return time.perf_counter() - start
 
 
-def decode(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: list[Image]) -> tuple[float, float, int]:
-    """Seconds for all frames, seconds for the end, and the number of matches."""
+def folded(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: list[Image]) -> Decoder:
     decoder = Decoder(patterns, projector)
-    start = time.perf_counter()
     for frame in frames:
         decoder.add(frame)
-    middle = time.perf_counter()
+    return decoder
+
+
+def decode(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: list[Image]) -> Run:
+    decoder = Decoder(patterns, projector)
+    frames_s = tuple(timed(partial(decoder.add, frame)) for frame in frames)
+    start = time.perf_counter()
     matches = decoder.finish().matches
-    return middle - start, time.perf_counter() - middle, len(matches)
+    return Run(frames_s, time.perf_counter() - start, len(matches))
 
 
-def peak_memory_mb(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: list[Image]) -> str:
-    """Of the arrays of a run of its own, above the frames, and how much of it are the matches that it returns."""
+def peak_memory(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: list[Image]) -> int:
+    """Bytes of the arrays of a run of its own, above the frames."""
     tracemalloc.start()
-    *_, count = decode(patterns, projector, frames)
+    decode(patterns, projector, frames)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    return f"{peak / 1e6:.0f} ({count * _BYTES_PER_MATCH / 1e6:.0f})"
+    return peak
 
 
-def measure(size: tuple[int, int], projector: tuple[int, int], repeat: int) -> tuple[str, ...]:
+def stages_of_end(decoder: Decoder) -> dict[str, float]:
+    """The share of each stage in the time after the last frame."""
+    profile = cProfile.Profile()
+    total = timed(lambda: profile.runcall(decoder.finish))
+    seconds = {entry.code.co_name: entry.totaltime for entry in profile.getstats() if not isinstance(entry.code, str)}
+    # The footprint is measured on the way to the maps.
+    seconds["coordinate_maps"] -= seconds["_footprint"]
+    shares = {stage: sum(seconds[name] for name in names) / total for stage, names in _STAGES.items()}
+    return shares | {"the rest": 1 - sum(shares.values())}
+
+
+def measure(size: tuple[int, int], projector: tuple[int, int], repeat: int) -> Measured:
     patterns = sequence_for(projector)
     frames = render(patterns, projector, size)
+    decode(patterns, projector, frames)
     runs = [decode(patterns, projector, frames) for _ in range(repeat)]
-    copying = statistics.median(timed(lambda: [frame.copy() for frame in frames]) for _ in range(repeat))
-    adding = statistics.median(run[0] for run in runs)
-    finishing = statistics.median(run[1] for run in runs)
-    return (
-        f"{size[0]} × {size[1]}",
-        str(len(frames)),
-        f"{1e3 * copying:.0f}",
-        f"{1e3 * adding / len(frames):.1f}",
-        f"{1e3 * finishing:.0f}",
-        f"{(adding + finishing) / copying:.1f}",
-        f"{runs[0][2] / (size[0] * size[1]):.0%}",
-        peak_memory_mb(patterns, projector, frames),
+    return Measured(
+        size,
+        len(frames),
+        copy_s=statistics.median(timed(lambda: [frame.copy() for frame in frames]) for _ in range(repeat)),
+        frame_s=statistics.median(sum(run.frames_s) for run in runs) / len(frames),
+        slowest_frame_s=statistics.median(max(run.frames_s) for run in runs),
+        end_s=statistics.median(run.end_s for run in runs),
+        all_s=statistics.median(run.seconds for run in runs),
+        matches=runs[0].matches,
+        peak_bytes=peak_memory(patterns, projector, frames),
+        stages=stages_of_end(folded(patterns, projector, frames)),
     )
+
+
+def figures(measured: list[Measured], projector: tuple[int, int]) -> Table:
+    table = Table(title="Decoding the standard sequence of a {} × {} projector".format(*projector))
+    columns = ("camera", "frames", "copy, ms", "per frame (slowest), ms", "end, ms", "all / copy", "per pixel, ns")
+    for column in (*columns, "growth", "matched", "peak memory (matches), MB"):
+        table.add_column(column, justify="right")
+    smallest = measured[0]
+    for one in measured:
+        growth = (one.all_s / one.pixels) / (smallest.all_s / smallest.pixels)
+        table.add_row(
+            "{} × {}".format(*one.size),
+            str(one.frames),
+            f"{1e3 * one.copy_s:.0f}",
+            f"{1e3 * one.frame_s:.1f} ({1e3 * one.slowest_frame_s:.1f})",
+            f"{1e3 * one.end_s:.0f}",
+            f"{one.all_s / one.copy_s:.1f}",
+            f"{1e9 * one.all_s / one.pixels:.0f}",
+            "" if one is smallest else f"{growth:.2f}",
+            f"{one.matches / one.pixels:.0%}",
+            f"{one.peak_bytes / 1e6:.0f} ({one.matches * _BYTES_PER_MATCH / 1e6:.0f})",
+        )
+    limits = f"≤ {_MOST_PER_FRAME_MS}", "", f"≤ {_MOST_COPIES}", "", f"≤ {_MOST_GROWTH}", "", f"≤ {_MOST_MEMORY_MB}"
+    table.add_section()
+    table.add_row("limit", "", "", *limits)
+    return table
+
+
+def stages(measured: list[Measured]) -> Table:
+    table = Table(title="Where the time after the last frame goes")
+    for column in ("camera", *measured[0].stages):
+        table.add_column(column, justify="right")
+    for one in measured:
+        table.add_row("{} × {}".format(*one.size), *(f"{share:.0%}" for share in one.stages.values()))
+    return table
 
 
 def peers(python: str, size: tuple[int, int], projector: tuple[int, int], console: Console) -> None:
@@ -126,7 +228,7 @@ def peers(python: str, size: tuple[int, int], projector: tuple[int, int], consol
         ("fringes", (*codes, *waves), [*code_frames, *wave_frames]),
     ):
         if name in seconds:
-            own = sum(decode(patterns, projector, frames)[:2])
+            own = decode(patterns, projector, frames).seconds
             shown = len(gray_frames) if name == "opencv" else len(wave_frames)
             table.add_row(name, str(shown), f"{seconds[name]:.1f}", f"{own:.2f}", f"{seconds[name] / own:.0f}")
     console.print(table)
@@ -142,23 +244,11 @@ def main() -> None:
     arguments = parser.parse_args()
     width, height = (int(number) for number in arguments.projector.split("x"))
 
-    table = Table(title=f"Decoding the standard sequence of a {width} × {height} projector")
-    for column in (
-        "camera",
-        "frames",
-        "copy, ms",
-        "per frame, ms",
-        "end, ms",
-        "all / copy",
-        "matched",
-        "peak memory (matches), MB",
-    ):
-        table.add_column(column, justify="right")
-    for scale in (0.5, 1.0):
-        size = round(arguments.width * scale), round(arguments.height * scale)
-        table.add_row(*measure(size, (width, height), arguments.repeat))
+    sizes = [(round(arguments.width * scale), round(arguments.height * scale)) for scale in (0.5, 1.0)]
+    measured = [measure(size, (width, height), arguments.repeat) for size in sizes]
     console = Console(width=120)
-    console.print(table)
+    console.print(figures(measured, (width, height)))
+    console.print(stages(measured))
     if arguments.peer_python:
         peers(arguments.peer_python, (arguments.width, arguments.height), (width, height), console)
     else:

@@ -5,6 +5,7 @@ to be chosen: noise, saturation and tolerances are measured from the capture.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -12,25 +13,27 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Floats, Image
+from calib.arrays import Bools, Floats, Image
+from calib.compiled import compiled
 from calib.matches import Matches
 from scanner.decoding.accumulate import Accumulators
 from scanner.decoding.advice import warnings_of
+from scanner.decoding.arrays import Floats32
 from scanner.decoding.calibrate import calibrated_decoders, modulation
 from scanner.decoding.cells import average_cells
 from scanner.decoding.checks_of_codes import check_codes
 from scanner.decoding.checks_of_frames import check_frames
 from scanner.decoding.checks_of_maps import check_fringes, check_maps
-from scanner.decoding.continuity import isolated
-from scanner.decoding.coordinate import MaskReason
 from scanner.decoding.exposures import ExposureMerger, exposures_of
 from scanner.decoding.flicker import flicker_of
-from scanner.decoding.maps import Maps, coordinate_maps, signals_of
+from scanner.decoding.maps import Maps, coordinate_maps
 from scanner.decoding.noise import NoiseModel, measure_noise, needs_neighbours
+from scanner.decoding.patches import small_patches
 from scanner.decoding.plan import SequencePlan, plan_sequence
+from scanner.decoding.reasons import MaskReason
 from scanner.decoding.sample import Sample
 from scanner.decoding.saturation import saturation_level
-from scanner.decoding.strips import in_strips
+from scanner.decoding.signals import signals_of
 from scanner.errors import InputError
 from scanner.patterns import Pattern
 
@@ -117,7 +120,6 @@ class Decoder:
         # The running images are as large as the matches, and have served.
         del held
         matches, reasons = _match(self._plan, measured)
-        check_maps(self._plan, measured.maps, reasons == MaskReason.KEPT)
         warnings = tuple(warnings_of(reasons, measured.modulation, measured.flicker))
         texture = self._texture if self._merger is None else self._merger.alike(self._texture)
         return Decoding(matches, texture, reasons, measured.noise, measured.modulation, warnings, measured.flicker)
@@ -163,56 +165,67 @@ class _Measured:
 
 def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     """Check the frames, learn noise and tolerances from the sample, decode every pixel. Raises InputError."""
-    plan = accumulators.plan
+    plan, levels = accumulators.plan, sample.levels
     accumulators.finish()
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(plan, sample, saturation)
-    check_frames(plan, sample.levels, noise, saturation)
-    check_codes(plan, accumulators.codes, noise, accumulators.middle)
-    accumulators.forget_contrasts()
-
     thin = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
-    decoders = calibrated_decoders(plan, noise, saturation, thin)
-    for decoder, signals in zip(decoders, thin, strict=True):
-        check_fringes(plan, decoder, signals)
-    maps = coordinate_maps(accumulators, decoders)
-    flicker = flicker_of(plan, sample.levels)
+    with ThreadPoolExecutor(1) as aside:
+        # What is wrong with the frames is said first, whatever comes of it here.
+        calibrating = aside.submit(calibrated_decoders, plan, noise, saturation, thin)
+        check_frames(plan, levels, noise, saturation)
+        check_codes(plan, accumulators.codes, noise, accumulators.middle)
+        decoders = calibrating.result()
+        flickering = aside.submit(flicker_of, plan, levels)
+        for decoder, signals in zip(decoders, thin, strict=True):
+            check_fringes(plan, decoder, signals)
+        accumulators.forget_contrasts()
+        maps = coordinate_maps(accumulators, decoders)
+        flicker = flickering.result()
     return _Measured(maps, accumulators.brightest, noise, modulation(decoders, thin), flicker)
 
 
 def _match(plan: SequencePlan, measured: _Measured) -> tuple[Matches, NDArray[np.uint8]]:
-    """The matches, and for all pixels (H, W) the reason why they have none."""
+    """The matches, and for all pixels (H, W) the reason why they have none. Raises InputError; uses up the maps."""
     maps = measured.maps
     reasons = maps.reason
-    kept = reasons == MaskReason.KEPT
-    if not plan.fringes:
-        cells = average_cells(kept, maps.x, maps.y, maps.variance, measured.brightest)
-        reasons[cells.rejected] = MaskReason.ISOLATED
-        return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
-    reasons[isolated(kept, maps.broken)] = MaskReason.ISOLATED
-    return _pixel_matches(reasons, maps), reasons
+    kept = reasons == np.uint8(MaskReason.KEPT)
+    if plan.fringes:
+        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
+    else:
+        cells = average_cells(kept, maps.projector_px, maps.variance, measured.brightest)
+        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=cells.rejected)
+    kept = reasons == np.uint8(MaskReason.KEPT)
+    check_maps(plan, maps, kept)
+    if plan.fringes:
+        return _pixel_matches(kept, maps), reasons
+    return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
 
 
-def _pixel_matches(reasons: NDArray[np.uint8], maps: Maps) -> Matches:
-    """The matches of the pixels that `reasons` (H, W) keep, row by row.
+def _pixel_matches(kept: Bools, maps: Maps) -> Matches:
+    """The matches of `kept` pixels (H, W), row by row, in the memory of the maps.
 
     Single precision is exact for the camera's pixels, and all that the maps have for the projector's.
     """
-    kept = reasons == MaskReason.KEPT
-    ends = np.cumsum(np.count_nonzero(kept, axis=1))
-    count = int(ends[-1])
-    camera_px, projector_px = np.empty((count, 2), np.float32), np.empty((count, 2), np.float32)
-    sigma_px = np.empty(count, np.float32)
+    count = int(np.count_nonzero(kept))
+    camera_px, projector_px = np.empty((count, 2), np.float32), maps.projector_px.reshape(-1, 2)
+    sigma_px = maps.variance.reshape(-1)
+    _gather(kept, camera_px, projector_px, sigma_px)
+    sigma_px = sigma_px[:count]
+    np.sqrt(sigma_px, out=sigma_px)
+    return Matches(cast(Floats, camera_px), cast(Floats, projector_px[:count]), sigma_px=cast(Floats, sigma_px))
 
-    def fill(rows: slice) -> None:
-        there = np.flatnonzero(kept[rows])
-        part = slice(ends[rows.stop - 1] - len(there), ends[rows.stop - 1])
-        row, column = np.divmod(there.astype(np.int32), np.int32(kept.shape[1]))
-        camera_px[part, 0] = column
-        camera_px[part, 1] = row + np.int32(rows.start)
-        projector_px[part, 0] = maps.x[rows].ravel()[there]
-        projector_px[part, 1] = maps.y[rows].ravel()[there]
-        np.sqrt(maps.variance[rows].ravel()[there], out=sigma_px[part])
 
-    in_strips(len(kept), fill)
-    return Matches(cast(Floats, camera_px), cast(Floats, projector_px), sigma_px=cast(Floats, sigma_px))
+@compiled
+def _gather(kept: Bools, camera_px: Floats32, projector_px: Floats32, variance: Floats32) -> None:
+    """Note where the kept pixels are, and move what belongs to them (H · W, …) to the beginning."""
+    height, width = kept.shape
+    match = 0
+    for row in range(height):
+        for column in range(width):
+            if kept[row, column]:
+                pixel = row * width + column
+                camera_px[match, 0], camera_px[match, 1] = column, row
+                projector_px[match, 0], projector_px[match, 1] = projector_px[pixel, 0], projector_px[pixel, 1]
+                variance[match] = variance[pixel]
+                match += 1

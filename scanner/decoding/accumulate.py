@@ -1,7 +1,7 @@
 """Frames folded into full-size images as they arrive, so that memory does not grow with their number.
 
-A Gray bit is one compare of two frames. A fringe is two weighted sums. Only Gray bits without an inverse wait, as they
-came, for the frames that give their threshold.
+A Gray bit is one compare of two frames. A fringe is two differences, or two weighted sums. Frames wait, as they came,
+only for the one that they are compared with, or that gives their threshold.
 """
 
 from collections import defaultdict
@@ -10,13 +10,15 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.arrays import Image
+from calib.compiled import compiled
 from scanner.decoding.arrays import Component, Floats32, Words
 from scanner.decoding.plan import Fringe, GrayCode, SequencePlan
 
-# Differences of so few frames of 8 bits fit into 16.
-_PLAIN = 64
+Planes = NDArray[np.uint8]
+_NO_BIT = np.uint8(0)
 
 
 class GrayFold:
@@ -36,15 +38,11 @@ class GrayFold:
     def fold(self, bit: int, bright: Image, dark: Image, *, half: bool = False) -> None:
         """Set a bit where `bright` is brighter than `dark`; `half` if one of them is the threshold between two."""
         place, position = divmod(self.code.bits - 1 - bit, 8)
-        is_set = cast(Image, cv2.compare(bright, dark, cv2.CMP_GT))
-        np.bitwise_and(is_set, np.uint8(1 << position), out=is_set)
-        np.bitwise_or(self._planes[place], is_set, out=self._planes[place])
-        difference = cast(Image, cv2.absdiff(bright, dark))
-        if half:
-            difference = cast(Image, cv2.add(difference, difference))
+        plane, largest = self._planes[place].reshape(-1), bright.dtype.type(np.iinfo(bright.dtype).max)
+        bright, dark = bright.reshape(-1), dark.reshape(-1)
+        _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, self.least.reshape(-1))
         if self.contrast is not None:
-            np.maximum(self.contrast, difference, out=self.contrast)
-        np.minimum(self.least, difference, out=self.least)
+            _note_contrast(bright, dark, half, largest, self.contrast.reshape(-1))
 
     @cached_property
     def words(self) -> Words:
@@ -60,8 +58,8 @@ class GrayFold:
 class FringeFold:
     """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
 
-    `cosine` and `sine` times `scale` are in grey levels. Four shifts are plain differences of two frames, which need no
-    more than whole numbers; others are weighted sums.
+    `cosine` and `sine` times `scale` are in grey levels. Of four equal shifts each is the difference of two frames, in
+    whole numbers, of which the first waits for the second; others are weighted sums.
     """
 
     def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
@@ -69,22 +67,64 @@ class FringeFold:
         weights = fringe.weights[1:]
         largest = float(np.abs(weights).max())
         self._signs = np.rint(weights / largest).astype(np.int64)
-        self._is_plain = bool(np.allclose(self._signs * largest, weights, atol=1e-9)) and len(fringe.frames) <= _PLAIN
+        opposite = all(sorted(signs) == [-1, 0, 0, 1] for signs in self._signs.tolist())
+        self._is_plain = opposite and bool(np.allclose(self._signs * largest, weights, atol=1e-9))
+        self._waiting: dict[int, Image] = {}
         self.scale = largest if self._is_plain else 1.0
         kept_as = np.dtype(np.float32) if not self._is_plain else np.dtype(np.int16 if dtype == np.uint8 else np.int32)
         self.cosine: Component = np.zeros(shape, kept_as)
         self.sine: Component = np.zeros(shape, kept_as)
 
-    def fold(self, step: int, frame: Image) -> None:
-        """Add the frame of one shift."""
-        for number, component in enumerate((self.cosine, self.sine)):
-            if not self._is_plain:
-                weight = float(self.fringe.weights[1 + number, step])
-                cv2.addWeighted(component, 1, frame, weight, 0, dst=component, dtype=cv2.CV_32F)
-            elif self._signs[number, step] > 0:
-                np.add(component, frame, out=component)
-            elif self._signs[number, step] < 0:
-                np.subtract(component, frame, out=component)
+    def fold(self, step: int, frame: Image, peak: Image) -> None:
+        """Add the frame of one shift, and raise `peak` (H, W) to it: of frames that wait, when they are added."""
+        if not self._is_plain:
+            np.maximum(peak, frame, out=peak)
+            for component, weights in zip((self.cosine, self.sine), self.fringe.weights[1:], strict=True):
+                cv2.addWeighted(component, 1, frame, float(weights[step]), 0, dst=component, dtype=cv2.CV_32F)
+            return
+        number = int(np.flatnonzero(self._signs[:, step])[0])
+        other = self._waiting.pop(number, None)
+        if other is None:
+            self._waiting[number] = frame.copy()
+            return
+        component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
+        _subtract(frame.reshape(-1), other.reshape(-1), sign, component.reshape(-1), peak.reshape(-1))
+
+
+@compiled
+def _note_bit(
+    bright: Image, dark: Image, bit: np.uint8, half: bool, largest: np.unsignedinteger[Any], plane: Planes, least: Image
+) -> None:
+    """Set a bit where one frame is brighter than the other, and lower `least` to their difference; (P,).
+
+    Of the frame and a threshold half-way, the difference is doubled, as far as numbers go.
+    """
+    for i in range(len(bright)):
+        one, other = bright[i], dark[i]
+        plane[i] = plane[i] | (bit if one > other else _NO_BIT)
+        difference = one - other if one > other else other - one
+        if half:
+            difference = difference + difference if difference <= largest // 2 else largest
+        least[i] = difference if difference < least[i] else least[i]
+
+
+@compiled
+def _note_contrast(bright: Image, dark: Image, half: bool, largest: np.unsignedinteger[Any], contrast: Image) -> None:
+    """Raise `contrast` to the same difference; (P,)."""
+    for i in range(len(bright)):
+        one, other = bright[i], dark[i]
+        difference = one - other if one > other else other - one
+        if half:
+            difference = difference + difference if difference <= largest // 2 else largest
+        contrast[i] = difference if difference > contrast[i] else contrast[i]
+
+
+@compiled
+def _subtract(frame: Image, other: Image, sign: int, difference: Component, peak: Image) -> None:
+    """A frame less another, or the reverse, and the peaks raised to both; (P,)."""
+    for i in range(len(frame)):
+        difference[i] = sign * (np.int32(frame[i]) - np.int32(other[i]))
+        peak[i] = max(peak[i], max(frame[i], other[i]))
 
 
 class Accumulators:
@@ -102,10 +142,10 @@ class Accumulators:
             GrayFold(code, shape, first.dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
         ]
         self.fringes = [FringeFold(fringe, shape, first.dtype) for fringe in plan.fringes]
-        self.brightest: Image = np.zeros_like(first)
+        self.brightest: Image = np.zeros(shape, first.dtype)
         self._white: Image | None = None
         self._black: Image | None = None
-        self._fringe_peak: Image | None = np.zeros_like(first) if plan.fringes else None
+        self._fringe_peak: Image | None = np.zeros(shape, first.dtype) if plan.fringes else None
         self._darkest: Image | None = first.copy() if _needs_midrange(plan) else None
         self._threshold: Image | None = None
         self._waiting: dict[int, Image] = {}
@@ -124,8 +164,7 @@ class Accumulators:
         """Fold in frame `index`, (H, W); what is kept of it is a copy."""
         if index in self._steps:
             fold, step = self._steps[index]
-            fold.fold(step, grey)
-            np.maximum(self.peak, grey, out=self.peak)
+            fold.fold(step, grey, self.peak)
         elif index in self._pair_of:
             self._add_of_pair(index, grey)
         elif index in self._alone:

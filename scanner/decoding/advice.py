@@ -2,10 +2,8 @@
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from scanner.decoding.arrays import Reasons
-from scanner.decoding.coordinate import MaskReason
+from scanner.decoding.reasons import MaskReason, count_reasons
 
 _LOW_MODULATION = 0.2
 _LARGE_SHARE = 0.1
@@ -16,8 +14,7 @@ MUCH_FLICKER = 0.01
 
 def warnings_of(reasons: Reasons, modulation: float | None, flicker: float | None) -> Iterator[str]:
     """Sentences about the `reasons` (H, W) of all pixels, the `modulation` of the finest fringes, and the `flicker`."""
-    # np.bincount would make an eight times larger copy of the whole map.
-    count = {reason: int(np.count_nonzero(reasons == reason)) for reason in MaskReason}
+    count = count_reasons(reasons, tuple(MaskReason))
     matched, dark = count[MaskReason.KEPT], count[MaskReason.DARK]
     lit = max(1, reasons.size - dark)
     if matched < _FEW_MATCHED * reasons.size:

@@ -8,13 +8,14 @@ from typing import cast
 import cv2
 import numpy as np
 
+from calib.arrays import Bools
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.codes import interval_of
-from scanner.decoding.coordinate import AxisDecoder, Signals, largest_variance
+from scanner.decoding.coordinate import AxisDecoder, Measured, largest_variance
 from scanner.decoding.noise import NoiseModel
 from scanner.decoding.plan import AxisPlan, Fringe, SequencePlan
 from scanner.decoding.response import can_ripple, straightening
-from scanner.decoding.unwrap import Orders, measured_tolerances, widest_tolerances
+from scanner.decoding.signals import Signals
+from scanner.decoding.unwrap import disagreements, measured_tolerances, widest_tolerances
 
 # Over fewer cycles the phases of a scene need not be evenly spread.
 _ENOUGH_CYCLES = 8.0
@@ -43,13 +44,9 @@ def calibrated_decoders(
     return x, y
 
 
-def sample_orders(decoder: AxisDecoder, signals: Signals) -> tuple[Orders, list[Floats32]]:
-    """The fringe orders and variances of the well lit pixels of a sample, as far as they make sense at all."""
-    interval = interval_of(decoder.plan, signals.words)
-    variances = decoder.fringe_variances(signals)
-    orders = decoder.orders(signals, interval, variances)
-    good = orders.agree & ~interval.outside & ~interval.contradictory & decoder.well_lit(signals)
-    return orders[good], [variance[good] for variance in variances]
+def agreeing(measured: Measured) -> Bools:
+    """(P,): the well lit pixels of a sample whose codes and fringes make sense at all."""
+    return measured.orders.agree & measured.interval.possible & measured.well_lit
 
 
 def modulation(decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals, Signals]) -> float | None:
@@ -59,25 +56,29 @@ def modulation(decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals
     """
     shares = []
     for decoder, part in zip(decoders, signals, strict=True):
-        if part.fringes:
-            lit = decoder.well_lit(part)
-            shares.append(cv2.magnitude(*part.fringes[-1])[lit] / np.maximum(part.middle[lit], 1))
+        if decoder.plan.fringes:
+            measured = decoder.measure(part)
+            lit = measured.well_lit
+            shares.append(np.sqrt(measured.powers[-1][lit]) / np.maximum(part.middle[lit], 1))
     return float(np.median(np.concatenate(shares))) if sum(map(len, shares)) else None
 
 
 def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:
     if not decoder.plan.fringes:
         return decoder
-    orders, variances = sample_orders(decoder, signals)
-    tolerances = measured_tolerances(decoder.plan, orders, variances)
+    measured = decoder.measure(signals)
+    chosen = agreeing(measured)
+    variances = measured.variances[:, chosen]
+    found = disagreements(measured.orders, measured.interval, chosen)
+    tolerances = measured_tolerances(decoder.plan, found, variances)
     return replace(decoder, tolerances=tolerances, finest=_finest_seen(decoder.plan, variances))
 
 
-def _finest_seen(plan: AxisPlan, variances: list[Floats32]) -> int:
+def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:
     """The number of the shortest fringe that is seen at nearly all pixels of a sample where the longest is."""
     seen = 0
     for number, (fringe, variance) in enumerate(zip(plan.fringes, variances, strict=True)):
-        if len(variance) and np.quantile(variance, _NEARLY_ALL) <= largest_variance(fringe):
+        if variance.size and np.quantile(variance, _NEARLY_ALL) <= largest_variance(fringe):
             seen = number
     return seen
 
@@ -117,10 +118,12 @@ def _ripples(decoders: list[AxisDecoder], signals: tuple[Signals, Signals]) -> d
 def _phases(decoder: AxisDecoder, signals: Signals) -> Iterator[_Phases]:
     if not decoder.plan.fringes:
         return
+    measured = decoder.measure(signals)
     # Which pixels saturate would depend on their phase, if it were judged by the fringes themselves.
-    lit = decoder.well_lit(signals) & (signals.brightest < decoder.saturation)
-    orders, _ = sample_orders(decoder, signals)
-    for fringe, components, coordinate in zip(decoder.plan.fringes, signals.fringes, orders.coordinates, strict=True):
+    lit = measured.well_lit & (signals.brightest < decoder.saturation)
+    coordinates = measured.orders.coordinates[:, agreeing(measured)]
+    for fringe, (cosine, sine), coordinate in zip(decoder.plan.fringes, signals.components, coordinates, strict=True):
         if can_ripple(fringe) and len(coordinate):
             first, last = np.quantile(coordinate, (0.02, 0.98))
-            yield _Phases(fringe, cast(Floats32, cv2.phase(*components))[lit], float(last - first) / fringe.period)
+            phases = cast(Floats32, cv2.phase(cosine[None], sine[None])[0])
+            yield _Phases(fringe, phases[lit], float(last - first) / fringe.period)

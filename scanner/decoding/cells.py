@@ -33,14 +33,14 @@ class CellMatches:
     rejected: Bools
 
 
-def average_cells(kept: Bools, x: Floats32, y: Floats32, variance: Floats32, brightness: Image) -> CellMatches:
-    """Average the `kept` pixels (H, W) that share their coordinates `x` and `y`, weighted by `brightness`."""
+def average_cells(kept: Bools, projector_px: Floats32, variance: Floats32, brightness: Image) -> CellMatches:
+    """Average the `kept` pixels (H, W) that share their `projector_px` (H, W, 2), weighted by `brightness` (H, W)."""
     rejected = np.zeros(kept.shape, np.bool_)
     row, column = np.nonzero(kept)
     if not len(row):
         return CellMatches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), rejected)
-    across, cell_x = _numbered(x[kept])
-    down, cell_y = _numbered(y[kept])
+    across, cell_x = _numbered(projector_px[..., 0][kept])
+    down, cell_y = _numbered(projector_px[..., 1][kept])
     cell_of_pixel = cell_y * len(across) + cell_x
     counts = np.bincount(cell_of_pixel, minlength=len(across) * len(down))
     cells = np.flatnonzero(counts)
@@ -56,9 +56,9 @@ def average_cells(kept: Bools, x: Floats32, y: Floats32, variance: Floats32, bri
     good = np.bincount(group, square) / count <= _SMALLEST_SPREAD + np.median(count)
     good &= _is_whole(cell_x, cell_y, count)
     rejected[row, column] = ~good[group]
-    projector_px = np.stack([across[cell_x], down[cell_y]], axis=1)
+    centre_px = np.stack([across[cell_x], down[cell_y]], axis=1)
     of_cell = np.bincount(group, variance[kept]) / count
-    return CellMatches(camera_px[good], projector_px[good], (of_cell / count)[good], rejected)
+    return CellMatches(camera_px[good], centre_px[good], (of_cell / count)[good], rejected)
 
 
 def _numbered(centres: Floats32) -> tuple[Floats, Ints]:

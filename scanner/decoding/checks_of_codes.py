@@ -7,14 +7,16 @@ where camera pixels next to each other differ in a single bit, their cells must 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.arrays import Bools, Image, Ints
+from calib.compiled import compiled
 from scanner.decoding.accumulate import GrayFold
 from scanner.decoding.arrays import Words
 from scanner.decoding.codes import cell_numbers
+from scanner.decoding.lines import lines_of
 from scanner.decoding.noise import NoiseModel
 from scanner.decoding.plan import GrayCode, SequencePlan
 from scanner.errors import InputError
@@ -88,27 +90,42 @@ def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel
 
 def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> _Changes:
     """Single-bit changes along some rows and columns of the image, between certain pixels."""
-    before, after = np.empty(0, np.uint32), np.empty(0, np.uint32)
-    for transposed in (False, True):
-        words, least, level = (image.T if transposed else image for image in (fold.words, fold.least, middle))
-        lines = np.unique(np.linspace(0, len(words) - 1, _LINES).astype(np.int64))
-        difference_sigma = np.sqrt(2) * noise.sigma(level[lines])
-        certain = least[lines] > np.maximum(_LEAST_DIFFERENCE, _CERTAIN_SIGMAS * difference_sigma)
-        one, next_one = _neighbours(words[lines], certain)
-        change = one ^ next_one
-        single = (change != 0) & (change & (change - np.uint32(1)) == 0)
-        if np.count_nonzero(single) >= _MOSTLY_SINGLE * np.count_nonzero(change):
-            before, after = np.append(before, one[single]), np.append(after, next_one[single])
-    place = np.rint(np.log2(before ^ after)).astype(np.int64)
-    return _Changes(before, after, fold.code.bits - 1 - place)
+    before, after = [np.empty(0, np.uint32)], [np.empty(0, np.uint32)]
+    for is_transposed in (False, True):
+        words, least, level = (
+            lines_of(image.T if is_transposed else image, _LINES) for image in (fold.words, fold.least, middle)
+        )
+        certain = least > np.maximum(_LEAST_DIFFERENCE, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
+        one, next_one = np.empty((2, words.size), np.uint32)
+        single, changes = _note_changes(words.astype(np.uint32), certain, one, next_one)
+        if single >= _MOSTLY_SINGLE * changes:
+            before.append(one[:single])
+            after.append(next_one[:single])
+    words_before, words_after = np.concatenate(before), np.concatenate(after)
+    place = np.rint(np.log2(words_before ^ words_after)).astype(np.int64)
+    return _Changes(words_before, words_after, fold.code.bits - 1 - place)
 
 
-def _neighbours(words: Words, certain: Bools) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Words of certain pixels that follow each other along the rows of an image."""
-    position = np.flatnonzero(certain)
-    near = (np.diff(position) <= _FARTHEST_PX) & (np.diff(position // words.shape[1]) == 0)
-    certain_words: NDArray[np.uint32] = words[certain].astype(np.uint32)
-    return certain_words[:-1][near], certain_words[1:][near]
+@compiled
+def _note_changes(words: Words, certain: Bools, before: Words, after: Words) -> tuple[int, int]:
+    """Note the words of certain pixels that follow each other along a line (lines, P) and differ in a single bit.
+
+    Returns how many there are, and how many pixels that follow each other differ at all.
+    """
+    single = changes = 0
+    for line in range(words.shape[0]):
+        last = -1
+        for place in range(words.shape[1]):
+            if not certain[line, place]:
+                continue
+            if last >= 0 and place - last <= _FARTHEST_PX:
+                change = words[line, place] ^ words[line, last]
+                changes += change != 0
+                if change != 0 and change & (change - 1) == 0:
+                    before[single], after[single] = words[line, last], words[line, place]
+                    single += 1
+            last = place
+    return single, changes
 
 
 def _require_unrepairable(plan: SequencePlan, code: GrayCode, changes: _Changes, wrong: int) -> None:

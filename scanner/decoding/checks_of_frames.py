@@ -5,13 +5,14 @@ black, and a fringe's mean over its shifts is the same grey everywhere. This hol
 brightness curve of the projector. Frames that were exchanged, doubled or taken from elsewhere break it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Bools
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.noise import NoiseModel
 from scanner.decoding.plan import Fringe, SequencePlan
 from scanner.errors import InputError
@@ -48,6 +49,26 @@ class _Shown:
     sigma: Floats32
 
 
+@dataclass(frozen=True)
+class _ShownFringe:
+    """At those pixels, the `levels` (shifts, P) of a fringe, its least-squares fit `offset`, `cosine`, `sine` (P,), and
+    whether it is more than noise.
+    """
+
+    fringe: Fringe
+    levels: Floats32
+    offset: Floats32
+    cosine: Floats32
+    sine: Floats32
+    is_seen: bool
+
+    @property
+    def amplitude(self) -> Floats32:
+        """(P,)."""
+        amplitude: Floats32 = np.hypot(self.cosine, self.sine)
+        return amplitude
+
+
 def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> None:
     """Raise InputError naming the frames of the sample `levels` (frames, P) that contradict the sequence."""
     high, low = levels.max(axis=0), levels.min(axis=0)
@@ -56,7 +77,9 @@ def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, satura
     lit = np.flatnonzero(_well_lit(swing, sigma, high >= saturation))
     lit = lit[:: max(1, len(lit) // _MOST_LIT)]
     shown = _Shown(levels[:, lit], swing[lit], sigma[lit])
-    found = [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown), *_shifts(plan, shown)]
+    # One that the lenses have blurred away shows nothing, right or wrong.
+    seen = [fringe for fringe in (_shown_fringe(fringe, shown) for fringe in plan.fringes) if fringe.is_seen]
+    found = [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown, seen), *_shifts(plan, seen)]
     if found:
         raise InputError("the frames do not show what the capture says: " + "; ".join(found))
 
@@ -82,12 +105,11 @@ def _extremes(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
     for frame, side, word in ((plan.white, 1, "darker"), (plan.black, -1, "brighter")):
         if frame is None:
             continue
-        others = side * np.delete(shown.levels, frame, axis=0)
-        excess = (others - side * shown.levels[frame]) / shown.swing
-        wrong = np.mean(excess.max(axis=0) > _WRONG)
+        excess = shown.levels - shown.levels[frame]
+        beyond = excess > _WRONG * shown.swing if side > 0 else excess < -_WRONG * shown.swing
+        wrong = np.mean(beyond.any(axis=0))
         if wrong > _WRONG_SHARE:
-            suspect = int(np.argmax(np.mean(excess > _WRONG, axis=1)))
-            suspect += suspect >= frame
+            suspect = int(np.argmax(np.count_nonzero(beyond, axis=1)))
             yield (
                 f"{plan.name(frame)} is {word} than others at {wrong:.0%} of the lit pixels, above all than "
                 f"{plan.name(suspect)}"
@@ -99,7 +121,7 @@ def _complements(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
     if len(pairs) < 2:
         return
     sums = np.stack([shown.levels[a] + shown.levels[b] for a, b in pairs])
-    wrong = np.mean(np.abs(sums - np.median(sums, axis=0)) > _WRONG * shown.swing, axis=1)
+    wrong = np.mean(np.abs(sums - medians(sums, axis=0)) > _WRONG * shown.swing, axis=1)
     if wrong.max() > _WRONG_SHARE:
         suspects = [frame for pair, share in zip(pairs, wrong, strict=True) for frame in pair if share > _WRONG_SHARE]
         yield (
@@ -108,36 +130,33 @@ def _complements(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
         )
 
 
-def _means(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
-    even = [fringe for fringe in plan.fringes if fringe.equal_steps and _is_seen(fringe, shown)]
+def _means(plan: SequencePlan, shown: _Shown, seen: Sequence[_ShownFringe]) -> Iterator[str]:
+    even = [one for one in seen if one.fringe.equal_steps]
     if not even:
         return
-    means = [np.mean(shown.levels[list(fringe.frames)], axis=0) for fringe in even]
-    reference = np.median(means, axis=0) if len(even) > 1 else shown.levels.min(axis=0)
-    for fringe, mean in zip(even, means, strict=True):
-        steps = len(fringe.shifts)
-        _, cosine, sine = _components(fringe, shown)
-        amplitude = float(np.median(np.hypot(cosine, sine) / shown.swing))
-        spread = _robust_sigma((mean - reference) / shown.swing)
-        noise = float(np.median(shown.sigma / shown.swing)) / np.sqrt(steps)
-        if steps * np.sqrt(max(spread**2 - noise**2, 0.0)) > _WRONG_MEAN * amplitude:
-            yield f"the mean of {plan.names(fringe.frames)} is no even grey, as it is for a fringe in equal steps"
+    means = np.stack([np.mean(one.levels, axis=0) for one in even])
+    reference = medians(means, axis=0) if len(even) > 1 else shown.levels.min(axis=0)
+    relative_noise = float(np.median(shown.sigma / shown.swing))
+    spreads = robust_sigmas((means - reference) / shown.swing)
+    amplitudes = medians(np.stack([one.amplitude for one in even]) / shown.swing, axis=1)
+    for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):
+        steps = len(one.fringe.shifts)
+        if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG_MEAN * amplitude:
+            yield f"the mean of {plan.names(one.fringe.frames)} is no even grey, as it is for a fringe in equal steps"
 
 
-def _shifts(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
+def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[str]:
     """Measure amplitude and shift of each frame against the fringe that all of them make together."""
-    for fringe in plan.fringes:
-        if not _is_seen(fringe, shown):
-            continue
-        offset, cosine, sine = _components(fringe, shown)
-        swings = shown.levels[list(fringe.frames)] - offset
+    for one in seen:
+        fringe, swings = one.fringe, one.levels - one.offset
         angles = 2 * np.pi * np.array(fringe.shifts)
         phasors = np.stack([np.cos(angles), -np.sin(angles)])
-        unexplained = swings - phasors.T.astype(np.float32) @ np.stack([cosine, sine])
+        components = np.stack([one.cosine, one.sine])
+        unexplained = swings - phasors.T.astype(np.float32) @ components
         if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):
             yield f"{plan.names(fringe.frames)} make no fringe together"
             continue
-        components = np.stack([cosine, sine]).astype(np.float64)
+        components = components.astype(np.float64)
         gram = components @ components.T
         if np.linalg.cond(gram) > _MOST_UNEVEN**2:
             continue
@@ -147,17 +166,8 @@ def _shifts(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
             yield f"{plan.names(suspects)} have another shift or period than their patterns"
 
 
-def _is_seen(fringe: Fringe, shown: _Shown) -> bool:
-    """Whether a fringe is more than noise: one that the lenses have blurred away shows nothing, right or wrong."""
+def _shown_fringe(fringe: Fringe, shown: _Shown) -> _ShownFringe:
     levels = shown.levels[list(fringe.frames)]
-    return bool(np.median(np.std(levels, axis=0, ddof=1) / shown.sigma) > _BLURRED_AWAY)
-
-
-def _components(fringe: Fringe, shown: _Shown) -> tuple[Floats32, Floats32, Floats32]:
-    frames = shown.levels[list(fringe.frames)]
-    offset, cosine, sine = np.tensordot(fringe.weights.astype(np.float32), frames, axes=1)
-    return offset, cosine, sine
-
-
-def _robust_sigma(values: Floats32) -> float:
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+    offset, cosine, sine = np.tensordot(fringe.weights.astype(np.float32), levels, axes=1)
+    spread = medians(np.std(levels, axis=0, ddof=1) / shown.sigma, axis=0)
+    return _ShownFringe(fringe, levels, offset, cosine, sine, bool(spread > _BLURRED_AWAY))

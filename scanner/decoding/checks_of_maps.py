@@ -6,17 +6,21 @@ projector see the same side of a surface, so that the map between them is never 
 
 from dataclasses import replace
 from itertools import pairwise
+from math import sqrt
 
 import numpy as np
 
 from calib.arrays import Bools, Ints
+from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.calibrate import sample_orders
-from scanner.decoding.codes import interval_of
-from scanner.decoding.coordinate import AxisDecoder, MaskReason, Signals
+from scanner.decoding.calibrate import agreeing
+from scanner.decoding.coordinate import AxisDecoder
+from scanner.decoding.lines import lines_of
 from scanner.decoding.maps import Maps
 from scanner.decoding.plan import AxisPlan, SequencePlan
-from scanner.decoding.unwrap import widest_tolerances
+from scanner.decoding.reasons import MaskReason
+from scanner.decoding.signals import Signals
+from scanner.decoding.unwrap import disagreements, widest_tolerances
 from scanner.errors import InputError
 
 _FEWEST_PIXELS = 100
@@ -26,7 +30,8 @@ _INFORMATIVE = 0.3
 _UNRELATED_CYCLES = 0.1
 _MOST_BAD = 0.6
 _STRIDE = 3
-_LINES = 96
+_MOST_COMPARED = 100_000
+_LINES = 48
 _FARTHEST_PX = 16
 
 
@@ -35,8 +40,9 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     axis = decoder.plan
     if not axis.fringes:
         return
-    interval = interval_of(axis, signals.words)
-    lit = decoder.well_lit(signals) & ~interval.outside & ~interval.contradictory
+    measured = replace(decoder, tolerances=widest_tolerances(axis)).measure(signals)
+    interval = measured.interval
+    lit = measured.well_lit & interval.possible
     if np.count_nonzero(lit) < _FEWEST_PIXELS:
         return
     for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):
@@ -47,10 +53,8 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
                 f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were some "
                 f"of these frames exchanged{_or_code(plan, axis)}?"
             )
-    orders, _ = sample_orders(replace(decoder, tolerances=widest_tolerances(axis)), signals)
-    for (longer, shorter), distance in zip(
-        pairwise(axis.fringes[: decoder.finest + 1]), orders.distances(), strict=False
-    ):
+    between_px = disagreements(measured.orders, interval, agreeing(measured)).between_px
+    for (longer, shorter), distance in zip(pairwise(axis.fringes[: decoder.finest + 1]), between_px, strict=False):
         apart = float(np.median(distance))
         if apart > _UNRELATED_CYCLES * shorter.period:
             raise InputError(
@@ -66,7 +70,7 @@ def check_maps(plan: SequencePlan, maps: Maps, kept: Bools) -> None:
 
     `kept` (H, W): after all masks.
     """
-    for axis, value, counts in zip(plan.axes, (maps.x, maps.y), maps.counts, strict=True):
+    for axis, value, counts in zip(plan.axes, np.moveaxis(maps.projector_px, 2, 0), maps.counts, strict=True):
         _check_share(plan, axis, counts, int(np.count_nonzero(kept)))
         if axis.codes and axis.fringes:
             _check_direction(plan, axis, value, kept)
@@ -96,16 +100,11 @@ def _check_share(plan: SequencePlan, axis: AxisPlan, counts: Ints, kept: int) ->
 def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: Bools) -> None:
     """Fringes that fill a Gray cell agree with a code that runs backwards; but then each cell's edge is a jump."""
     code = min(axis.codes, key=lambda code: code.cell)
-    jumps = total = 0
-    for image, there in ((value, kept), (value.T, kept.T)):
-        lines = np.unique(np.linspace(0, len(image) - 1, _LINES).astype(np.int64))
-        position = np.flatnonzero(there[lines])
-        near = (np.diff(position) <= _FARTHEST_PX) & (np.diff(position // image.shape[1]) == 0)
-        along = image[lines][there[lines]]
-        step = np.abs(np.diff(along))[near]
-        crosses = np.diff(np.floor((along + 0.5 + code.offset) / code.cell))[near] != 0
-        jumps += int(np.count_nonzero(step[crosses] > code.cell))
-        total += int(np.count_nonzero(crosses))
+    counts = [
+        _count_jumps(lines_of(image, _LINES), lines_of(there, _LINES), code.cell, code.offset + 0.5)
+        for image, there in ((value, kept), (value.T, kept.T))
+    ]
+    jumps, total = np.sum(counts, axis=0)
     if total >= _FEWEST_PIXELS and jumps > total / 2:
         raise InputError(
             f"the Gray code along {axis.axis} runs against its fringes; were frames of it exchanged, perhaps with "
@@ -113,18 +112,39 @@ def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: 
         )
 
 
+@compiled
+def _count_jumps(values: Floats32, there: Bools, cell: float, before: float) -> tuple[int, int]:
+    """How often pixels that follow each other along a line (lines, P) are in different cells, and how often more than a
+    cell apart at that; cells begin so far before zero.
+    """
+    jumps = total = 0
+    for line in range(values.shape[0]):
+        last = -1
+        for place in range(values.shape[1]):
+            if not there[line, place]:
+                continue
+            if last >= 0 and place - last <= _FARTHEST_PX:
+                value, value_before = values[line, place], values[line, last]
+                if np.floor((value + before) / cell) != np.floor((value_before + before) / cell):
+                    total += 1
+                    jumps += abs(value - value_before) > cell
+            last = place
+    return jumps, total
+
+
 def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | None:
     """The axis that runs backwards, if the map from camera to projector pixels changes orientation at most pixels."""
     reach = max(_reach(axis, kept.shape) for axis in plan.axes)
     if 2 * reach >= min(kept.shape):
         return None
-    near, far, inner = np.s_[: -2 * reach : _STRIDE], np.s_[2 * reach :: _STRIDE], np.s_[reach:-reach:_STRIDE]
+    stride = max(_STRIDE, round(sqrt(kept.size / _MOST_COMPARED)))
+    near, far, inner = np.s_[: -2 * reach : stride], np.s_[2 * reach :: stride], np.s_[reach:-reach:stride]
     left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
     whole = kept[left] & kept[right] & kept[above] & kept[below]
     if np.count_nonzero(whole) < _FEWEST_PIXELS:
         return None
-    x_u, y_u = ((value[right] - value[left])[whole] for value in (maps.x, maps.y))
-    x_v, y_v = ((value[below] - value[above])[whole] for value in (maps.x, maps.y))
+    x_u, y_u = ((value[right] - value[left])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
+    x_v, y_v = ((value[below] - value[above])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
     if np.mean(x_u * y_v < x_v * y_u) <= 0.5:
         return None
     # Devices stand roughly upright: the axis that is against the camera's own is the one that runs backwards.

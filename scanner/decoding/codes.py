@@ -6,53 +6,47 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Bools
+from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32, Words
 from scanner.decoding.plan import AxisPlan
 
-# A table of all words is looked up faster than their cells are computed, as long as it is small.
-_MOST_TABLE_BITS = 16
+_HALF = np.float32(0.5)
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Where the Gray codes put each pixel: `centre` ± `half` projector pixels, arrays of one shape or of one element.
+    """Where the Gray codes put each pixel: from `low` to `high` in projector pixels; arrays (P,).
 
     `outside`: the code is that of no projector pixel. `contradictory`: two codes have no interval in common.
     """
 
-    centre: Floats32
-    half: Floats32
+    low: Floats32
+    high: Floats32
     outside: Bools
     contradictory: Bools
 
+    @property
+    def centre(self) -> Floats32:
+        """The middle of it."""
+        return _HALF * (self.low + self.high)
 
-def interval_of(plan: AxisPlan, words: Sequence[Words]) -> Interval:
-    """The interval common to all Gray codes of an axis, given the words of each; without codes the whole axis."""
-    if len(plan.codes) != 1 or plan.codes[0].bits > _MOST_TABLE_BITS or words[0].size <= 1 << plan.codes[0].bits:
-        return _interval(plan, words)
-    table = _interval(plan, [np.arange(1 << plan.codes[0].bits, dtype=words[0].dtype)])
-    return Interval(
-        np.take(table.centre.ravel(), words[0]),
-        np.take(table.half.ravel(), words[0]),
-        np.take(table.outside.ravel(), words[0]),
-        np.zeros((1, 1), np.bool_),
-    )
+    @property
+    def possible(self) -> Bools:
+        """Where the codes make sense."""
+        return ~(self.outside | self.contradictory)
 
 
-def _interval(plan: AxisPlan, words: Sequence[Words]) -> Interval:
-    first, last = np.full((1, 1), -0.5, np.float32), np.full((1, 1), plan.length - 0.5, np.float32)
-    low, high, outside = first, last, np.zeros((1, 1), np.bool_)
-    for code, word in zip(plan.codes, words, strict=True):
-        start: Floats32 = cell_numbers(word).astype(np.float32)
-        start *= np.float32(code.cell)
-        start -= np.float32(code.offset + 0.5)
-        end = start + np.float32(code.cell)
-        outside = outside | (end <= first) | (start >= last)
-        low, high = np.maximum(low, start), np.minimum(high, end)
+def interval_of(plan: AxisPlan, words: Sequence[Words], pixels: int) -> Interval:
+    """The interval common to all Gray codes of an axis, given the words (P,) of each; without codes the whole axis."""
+    first, last = np.float32(-0.5), np.float32(plan.length - 0.5)
+    low, high = np.full(pixels, first), np.full(pixels, last)
+    outside, contradictory = np.empty(pixels, np.bool_), np.empty(pixels, np.bool_)
+    for code, of_code in zip(plan.codes, words, strict=True):
+        numbers: Floats32 = cell_numbers(of_code).astype(np.float32)
+        _narrow(numbers, np.float32(code.cell), np.float32(code.offset + 0.5), low, high)
     # Codes whose edges are a little blurred may miss each other by as little.
-    contradictory = low - high > plan.cell / 2
-    half = np.minimum(np.float32(0.5) * np.abs(high - low), np.float32(plan.cell / 2))
-    return Interval(np.float32(0.5) * (low + high), half, outside, contradictory)
+    _settle(first, last, np.float32(plan.cell / 2), low, high, outside, contradictory)
+    return Interval(low, high, outside, contradictory)
 
 
 def cell_numbers(words: Words) -> Words:
@@ -63,3 +57,31 @@ def cell_numbers(words: Words) -> Words:
         np.bitwise_xor(numbers, numbers >> shift, out=numbers)
         shift *= 2
     return numbers
+
+
+@compiled
+def _narrow(numbers: Floats32, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
+    """What the cell numbers of one code, which begins so far before the first pixel, leave of the intervals."""
+    for i in range(len(numbers)):
+        start, first, last = numbers[i] * cell - before, low[i], high[i]
+        low[i] = max(first, start)
+        high[i] = min(last, start + cell)
+
+
+@compiled
+def _settle(
+    first: np.float32,
+    last: np.float32,
+    slack: np.float32,
+    low: Floats32,
+    high: Floats32,
+    outside: Bools,
+    contradictory: Bools,
+) -> None:
+    """Note intervals that are not between `first` and `last`, or end before they begin; of these, exchange the ends."""
+    for i in range(len(low)):
+        start, end = low[i], high[i]
+        outside[i] = (start >= last) | (end <= first)
+        contradictory[i] = start - end > slack
+        low[i] = min(start, end)
+        high[i] = max(start, end)

@@ -1,21 +1,33 @@
 """One projector coordinate from what was accumulated: code words, fringe components → coordinate, variance, reason."""
 
 from dataclasses import dataclass
-from enum import IntEnum
+from functools import cached_property
 from math import pi, sqrt
-from typing import cast
 
 import cv2
 import numpy as np
 
-from calib.arrays import Bools, Image
-from scanner.decoding.arrays import Floats32, Reasons, Words
+from calib.arrays import Bools
+from calib.compiled import compiled
+from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.codes import Interval, interval_of
 from scanner.decoding.noise import NoiseModel
 from scanner.decoding.plan import AxisPlan, Fringe
-from scanner.decoding.response import TABLE_LENGTH
+from scanner.decoding.reasons import (
+    NOT_LIT,
+    UNCERTAIN,
+    MaskReason,
+    note_codes,
+    note_contrast,
+    note_indirect,
+    note_light,
+    note_orders,
+    note_turned_over,
+    reasons_of,
+)
 from scanner.decoding.shading import log_amplitude
-from scanner.decoding.systematic import systematic_variances
+from scanner.decoding.signals import Signals
+from scanner.decoding.systematic import add_systematic
 from scanner.decoding.unwrap import Orders, Tolerances, Wrapped, unwrap
 
 # A signal counts from five standard deviations on: an unlit pixel passes by chance once in three million times.
@@ -26,51 +38,13 @@ _CERTAIN_BIT = 1.5
 _LEAST_DIFFERENCE = 5.0
 # How far beyond the projector's pixels noise may carry a coordinate.
 _EDGE_PX = 0.5
-
-
-class MaskReason(IntEnum):
-    """Why a camera pixel has no match."""
-
-    KEPT = 0
-    DARK = 1
-    """The patterns change its brightness by no more than noise would."""
-    SATURATED = 2
-    """A fringe reached the camera's largest value."""
-    UNDECIDED = 3
-    """A bit of the Gray code is within the noise of its threshold, and no fringe helps."""
-    INCONSISTENT = 4
-    """Gray codes and fringes contradict each other, or allow two answers."""
-    OUTSIDE = 5
-    """The code is that of no projector pixel."""
-    ISOLATED = 6
-    """It does not continue the surface that its neighbours see: an edge of surface or light, or a lone error."""
-    INDIRECT = 7
-    """Codes and fringes contradict each other where more light comes from other surfaces than from the projector."""
-
-
-@dataclass(frozen=True)
-class Signals:
-    """What was accumulated for one axis at some pixels; all arrays of one 2-D shape.
-
-    Per code `words`, `least` unless fringes contradict wrong bits, and, without fringes, `contrast` as in `GrayFold`;
-    per fringe its two components, longest period first.
-    `brightest`, `middle`: grey level when lit, and half-way between lit and unlit. `peak`: largest among the fringes.
-    `log_exposure`: None if all pixels have the same.
-    """
-
-    words: list[Words]
-    least: list[Image]
-    contrast: list[Image]
-    fringes: list[tuple[Floats32, Floats32]]
-    brightest: Image
-    middle: Image
-    peak: Image
-    log_exposure: Floats32 | None = None
+_FAINTEST_POWER = np.float32(1e-6)
+_CYCLE = np.float32(2 * pi)
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """`value` in projector pixels with its `variance`, and the `reason` not to use it; arrays of one shape.
+    """`value` in projector pixels with its `variance`, and the `reason` not to use it; arrays (H, W).
 
     `log_amplitude`: of the finest fringes that are seen; None without fringes.
     """
@@ -79,6 +53,31 @@ class Coordinate:
     variance: Floats32
     reason: Reasons
     log_amplitude: Floats32 | None = None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What codes and fringes of an axis say at each pixel, with squared amplitudes `powers` (fringes, P), `variances`
+    (fringes, P) of the coordinates by noise, and what speaks `against` them (P,), as flags.
+    """
+
+    interval: Interval
+    powers: Floats32
+    variances: Floats32
+    orders: Orders
+    against: Reasons
+
+    @property
+    def well_lit(self) -> Bools:
+        """(P,): the longest fringe is seen, and none is saturated."""
+        lit: Bools = self.against & np.uint8(NOT_LIT) == 0
+        return lit
+
+    @property
+    def certain(self) -> Bools:
+        """(P,): well lit, and with one order of the fringes that agrees, and no other."""
+        certain: Bools = self.against & np.uint8(NOT_LIT | UNCERTAIN) == 0
+        return certain
 
 
 @dataclass(frozen=True)
@@ -96,148 +95,97 @@ class AxisDecoder:
     tolerances: Tolerances
     finest: int = 0
 
-    def decode(self, signals: Signals) -> Coordinate:
-        """The coordinate at every pixel of the signals."""
-        interval = interval_of(self.plan, signals.words)
-        decode = self._from_fringes if self.plan.fringes else self._from_codes
-        coordinate = decode(signals, interval)
-        reason = coordinate.reason
-        if interval.contradictory.any():
-            reason[(reason == MaskReason.KEPT) & interval.contradictory] = MaskReason.INCONSISTENT
-        if interval.outside.any():
-            undecided = (reason == MaskReason.KEPT) | (reason == MaskReason.INCONSISTENT)
-            reason[undecided & interval.outside] = MaskReason.OUTSIDE
-        return coordinate
-
-    def well_lit(self, signals: Signals) -> Bools:
-        """Where the longest fringe is seen and none is saturated."""
-        return ~(self._dark(self.fringe_variances(signals)) | self._saturated(signals.peak))
-
-    def seen(self, variances: list[Floats32]) -> Bools:
-        """Where every fringe is seen, given the variances of their coordinates."""
-        seen = [v <= largest_variance(f) for f, v in zip(self.plan.fringes, variances, strict=True)]
-        result: Bools = np.all(seen, axis=0)
-        return result
-
-    def positions(self, signals: Signals) -> list[Floats32]:
-        """Per fringe, the position within its period in projector pixels."""
-        found = []
-        for fringe, ripple, components in zip(self.plan.fringes, self.ripple, signals.fringes, strict=True):
-            phase = cast(Floats32, cv2.phase(*components))
-            if ripple is not None:
-                index = phase * np.float32(TABLE_LENGTH / (2 * pi))
-                phase += np.take(ripple, index.astype(np.uint16), mode="wrap")
-            phase *= np.float32(fringe.period / (2 * pi))
-            found.append(phase)
-        return found
-
-    def orders(self, signals: Signals, interval: Interval, variances: list[Floats32]) -> Orders:
-        """The fringe orders at every pixel, certain or not."""
-        wrapped = [Wrapped(*pair) for pair in zip(self.positions(signals), variances, strict=True)]
-        return unwrap(self.plan, interval, wrapped, self.tolerances)
-
-    def fringe_variances(self, signals: Signals) -> list[Floats32]:
-        """Per fringe, the variance of its coordinate by noise.
+    @cached_property
+    def _units_px2(self) -> list[float]:
+        """Per fringe, the variance of its coordinate where noise and amplitude are equal.
 
         σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal shifts.
         """
-        return self._variances(_powers(signals), signals)
+        return [(fringe.period / (2 * pi) * fringe.noise_gain) ** 2 for fringe in self.plan.fringes]
 
-    def _variances(self, powers: list[Floats32], signals: Signals) -> list[Floats32]:
-        level_variance = self.noise.variance(signals.middle)
-        variances = []
-        for fringe, power in zip(self.plan.fringes, powers, strict=True):
-            variance = level_variance / power
-            variance *= np.float32((fringe.period / (2 * pi) * fringe.noise_gain) ** 2)
-            variances.append(variance)
-        return variances
+    @cached_property
+    def _darkest_px2(self) -> np.float32:
+        """The variance of the longest fringe where it is just seen; lenses blur the others more."""
+        return np.float32(largest_variance(self.plan.fringes[0], with_gray=bool(self.plan.codes)))
 
-    def _dark(self, variances: list[Floats32]) -> Bools:
-        """Where the longest fringe is not seen; the lenses blur the others more, and they are not needed."""
-        dark: Bools = variances[0] > largest_variance(self.plan.fringes[0], with_gray=bool(self.plan.codes))
-        return dark
+    def decode(self, signals: Signals) -> Coordinate:
+        """The coordinate at every pixel of the signals."""
+        return self._from_fringes(signals) if self.plan.fringes else self._from_codes(signals)
 
-    def _saturated(self, level: Image) -> Bools:
+    def measure(self, signals: Signals) -> Measured:
+        """What the fringes say at every pixel, of an axis that has fringes."""
+        interval = interval_of(self.plan, signals.words, len(signals.middle))
+        powers, variances = (np.empty((len(self.plan.fringes), len(signals.middle)), np.float32) for _ in range(2))
+        for k, (unit, (cosine, sine)) in enumerate(zip(self._units_px2, signals.components, strict=True)):
+            at_black, per_level = np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)
+            _amplitude(cosine, sine, signals.middle, at_black, per_level, powers[k], variances[k])
+        orders = unwrap(self.plan, interval, Wrapped(self.positions(signals), variances), self.tolerances)
+        against = np.empty(len(signals.middle), np.uint8)
+        note_codes(interval.outside, interval.contradictory, against)
+        note_orders(orders.agree, orders.unique, against)
+        note_indirect(powers[0], signals.brightest, signals.middle, against)
+        note_light(variances[0], self._darkest_px2, self._saturated(signals), against)
+        # No second period would contradict a bit that global light has turned over.
+        for least in () if self.plan.corrects_bits else signals.least:
+            note_turned_over(least, powers[0], signals.brightest, signals.middle, against)
+        return Measured(interval, powers, variances, orders, against)
+
+    def positions(self, signals: Signals) -> Floats32:
+        """(fringes, P): the position within the period in projector pixels."""
+        found = np.empty((len(self.plan.fringes), len(signals.middle)), np.float32)
+        for fringe, ripple, (cosine, sine), position in zip(
+            self.plan.fringes, self.ripple, signals.components, found, strict=True
+        ):
+            cv2.phase(cosine[None], sine[None], position[None])
+            if ripple is not None:
+                _straighten(position, ripple)
+            position *= np.float32(fringe.period / (2 * pi))
+        return found
+
+    def _saturated(self, signals: Signals) -> Bools:
         # In the image's own type, for comparing bytes with a float converts them all.
-        if self.saturation > np.iinfo(level.dtype).max:
-            return np.zeros(level.shape, np.bool_)
-        saturated: Bools = level >= level.dtype.type(self.saturation)
+        peak = signals.peak
+        if self.saturation > np.iinfo(peak.dtype).max:
+            return np.zeros(peak.shape, np.bool_)
+        saturated: Bools = peak >= peak.dtype.type(self.saturation)
         return saturated
 
-    def _from_fringes(self, signals: Signals, interval: Interval) -> Coordinate:
-        powers = _powers(signals)
-        variances = self._variances(powers, signals)
-        orders = self.orders(signals, interval, variances)
-        certain = orders.certain
-        dark = self._dark(variances)
-        bright = self._saturated(signals.peak)
-        periods = [fringe.period for fringe in self.plan.fringes]
-        if len(periods) > 1:
-            usable = certain & self.seen(variances) & ~dark & ~bright
-            systematic = systematic_variances(periods, orders.coordinates, variances, usable)
-            for variance, more in zip(variances, systematic, strict=True):
-                variance += more
-        value, variance = _weighted_mean(orders.coordinates, variances)
-        reason = np.zeros(value.shape, np.uint8)
+    def _from_fringes(self, signals: Signals) -> Coordinate:
+        measured = self.measure(signals)
+        coordinates, variances = measured.orders.coordinates, measured.variances
+        if len(coordinates) > 1:
+            usable = measured.certain
+            for fringe, variance in zip(self.plan.fringes, variances, strict=True):
+                usable &= variance <= np.float32(largest_variance(fringe))
+            periods = [fringe.period for fringe in self.plan.fringes]
+            add_systematic(periods, coordinates, variances, usable, signals.shape)
+        value, variance = coordinates[0], variances[0]
+        for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
+            _average_in(of_fringe, own_variance, value, variance)
+        reason = reasons_of(measured.against)
         centre, reach = np.float32((self.plan.length - 1) / 2), np.float32(self.plan.length / 2 + _EDGE_PX)
-        reason[np.abs(value - centre) > reach] = MaskReason.OUTSIDE
-        indirect = _mostly_indirect(signals, powers[0])
-        reason[~certain] = MaskReason.INCONSISTENT
-        reason[~certain & indirect] = MaskReason.INDIRECT
-        if not self.plan.corrects_bits:
-            # No second period would contradict a bit that global light has turned over.
-            reason[_may_be_turned_over(signals, powers[0], indirect)] = MaskReason.INDIRECT
-        reason[bright] = MaskReason.SATURATED
-        reason[dark] = MaskReason.DARK
-        brightness = log_amplitude(powers[self.finest])
+        _note_beyond(value, centre, reach, np.uint8(MaskReason.OUTSIDE), reason)
+        brightness = log_amplitude(measured.powers[self.finest])
         if signals.log_exposure is not None:
             brightness -= signals.log_exposure
-        return Coordinate(value, variance, reason, brightness)
+        shape = signals.shape
+        return Coordinate(
+            value.reshape(shape), variance.reshape(shape), reason.reshape(shape), brightness.reshape(shape)
+        )
 
-    def _from_codes(self, signals: Signals, interval: Interval) -> Coordinate:
+    def _from_codes(self, signals: Signals) -> Coordinate:
+        interval = interval_of(self.plan, signals.words, len(signals.middle))
         difference_sigma = np.float32(sqrt(2)) * self.noise.sigma(signals.middle)
         least_certain = np.maximum(np.float32(_LEAST_DIFFERENCE), np.float32(_CERTAIN_BIT) * difference_sigma)
         least_seen = np.maximum(np.float32(2 * _LEAST_DIFFERENCE), np.float32(_SEEN) * difference_sigma)
-        reason = np.zeros(signals.middle.shape, np.uint8)
+        against = np.empty(len(signals.middle), np.uint8)
+        note_codes(interval.outside, interval.contradictory, against)
         for least, contrast in zip(signals.least, signals.contrast, strict=True):
-            reason[(least <= least_certain) & (reason == MaskReason.KEPT)] = MaskReason.UNDECIDED
-            reason[contrast <= least_seen] = MaskReason.DARK
-        # Evenly spread over the cell: (2 · half)² / 12.
-        return Coordinate(interval.centre, np.float32(1 / 3) * interval.half * interval.half, reason)
-
-
-def _mostly_indirect(signals: Signals, power: Floats32) -> Bools:
-    """Where the amplitude of the longest fringe, half of the direct light, is less than a quarter of all light.
-
-    Fringes too short for light to carry them around a corner separate direct from global light (Nayar et al., SIGGRAPH
-    2006).
-    """
-    half_of_all = signals.brightest.astype(np.float32)
-    half_of_all -= signals.middle
-    half_of_all *= half_of_all
-    indirect: Bools = half_of_all > 4 * power
-    return indirect
-
-
-def _may_be_turned_over(signals: Signals, power: Floats32, indirect: Bools) -> Bools:
-    """Where a bit's contrast is no more than what global light has in excess of direct light (Xu and Aliaga, 2007)."""
-    pixels = np.flatnonzero(indirect)
-    brightest, middle = (image.ravel()[pixels].astype(np.float32) for image in (signals.brightest, signals.middle))
-    excess = 2 * (brightest - middle) - 4 * np.sqrt(power.ravel()[pixels])
-    turned = np.zeros(indirect.shape, np.bool_)
-    for least in signals.least:
-        turned.ravel()[pixels] |= least.ravel()[pixels] <= excess
-    return turned
-
-
-def _powers(signals: Signals) -> list[Floats32]:
-    """Per fringe, the square of its amplitude."""
-    powers = []
-    for cosine, sine in signals.fringes:
-        power = cosine * cosine
-        power += sine * sine
-        powers.append(np.maximum(power, np.float32(1e-6), out=power))
-    return powers
+            note_contrast(least, least_certain, contrast, least_seen, against)
+        # Evenly spread over the interval.
+        variance = np.float32(1 / 12) * (interval.high - interval.low) ** 2
+        shape = signals.shape
+        return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reasons_of(against).reshape(shape))
 
 
 def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
@@ -250,11 +198,41 @@ def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
     return (fringe.period / (2 * pi) / needed) ** 2
 
 
-def _weighted_mean(coordinates: list[Floats32], variances: list[Floats32]) -> tuple[Floats32, Floats32]:
-    """Each by the inverse of its variance, and the variance of the mean."""
-    value, variance = coordinates[0], variances[0]
-    for coordinate, own_variance in zip(coordinates[1:], variances[1:], strict=True):
-        share = variance / (variance + own_variance)
-        value = value + share * (coordinate - value)
-        variance = share * own_variance
-    return value, variance
+@compiled
+def _amplitude(
+    cosine: Floats32,
+    sine: Floats32,
+    level: Floats32,
+    at_black: np.float32,
+    per_level: np.float32,
+    power: Floats32,
+    variance: Floats32,
+) -> None:
+    """The square of a fringe's amplitude, and the variance of its coordinate by noise, which grows with the level."""
+    for i in range(len(cosine)):
+        power[i] = max(cosine[i] * cosine[i] + sine[i] * sine[i], _FAINTEST_POWER)
+        variance[i] = (at_black + per_level * level[i]) / power[i]
+
+
+@compiled
+def _straighten(phase: Floats32, ripple: Floats32) -> None:
+    """Add a table over a cycle, whose length is a power of two."""
+    last, steps_per_radian = np.int32(len(ripple) - 1), np.float32(len(ripple)) / _CYCLE
+    for i in range(len(phase)):
+        phase[i] += ripple[np.int32(phase[i] * steps_per_radian) & last]
+
+
+@compiled
+def _average_in(coordinate: Floats32, own_variance: Floats32, value: Floats32, variance: Floats32) -> None:
+    """The mean, each by the inverse of its variance, and the variance of the mean: in place of `value`, `variance`."""
+    for i in range(len(value)):
+        share = variance[i] / (variance[i] + own_variance[i])
+        value[i] += share * (coordinate[i] - value[i])
+        variance[i] = share * own_variance[i]
+
+
+@compiled
+def _note_beyond(value: Floats32, centre: np.float32, reach: np.float32, outside: np.uint8, reason: Reasons) -> None:
+    """Give a reason to pixels that have none and are too far from the centre."""
+    for i in range(len(value)):
+        reason[i] = outside if (abs(value[i] - centre) > reach) & (reason[i] == 0) else reason[i]

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.medians import medians
 from scanner.decoding.plan import SequencePlan
 
 _FEWEST = 3
@@ -28,6 +29,7 @@ def flicker_of(plan: SequencePlan, levels: Floats32) -> float | None:
 
 
 def _spread(groups: Sequence[Floats32]) -> float:
-    usual = np.median(groups, axis=0)
-    lit = usual > np.median(usual)
-    return float(np.std([np.median(group[lit] / usual[lit]) for group in groups]))
+    levels = np.stack(groups)
+    usual = medians(levels, axis=0)
+    lit = np.flatnonzero(usual > np.median(usual))
+    return float(np.std(medians(levels[:, lit] / usual[lit], axis=1)))

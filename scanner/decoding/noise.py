@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.plan import SequencePlan
 from scanner.decoding.sample import Sample
 
@@ -61,7 +62,7 @@ def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> Nois
     if curvature is not None:
         rows = zip(levels[:, unsaturated], curvature[:, unsaturated], strict=True)
         repeats += [(level, bend / np.float32(np.sqrt(6))) for level, bend in rows]
-    return _fit(*_variance_by_level(repeats))
+    return _fit(*_variance_by_level(*(np.stack(parts) for parts in zip(*repeats, strict=True))))
 
 
 def _repeats(plan: SequencePlan, levels: Floats32) -> list[tuple[Floats32, Floats32]]:
@@ -76,28 +77,24 @@ def _repeats(plan: SequencePlan, levels: Floats32) -> list[tuple[Floats32, Float
     return found
 
 
-def _variance_by_level(repeats: list[tuple[Floats32, Floats32]]) -> tuple[list[float], list[float]]:
-    """Mean level and variance in bins of equal width in level.
+def _variance_by_level(levels: Floats32, differences: Floats32) -> tuple[list[float], list[float]]:
+    """Mean level and variance in bins of equal width in level; `levels`, `differences` are (repeats, P).
 
     Of the repeats the quieter ones count: a camera that is not linear adds a difference of its own where the stripes
     are as fine as its pixels.
     """
-    level = np.median([level for level, _ in repeats], axis=0)
+    level = medians(levels, axis=0)
     # Dither: the median of small whole numbers would jump between multiples of one.
-    dither = np.random.default_rng(_SEED).uniform(-0.25, 0.25, len(level)).astype(np.float32)
+    dithered = differences + np.random.default_rng(_SEED).uniform(-0.25, 0.25, len(level)).astype(np.float32)
     bins = np.floor(level / (level.max() + 1e-6) * _BINS).astype(np.int64)
     where, variances = [], []
     for number in range(_BINS):
-        chosen = bins == number
-        if np.count_nonzero(chosen) >= _FEWEST_IN_BIN:
+        chosen = np.flatnonzero(bins == number)
+        if len(chosen) >= _FEWEST_IN_BIN:
             where.append(float(np.mean(level[chosen])))
-            found = [_robust_variance((difference + dither)[chosen]) for _, difference in repeats]
+            found = robust_sigmas(dithered[:, chosen]) ** 2
             variances.append(float(np.quantile(found, _QUIET, method="lower")))
     return where, variances
-
-
-def _robust_variance(values: Floats32) -> float:
-    return float(1.4826 * np.median(np.abs(values - np.median(values)))) ** 2
 
 
 def _fit(where: list[float], variances: list[float]) -> NoiseModel:

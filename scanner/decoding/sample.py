@@ -1,5 +1,7 @@
 """A thin sample of every frame: what noise, tolerances and the checks between frames are computed from."""
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,9 +24,11 @@ class Sample:
         height, width = shape
         margin = _STEP if neighbours and width > 2 * _STEP else 0
         inner = width - 2 * margin
-        chosen = np.arange(height * inner)
-        if len(chosen) > _MOST_PIXELS:
-            chosen = np.sort(np.random.default_rng(_SEED).choice(len(chosen), _MOST_PIXELS, replace=False))
+        count = height * inner
+        if count > _MOST_PIXELS:
+            chosen = np.sort(np.random.default_rng(_SEED).choice(count, _MOST_PIXELS, replace=False))
+        else:
+            chosen = np.arange(count)
         row, column = np.divmod(chosen, inner)
         self.pixels: NDArray[np.int64] = row * width + column + margin
         self._margin = margin
@@ -40,9 +44,9 @@ class Sample:
             self._left.append(flat[self.pixels - _STEP])
             self._right.append(flat[self.pixels + _STEP])
 
-    @property
+    @cached_property
     def levels(self) -> Floats32:
-        """(frames, P) grey levels."""
+        """(frames, P) grey levels, once all frames are in."""
         return np.stack(self._frames).astype(np.float32)
 
     @property

@@ -13,10 +13,13 @@ import cv2
 import numpy as np
 
 from calib.arrays import Bools, Floats
+from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.medians import SIGMA_PER_MEDIAN
 
 # Central differences at the sharpest edges, and what the first order leaves: share of the shift that stays uncertain.
-UNCERTAIN_SHARE = 0.35
+_UNCERTAIN_SHARE2 = np.float32(0.35**2)
+_ZERO, _QUARTER = np.float32(0), np.float32(0.25)
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _FINE_PX, _COARSE_PX = 3, 9
 _MARGIN_PX = 6
@@ -24,27 +27,58 @@ _MARGIN_PX = 6
 _JUMP_PX = 0.5
 _FEWEST_TILES = 4
 # Standard deviation of a median of n normal deviates, times √n, over their median deviation from it.
-_MEDIAN_SIGMA = 1.2533 * 1.4826
+_MEDIAN_SIGMA = 1.2533 * SIGMA_PER_MEDIAN
 _SIGNIFICANT = 5.0
 _LARGEST_PX2 = 9.0
 
 
 def log_amplitude(power: Floats32) -> Floats32:
     """Its logarithm from the square of the amplitude, any shape."""
-    return np.asarray(cv2.log(power), np.float32) * np.float32(0.5)
+    result = np.empty_like(power)
+    cv2.log(power.reshape(1, -1), result.reshape(1, -1))
+    result *= np.float32(0.5)
+    return result
 
 
 def shift_per_variance(value: Floats32, log_amplitude: Floats32, usable: Bools) -> Floats32:
     """∇x · ∇ ln A (H, W), by central differences; zero along the border and beside unusable pixels."""
-    shift = np.zeros_like(value)
-    across = np.subtract(value[:, 2:], value[:, :-2], out=shift[:, 1:-1])
-    across *= log_amplitude[:, 2:] - log_amplitude[:, :-2]
-    down = value[2:] - value[:-2]
-    down *= log_amplitude[2:] - log_amplitude[:-2]
-    shift[1:-1] += down
     surrounded = cv2.erode(usable.view(np.uint8), _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    shift *= surrounded.astype(np.float32) * np.float32(0.25)
+    shift = np.zeros_like(value)
+    _add_products(value, log_amplitude, surrounded.view(np.bool_), 0, 1, shift)
+    _add_products(value, log_amplitude, surrounded.view(np.bool_), 1, 0, shift)
     return shift
+
+
+def straighten(
+    value: Floats32, variance: Floats32, log_amplitude: Floats32, usable: Bools, footprint_px2: float
+) -> None:
+    """Take out what shading shifts a coordinate, and be less sure of what was shifted; (H, W), in place."""
+    shift = shift_per_variance(value, log_amplitude, usable)
+    _take_out(shift.ravel(), np.float32(footprint_px2), value.ravel(), variance.ravel())
+
+
+@compiled
+def _add_products(
+    value: Floats32, log_amplitude: Floats32, chosen: Bools, down: int, across: int, sums: Floats32
+) -> None:
+    """Add, at chosen pixels, the product of the two slopes along a column or along a row."""
+    height, width = value.shape
+    for row in range(down, height - down):
+        above, left, right = row - down, width - 2 * across, 2 * across
+        value_before, value_after = value[above, :left], value[row + down, right:]
+        log_before, log_after = log_amplitude[above, :left], log_amplitude[row + down, right:]
+        is_chosen, total = chosen[row, across : width - across], sums[row, across : width - across]
+        for i in range(len(total)):
+            product = (value_after[i] - value_before[i]) * (log_after[i] - log_before[i])
+            total[i] += _QUARTER * product if is_chosen[i] else _ZERO
+
+
+@compiled
+def _take_out(shift: Floats32, footprint_px2: np.float32, value: Floats32, variance: Floats32) -> None:
+    for i in range(len(shift)):
+        by = footprint_px2 * shift[i]
+        value[i] -= by
+        variance[i] += _UNCERTAIN_SHARE2 * by * by
 
 
 def footprint_variance(

@@ -4,6 +4,8 @@ For every order of the longest fringe that falls in the interval, the shorter on
 How far outside the interval it lies, and how far each fringe is from the one before it, are measured in standard
 deviations: the noise's, and what the capture shows beyond it. The order with the smallest sum of squares is taken; two
 that are nearly as good decide nothing.
+
+The loops are compiled. They have no branches and few arrays each, so that they run on eight pixels at once.
 """
 
 from collections.abc import Sequence
@@ -14,14 +16,17 @@ from math import sqrt
 import numpy as np
 
 from calib.arrays import Bools
+from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.codes import Interval
 from scanner.decoding.plan import AxisPlan
 
 # Disagreements of more than this many standard deviations contradict.
 _LIMIT = 5.0
+_LIMIT2 = np.float32(_LIMIT**2)
 # An order is unique if the next best is this much worse: 9 is a likelihood ratio of about 100.
-_CLEAR_MARGIN = 9.0
+_CLEAR_MARGIN = np.float32(9)
+_INFINITE, _ZERO, _HALF = np.float32(np.inf), np.float32(0), np.float32(0.5)
 # The median of |x| for a normal distribution of standard deviation 1.
 GAUSSIAN_MEDIAN = 0.6745
 _FEWEST = 50
@@ -29,10 +34,10 @@ _FEWEST = 50
 
 @dataclass(frozen=True)
 class Wrapped:
-    """Positions of a fringe within its period, 0 … period, and their variances; arrays of one shape."""
+    """Positions of each fringe within its period, 0 … period, and their variances; (fringes, P), longest first."""
 
-    position: Floats32
-    variance: Floats32
+    positions: Floats32
+    variances: Floats32
 
 
 @dataclass(frozen=True)
@@ -48,31 +53,32 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Orders:
-    """`coordinates`: per fringe, longest first, in projector pixels. `excess`: how far outside the interval.
+    """`coordinates` (fringes, P): longest first, in projector pixels.
 
-    `agree`: some order explains all the phases and the interval; where none does, coordinates mean nothing.
-    `unique`: no other order explains them nearly as well; one element where there is none within reach.
+    `agree` (P,): some order explains all the phases and the interval; where none does, coordinates mean nothing.
+    `unique` (P,): no other order explains them nearly as well.
     """
 
-    coordinates: list[Floats32]
-    excess: Floats32
+    coordinates: Floats32
     agree: Bools
     unique: Bools
 
-    @property
-    def certain(self) -> Bools:
-        """Where one order agrees and no other."""
-        return self.agree if self.unique.size == 1 and self.unique.all() else self.agree & self.unique
 
-    def __getitem__(self, chosen: Bools) -> "Orders":
-        """The orders at the pixels of a mask."""
-        coordinates = [coordinate[chosen] for coordinate in self.coordinates]
-        unique = np.broadcast_to(self.unique, chosen.shape)[chosen]
-        return Orders(coordinates, self.excess[chosen], self.agree[chosen], unique)
+@dataclass(frozen=True)
+class Disagreements:
+    """Of pixels whose orders agree: `outside_px` (P,), how far the longest fringe is outside the interval; `between_px`
+    (fringes − 1, P), how far each shorter fringe is from the one before it.
+    """
 
-    def distances(self) -> list[Floats32]:
-        """How far each shorter fringe is from the one before it, in projector pixels."""
-        return [np.abs(shorter - longer) for longer, shorter in pairwise(self.coordinates)]
+    outside_px: Floats32
+    between_px: Floats32
+
+
+def disagreements(orders: Orders, interval: Interval, chosen: Bools) -> Disagreements:
+    """Those at the `chosen` pixels."""
+    coordinates, low, high = orders.coordinates[:, chosen], interval.low[chosen], interval.high[chosen]
+    outside_px = np.maximum(np.maximum(low - coordinates[0], coordinates[0] - high), _ZERO)
+    return Disagreements(outside_px, np.abs(np.diff(coordinates, axis=0)))
 
 
 def widest_tolerances(plan: AxisPlan) -> Tolerances:
@@ -85,20 +91,20 @@ def widest_tolerances(plan: AxisPlan) -> Tolerances:
     return Tolerances(interval / _LIMIT, tuple(fringe.period / 2 / _LIMIT for fringe in plan.fringes[1:]))
 
 
-def measured_tolerances(plan: AxisPlan, orders: Orders, variances: Sequence[Floats32]) -> Tolerances:
+def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats32) -> Tolerances:
     """Tolerances from the disagreements of a sample that was unwrapped with the widest ones.
 
-    `variances`: per fringe, those of the sample's pixels.
+    `variances` (fringes, P): those of the sample's pixels.
     """
     widest = widest_tolerances(plan)
     interval = widest.interval_px
-    outside = orders.excess[orders.excess > 0]
+    outside = found.outside_px[found.outside_px > 0]
     if plan.codes and len(outside) >= _FEWEST:
         floor = max(0.1, 0.005 * plan.cell)
         interval = min(interval, max(floor, float(np.median(outside)) / GAUSSIAN_MEDIAN))
     between = []
     noises = [np.median(a + b) if len(a) else 0.0 for a, b in pairwise(variances)]
-    for most, distance, noise in zip(widest.fringe_px, orders.distances(), noises, strict=True):
+    for most, distance, noise in zip(widest.fringe_px, found.between_px, noises, strict=True):
         sigma = most
         if len(distance) >= _FEWEST:
             total = float(np.median(distance)) / GAUSSIAN_MEDIAN
@@ -107,62 +113,105 @@ def measured_tolerances(plan: AxisPlan, orders: Orders, variances: Sequence[Floa
     return Tolerances(interval, tuple(between))
 
 
-def unwrap(plan: AxisPlan, interval: Interval, wrapped: Sequence[Wrapped], tolerances: Tolerances) -> Orders:
-    """The orders of the fringes of an axis, `wrapped` from the longest period to the shortest."""
-    longest = np.float32(plan.fringes[0].period)
-    reach = float(np.max(interval.half)) + _LIMIT * tolerances.interval_px
-    others = int(2 * reach / longest)
-    if not others:
-        # No more than one order is within reach, and that is the nearest.
-        nearest = nearest_order(wrapped[0].position, interval.centre, plan.fringes[0].period)
-        coordinates, cost, excess = _follow(plan, interval, nearest, wrapped, tolerances)
-        return Orders(coordinates, excess, np.isfinite(cost), np.ones((1, 1), np.bool_))
-    first = wrapped[0].position
-    lowest = first + np.ceil((interval.centre - np.float32(reach) - first) / longest) * longest
-    best, best_cost, excess = _follow(plan, interval, lowest.copy(), wrapped, tolerances)
+def unwrap(plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tolerances) -> Orders:
+    """The orders of the fringes of an axis."""
+    periods = [np.float32(fringe.period) for fringe in plan.fringes]
+    positions = wrapped.positions
+    reach = plan.cell / 2 + _LIMIT * tolerances.interval_px
+    others = int(2 * reach / plan.fringes[0].period)
+    # If no more than one order is within reach, it is the nearest.
+    search = np.float32(reach if others else plan.fringes[0].period / 2)
+    coordinates, order = np.empty_like(positions), np.empty_like(positions[0])
+    _first_order(positions[0], periods[0], search, interval.low, interval.high, order)
+    best = coordinates[0]
+    best[:] = order
+    best_cost = _followed(order, interval, wrapped, periods, tolerances)
     second_cost = np.full_like(best_cost, np.inf)
-    for order in range(1, others + 1):
-        found, cost, outside = _follow(plan, interval, lowest + np.float32(order) * longest, wrapped, tolerances)
-        better = cost < best_cost
-        second_cost = np.minimum(second_cost, np.maximum(cost, best_cost))
-        for kept, new in zip([*best, best_cost, excess], [*found, cost, outside], strict=True):
-            np.copyto(kept, new, where=better)
-    return Orders(best, excess, np.isfinite(best_cost), ~(second_cost < best_cost + _CLEAR_MARGIN))
-
-
-def nearest_order(position: Floats32, target: Floats32, period: float) -> Floats32:
-    """The position within the period that is nearest to the target, of the same shape."""
-    coordinate: Floats32 = target - position
-    coordinate *= np.float32(1 / period)
-    np.rint(coordinate, out=coordinate)
-    coordinate *= np.float32(period)
-    coordinate += position
-    return coordinate
-
-
-def _follow(
-    plan: AxisPlan, interval: Interval, first: Floats32, wrapped: Sequence[Wrapped], tolerances: Tolerances
-) -> tuple[list[Floats32], Floats32, Floats32]:
-    """One order of the longest fringe followed to the shortest: coordinates, cost (inf if contradicted), excess."""
-    excess: Floats32 = first - interval.centre
-    np.abs(excess, out=excess)
-    excess -= interval.half
-    np.maximum(excess, np.float32(0), out=excess)
-    cost = _cost(excess * excess, wrapped[0].variance, tolerances.interval_px)
-    coordinates = [first]
-    for fringe, (longer, shorter), tolerance in zip(
-        plan.fringes[1:], pairwise(wrapped), tolerances.fringe_px, strict=True
+    for _ in range(others):
+        order += periods[0]
+        cost = _followed(order, interval, wrapped, periods, tolerances)
+        _choose(order, cost, best, best_cost, second_cost)
+    for longer, shorter, position, period in zip(
+        coordinates, coordinates[1:], positions[1:], periods[1:], strict=False
     ):
-        coordinate = nearest_order(shorter.position, coordinates[-1], fringe.period)
-        square = coordinate - coordinates[-1]
-        square *= square
-        cost += _cost(square, longer.variance + shorter.variance, tolerance)
-        coordinates.append(coordinate)
-    return coordinates, cost, excess
+        _nearest_order(position, period, longer, shorter)
+    agree, unique = np.empty((2, len(best)), np.bool_)
+    _judge(best_cost, second_cost, agree, unique)
+    return Orders(coordinates, agree, unique)
 
 
-def _cost(square: Floats32, variance: Floats32, tolerance: float) -> Floats32:
-    """The square of a distance over its variance; infinite beyond the limit. Overwrites the square."""
-    square /= variance + np.float32(tolerance * tolerance)
-    np.copyto(square, np.float32(np.inf), where=square > np.float32(_LIMIT * _LIMIT))
-    return square
+def _followed(
+    order: Floats32, interval: Interval, wrapped: Wrapped, periods: Sequence[np.float32], tolerances: Tolerances
+) -> Floats32:
+    """What it costs to follow orders of the longest fringe to the shortest: infinite where that contradicts."""
+    positions, variances = wrapped.positions, wrapped.variances
+    cost, coordinate = np.empty_like(order), order.copy()
+    _cost_outside(order, interval.low, interval.high, variances[0], np.float32(tolerances.interval_px**2), cost)
+    for k, tolerance in enumerate(tolerances.fringe_px, start=1):
+        tolerance_px2 = np.float32(tolerance**2)
+        _follow(positions[k], variances[k - 1], variances[k], periods[k], tolerance_px2, coordinate, cost)
+    return cost
+
+
+@compiled
+def _first_order(
+    position: Floats32, period: np.float32, search: np.float32, low: Floats32, high: Floats32, coordinate: Floats32
+) -> None:
+    """The lowest coordinate with this position, from so far below the middle of the interval on."""
+    for i in range(len(position)):
+        start = _HALF * (low[i] + high[i]) - search
+        coordinate[i] = position[i] + np.ceil((start - position[i]) / period) * period
+
+
+@compiled
+def _nearest_order(position: Floats32, period: np.float32, target: Floats32, coordinate: Floats32) -> None:
+    """The coordinate with this position that is nearest to the target."""
+    for i in range(len(position)):
+        coordinate[i] = position[i] + np.rint((target[i] - position[i]) / period) * period
+
+
+@compiled
+def _cost_outside(
+    coordinate: Floats32, low: Floats32, high: Floats32, variance: Floats32, tolerance_px2: np.float32, cost: Floats32
+) -> None:
+    """Of being outside the interval."""
+    for i in range(len(coordinate)):
+        distance = max(max(low[i] - coordinate[i], coordinate[i] - high[i]), _ZERO)
+        square = distance * distance / (variance[i] + tolerance_px2)
+        cost[i] = square if square <= _LIMIT2 else _INFINITE
+
+
+@compiled
+def _follow(
+    position: Floats32,
+    longer_variance: Floats32,
+    variance: Floats32,
+    period: np.float32,
+    tolerance_px2: np.float32,
+    coordinate: Floats32,
+    cost: Floats32,
+) -> None:
+    """From the coordinate of one fringe to that of the next shorter; add what their distance costs."""
+    for i in range(len(position)):
+        shorter = position[i] + np.rint((coordinate[i] - position[i]) / period) * period
+        distance = shorter - coordinate[i]
+        square = distance * distance / (longer_variance[i] + variance[i] + tolerance_px2)
+        cost[i] += square if square <= _LIMIT2 else _INFINITE
+        coordinate[i] = shorter
+
+
+@compiled
+def _choose(order: Floats32, cost: Floats32, best: Floats32, best_cost: Floats32, second_cost: Floats32) -> None:
+    """Keep the orders that cost less than the best so far."""
+    for i in range(len(order)):
+        second_cost[i] = min(second_cost[i], max(cost[i], best_cost[i]))
+    for i in range(len(order)):
+        best[i] = order[i] if cost[i] < best_cost[i] else best[i]
+        best_cost[i] = min(cost[i], best_cost[i])
+
+
+@compiled
+def _judge(best_cost: Floats32, second_cost: Floats32, agree: Bools, unique: Bools) -> None:
+    for i in range(len(best_cost)):
+        agree[i] = best_cost[i] < _INFINITE
+        unique[i] = second_cost[i] >= best_cost[i] + _CLEAR_MARGIN

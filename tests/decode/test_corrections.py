@@ -5,11 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scanner.decoding.codes import interval_of
-from scanner.decoding.plan import plan_sequence
 from scanner.decoding.shading import footprint_variance, log_amplitude, shift_per_variance
-from scanner.decoding.systematic import systematic_variances
-from scanner.patterns import gray_sequence
+from scanner.decoding.systematic import add_systematic
 
 TILE = 48
 OVERSAMPLED = 8
@@ -78,24 +75,26 @@ def test_what_two_periods_disagree_by_is_found() -> None:
     noise = [np.full(shape, sigma**2, np.float32) for sigma in (0.03, 0.02)]
     coordinates = [rng.normal(0, np.sqrt(variance)).astype(np.float32) for variance in noise]
     coordinates[0][:, 48:] += 0.2
-    usable = np.ones(shape, np.bool_)
-    long, short = systematic_variances((8.43, 6.1), coordinates, noise, usable)
+    long, short = added((8.43, 6.1), coordinates, noise)
     assert 0 <= np.median(long[:, :40]) < 0.03**2 / 4
     assert 0.15**2 < np.median(long[:, 56:]) < 0.3**2
     assert np.all(short[:, 56:] < long[:, 56:])
 
 
-def test_a_single_period_says_nothing() -> None:
-    found = systematic_variances(
-        (16.0,), [np.zeros((8, 8), np.float32)], [np.ones((8, 8), np.float32)], np.ones((8, 8), np.bool_)
-    )
-    assert [part.tolist() for part in found] == [[[0.0]]]
+def added(periods: tuple[float, ...], coordinates: list[Floats], noise: list[Floats]) -> Floats:
+    """What is added to the variances (fringes, H, W) of the noise where all pixels are usable."""
+    count, shape = len(periods), noise[0].shape
+    variances = np.stack(noise)
+    flat = variances.reshape(count, -1)
+    add_systematic(periods, np.stack(coordinates).reshape(count, -1), flat, np.ones(flat.shape[1], np.bool_), shape)
+    return variances - np.stack(noise)
 
 
-def test_many_words_are_looked_up_as_few_are_computed() -> None:
-    plan = plan_sequence([*gray_sequence("x", 300, 7), *gray_sequence("y", 200, 4)], (300, 200)).x
-    words = np.arange(64, dtype=np.uint8)
-    few = interval_of(plan, [words[None, :]])
-    many = interval_of(plan, [np.tile(words, (9, 1))])
-    for name in ("centre", "half", "outside"):
-        assert np.array_equal(np.tile(getattr(few, name), (9, 1)), getattr(many, name))
+def test_the_middle_one_of_three_periods_has_the_larger_of_two_errors() -> None:
+    shape = (40, 41)
+    offsets = [np.full(shape, offset, np.float32) for offset in (0.0, 0.1, 0.4)]
+    long, middle, short = added((21.0, 20.0, 19.0), offsets, [np.zeros(shape, np.float32)] * 3)
+    cubes = np.array([21.0, 20.0, 19.0]) ** 3
+    assert np.allclose(long, 1.6 * 0.1**2 * cubes[0] / (cubes[0] + cubes[1]), rtol=1e-4)
+    assert np.allclose(middle, 1.6 * 0.3**2 * cubes[1] / (cubes[1] + cubes[2]), rtol=1e-4)
+    assert np.allclose(short, 1.6 * 0.3**2 * cubes[2] / (cubes[1] + cubes[2]), rtol=1e-4)

@@ -1,11 +1,17 @@
 """The parts of the decoder that have a truth of their own."""
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from numpy.typing import NDArray
 
-from scanner.decoding.codes import Interval, cell_numbers, interval_of
+from scanner.decoding.codes import cell_numbers, interval_of
+from scanner.decoding.patches import SMALLEST_PATCH, small_patches
 from scanner.decoding.plan import AxisPlan, Fringe, plan_sequence, repeat_length
 from scanner.decoding.response import TABLE_LENGTH, straightening
 from scanner.decoding.saturation import saturation_level
@@ -25,10 +31,24 @@ def test_the_interval_of_a_word_holds_the_pixel_that_shows_it(cell: int, offset:
     plan = plan_sequence((*code, *gray_sequence("y", 8, 1)), (length, 8)).x
     x = np.arange(length, dtype=np.float64)
     word = sum((p.brightness(x, x) > 0.5).astype(np.uint32) << (bits - 1 - p.bit) for p in code)
-    interval = interval_of(plan, [np.atleast_2d(word).astype(np.uint32)])
-    assert np.all(np.abs(x - interval.centre) <= interval.half - 0.5 + 1e-3)
-    assert not interval.outside.any()
-    assert np.all(interval.half <= cell / 2)
+    interval = interval_of(plan, [word.astype(np.uint32)], length)
+    assert np.all(x >= interval.low + 0.5 - 1e-3)
+    assert np.all(x <= interval.high - 0.5 + 1e-3)
+    assert interval.possible.all()
+    assert np.all(interval.high - interval.low <= cell)
+
+
+def test_codes_that_contradict_each_other_or_the_axis_are_noted() -> None:
+    codes = [Gray("x", bit, 6, 8, offset) for offset in (0, 4) for bit in range(6)]
+    plan = plan_sequence([*codes, *gray_sequence("y", 8, 1)], (300, 8)).x
+    # Cells 3 (24 to 31) and 3 or 4 (20 to 27, 28 to 35) have pixels in common, cell 6 (44 to 51) has none; cell 40
+    # begins at 320.
+    cells = np.array([[3, 3, 3, 40], [3, 4, 6, 40]], np.uint32)
+    interval = interval_of(plan, list(cells ^ cells >> 1), 4)
+    assert interval.contradictory[:3].tolist() == [False, False, True]
+    assert interval.outside.tolist() == [False, False, False, True]
+    assert interval.low[:2].tolist() == [23.5, 27.5]
+    assert interval.high[:2].tolist() == [27.5, 31.5]
 
 
 @given(
@@ -57,16 +77,33 @@ def axis(length: int, *periods: float) -> AxisPlan:
 def test_beating_fringes_are_unwrapped_over_the_whole_axis(x: float, seed: int) -> None:
     plan = axis(1280, 21.0, 20.0, 19.0)
     noise = np.random.default_rng(seed).normal(0, 0.05, 3)
-    wrapped = [
-        Wrapped(np.full((1, 1), (x + e) % f.period, np.float32), np.full((1, 1), 0.0025, np.float32))
-        for f, e in zip(plan.fringes, noise, strict=True)
-    ]
-    middle = np.full((1, 1), 639.5, np.float32)
-    nowhere = np.zeros((1, 1), np.bool_)
-    interval = Interval(middle, middle + 0.5, nowhere, nowhere)
+    positions = [[(x + e) % f.period] for f, e in zip(plan.fringes, noise, strict=True)]
+    wrapped = Wrapped(np.array(positions, np.float32), np.full((3, 1), 0.0025, np.float32))
+    interval = interval_of(plan, [], 1)
     orders = unwrap(plan, interval, wrapped, Tolerances(1.0, (0.05, 0.05)))
     assert orders.agree.all()
-    assert abs(orders.coordinates[-1][0, 0] - x) < 0.4
+    assert abs(orders.coordinates[-1][0] - x) < 0.4
+
+
+def test_orders_that_are_as_good_as_each_other_decide_nothing() -> None:
+    plan = plan_sequence([*gray_sequence("x", 256, 16), *gray_sequence("y", 8, 1)], (256, 8)).x
+    plan = replace(plan, fringes=axis(256, 8.0).fringes)
+    interval = interval_of(plan, [np.array([3 ^ 3 >> 1], np.uint8)], 1)
+    wrapped = Wrapped(np.full((1, 1), 5.0, np.float32), np.full((1, 1), 0.01, np.float32))
+    orders = unwrap(plan, interval, wrapped, Tolerances(0.2, ()))
+    assert orders.agree.all()
+    assert not orders.unique.any(), "53 and 61 are both between 47.5 and 63.5"
+
+
+@given(
+    image=arrays.arrays(np.bool_, st.tuples(st.integers(1, 30), st.integers(1, 40)), elements=st.booleans()),
+    grown=st.integers(0, 2),
+)
+def test_small_patches_are_those_that_opencv_finds(image: NDArray[np.bool_], grown: int) -> None:
+    thick = cv2.dilate(image.view(np.uint8), np.ones((2, 2), np.uint8), iterations=grown).view(np.bool_)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(thick.view(np.uint8), connectivity=4)
+    expected = thick & (stats[labels, cv2.CC_STAT_AREA] < SMALLEST_PATCH)
+    assert np.array_equal(small_patches(thick), expected)
 
 
 def test_after_how_many_pixels_fringes_look_alike() -> None:
