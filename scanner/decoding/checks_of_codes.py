@@ -72,12 +72,15 @@ def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel
 
     `middle` (H, W): grey level half-way between lit and unlit.
     """
+    bases = {(fold.code.axis, fold.code.cell, fold.code.offset) for fold in folds if fold.code.base is not None}
     for fold in folds:
         changes = _changes(fold, noise, middle)
         wrong = changes[~changes.adjacent()]
         if len(wrong.bit) < _FEWEST_CHANGES:
             continue
         _require_unrepairable(plan, fold.code, changes, len(wrong.bit))
+        if fold.code.base is None and (fold.code.axis, fold.code.cell, fold.code.offset) in bases:
+            continue  # bounced light may have turned bits over: the XOR code beside it will tell
         bits = [bit for bit in range(fold.code.bits) if _is_unrelated(changes.bit == bit, wrong, bit)]
         if bits:
             # Whether two cells are neighbours depends on the changing bit and on all finer ones.

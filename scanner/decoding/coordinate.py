@@ -11,6 +11,7 @@ from calib.arrays import Bools
 from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.codes import Interval, interval_of
+from scanner.decoding.contradictions import let_fringes_decide
 from scanner.decoding.noise import NoiseModel
 from scanner.decoding.plan import AxisPlan, Fringe
 from scanner.decoding.reasons import (
@@ -119,7 +120,10 @@ class AxisDecoder:
         for k, (unit, (cosine, sine)) in enumerate(zip(self._units_px2, signals.components, strict=True)):
             at_black, per_level = np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)
             _amplitude(cosine, sine, signals.middle, at_black, per_level, powers[k], variances[k])
-        orders = unwrap(self.plan, interval, Wrapped(self.positions(signals), variances), self.tolerances)
+        wrapped = Wrapped(self.positions(signals), variances)
+        orders = unwrap(self.plan, interval, wrapped, self.tolerances)
+        if self.plan.corrects_bits:
+            let_fringes_decide(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
         against = np.empty(len(signals.middle), np.uint8)
         note_codes(interval.outside, interval.contradictory, against)
         note_orders(orders.agree, orders.unique, against)

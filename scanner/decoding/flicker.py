@@ -32,4 +32,4 @@ def _spread(groups: Sequence[Floats32]) -> float:
     levels = np.stack(groups)
     usual = medians(levels, axis=0)
     lit = np.flatnonzero(usual > np.median(usual))
-    return float(np.std(medians(levels[:, lit] / usual[lit], axis=1)))
+    return float(np.std(medians(levels[:, lit] / usual[lit], axis=1), ddof=1))

@@ -70,7 +70,7 @@ UNCERTAIN = Against.DISAGREES | Against.AMBIGUOUS
 NOT_LIT = Against.DARK | Against.SATURATED
 
 _DARK, _SATURATED, _UNDECIDED, _INDIRECT, _OUTSIDE, _DISAGREES, _AMBIGUOUS, _CONTRADICTORY = map(np.uint8, Against)
-_UNCERTAIN = np.uint8(UNCERTAIN)
+_DOUBTFUL = np.uint8(UNCERTAIN | Against.CONTRADICTORY)
 _NOTHING = np.uint8(0)
 _ZERO, _TWO, _FOUR = np.float32(0), np.float32(2), np.float32(4)
 
@@ -111,14 +111,14 @@ def note_light(variance: Floats32, darkest: np.float32, saturated: Bools, agains
 
 @compiled
 def note_indirect(power: Floats32, brightest: Floats32, middle: Floats32, against: Reasons) -> None:
-    """No order is certain, and the amplitude, half of the direct light, is less than a quarter of all light.
+    """No order or no code is certain, and the amplitude, half of the direct light, is less than a quarter of all light.
 
     `power` (P,): square of the amplitude of fringes too short for light to carry them around a corner, which separate
     direct from global light (Nayar et al., SIGGRAPH 2006).
     """
     for i in range(len(against)):
         half_of_all = brightest[i] - middle[i]
-        indirect = (half_of_all * half_of_all > _FOUR * power[i]) & (against[i] & _UNCERTAIN != 0)
+        indirect = (half_of_all * half_of_all > _FOUR * power[i]) & (against[i] & _DOUBTFUL != 0)
         against[i] |= _INDIRECT if indirect else _NOTHING
 
 

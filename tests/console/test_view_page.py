@@ -39,7 +39,14 @@ def visit(served: Served, browser: Browser) -> Iterator[Visit]:
 
 
 def test_everything_about_the_result_is_there(visit: Visit) -> None:
-    for text in ("Angle A–B: ", "Face A: flat to", "focal length, px", "Between them", "showing all", "no report"):
+    for text in (
+        "Angle A–B: ",
+        "Face A: flat to",
+        "focal length, px",
+        "Between them",
+        "showing all",
+        "does not say how far",
+    ):
         visit.wait_for(text)
 
 

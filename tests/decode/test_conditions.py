@@ -1,11 +1,13 @@
 """The same sequence under other light, with other cameras: no false alarm, and the masks and warnings that belong."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from synthetic_capture import Scene, decode, dimmed
 
+from calib.arrays import Image
 from scanner.decode import MaskReason
 from scanner.patterns import White, sequence_for
 from scanner.presets import PRESETS, PresetName
@@ -67,21 +69,26 @@ def test_no_gamma_ripples_a_preset(preset: PresetName, gamma: float) -> None:
 
 
 def test_flicker_is_measured_and_reported() -> None:
-    rng = np.random.default_rng(3)
     for preset in PRESETS:
         patterns = PRESETS[preset].patterns(SCENE.projector)
         frames = SCENE.frames(patterns)
         steady = decode(patterns, frames, SCENE.projector)
-        flickering = [np.rint(np.clip(f * rng.normal(1, 0.04), 0, 255)).astype(np.uint8) for f in frames]
-        found = decode(patterns, flickering, SCENE.projector)
+        # A few groups of frames tell it roughly: within a factor of two, mostly.
+        found = [decode(patterns, flickering(frames, seed), SCENE.projector) for seed in range(5)]
         if preset == "quick":
-            assert found.flicker is None, "two fringes say too little"
+            assert {each.flicker for each in found} == {None}, "two fringes say too little"
             continue
         assert steady.flicker is not None
-        assert found.flicker is not None
         assert 0 <= steady.flicker < 0.006
-        assert 0.015 < found.flicker < 0.08
-        assert any("brightness of the frames varies" in warning for warning in found.warnings)
+        assert 0.02 < np.median([each.flicker or 0 for each in found]) < 0.08
+        warned = [any("brightness of the frames varies" in warning for warning in each.warnings) for each in found]
+        assert sum(warned) >= 4
+
+
+def flickering(frames: Sequence[Image], seed: int) -> list[Image]:
+    """Each frame brighter or darker, by 4 % as a standard deviation."""
+    rng = np.random.default_rng(seed)
+    return [np.rint(np.clip(frame * rng.normal(1, 0.04), 0, 255)).astype(np.uint8) for frame in frames]
 
 
 @pytest.mark.parametrize("gamma", [1.8, 2.2, 3.0])
