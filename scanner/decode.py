@@ -169,7 +169,8 @@ def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
     accumulators.finish()
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(plan, sample, saturation)
-    thin = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
+    x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
+    thin = x, y
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, noise, saturation, thin)

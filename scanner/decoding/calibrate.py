@@ -122,8 +122,9 @@ def _phases(decoder: AxisDecoder, signals: Signals) -> Iterator[_Phases]:
     # Which pixels saturate would depend on their phase, if it were judged by the fringes themselves.
     lit = measured.well_lit & (signals.brightest < decoder.saturation)
     coordinates = measured.orders.coordinates[:, agreeing(measured)]
-    for fringe, (cosine, sine), coordinate in zip(decoder.plan.fringes, signals.components, coordinates, strict=True):
+    for number, (fringe, coordinate) in enumerate(zip(decoder.plan.fringes, coordinates, strict=True)):
         if can_ripple(fringe) and len(coordinate):
+            cosine, sine = signals.fringe(number)
             first, last = np.quantile(coordinate, (0.02, 0.98))
             phases = cast(Floats32, cv2.phase(cosine[None], sine[None])[0])
             yield _Phases(fringe, phases[lit], float(last - first) / fringe.period)

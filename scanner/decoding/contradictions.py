@@ -29,9 +29,9 @@ def let_fringes_decide(
 
     Its interval and its orders take the place of those of all codes together, in `interval` and `orders`.
     """
-    where = np.flatnonzero(interval.contradictory)
-    if not len(where):
+    if len(plan.codes) < 2 or not interval.contradictory.any():
         return
+    where = np.flatnonzero(interval.contradictory)
     there = Wrapped(wrapped.positions[:, where], wrapped.variances[:, where])
     alone = [
         interval_of(replace(plan, codes=(code,)), [of_code[where]], len(where))

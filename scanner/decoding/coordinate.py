@@ -116,11 +116,14 @@ class AxisDecoder:
     def measure(self, signals: Signals) -> Measured:
         """What the fringes say at every pixel, of an axis that has fringes."""
         interval = interval_of(self.plan, signals.words, len(signals.middle))
-        powers, variances = (np.empty((len(self.plan.fringes), len(signals.middle)), np.float32) for _ in range(2))
-        for k, (unit, (cosine, sine)) in enumerate(zip(self._units_px2, signals.components, strict=True)):
+        shape = len(self.plan.fringes), len(signals.middle)
+        powers, variances, positions = (np.empty(shape, np.float32) for _ in range(3))
+        for k, unit in enumerate(self._units_px2):
+            cosine, sine = signals.fringe(k)
             at_black, per_level = np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)
             _amplitude(cosine, sine, signals.middle, at_black, per_level, powers[k], variances[k])
-        wrapped = Wrapped(self.positions(signals), variances)
+            self._position(k, cosine, sine, positions[k])
+        wrapped = Wrapped(positions, variances)
         orders = unwrap(self.plan, interval, wrapped, self.tolerances)
         if self.plan.corrects_bits:
             let_fringes_decide(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
@@ -137,14 +140,16 @@ class AxisDecoder:
     def positions(self, signals: Signals) -> Floats32:
         """(fringes, P): the position within the period in projector pixels."""
         found = np.empty((len(self.plan.fringes), len(signals.middle)), np.float32)
-        for fringe, ripple, (cosine, sine), position in zip(
-            self.plan.fringes, self.ripple, signals.components, found, strict=True
-        ):
-            cv2.phase(cosine[None], sine[None], position[None])
-            if ripple is not None:
-                _straighten(position, ripple)
-            position *= np.float32(fringe.period / (2 * pi))
+        for k, position in enumerate(found):
+            self._position(k, *signals.fringe(k), position)
         return found
+
+    def _position(self, number: int, cosine: Floats32, sine: Floats32, position: Floats32) -> None:
+        cv2.phase(cosine[None], sine[None], position[None])
+        ripple = self.ripple[number]
+        if ripple is not None:
+            _straighten(position, ripple)
+        position *= np.float32(self.plan.fringes[number].period / (2 * pi))
 
     def _saturated(self, signals: Signals) -> Bools:
         # In the image's own type, for comparing bytes with a float converts them all.
@@ -163,7 +168,7 @@ class AxisDecoder:
                 usable &= variance <= np.float32(largest_variance(fringe))
             periods = [fringe.period for fringe in self.plan.fringes]
             add_systematic(periods, coordinates, variances, usable, signals.shape)
-        value, variance = coordinates[0], variances[0]
+        value, variance = coordinates[0].copy(), variances[0].copy()
         for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
             _average_in(of_fringe, own_variance, value, variance)
         reason = reasons_of(measured.against)

@@ -49,8 +49,8 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
             widened(part, _HALO, size) for part, size in ((rows, height), (columns, width))
         )
         tile, wide, own = (rows, columns), (wide_rows, wide_columns), (own_rows, own_columns)
-        signals = signals_of(accumulators, lambda image: image[wide])
-        found = [decoder.decode(part) for decoder, part in zip(decoders, signals, strict=True)]
+        # By `map`, which lets go of the signals of x before it takes those of y.
+        found = list(map(AxisDecoder.decode, decoders, signals_of(accumulators, lambda image: image[wide])))
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
         for c in found:
