@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Bools, Floats, Ints
+from calib.pieces import in_pieces
 
 NO_FACE = -1
 
@@ -39,7 +40,7 @@ class Matches:
                 continue
             if value.shape != shape:
                 raise ValueError(f"{name} must have the shape {shape}, found {value.shape}")
-            if not np.all(np.isfinite(value)):
+            if not _is_finite(value):
                 raise ValueError(f"{name} must hold finite numbers, found NaN or infinity")
         if self.sigma_px is not None and np.any(self.sigma_px <= 0):
             raise ValueError("sigma_px must be positive")
@@ -67,3 +68,8 @@ class Matches:
         if self.face is None:
             raise ValueError("these matches have no face labels")
         return self[self.face == label]
+
+
+def _is_finite(values: Floats | Ints) -> bool:
+    """Whether all numbers (N, …) are, piece by piece, for there may be millions."""
+    return all(in_pieces(len(values), lambda at: bool(np.isfinite(values[at]).all())))

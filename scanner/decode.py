@@ -24,6 +24,7 @@ from scanner.decoding.cells import average_cells
 from scanner.decoding.checks_of_codes import check_codes
 from scanner.decoding.checks_of_frames import check_frames
 from scanner.decoding.checks_of_maps import check_fringes, check_maps
+from scanner.decoding.coordinate import AxisDecoder
 from scanner.decoding.exposures import ExposureMerger, exposures_of
 from scanner.decoding.flicker import flicker_of
 from scanner.decoding.maps import Maps, coordinate_maps
@@ -113,16 +114,19 @@ class Decoder:
             )
         if self._held is None or self._texture is None:
             raise RuntimeError("this decoder has finished already")
-        held, self._held = self._held, None
+        (accumulators, sample), self._held = self._held, None
         if self._merger is not None:
-            held[0].log_exposure = self._merger.log_exposure
-        measured = _measure(*held)
+            accumulators.log_exposure = self._merger.log_exposure
+        learnt = _learn(accumulators, sample)
+        del sample
+        maps = coordinate_maps(accumulators, learnt.decoders)
         # The running images are as large as the matches, and have served.
-        del held
-        matches, reasons = _match(self._plan, measured)
-        warnings = tuple(warnings_of(reasons, measured.modulation, measured.flicker))
+        brightest = accumulators.brightest
+        del accumulators
+        matches, reasons = _match(self._plan, maps, brightest)
+        warnings = tuple(warnings_of(reasons, learnt.modulation, learnt.flicker))
         texture = self._texture if self._merger is None else self._merger.alike(self._texture)
-        return Decoding(matches, texture, reasons, measured.noise, measured.modulation, warnings, measured.flicker)
+        return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker)
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.patterns):
@@ -153,18 +157,17 @@ def _form(image: Image) -> str:
 
 
 @dataclass(frozen=True)
-class _Measured:
-    """Both coordinates of every pixel, and what was found out on the way; `brightest` (H, W) grey."""
+class _Learnt:
+    """What a sample of the frames tells: how to decode every pixel, and how good they are, as of `Decoding`."""
 
-    maps: Maps
-    brightest: Image
+    decoders: tuple[AxisDecoder, AxisDecoder]
     noise: NoiseModel
     modulation: float | None
     flicker: float | None
 
 
-def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
-    """Check the frames, learn noise and tolerances from the sample, decode every pixel. Raises InputError."""
+def _learn(accumulators: Accumulators, sample: Sample) -> _Learnt:
+    """Check the frames, and learn noise and tolerances from the sample. Raises InputError."""
     plan, levels = accumulators.plan, sample.levels
     accumulators.finish()
     saturation = saturation_level(accumulators.peak)
@@ -181,20 +184,20 @@ def _measure(accumulators: Accumulators, sample: Sample) -> _Measured:
         for decoder, signals in zip(decoders, thin, strict=True):
             check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
-        maps = coordinate_maps(accumulators, decoders)
-        flicker = flickering.result()
-    return _Measured(maps, accumulators.brightest, noise, modulation(decoders, thin), flicker)
+        return _Learnt(decoders, noise, modulation(decoders, thin), flickering.result())
 
 
-def _match(plan: SequencePlan, measured: _Measured) -> tuple[Matches, NDArray[np.uint8]]:
-    """The matches, and for all pixels (H, W) the reason why they have none. Raises InputError; uses up the maps."""
-    maps = measured.maps
+def _match(plan: SequencePlan, maps: Maps, brightest: Image) -> tuple[Matches, NDArray[np.uint8]]:
+    """The matches, and for all pixels (H, W) the reason why they have none. Raises InputError; uses up the maps.
+
+    `brightest`: (H, W) grey.
+    """
     reasons = maps.reason
     kept = reasons == np.uint8(MaskReason.KEPT)
     if plan.fringes:
         np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
     else:
-        cells = average_cells(kept, maps.projector_px, maps.variance, measured.brightest)
+        cells = average_cells(kept, maps.projector_px, maps.variance, brightest)
         np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=cells.rejected)
     kept = reasons == np.uint8(MaskReason.KEPT)
     check_maps(plan, maps, kept)
@@ -211,22 +214,31 @@ def _pixel_matches(kept: Bools, maps: Maps) -> Matches:
     count = int(np.count_nonzero(kept))
     camera_px, projector_px = np.empty((count, 2), np.float32), maps.projector_px.reshape(-1, 2)
     sigma_px = maps.variance.reshape(-1)
-    _gather(kept, camera_px, projector_px, sigma_px)
-    sigma_px = sigma_px[:count]
-    np.sqrt(sigma_px, out=sigma_px)
-    return Matches(cast(Floats, camera_px), cast(Floats, projector_px[:count]), sigma_px=cast(Floats, sigma_px))
+    with ThreadPoolExecutor(1) as aside:
+        noted = aside.submit(_note_places, kept, camera_px)
+        _gather(kept.reshape(-1), projector_px, sigma_px)
+        noted.result()
+    return Matches(cast(Floats, camera_px), cast(Floats, projector_px[:count]), sigma_px=cast(Floats, sigma_px[:count]))
 
 
 @compiled
-def _gather(kept: Bools, camera_px: Floats32, projector_px: Floats32, variance: Floats32) -> None:
-    """Note where the kept pixels are, and move what belongs to them (H · W, …) to the beginning."""
+def _note_places(kept: Bools, camera_px: Floats32) -> None:
+    """The columns and rows of the kept pixels."""
     height, width = kept.shape
     match = 0
     for row in range(height):
         for column in range(width):
             if kept[row, column]:
-                pixel = row * width + column
                 camera_px[match, 0], camera_px[match, 1] = column, row
-                projector_px[match, 0], projector_px[match, 1] = projector_px[pixel, 0], projector_px[pixel, 1]
-                variance[match] = variance[pixel]
                 match += 1
+
+
+@compiled
+def _gather(kept: Bools, projector_px: Floats32, variance: Floats32) -> None:
+    """Move what belongs to the kept pixels (P, …) to the beginning, with the root of the variance in its place."""
+    match = 0
+    for pixel in range(len(kept)):
+        if kept[pixel]:
+            projector_px[match, 0], projector_px[match, 1] = projector_px[pixel, 0], projector_px[pixel, 1]
+            variance[match] = np.sqrt(variance[pixel])
+            match += 1
