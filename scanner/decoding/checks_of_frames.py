@@ -23,7 +23,7 @@ _WELL_SEEN = 20.0
 _LEAST_SWING = 2.0
 _FEWEST_LIT = 20
 _ENOUGH_LIT = 500
-_MOST_LIT = 8000
+_MOST_LIT = 4000
 # An exchanged frame is wrong by the whole swing wherever its pattern differs; a bent camera curve by less than half.
 _WRONG = 0.5
 _WRONG_SHARE = 0.05
