@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from calib.arrays import Bools, Floats, Image, Ints
+from calib.compiled import compiled
 from scanner.decoding.arrays import Floats32
 
 # Mean square radius of the pixels of one code, in pixels²: at most this much plus the usual number of pixels (a compact
@@ -36,43 +37,90 @@ class CellMatches:
 def average_cells(kept: Bools, projector_px: Floats32, variance: Floats32, brightness: Image) -> CellMatches:
     """Average the `kept` pixels (H, W) that share their `projector_px` (H, W, 2), weighted by `brightness` (H, W)."""
     rejected = np.zeros(kept.shape, np.bool_)
-    row, column = np.nonzero(kept)
-    if not len(row):
+    if not kept.any():
         return CellMatches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), rejected)
-    across, cell_x = _numbered(projector_px[..., 0][kept])
-    down, cell_y = _numbered(projector_px[..., 1][kept])
-    cell_of_pixel = cell_y * len(across) + cell_x
-    counts = np.bincount(cell_of_pixel, minlength=len(across) * len(down))
+    half_px, pixels = np.empty((2, np.count_nonzero(kept), 2), np.int32)
+    _list_pixels(kept, projector_px, half_px, pixels)
+    (across, number_x), (down, number_y) = (_numbered(half_px[:, axis]) for axis in (0, 1))
+    group = number_y[half_px[:, 1]] * np.int32(len(across)) + number_x[half_px[:, 0]]
+    counts = np.bincount(group, minlength=len(across) * len(down))
     cells = np.flatnonzero(counts)
-    number = np.empty(len(counts), np.int64)
-    number[cells] = np.arange(len(cells))
-    group, count = number[cell_of_pixel], counts[cells]
     cell_y, cell_x = np.divmod(cells, len(across))
+    number = np.empty(len(counts), np.int32)
+    number[cells] = np.arange(len(cells), dtype=np.int32)
+    group, count = number[group], counts[cells]
 
-    weight = brightness[kept].astype(np.float64) + 1
-    total = np.bincount(group, weight)
-    camera_px = np.stack([np.bincount(group, weight * along) / total for along in (column, row)], axis=1)
-    square = (column - camera_px[group, 0]) ** 2 + (row - camera_px[group, 1]) ** 2
-    good = np.bincount(group, square) / count <= _SMALLEST_SPREAD + np.median(count)
+    weight, of_variance, square = np.zeros((3, len(cells)))
+    camera_px = np.zeros((len(cells), 2))
+    _add_up(pixels, group, brightness.astype(np.float32), variance, weight, camera_px, of_variance)
+    camera_px /= weight[:, None]
+    _add_squares(pixels, group, camera_px, square)
+    good = square / count <= _SMALLEST_SPREAD + np.median(count)
     good &= _is_whole(cell_x, cell_y, count)
-    rejected[row, column] = ~good[group]
+    _reject(pixels, group, good, rejected)
     centre_px = np.stack([across[cell_x], down[cell_y]], axis=1)
-    of_cell = np.bincount(group, variance[kept]) / count
-    return CellMatches(camera_px[good], centre_px[good], (of_cell / count)[good], rejected)
+    return CellMatches(camera_px[good], centre_px[good], (of_variance / count**2)[good], rejected)
 
 
-def _numbered(centres: Floats32) -> tuple[Floats, Ints]:
-    """The different centres of cells, rising, and the number among them of each of `centres` (N,).
+def _numbered(half_px: Ints) -> tuple[Floats, Ints]:
+    """The different centres of cells, rising, and the number among them of each by its half pixels (N,).
 
-    Like numpy.unique, without sorting millions of numbers: centres are whole numbers of half pixels.
+    Like numpy.unique, without sorting millions of numbers.
     """
-    halves = np.rint(2 * centres).astype(np.int32)
-    first = int(halves.min())
-    halves -= first
-    there = np.flatnonzero(np.bincount(halves))
-    number = np.zeros(there[-1] + 1, np.int64)
-    number[there] = np.arange(len(there))
-    return (there + first) / 2.0, number[halves]
+    there = np.bincount(half_px) > 0
+    number: Ints = np.cumsum(there, dtype=np.int32) - np.int32(1)
+    return (np.flatnonzero(there) - 1) / 2.0, number
+
+
+@compiled
+def _list_pixels(kept: Bools, projector_px: Floats32, half_px: Ints, pixels: Ints) -> None:
+    """Of the kept pixels (N, 2) each: coordinates in half pixels of the projector from −0.5 on, where the axis begins;
+    column and row.
+    """
+    height, width = kept.shape
+    n = 0
+    for row in range(height):
+        for column in range(width):
+            if kept[row, column]:
+                for axis in range(2):
+                    half_px[n, axis] = int(2 * projector_px[row, column, axis] + 1.5)
+                pixels[n, 0], pixels[n, 1] = column, row
+                n += 1
+
+
+@compiled
+def _add_up(
+    pixels: Ints,
+    group: Ints,
+    brightness: Floats32,
+    variance: Floats32,
+    weight: Floats,
+    camera_px: Floats,
+    of_variance: Floats,
+) -> None:
+    """Sums by groups: of weights, of weighted pixels, of variances."""
+    for n in range(len(group)):
+        (column, row), into = pixels[n], group[n]
+        by = brightness[row, column] + 1.0
+        weight[into] += by
+        camera_px[into, 0] += by * column
+        camera_px[into, 1] += by * row
+        of_variance[into] += variance[row, column]
+
+
+@compiled
+def _add_squares(pixels: Ints, group: Ints, camera_px: Floats, square: Floats) -> None:
+    """Sums by groups of squared distances from `camera_px`."""
+    for n in range(len(group)):
+        into = group[n]
+        across, down = pixels[n, 0] - camera_px[into, 0], pixels[n, 1] - camera_px[into, 1]
+        square[into] += across * across + down * down
+
+
+@compiled
+def _reject(pixels: Ints, group: Ints, good: Bools, rejected: Bools) -> None:
+    for n in range(len(group)):
+        rejected[pixels[n, 1], pixels[n, 0]] = not good[group[n]]
 
 
 def _is_whole(cell_x: Ints, cell_y: Ints, count: Ints) -> Bools:
