@@ -21,15 +21,18 @@ def flicker_of(plan: SequencePlan, levels: Floats32) -> float | None:
     fringes = [fringe for fringe in plan.fringes if fringe.equal_steps]
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in fringes]
     found = [
-        _spread(groups) * np.sqrt(frames)
+        spread * np.sqrt(frames)
         for groups, frames in ((pairs, 2), (means, min((len(fringe.frames) for fringe in fringes), default=1)))
-        if len(groups) >= _FEWEST
+        if len(groups) >= _FEWEST and (spread := _spread(groups)) is not None
     ]
     return float(max(found)) if found else None
 
 
-def _spread(groups: Sequence[Floats32]) -> float:
+def _spread(groups: Sequence[Floats32]) -> float | None:
+    """Of the groups' brightness, relative, where it is above the usual; None if it is so nowhere."""
     levels = np.stack(groups)
     usual = medians(levels, axis=0)
     lit = np.flatnonzero(usual > np.median(usual))
+    if not len(lit):
+        return None
     return float(np.std(medians(levels[:, lit] / usual[lit], axis=1), ddof=1))

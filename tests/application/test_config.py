@@ -47,7 +47,7 @@ def test_keys_of_the_sequence_override_its_preset(tmp_path: Path) -> None:
     assert config.sequence.patterns((64, 48)) == sequence_for((64, 48), inverses=True, periods=(12.3,), shifts=3)
 
 
-@pytest.mark.parametrize(("preset", "frames"), [("quick", 23), ("standard", 44), ("concave", 33)])
+@pytest.mark.parametrize(("preset", "frames"), [("quick", 23), ("standard", 44), ("concave", 42)])
 def test_the_presets_have_as_many_frames_as_the_documentation_says(preset: str, frames: int) -> None:
     patterns = load_config(None, [f"sequence.preset={preset}"]).sequence.patterns((854, 480))
     assert len(patterns) == frames == len(set(patterns))
