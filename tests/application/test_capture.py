@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from conftest import PATTERNS, SIZE
+from small_capture import PATTERNS, SIZE
 
 from hw.errors import DeviceError
 from hw.rig import Frame, Rig

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SIZE
+from small_capture import SIZE
 
 from hw.errors import DeviceError
 from hw.moving import at_place

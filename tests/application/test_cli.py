@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SIZE, read_listing, write_listing
+from small_capture import SIZE, read_listing, write_listing
 
 from calib.calibration import Calibration
 from calib.camera import Intrinsics

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import read_listing, write_listing
+from small_capture import read_listing, write_listing
 
 from calib.matches import NO_FACE
 from scanner.calibration_file import read_calibration

@@ -10,7 +10,7 @@ from types import FrameType
 import cv2
 import numpy as np
 import pytest
-from conftest import PATTERNS, SIZE, read_listing, write_capture, write_listing
+from small_capture import PATTERNS, SIZE, read_listing, write_capture, write_listing
 
 from hw.errors import DeviceError
 from hw.rig import Frame

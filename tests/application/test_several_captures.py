@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SIZE, write_capture
+from small_capture import SIZE, write_capture
 
 from calib.calibration import Calibration
 from calib.camera import Intrinsics
