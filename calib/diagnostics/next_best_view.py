@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import FACES, unproject
+from calib.geometry import FACES, depths_on_planes, unproject
 from calib.numerics import Floats
 from calib.refinement import (
     CAMERA,
@@ -99,7 +99,7 @@ def _seen(state: State, knowledge: Knowledge) -> Cells | None:
     rays, _ = unproject(state.camera, pixels)
     normals = state.normals(capture)
     with np.errstate(divide="ignore", invalid="ignore"):
-        depths = (normals @ state.poses[capture].vertex) / (rays @ normals.T)
+        depths = depths_on_planes(rays[:, None], normals, state.poses[capture].vertex)
     slants = _slants(state, capture)
     if np.any(slants * np.sign(_slants(state, capture - 1)) < _LEAST_SLANT):
         return None  # the rig would stand in a wall, or see a face of the box from within

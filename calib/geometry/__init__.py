@@ -1,8 +1,17 @@
 """Cameras, lenses, poses, homographies, the cuboid corner, triangulation: formulas, and nothing that is estimated."""
 
-from calib.geometry.calibration import Calibration
+from calib.geometry.calibration import Calibration, DeviceSigmas, Sigmas
 from calib.geometry.camera import Intrinsics
-from calib.geometry.corner import Corner, CornerImage, corner_image, corner_planes, leg_signs
+from calib.geometry.corner import (
+    Corner,
+    CornerImage,
+    corner_image,
+    corner_planes,
+    depths_on_planes,
+    inverse_depths,
+    leg_signs,
+    polar,
+)
 from calib.geometry.homography import (
     FACES,
     FaceGrams,

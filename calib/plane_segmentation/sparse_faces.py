@@ -59,8 +59,7 @@ def find_alike(labelled: Matches, matches: Matches, size: tuple[int, int]) -> Sp
     not found again.
     """
     plane, count = find_sparse_planes(matches, size)
-    assert labelled.face is not None
-    nearest = labelled.face[cKDTree(labelled.camera_px).query(matches.camera_px)[1]]
+    nearest = labelled.labels[cKDTree(labelled.camera_px).query(matches.camera_px)[1]]
     face_of = np.full(count + 1, NO_FACE, np.int32)
     for i in range(count):
         around = nearest[plane == i]

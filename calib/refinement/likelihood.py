@@ -15,6 +15,7 @@ from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
 from calib.refusal import PHOTOS, RIG, Wording
 
+SQUARENESS_DEG = 0.3  # how far walls of ordinary rooms are from square: standard deviation of each angle
 ROBUST_SIGMAS = 3.0
 _LEAST_IN_FRONT = 0.98
 _BEHIND = 100.0  # the cost of a cell behind a device, like one ten sigmas off

@@ -80,9 +80,7 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
 
     `plane` (N,): other labels than those of the faces. Raises TooFewMatchesError if a label has fewer than four.
     """
-    label = matches.face if plane is None else plane
-    if label is None:
-        raise ValueError("these matches have no face labels")
+    label = matches.labels if plane is None else plane
     slot = slots(labels)
     reach = extents(matches.camera_px, label, slot)
     for name, extent in zip(labels, reach, strict=True):

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from scipy.stats import chi2
 
-from calib.geometry import FACES, leg_signs, unproject
+from calib.geometry import FACES, leg_signs
 from calib.numerics import Floats
 from calib.refinement.likelihood import Fit, Knowledge
 from calib.refinement.match_cells import Cells
@@ -147,9 +147,7 @@ def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
     off_square, poses = state.off_square.copy(), []
     for i, (cells, pose) in enumerate(zip(captures, state.poses, strict=True)):
         on_faces = cells.plane < len(FACES)
-        normals = state.normals(i)[cells.plane[on_faces]]
-        rays, _ = unproject(state.camera, cells.camera_px[on_faces])
-        points = (normals @ pose.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
+        points = state.points(cells.camera_px[on_faces], cells.plane[on_faces], i)
         signs = leg_signs(state.legs(i), pose.vertex, points)
         # Turning one leg round turns the signs of both angles that its face has with the others.
         turned = np.prod(signs) * signs

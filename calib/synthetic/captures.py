@@ -112,8 +112,7 @@ def _random_legs(rng: np.random.Generator, walls_off_deg: float) -> Floats:
 
 def _in_another_order(capture: SyntheticCapture, order: Ints) -> SyntheticCapture:
     """The same capture, face s numbered order[s]."""
-    face = capture.matches.face
-    assert face is not None
+    face = capture.matches.labels
     legs = np.empty((3, 3))
     legs[order] = capture.corner.legs
     renumbered = np.where(face >= 0, order[face], face).astype(np.int32)

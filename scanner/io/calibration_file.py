@@ -3,13 +3,13 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 import yaml
 from pydantic import Field
 
-from calib.geometry import Calibration, Intrinsics
+from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas
 from scanner.errors import InputError
 from scanner.io.validation import Entry, Number, Pair, Whole, validate
 from scanner.io.yaml_text import flow_yaml, read_yaml
@@ -17,6 +17,9 @@ from scanner.io.yaml_text import flow_yaml, read_yaml
 _Positive = Annotated[Number, Field(gt=0)]
 _Vector = tuple[Number, Number, Number]
 _Sigma = Annotated[Number, Field(ge=0)]
+_OneOr2 = _Sigma | tuple[_Sigma, _Sigma]
+_OneOr3 = _Sigma | tuple[_Sigma, _Sigma, _Sigma]
+_UpTo5 = Annotated[list[_Sigma], Field(max_length=5)]
 
 
 class _DeviceEntry(Entry):
@@ -31,13 +34,73 @@ class _DeviceEntry(Entry):
         return Intrinsics(self.width, self.height, self.focal_px, self.principal_point_px, (k1, k2, p1, p2, k3))
 
 
+class _SigmaEntry(Entry):
+    """The keys of `sigma`. One number stands for all that a key has."""
+
+    camera_focal_px: _OneOr2 | None = None
+    camera_principal_point_px: _OneOr2 | None = None
+    camera_distortion: _Sigma | _UpTo5 | None = None
+    projector_focal_px: _OneOr2 | None = None
+    projector_principal_point_px: _OneOr2 | None = None
+    projector_distortion: _Sigma | _UpTo5 | None = None
+    rotation_deg: _OneOr3 | None = None
+    translation_direction_deg: _Sigma | None = None
+    corner_angles_deg: _OneOr3 | None = None
+
+    def sigmas(self) -> Sigmas:
+        return Sigmas(
+            DeviceSigmas(
+                _pair(self.camera_focal_px), _pair(self.camera_principal_point_px), _tuple(self.camera_distortion)
+            ),
+            DeviceSigmas(
+                _pair(self.projector_focal_px),
+                _pair(self.projector_principal_point_px),
+                _tuple(self.projector_distortion),
+            ),
+            _triple(self.rotation_deg),
+            self.translation_direction_deg,
+            _triple(self.corner_angles_deg),
+        )
+
+    @classmethod
+    def of(cls, sigmas: Sigmas) -> Self:
+        camera, projector = sigmas.camera, sigmas.projector
+        return cls(
+            camera_focal_px=_one_if_alike(camera.focal_px),
+            camera_principal_point_px=camera.principal_point_px,
+            camera_distortion=camera.distortion,
+            projector_focal_px=_one_if_alike(projector.focal_px),
+            projector_principal_point_px=projector.principal_point_px,
+            projector_distortion=projector.distortion,
+            rotation_deg=sigmas.rotation_deg,
+            translation_direction_deg=sigmas.translation_direction_deg,
+            corner_angles_deg=sigmas.corner_angles_deg,
+        )
+
+
+def _pair(value: _OneOr2 | None) -> tuple[float, float] | None:
+    return (value, value) if isinstance(value, float) else value
+
+
+def _triple(value: _OneOr3 | None) -> tuple[float, float, float] | None:
+    return (value, value, value) if isinstance(value, float) else value
+
+
+def _tuple(value: float | list[float] | None) -> tuple[float, ...] | None:
+    return None if value is None else (value,) if isinstance(value, float) else tuple(value)
+
+
+def _one_if_alike(value: tuple[float, float] | None) -> _OneOr2 | None:
+    return value[0] if value and value[0] == value[1] else value
+
+
 class _CalibrationEntry(Entry):
     camera: _DeviceEntry
     projector: _DeviceEntry
     rotation: tuple[_Vector, _Vector, _Vector]
     translation: _Vector
     unit: str = Field(min_length=1, max_length=20)
-    sigma: dict[str, _Sigma | tuple[_Sigma, ...]] = Field(default={})
+    sigma: _SigmaEntry = Field(default_factory=_SigmaEntry)
 
     def calibration(self) -> Calibration:
         return Calibration(
@@ -46,7 +109,7 @@ class _CalibrationEntry(Entry):
             np.array(self.rotation),
             np.array(self.translation),
             self.unit,
-            self.sigma,
+            self.sigma.sigmas(),
         )
 
 
@@ -72,8 +135,8 @@ def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, A
         f"translation: {flow_yaml(calibration.translation.tolist())}",
         f"unit: {flow_yaml(calibration.unit)}",
     ]
-    if calibration.sigma:
-        lines.append(f"sigma: {flow_yaml(_sigma_to_dict(calibration.sigma))}")
+    if sigma := _SigmaEntry.of(calibration.sigma).model_dump(mode="json", exclude_none=True):
+        lines.append(f"sigma: {flow_yaml(sigma)}")
     if more:
         lines.append(
             # Lists of plain values on one line each, the rest in blocks.
@@ -89,11 +152,4 @@ def _device_to_dict(device: Intrinsics) -> dict[str, object]:
         "focal_px": [float(number) for number in device.focal_px],
         "principal_point_px": [float(number) for number in device.principal_point_px],
         "distortion": [float(number) for number in device.distortion],
-    }
-
-
-def _sigma_to_dict(sigma: Mapping[str, float | tuple[float, ...]]) -> dict[str, object]:
-    return {
-        key: [float(number) for number in value] if isinstance(value, tuple) else float(value)
-        for key, value in sigma.items()
     }
