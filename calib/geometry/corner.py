@@ -41,7 +41,8 @@ class Corner:
         """The leg that is most upright in the camera's image, or its opposite, pointing up there, (3,)."""
         above = np.array([0.0, -1.0, 0.0])
         steepest: Floats = self.legs[np.argmax(np.abs(self.legs @ above))]
-        return steepest * np.sign(steepest @ above)
+        up: Floats = steepest * np.sign(steepest @ above)
+        return up
 
     @property
     def angles_deg(self) -> Floats:
@@ -130,7 +131,8 @@ def inverse_depths(normals: Floats, rays: Floats, inverse_matrices: Floats) -> F
     For corners as of `corner_planes` with vertices along `rays` (n, 3), and K⁻¹ (n, 3, 3).
     """
     heights = np.einsum("nsi,ni->ns", normals, rays)
-    return np.einsum("nsi,nij->nsj", normals, inverse_matrices) / heights[..., None]
+    inverse: Floats = np.einsum("nsi,nij->nsj", normals, inverse_matrices) / heights[..., None]
+    return inverse
 
 
 def polar(rows: Floats) -> Floats:

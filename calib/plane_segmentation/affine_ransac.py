@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Floats, Ints, compiled, in_pieces
+from calib.numerics import MEDIAN_LENGTH, Floats, Ints, compiled, in_pieces
 
 MOST_PER_CELL = 64
-# The length of a 2-D normal error has the median 1.177 σ; 3.5 σ is passed by 1 in 450.
-_GATE_OF_MEDIAN = 3.5 / 1.177
+_GATE_SIGMAS = 3.5  # passed by one in 450 of the lengths of 2-D normal errors
 _SINGULAR = 1e-15
 
 
@@ -51,6 +50,7 @@ def fit_cells(camera_px: Floats, projector_px: Floats, order: Ints, start: Ints,
             start[at],
             there[at],
             picks[:, :, at],
+            (_GATE_SIGMAS / MEDIAN_LENGTH) ** 2,
             fits.mean[at],
             fits.value[at],
             fits.jacobian[at],
@@ -71,6 +71,7 @@ def _fit_cells(
     start: Ints,
     there: Ints,
     picks: Ints,
+    gate: float,
     mean: Floats,
     value: Floats,
     jacobian: Floats,
@@ -78,7 +79,10 @@ def _fit_cells(
     square: Floats,
     count: Ints,
 ) -> None:
-    """One cell after the other: `there` matches from `start` in `order` → the map of its inliers, as in `CellFits`."""
+    """One cell after the other: `there` matches from `start` in `order` → the map of its inliers, as in `CellFits`.
+
+    `gate`: an inlier's squared error in medians, at most.
+    """
     matches, error2 = np.empty((4, MOST_PER_CELL)), np.empty((2, MOST_PER_CELL))
     for c in range(len(start)):
         size = there[c]
@@ -90,9 +94,9 @@ def _fit_cells(
         best, trial = error2[0, :size], error2[1, :size]
         _best_trial(x, y, u, v, picks[:, :, c], best, trial)
         for _ in range(2):
-            gate = _GATE_OF_MEDIAN**2 * _upper_median(best)
+            limit = gate * _upper_median(best)
             for k in range(size):
-                trial[k] = 1.0 if best[k] <= gate else 0.0
+                trial[k] = 1.0 if best[k] <= limit else 0.0
             _fit_affine(x, y, u, v, trial, mean[c], value[c], jacobian[c], spread[c])
             _off_affine(x, y, u, v, mean[c], value[c], jacobian[c], best)
         inliers = total = 0.0

@@ -6,12 +6,13 @@ from functools import partial
 import numpy as np
 
 from calib.geometry import homogeneous
-from calib.numerics import Floats, Ints, compiled, minimise
+from calib.numerics import Floats, Ints, compiled, minimise, reweighted
 from calib.plane_segmentation.plane_parallax import CAMERA_SIGMA, LENS_TERMS, PROJECTOR_SIGMA, Lens, TwoView
 from calib.plane_segmentation.surfels import Surfels
 
 _SAMPLES = 400
 _SURFELS = 1500
+_BALANCING_ROUNDS = 10
 _BLOCK = 100  # surfels after which a candidate may be given up
 # Surfels that are off by more lose influence: first in a fit that may still be far out, then in the final one.
 _TOLERANCES_PX = (3.0, 0.3)
@@ -72,7 +73,7 @@ def largest_plane(
     pairs = _Pairs(surfels.camera_px[chosen], surfels.projector_px[chosen], Lens(camera_size), Lens(projector_size))
     start = np.concatenate([_sampled_homography(pairs, rng).ravel(), pairs.lens_parameters])
     for tolerance in _TOLERANCES_PX:
-        start, _ = minimise(partial(_plane_residuals, pairs, tolerance), start, _PRIOR_SIGMA)
+        start = minimise(partial(_plane_residuals, pairs, tolerance), start, _PRIOR_SIGMA).parameters
     everywhere = _Pairs(surfels.camera_px, surfels.projector_px, pairs.camera, pairs.projector)
     residual, _ = _plane_residuals(everywhere, 1.0, start)
     fitted = pairs.with_lenses(start[9:])
@@ -99,8 +100,8 @@ def first_geometry(surfels: Surfels, plane: LargestPlane, rng: np.random.Generat
         best = candidates[_best_fundamental(candidates, *pairs.ideal())]
         start = np.concatenate([best.ravel(), pairs.lens_parameters])
         fits.append(minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[0]), start, _PRIOR_SIGMA))
-    nearest = min(fits, key=lambda fit: fit[1])[0]
-    found, _ = minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[1]), nearest, _PRIOR_SIGMA)
+    nearest = min(fits, key=lambda fit: fit.cost).parameters
+    found = minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[1]), nearest, _PRIOR_SIGMA).parameters
     left, values, right = np.linalg.svd(found[:9].reshape(3, 3))
     epipole = left[:, 2]
     base = np.cross(np.eye(3), epipole) @ (left * [values[0], values[1], 0.0]) @ right
@@ -171,11 +172,13 @@ def _parallax_candidates(pairs: _Pairs, homography: Floats, off_plane: Ints, rng
 def _balanced(view: TwoView, camera_px: Floats, projector_px: Floats) -> TwoView:
     """The same geometry with A such that the plane nearest to all matches has v = 0: parallaxes are small then."""
     parallax = view.parallax(camera_px, projector_px)
-    weight = 1 / parallax.per_px
-    for _ in range(10):
-        plane = np.asarray(np.linalg.lstsq(parallax.x * weight[:, None], parallax.value * weight)[0], np.float64)
-        off = np.abs(parallax.value - parallax.x @ plane) / parallax.per_px
-        weight = 1 / (parallax.per_px * np.sqrt(1 + off / (np.median(off) + 1e-12)))
+
+    def weigh(off_px: Floats) -> Floats:
+        weight: Floats = 1 / (1 + np.abs(off_px) / (np.median(np.abs(off_px)) + 1e-12))
+        return weight
+
+    in_px = parallax.x.T / parallax.per_px
+    plane = reweighted(in_px, parallax.value / parallax.per_px, weigh, np.ones(len(parallax.value)), _BALANCING_ROUNDS)
     base = view.homography(plane)
     return TwoView(view.camera, view.projector, base / np.linalg.norm(base), view.epipole)
 

@@ -25,7 +25,7 @@ def refine(
         surfels.camera_px[chosen], surfels.projector_px[chosen], label[chosen], view, planes, tolerance_px
     )
     sigma = np.array([*CAMERA_SIGMA, *PROJECTOR_SIGMA] + [np.inf] * (len(start) - 2 * LENS_TERMS))
-    return _unpack(minimise(evaluate, start, sigma)[0], view)
+    return _unpack(minimise(evaluate, start, sigma).parameters, view)
 
 
 def residuals_of_planes(

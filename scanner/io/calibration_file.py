@@ -19,7 +19,7 @@ _Vector = tuple[Number, Number, Number]
 _Sigma = Annotated[Number, Field(ge=0)]
 _OneOr2 = _Sigma | tuple[_Sigma, _Sigma]
 _OneOr3 = _Sigma | tuple[_Sigma, _Sigma, _Sigma]
-_UpTo5 = Annotated[list[_Sigma], Field(max_length=5)]
+_UpTo5 = Annotated[tuple[_Sigma, ...], Field(max_length=5)]
 
 
 class _DeviceEntry(Entry):
@@ -86,8 +86,8 @@ def _triple(value: _OneOr3 | None) -> tuple[float, float, float] | None:
     return (value, value, value) if isinstance(value, float) else value
 
 
-def _tuple(value: float | list[float] | None) -> tuple[float, ...] | None:
-    return None if value is None else (value,) if isinstance(value, float) else tuple(value)
+def _tuple(value: float | tuple[float, ...] | None) -> tuple[float, ...] | None:
+    return (value,) if isinstance(value, float) else value
 
 
 def _one_if_alike(value: tuple[float, float] | None) -> _OneOr2 | None:
