@@ -29,29 +29,14 @@ if TYPE_CHECKING:
     from calib.self_calibration import self_calibrate_jointly as self_calibrate_jointly
 
 _HOMES = {
-    "diagnostics": ("Uncertainty",),
-    "geometry": (
-        "Calibration",
-        "Corner",
-        "DeviceSigmas",
-        "Intersections",
-        "Intrinsics",
-        "Matches",
-        "Sigmas",
-        "intersect",
-    ),
-    "plane_segmentation": ("Faces", "find_faces"),
-    "pointcloud": ("Cloud", "build_cloud", "point_covariances"),
-    "refusal": ("RefusalError",),
-    "self_calibration": (
-        "PrincipalPoint",
-        "SelfCalibration",
-        "calibrate_photos",
-        "self_calibrate",
-        "self_calibrate_jointly",
-    ),
+    "diagnostics": "Uncertainty",
+    "geometry": "Calibration Corner DeviceSigmas Intersections Intrinsics Matches Sigmas intersect",
+    "plane_segmentation": "Faces find_faces",
+    "pointcloud": "Cloud build_cloud point_covariances",
+    "refusal": "RefusalError",
+    "self_calibration": "PrincipalPoint SelfCalibration calibrate_photos self_calibrate self_calibrate_jointly",
 }
-_HOME = {name: home for home, names in _HOMES.items() for name in names}
+_HOME = {name: home for home, names in _HOMES.items() for name in names.split()}
 
 __all__ = sorted(_HOME)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,20 +13,15 @@ _BLOCK = 128
 _TINY = 1e-12
 
 
-class Quadratic(Protocol):
-    """Where a descent is: `cost` (−2 log likelihood), and half its gradient (P,) and Gauss–Newton Hessian (P, P)."""
+@dataclass(frozen=True)
+class Quadratic:
+    """Where a descent is: the `cost`, −2 log likelihood, and half its `gradient` (P,) and Gauss–Newton Hessian (P, P),
+    `information`. The cost is infinite where the parameters mean nothing.
+    """
 
-    @property
-    def cost(self) -> float:
-        """−2 log likelihood; infinite where the parameters mean nothing."""
-
-    @property
-    def gradient(self) -> Floats:
-        """Half the cost's gradient, (P,)."""
-
-    @property
-    def information(self) -> Floats:
-        """Half the cost's Gauss–Newton Hessian, (P, P)."""
+    cost: float
+    gradient: Floats
+    information: Floats
 
 
 Place = TypeVar("Place", bound=Quadratic)
@@ -106,13 +101,10 @@ def descend(
 
 
 @dataclass(frozen=True)
-class Minimum:
-    """`parameters` (P,) and what `Quadratic` asks for."""
+class Minimum(Quadratic):
+    """With its `parameters` (P,)."""
 
     parameters: Floats
-    cost: float
-    gradient: Floats
-    information: Floats
 
 
 def minimise(
@@ -139,20 +131,22 @@ def minimise(
         residual, jacobian = evaluate(parameters)
         square = np.sum(residual * residual, axis=1)
         loss = float(np.sum(2 * np.log(1 + square) if robust else square))
+        loss += float(np.sum(precision * parameters**2))
         hessian, gradient = np.diag(precision), precision * parameters
         if not np.isfinite(loss):
-            return Minimum(parameters, np.inf, gradient, hessian)
+            return Minimum(np.inf, gradient, hessian, parameters)
         weight = 2 / (1 + square) if robust else np.ones(len(square))
         _add_up(np.ascontiguousarray(jacobian.T), np.ascontiguousarray(residual.T), weight, hessian, gradient)
-        return Minimum(parameters, loss + float(np.sum(precision * parameters**2)), gradient, hessian)
+        return Minimum(loss, gradient, hessian, parameters)
 
-    def moved(place: Minimum, step: Floats) -> Minimum:
-        return at(place.parameters + step)
-
-    def enough(cost: float, decrement: float) -> bool:
-        return decrement < converged * cost
-
-    return descend(at(start), moved, enough, damping, steps, least_gain=least_gain)
+    return descend(
+        at(start),
+        lambda place, step: at(place.parameters + step),
+        lambda cost, decrement: decrement < converged * cost,
+        damping,
+        steps,
+        least_gain=least_gain,
+    )
 
 
 @compiled

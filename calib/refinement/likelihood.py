@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints, compiled
+from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
 from calib.refusal import PHOTOS, RIG, Wording
@@ -123,14 +123,11 @@ class Knowledge:
 
 
 @dataclass(frozen=True)
-class Fit:
-    """A state, its `cost`, the captures' `residuals` (M, 2) in projector px, half the cost's `gradient` and Hessian."""
+class Fit(Quadratic):
+    """A state with its cost, and the captures' `residuals` (M, 2) in projector px."""
 
     state: State
-    cost: float
     residuals: tuple[Floats, ...]
-    gradient: Floats
-    information: Floats
 
 
 def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: Sequence[Floats]) -> Fit:
@@ -157,7 +154,7 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
             information,
         )
         residuals.append(residual)
-    return Fit(state, cost, tuple(residuals), gradient, information)
+    return Fit(cost, gradient, information, state, tuple(residuals))
 
 
 @compiled

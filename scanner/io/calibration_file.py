@@ -3,11 +3,11 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas
 from scanner.errors import InputError
@@ -17,9 +17,16 @@ from scanner.io.yaml_text import flow_yaml, read_yaml
 _Positive = Annotated[Number, Field(gt=0)]
 _Vector = tuple[Number, Number, Number]
 _Sigma = Annotated[Number, Field(ge=0)]
-_OneOr2 = _Sigma | tuple[_Sigma, _Sigma]
-_OneOr3 = _Sigma | tuple[_Sigma, _Sigma, _Sigma]
-_UpTo5 = Annotated[tuple[_Sigma, ...], Field(max_length=5)]
+
+
+def _repeated(count: int) -> BeforeValidator:
+    """One number in place of `count` of them stands for each."""
+    return BeforeValidator(lambda found: found if isinstance(found, list) else [found] * count)
+
+
+_Two = Annotated[tuple[_Sigma, _Sigma], _repeated(2)]
+_Three = Annotated[tuple[_Sigma, _Sigma, _Sigma], _repeated(3)]
+_Terms = Annotated[tuple[_Sigma, ...], Field(max_length=5), _repeated(1)]
 
 
 class _DeviceEntry(Entry):
@@ -35,63 +42,24 @@ class _DeviceEntry(Entry):
 
 
 class _SigmaEntry(Entry):
-    """The keys of `sigma`. One number stands for all that a key has."""
-
-    camera_focal_px: _OneOr2 | None = None
-    camera_principal_point_px: _OneOr2 | None = None
-    camera_distortion: _Sigma | _UpTo5 | None = None
-    projector_focal_px: _OneOr2 | None = None
-    projector_principal_point_px: _OneOr2 | None = None
-    projector_distortion: _Sigma | _UpTo5 | None = None
-    rotation_deg: _OneOr3 | None = None
+    camera_focal_px: _Two | None = None
+    camera_principal_point_px: _Two | None = None
+    camera_distortion: _Terms | None = None
+    projector_focal_px: _Two | None = None
+    projector_principal_point_px: _Two | None = None
+    projector_distortion: _Terms | None = None
+    rotation_deg: _Three | None = None
     translation_direction_deg: _Sigma | None = None
-    corner_angles_deg: _OneOr3 | None = None
+    corner_angles_deg: _Three | None = None
 
     def sigmas(self) -> Sigmas:
         return Sigmas(
-            DeviceSigmas(
-                _pair(self.camera_focal_px), _pair(self.camera_principal_point_px), _tuple(self.camera_distortion)
-            ),
-            DeviceSigmas(
-                _pair(self.projector_focal_px),
-                _pair(self.projector_principal_point_px),
-                _tuple(self.projector_distortion),
-            ),
-            _triple(self.rotation_deg),
+            DeviceSigmas(self.camera_focal_px, self.camera_principal_point_px, self.camera_distortion),
+            DeviceSigmas(self.projector_focal_px, self.projector_principal_point_px, self.projector_distortion),
+            self.rotation_deg,
             self.translation_direction_deg,
-            _triple(self.corner_angles_deg),
+            self.corner_angles_deg,
         )
-
-    @classmethod
-    def of(cls, sigmas: Sigmas) -> Self:
-        camera, projector = sigmas.camera, sigmas.projector
-        return cls(
-            camera_focal_px=_one_if_alike(camera.focal_px),
-            camera_principal_point_px=camera.principal_point_px,
-            camera_distortion=camera.distortion,
-            projector_focal_px=_one_if_alike(projector.focal_px),
-            projector_principal_point_px=projector.principal_point_px,
-            projector_distortion=projector.distortion,
-            rotation_deg=sigmas.rotation_deg,
-            translation_direction_deg=sigmas.translation_direction_deg,
-            corner_angles_deg=sigmas.corner_angles_deg,
-        )
-
-
-def _pair(value: _OneOr2 | None) -> tuple[float, float] | None:
-    return (value, value) if isinstance(value, float) else value
-
-
-def _triple(value: _OneOr3 | None) -> tuple[float, float, float] | None:
-    return (value, value, value) if isinstance(value, float) else value
-
-
-def _tuple(value: float | tuple[float, ...] | None) -> tuple[float, ...] | None:
-    return (value,) if isinstance(value, float) else value
-
-
-def _one_if_alike(value: tuple[float, float] | None) -> _OneOr2 | None:
-    return value[0] if value and value[0] == value[1] else value
 
 
 class _CalibrationEntry(Entry):
@@ -135,7 +103,7 @@ def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, A
         f"translation: {flow_yaml(calibration.translation.tolist())}",
         f"unit: {flow_yaml(calibration.unit)}",
     ]
-    if sigma := _SigmaEntry.of(calibration.sigma).model_dump(mode="json", exclude_none=True):
+    if sigma := _sigma_to_dict(calibration.sigma):
         lines.append(f"sigma: {flow_yaml(sigma)}")
     if more:
         lines.append(
@@ -153,3 +121,19 @@ def _device_to_dict(device: Intrinsics) -> dict[str, object]:
         "principal_point_px": [float(number) for number in device.principal_point_px],
         "distortion": [float(number) for number in device.distortion],
     }
+
+
+def _sigma_to_dict(sigma: Sigmas) -> dict[str, object]:
+    """By the keys of `_SigmaEntry`, in its order; what is unknown has none."""
+    camera, projector = sigma.camera, sigma.projector
+    values = [
+        *(_one_if_alike(camera.focal_px), camera.principal_point_px, camera.distortion),
+        *(_one_if_alike(projector.focal_px), projector.principal_point_px, projector.distortion),
+        *(sigma.rotation_deg, sigma.translation_direction_deg, sigma.corner_angles_deg),
+    ]
+    shown = [list(value) if isinstance(value, tuple) else value for value in values]
+    return {key: value for key, value in zip(_SigmaEntry.model_fields, shown, strict=True) if value is not None}
+
+
+def _one_if_alike(pair: tuple[float, float] | None) -> float | tuple[float, float] | None:
+    return pair[0] if pair and pair[0] == pair[1] else pair
