@@ -1,4 +1,4 @@
-"""Why a view of a corner calibrates badly: each kind of degenerate geometry, recognised and named.
+"""Degenerate configurations: why a view of a corner calibrates badly, each kind recognised and named.
 
 Nothing here decides whether an answer can be trusted; the covariance and the residuals do. Once it cannot, this says
 what a person should change.

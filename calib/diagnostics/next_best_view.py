@@ -1,4 +1,4 @@
-"""What one more capture of the same corner would gain, and from where it should be taken.
+"""The next best view: from where one more capture of the same corner should be taken, and what it would gain.
 
 The rig is moved around the corner in thought; what it would see there, with the noise of the captures at hand, adds to
 what they say (the information matrices add up), and the covariance of the sum is what the capture would leave.

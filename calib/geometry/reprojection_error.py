@@ -1,4 +1,4 @@
-"""A solution held against the matches that it came from."""
+"""The reprojection error of a solution on the matches that it came from, and the signs of its legs."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Matches and a calibration → points."""
+"""Triangulation: matches and a calibration → points."""
 
 from dataclasses import dataclass
 

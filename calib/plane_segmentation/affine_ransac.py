@@ -1,6 +1,6 @@
-"""An affine map from camera to projector for each of many small cells of the image, that stray matches do not sway."""
+"""Random sample consensus in many small cells of the image: an affine map from camera to projector for each."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -32,32 +32,15 @@ def fit_cells(camera_px: Floats, projector_px: Floats, order: Ints, start: Ints,
     The map through three matches is tried first, for each of some `picks` (T, 3, C) among them; then twice the least
     squares of what the map before explains.
     """
-    cells = len(start)
+    cells, gate = len(start), (_GATE_SIGMAS / MEDIAN_LENGTH) ** 2
+    two, four = (cells, 2), (cells, 2, 2)
     fits = CellFits(
-        np.empty((cells, 2)),
-        np.empty((cells, 2)),
-        np.empty((cells, 2, 2)),
-        np.empty((cells, 2, 2)),
-        np.empty(cells),
-        np.empty(cells, np.int32),
+        np.empty(two), np.empty(two), np.empty(four), np.empty(four), np.empty(cells), np.empty(cells, np.int32)
     )
 
     def fit(at: slice) -> None:
-        _fit_cells(
-            camera_px,
-            projector_px,
-            order,
-            start[at],
-            there[at],
-            picks[:, :, at],
-            (_GATE_SIGMAS / MEDIAN_LENGTH) ** 2,
-            fits.mean[at],
-            fits.value[at],
-            fits.jacobian[at],
-            fits.spread[at],
-            fits.square[at],
-            fits.count[at],
-        )
+        found = (getattr(fits, field.name)[at] for field in fields(fits))
+        _fit_cells(camera_px, projector_px, order, start[at], there[at], picks[:, :, at], gate, *found)
 
     in_pieces(cells, fit, width=MOST_PER_CELL)
     return fits

@@ -1,4 +1,4 @@
-"""What all planes of a still scene share, seen by two uncalibrated devices: lens distortion and epipolar geometry.
+"""Plane plus parallax: the lens distortion and epipolar geometry that all planes of a static scene share.
 
 In ideal (undistorted) coordinates the homography of every plane is A + e vᵀ, with one 3 × 3 matrix A and the epipole e
 for all planes and three numbers v for each (Hartley & Zisserman, 2nd ed., result 13.1). A single match on its own

@@ -167,7 +167,7 @@ def _homography(matches: Matches, limit_px: float) -> Floats | None:
 
 
 def _off(homography: Floats, matches: Matches) -> Floats:
-    """How far (N,) the matches are from a homography, in px of the second photo; infinite behind its horizon."""
+    """Transfer error (N,) of a homography, in px of the second photo; infinite behind its horizon."""
     mapped = homogeneous(matches.camera_px) @ homography.T
     ahead: Bools = mapped[:, 2] * np.median(mapped[:, 2]) > 0
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Points seen by a camera → triangles between neighbours in its image, cut where one surface hides another.
+"""Meshing of an organised cloud: triangles between neighbours in the image, cut where one surface hides another.
 
 Neighbouring pixels see neighbouring points of one surface unless an occlusion edge runs between them. There, the point
 of the one pixel lies far off the tangent plane at the other's; on a smooth surface it lies in it, however obliquely the

@@ -1,4 +1,4 @@
-"""Do the two rays of a match meet? Which misses are disagreements, and which are the calibration's.
+"""Residuals of triangulation: do the two rays of a match meet, and is it the decoder's or the calibration's error?
 
 A miss has two causes. What the calibration leaves unexplained (mostly its lens model) varies smoothly over both
 images; what the decoder got wrong does not. Only the second is a reason to drop a point, so the smooth part is

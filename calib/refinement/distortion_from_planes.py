@@ -1,4 +1,4 @@
-"""How much both lenses bend, from the straightness of planes alone, before anything else is known.
+"""Radial distortion of both lenses from planes alone, before anything else is known.
 
 What a homography through ideal pixels cannot explain on any of the planes is the lenses' doing. Lenses that are left in
 bend the picture of a corner so much that it may not look like one.

@@ -30,7 +30,10 @@ def monomials(pixels: Floats, scale: Floats | None = None) -> Floats:
 
 
 def coefficients_of(terms: Floats, values: Floats, weight: Floats) -> Floats:
-    """Of the weighted least-squares fit: terms (TERMS, N), values (N, 2), weights (N,) → (TERMS, 2); the shortest."""
+    """Weighted least squares by the normal equations, of minimum norm where these are singular.
+
+    Terms (TERMS, N), values (N, 2), weights (N,) → coefficients (TERMS, 2).
+    """
     normal, right = np.empty((len(terms), len(terms))), np.empty((len(terms), 2))
     _normal_equations(np.ascontiguousarray(terms), values, weight, normal, right)
     coefficients: Floats = np.linalg.pinv(normal, rcond=_SINGULAR, hermitian=True) @ right

@@ -1,4 +1,4 @@
-"""The true parameters of a rig before corners, what they predict of each match, and the exact derivatives.
+"""Minimal parameters of a rig before corners, what they predict of each match, and the exact derivatives.
 
 A camera pixel is unprojected, its ray meets the plane that it is on, and the point is projected into the projector.
 Lengths are in baselines: |translation| = 1. Both lenses have two radial terms.

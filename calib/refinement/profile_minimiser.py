@@ -1,4 +1,4 @@
-"""The nearest minimum of the cost: down the valley along the camera's focal length, everything else on its floor."""
+"""The nearest minimum of the cost, down the profile likelihood of the camera's focal length."""
 
 from collections.abc import Sequence
 

@@ -8,6 +8,7 @@ costs.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from operator import attrgetter
 
 import numpy as np
 from scipy.stats import chi2
@@ -66,14 +67,15 @@ def tie(
         for fit in fits
         for shifts in _promising(fit, knowledge)
     ]
-    trials.sort(key=_cost)
+    trials.sort(key=attrgetter("fit.cost"))
     apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), _variances(thinned, levels))
     raised = trials[0].fit.cost - apart.cost
     limit = float(chi2.ppf(_SIGNIFICANT, PER_CORNER * (len(captures) - 1)))
     # All cells tell orders apart that a part of them does not.
     close = [trial for trial in trials if trial.fit.cost < trials[0].fit.cost + _CLOSE]
     whole = sorted(
-        (_in_order(captures, trial.fit.state, trial.shifts, knowledge, levels) for trial in close), key=_cost
+        (_in_order(captures, trial.fit.state, trial.shifts, knowledge, levels) for trial in close),
+        key=attrgetter("fit.cost"),
     )
     shifts = whole[0].shifts
     lead = min(
@@ -106,10 +108,6 @@ def _in_order(
 
 def _variances(captures: Sequence[Cells], levels: Sequence[float]) -> list[Floats]:
     return [np.full(len(cells), level) for cells, level in zip(captures, levels, strict=True)]
-
-
-def _cost(trial: _Trial) -> float:
-    return trial.fit.cost
 
 
 def _spread(trials: Sequence[_Trial]) -> Floats:

@@ -36,12 +36,12 @@ def assert_derivatives(evaluate: Evaluate, parameters: Floats) -> None:
 
 def test_of_distances_from_a_homography(pairs: _Pairs) -> None:
     homography = np.eye(3) + np.random.default_rng(1).normal(0, 0.1, (3, 3))
-    assert_derivatives(partial(_plane_residuals, pairs, 100.0), np.concatenate([homography.ravel(), LENSES]))
+    assert_derivatives(partial(_plane_residuals, pairs, 100.0), np.concatenate([LENSES, homography.ravel()]))
 
 
 def test_of_distances_from_epipolar_lines(pairs: _Pairs) -> None:
     fundamental = np.random.default_rng(2).normal(0, 1, (3, 3))
-    assert_derivatives(partial(_epipolar_residuals, pairs, 100.0), np.concatenate([fundamental.ravel(), LENSES]))
+    assert_derivatives(partial(_epipolar_residuals, pairs, 100.0), np.concatenate([LENSES, fundamental.ravel()]))
 
 
 def test_of_distances_from_planes(pairs: _Pairs) -> None:
