@@ -132,9 +132,10 @@ def _undistort(distorted: Floats, distortion: Distortion, ideal: Floats) -> None
 @compiled
 def _scale(distorted: Floats, polynomial: Floats, largest: float, ideal: Floats) -> bool:
     ratio, r2 = ideal[0], ideal[1]  # until the last loop overwrites them with the result
-    beyond = 0
+    # Rows are taken out of the arrays before the loop: columns indexed inside it kept the compiler from vectorising.
+    x, y, beyond = distorted[0], distorted[1], 0
     for i in range(len(ratio)):
-        r2[i] = distorted[0, i] * distorted[0, i] + distorted[1, i] * distorted[1, i]
+        r2[i] = x[i] * x[i] + y[i] * y[i]
         beyond += not r2[i] <= largest
         ratio[i] = polynomial[-1]
     # Coefficient by coefficient: only a loop with none inside is vectorised.
@@ -142,14 +143,13 @@ def _scale(distorted: Floats, polynomial: Floats, largest: float, ideal: Floats)
         for i in range(len(ratio)):
             ratio[i] = ratio[i] * r2[i] + polynomial[k]
     for i in range(len(ratio)):
-        ideal[1, i] = ratio[i] * distorted[1, i]
-        ideal[0, i] = ratio[i] * distorted[0, i]
+        r2[i] = ratio[i] * y[i]
+        ratio[i] = ratio[i] * x[i]
     return beyond == 0
 
 
 @compiled
 def _distort_steps(ideal: Floats, steps: Floats, distortion: Distortion, distorted: Floats, moved: Floats) -> None:
-    # Rows are taken out of the arrays before the loop: columns indexed inside it kept the compiler from vectorising.
     x, y, step_x, step_y = ideal[0], ideal[1], steps[0], steps[1]
     distorted_x, distorted_y, moved_x, moved_y = distorted[0], distorted[1], moved[0], moved[1]
     for i in range(len(x)):
