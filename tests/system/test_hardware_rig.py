@@ -35,17 +35,17 @@ def rig(config: Config) -> Iterator[Rig]:
         yield opened.rig
 
 
-def test_the_devices_are_listed(config):
+def test_the_devices_are_listed(config: Config) -> None:
     assert import_aravis().list_cameras()
     assert config.projector_size in [(screen.width, screen.height) for screen in list_screens()]
 
 
-def test_the_latency_is_that_of_a_projector(rig):
+def test_the_latency_is_that_of_a_projector(rig: Rig) -> None:
     assert 0 <= rig.timing.latency_s < 0.5
     assert rig.timing.latency_s < rig.timing.delay_s < rig.timing.latency_s + 0.05
 
 
-def test_white_is_well_exposed(rig):
+def test_white_is_well_exposed(rig: Rig) -> None:
     white, black = (frame.image for _, frame in capture(rig, (White(), Black())).frames)
     highest = rig.camera.highest_level
     lit = white.astype(float) - black > 0.1 * highest
@@ -53,7 +53,7 @@ def test_white_is_well_exposed(rig):
     assert np.mean(white[lit] >= highest) < 0.05, "white is overexposed: close the aperture, or expose less"
 
 
-def test_each_frame_shows_its_own_pattern(rig):
+def test_each_frame_shows_its_own_pattern(rig: Rig) -> None:
     """Pixels that white lights follow every bit: brighter in the pattern that is bright there."""
     width, height = rig.projector.size
     patterns = [White(), Black()]
@@ -69,7 +69,7 @@ def test_each_frame_shows_its_own_pattern(rig):
         assert np.median(np.abs(image + inverse - white - black)[lit] / (white - black)[lit]) < 0.1
 
 
-def test_a_scan_costs_little_more_than_its_light(rig):
+def test_a_scan_costs_little_more_than_its_light(rig: Rig) -> None:
     list(capture(rig, (White(), Black()) * 10).frames)
     assert rig.turns.retriggered <= 2
     assert rig.overhead < 1.0
