@@ -14,6 +14,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import repeat
+from typing import Any
 
 import numpy as np
 from cramer_rao import bound_of_photos
@@ -109,7 +110,8 @@ def outcome(case: Case, seed: int, number: int) -> Outcome:
         return Outcome(time.perf_counter() - start)
     seconds = time.perf_counter() - start
     error = np.array([calibration.camera.focal_px[0], *calibration.camera.principal_point_px]) - truth
-    sigma = np.array([calibration.sigma["camera_focal_px"], *calibration.sigma["camera_principal_point_px"]])
+    stated: Any = calibration.sigma
+    sigma = np.array([stated["camera_focal_px"], *stated["camera_principal_point_px"]])
     bound = None
     if len(pairs) == 1:
         noise = NOISE_PX if case.options.first_noise else 0.0

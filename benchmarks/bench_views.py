@@ -13,6 +13,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import repeat
+from typing import Any
 
 import numpy as np
 from cramer_rao import bound
@@ -146,9 +147,10 @@ def deviations(found: Calibration, truth: Calibration) -> np.ndarray:
     """Errors of (f_c, f_p, x_p, y_p) in their sigmas."""
     values = [found.camera.focal_px[0], found.projector.focal_px[0], *found.projector.principal_point_px]
     true = [truth.camera.focal_px[0], truth.projector.focal_px[0], *truth.projector.principal_point_px]
-    sigma = found.sigma
+    sigma: Any = found.sigma
     sigmas = [sigma["camera_focal_px"], sigma["projector_focal_px"], *sigma["projector_principal_point_px"]]
-    return (np.array(values) - true) / np.array(sigmas)
+    off: np.ndarray = (np.array(values) - true) / np.array(sigmas)
+    return off
 
 
 KINDS = {

@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 ROOT = Path(__file__).parents[1]
 _FOLDERS = ("calib", "scanner/decoding")
 _COPIED = ("benchmarks", "calib", "configs", "docs", "hw", "scanner", "tests", "tools", "pyproject.toml")
-_FLIPPED: dict[type[ast.operator | ast.cmpop | ast.unaryop], tuple[str, str]] = {
+_FLIPPED: dict[type[ast.AST], tuple[str, str]] = {
     ast.Add: ("+", "-"),
     ast.Sub: ("-", "+"),
     ast.Mult: ("*", "/"),
@@ -86,10 +86,10 @@ def _operators(tree: ast.Module, starts: list[int]) -> Iterator[tuple[ast.AST, i
             case ast.AugAssign(ast.Name() | ast.Subscript() | ast.Attribute() as target, operator, value):
                 yield operator, after(target), before(value)
             case ast.Compare(left, operators, others):
-                for operator, one, other in zip(operators, [left, *others], others, strict=False):
-                    yield operator, after(one), before(other)
-            case ast.UnaryOp(ast.USub() as operator, operand):
-                yield operator, before(node), before(operand)
+                for comparison, one, other in zip(operators, [left, *others], others, strict=False):
+                    yield comparison, after(one), before(other)
+            case ast.UnaryOp(ast.USub() as minus, operand):
+                yield minus, before(node), before(operand)
 
 
 def _is_text(node: ast.expr) -> bool:

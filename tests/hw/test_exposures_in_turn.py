@@ -1,5 +1,7 @@
 """Several exposures of each picture: the exposure changes between frames, never within one."""
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
@@ -83,7 +85,7 @@ def test_the_simulated_camera_has_limits() -> None:
         settings = SimulatedRigSettings(seed=0)
         sensor = type("Sensor", (), {"exposure_us": 1e4})
 
-    camera = SimulatedCamera(Room(), None)
+    camera = SimulatedCamera(cast(Any, Room()), cast(Any, None))
     assert camera.expose_for(5000.0) == camera.exposure_us == 5000.0
     with pytest.raises(DeviceError, match="exposes for"):
         camera.expose_for(2 * camera.exposure_limits_us[1])

@@ -3,6 +3,7 @@
 import threading
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -100,7 +101,7 @@ class Wall:
 def exposed(latency_s: float, request: Request, *, change_after_s: float | None = None) -> np.ndarray:
     screen = FakeScreen()
     with ScreenHistory(screen, lambda image: 100 * as_light(image)) as history:
-        sensor = RoomSensor(Wall(), history, white_exposure_us=20_000)
+        sensor = RoomSensor(cast(Any, Wall()), history, white_exposure_us=20_000)
         sensor.latency_s = latency_s
         screen.level = 0 if change_after_s is not None else 100
         time.sleep(0.02 + latency_s)

@@ -1,5 +1,7 @@
 """Taking turns, on a bench whose clock stands still while nothing happens."""
 
+from typing import cast
+
 import numpy as np
 import pytest
 
@@ -49,7 +51,7 @@ def test_retriggered_frames_are_counted(monkeypatch: pytest.MonkeyPatch) -> None
     rig = synchronised(bench, bench, {})
     bench._lost = frozenset({bench.exposures + 2, bench.exposures + 5, bench.exposures + 6})
     list(rig.photograph(pictures(10)))
-    account = rig.account()["synchronisation"]
+    account = cast(dict[str, object], rig.account()["synchronisation"])
     assert account["retriggered_frames"] == 3
     assert account["overlapping"] is True
 

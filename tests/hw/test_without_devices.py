@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from hw import projector_process
 from hw.errors import DeviceError
 from hw.open_rig import import_aravis, open_rig
 from hw.projector_process import ScreenProjector, list_screens
@@ -30,7 +29,7 @@ def no_aravis(monkeypatch: pytest.MonkeyPatch) -> None:
 def no_pyglet(monkeypatch: pytest.MonkeyPatch) -> None:
     find_spec = importlib.util.find_spec
     found = lambda name, *more: None if name == "pyglet" else find_spec(name, *more)  # noqa: E731
-    monkeypatch.setattr(projector_process.importlib.util, "find_spec", found)
+    monkeypatch.setattr(importlib.util, "find_spec", found)
 
 
 @pytest.mark.usefixtures("no_aravis")

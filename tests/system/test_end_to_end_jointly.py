@@ -112,4 +112,4 @@ def test_a_replay_with_an_earlier_result_finds_the_same(scanned: Scanned, tmp_pa
     # The earlier capture's colours come from its recording.
     clouds = [(folder / "captures/1/cloud.ply").read_bytes() for folder in (scanned.result, out)]
     colours = [np.frombuffer(cloud.split(b"end_header\n", 1)[1], VERTEX)["rgb"] for cloud in clouds]
-    np.testing.assert_array_equal(*colours)
+    np.testing.assert_array_equal(colours[0], colours[1])

@@ -1,13 +1,14 @@
 """Faces in matches of furnished rooms and boxes, against the surfaces that the rays really met."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from calib.geometry.camera import Intrinsics
 from calib.geometry.matches import NO_FACE, Matches
-from calib.numerics.array_types import Floats
+from calib.numerics.array_types import Ints
 from calib.plane_segmentation.faces import Faces, find_faces
 from calib.refusal import RefusalError
 from calib.synthetic.captures import random_capture
@@ -124,7 +125,9 @@ def test_the_order_of_the_matches_does_not_matter(room: Scene, faces: Faces) -> 
 
 def test_single_precision_is_enough(room: Scene, faces: Faces) -> None:
     matches = room.matches
-    sigma_px = np.ones(len(matches), np.float32) if matches.sigma_px is None else matches.sigma_px.astype(np.float32)
+    sigma_px: Any = (
+        np.ones(len(matches), np.float32) if matches.sigma_px is None else matches.sigma_px.astype(np.float32)
+    )
     single = Matches(matches.camera_px.astype(np.float32), matches.projector_px.astype(np.float32), None, sigma_px)
     found = find_faces(single, size(room.calibration.camera), size(room.calibration.projector))
     assert agreement(found.matches.face, faces.matches.face) > 0.995
@@ -139,7 +142,7 @@ def test_the_unit_of_the_camera_pixels_does_not_matter(room: Scene, faces: Faces
     assert agreement(find_faces(scaled, *sizes).matches.face, faces.matches.face) > 0.99
 
 
-def agreement(one: Floats | None, other: Floats | None) -> float:
+def agreement(one: Ints | None, other: Ints | None) -> float:
     assert one is not None
     assert other is not None
     return float(np.mean(one == other))

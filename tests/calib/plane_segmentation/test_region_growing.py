@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Floats
+from calib.numerics.array_types import Floats, Ints
 from calib.plane_segmentation.affine_ransac import CellFits, fit_cells
 from calib.plane_segmentation.region_growing import grow, local_planes
 from calib.plane_segmentation.surfels import Grid, Surfels
@@ -11,7 +11,7 @@ from calib.plane_segmentation.surfels import Grid, Surfels
 GATE = 3.5
 
 
-def evidence_of(planes: Floats, label: Floats, x: Floats, rng: np.random.Generator) -> Floats:
+def evidence_of(planes: Floats, label: Ints, x: Floats, rng: np.random.Generator) -> Floats:
     """Rows (12, M) of surfels at x (M, 2) on the planes that label (M,) names, with errors of standard deviation 1."""
     rows = np.empty((12, len(x)))
     at = np.concatenate([x, np.ones((len(x), 1))], axis=1)

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -30,7 +31,10 @@ def cloud_of(scene: Scene) -> Cloud:
     return build_cloud(scene.matches, scene.texture, scene.calibration)
 
 
-def at_matches(grid: NDArray[np.generic], scene: Scene) -> NDArray[np.generic]:
+Number = TypeVar("Number", bound=np.generic)
+
+
+def at_matches(grid: NDArray[Number], scene: Scene) -> NDArray[Number]:
     column, row = np.rint(scene.matches.camera_px).astype(int).T
     return grid[row, column]
 

@@ -1,6 +1,7 @@
 """Means over cells: faithful to the plane, deaf to outliers, the same in any order."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,13 +11,13 @@ from calib.geometry.matches import Matches
 from calib.refinement.match_cells import Cells, into_cells
 from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
-LENSES = {
+LENSES: dict[str, Any] = {
     "camera": replace(PAPER_CAMERA, distortion=(-0.06, 0.0, 0.0, 0.0, 0.0)),
     "projector": replace(PAPER_PROJECTOR, distortion=(-0.03, 0.0, 0.0, 0.0, 0.0)),
 }
 
 
-def _matches(noise_px: float, **options: object) -> tuple[Matches, Matches]:
+def _matches(noise_px: float, **options: Any) -> tuple[Matches, Matches]:
     """Noisy matches, and where their pixels would be without noise."""
     noisy, exact = (
         random_capture(np.random.default_rng(4), count=30_000, noise_px=noise, **LENSES, **options).matches

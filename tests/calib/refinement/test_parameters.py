@@ -84,7 +84,8 @@ def _cells(capture: SyntheticCapture) -> Cells:
 
 
 def _prior(capture: SyntheticCapture, state: State) -> Prior:
-    sizes = ((each.width, each.height) for each in (capture.calibration.camera, capture.calibration.projector))
+    camera, projector = capture.calibration.camera, capture.calibration.projector
+    sizes = (camera.width, camera.height), (projector.width, projector.height)
     return Knowledge(*sizes, (1200.0, 1000.0), 50.0, 0.3).prior(state)
 
 

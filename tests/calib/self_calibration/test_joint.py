@@ -1,6 +1,7 @@
 """Several captures by one rig: one corner or several, faces in any order, nothing known beforehand."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ CAMERA_SIZE = (PAPER_CAMERA.width, PAPER_CAMERA.height)
 PROJECTOR_SIZE = (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height)
 KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
 CENTRE = PrincipalPoint(((CAMERA_SIZE[0] - 1) / 2, (CAMERA_SIZE[1] - 1) / 2), 73.0)
-RIG = {
+RIG: dict[str, Any] = {
     "camera": replace(PAPER_CAMERA, distortion=(-0.02, 0.0, 0.0, 0.0, 0.0)),
     "projector": replace(PAPER_PROJECTOR, distortion=(-0.01, 0.0, 0.0, 0.0, 0.0)),
 }

@@ -78,7 +78,7 @@ def test_refined_reaches_its_own_sigma_with_lens_distortion() -> None:
         sigma = found.calibration.sigma
         error = _errors(found)
         errors.append(np.abs(error).mean())
-        deviations.append(error[0] * PAPER_CAMERA.focal_px[0] / sigma["camera_focal_px"])  # type: ignore[operator]
+        deviations.append(error[0] * PAPER_CAMERA.focal_px[0] / sigma["camera_focal_px"])
     assert 1e-5 < np.mean(errors) < 0.004
     assert 0.3 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 

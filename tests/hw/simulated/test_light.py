@@ -44,7 +44,7 @@ class EmptyRoom:
     def nearest_node(self, surface: int, u: float, v: float) -> tuple[int, float, float]:
         chart = self.mesh.solving[surface]
         column, row = np.abs(chart.u - u).argmin(), np.abs(chart.v - v).argmin()
-        return chart.start + row * chart.u.size + column, float(chart.u[column]), float(chart.v[row])
+        return int(chart.start + row * chart.u.size + column), float(chart.u[column]), float(chart.v[row])
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """`scan check` as an operator runs it: exit codes, output, the files that it leaves."""
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
@@ -11,6 +12,7 @@ from rich.console import Console
 from calib.refusal import RefusalError
 from hw.errors import DeviceError, OverexposedError
 from hw.open_rig import OpenedRig
+from hw.settings import AravisRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.checking import check as checking
 from scanner.checking import devices
@@ -19,6 +21,7 @@ from scanner.checking.table import table_of
 from scanner.commands import check as command
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
+from scanner.ui.terminal import Terminal
 from tests.support.check_bench import OVERRIDES, PERIOD_US, changed, rig_in
 
 TEXT = "# My rig\nrig:\n  backend: simulated   # a room\n  seed: 0\n"
@@ -46,7 +49,9 @@ def report(monkeypatch: pytest.MonkeyPatch, usual: CheckReport) -> CheckReport:
     return usual
 
 
-def finding(monkeypatch: pytest.MonkeyPatch, rows: tuple[CheckRow, ...], failure: Exception | None) -> None:
+def finding(
+    monkeypatch: pytest.MonkeyPatch, rows: tuple[CheckRow, ...], failure: DeviceError | RefusalError | None
+) -> None:
     monkeypatch.setattr(command, "check", lambda *_: CheckReport(rows, failure=failure))
 
 
@@ -110,7 +115,7 @@ def test_exit_codes(
     path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-    failure: Exception | None,
+    failure: DeviceError | RefusalError | None,
     code: int,
 ) -> None:
     rows = (CheckRow("camera", State.OK, "here"), CheckRow("focus", State.POOR, "blurred", "Focus the camera."))
@@ -172,7 +177,7 @@ def test_a_rig_that_is_too_bright_to_begin_with_is_opened_with_less(
     asked = []
 
     @contextmanager
-    def opening(settings, *_):
+    def opening(settings: AravisRigSettings, *_: object) -> Iterator[OpenedRig]:
         asked.append(settings.exposure_us)
         if settings.exposure_us > 12_000:
             raise OverexposedError("everything that white lights is overexposed")
@@ -190,7 +195,7 @@ def test_one_that_stays_too_bright_is_given_up(monkeypatch: pytest.MonkeyPatch) 
         raise OverexposedError("everything that white lights is overexposed")
 
     monkeypatch.setattr(devices, "open_rig", refuse)
-    report = checking.check(load_config(None, (*OVERRIDES, "rig={backend: aravis}")), command.Terminal(quiet=True))
+    report = checking.check(load_config(None, (*OVERRIDES, "rig={backend: aravis}")), Terminal(quiet=True))
     assert isinstance(report.failure, DeviceError)
 
 

@@ -1,19 +1,26 @@
 """What a check says of a simulated rig, against what is true of it."""
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from hw.rig import Frame, Rig
+from hw.rig import Frame, Rig, exposure_control
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.stream import capture
 from scanner.checking import view
 from scanner.checking.check import check_rig
 from scanner.checking.exposure import exposure_row, look, propose_exposure
+from scanner.checking.fringes import FringeMeter
 from scanner.checking.light import Light, ambient_share, flicker_of, light_rows, photograph_light
 from scanner.checking.report import CheckReport, CheckRow, State
 from scanner.checking.response import measure_ramp, ramp_of, response_row
+from scanner.decoding.decoder import Decoding
+from scanner.patterns.presets import PRESETS
 from scanner.patterns.projector_response import ProjectorResponse
 from scanner.pipeline import decode
 from scanner.reconstruction.calibrate import self_calibration
@@ -43,7 +50,7 @@ def test_rows_come_one_by_one(usual: CheckReport, rows_of_usual: list[CheckRow])
 def test_coverage_is_that_of_the_true_view(room: SimulatedRoom) -> None:
     truth = room.ground_truth().projector_px
     lit = float(np.isfinite(truth).all(axis=2).mean())
-    quick = view._take(rig_in(room), config(), view.PRESETS["quick"].patterns(PROJECTOR), view.FringeMeter(), QUIET, "")
+    quick = view._take(rig_in(room), config(), PRESETS["quick"].patterns(PROJECTOR), FringeMeter(), QUIET, "")
     coverage = view.coverage_of(quick.decoding, PROJECTOR)
     assert lit - 0.03 < coverage.camera < lit + 0.005
     squares = truth[np.isfinite(truth).all(axis=2)] / np.array(PROJECTOR) * (32, 18)
@@ -59,7 +66,7 @@ def test_the_proposed_exposure_uses_the_range_and_saturates_nothing(room: Simula
     rig = rig_in(changed(room, exposure_us=start * room.sensor.exposure_us, refresh_hz=240.0))
     proposal = propose_exposure(rig)
     period_us = 1e6 / 240
-    assert proposal.exposure_us == rig.camera.exposure_us
+    assert proposal.exposure_us == exposure_control(rig.camera).exposure_us
     assert proposal.exposure_us / period_us == pytest.approx(round(proposal.exposure_us / period_us))
     lit = np.isfinite(room.ground_truth().projector_px).all(axis=2)
     electrons = room.electrons(WHITE)[lit] * proposal.exposure_us / room.sensor.exposure_us
@@ -103,7 +110,7 @@ def test_light_that_pulsates_flickers_unless_the_exposure_is_of_whole_periods(ro
     found = {row.name: row for row in light_rows(light)}["flicker"]
     assert found.state == State.POOR
     assert "projector" in found.advice
-    rig.camera.expose_for(2 * PERIOD_US)
+    exposure_control(rig.camera).expose_for(2 * PERIOD_US)
     assert 0 < flicker_of(photograph_light(rig, 6, 4)).white < 0.002
     advised = exposure_row(propose_exposure(rig_in(pulsating)), 60.0, bracketed=False)
     assert advised.state == State.POOR
@@ -172,7 +179,7 @@ def test_a_camera_that_looks_aside_is_told_where_to_turn(usual: CheckReport) -> 
     seen = np.zeros((18, 32), bool)
     seen[:, :8] = True
     coverage = view.Coverage(0.01, (-0.4, 0.0), 0.25, (-0.375, 0.0), seen, 1.0)
-    found = view.coverage_row(coverage, FakeDecoding())
+    found = view.coverage_row(coverage, decoding_with(np.ones((4, 4), np.uint8)))
     assert found.state == State.POOR
     assert "Turn the camera to the left" in found.advice
     assert "Turn the projector to the left" in found.advice
@@ -180,16 +187,15 @@ def test_a_camera_that_looks_aside_is_told_where_to_turn(usual: CheckReport) -> 
 
 def test_lit_pixels_that_do_not_decode_are_no_reason_to_turn() -> None:
     coverage = view.Coverage(0.02, (-0.4, 0.0), 0.4, (0.0, 0.0), np.ones((18, 32), bool), 1.0)
-    patchy = FakeDecoding()
-    patchy.reasons = np.array([[0, 3, 3, 7]], np.uint8)
-    found = view.coverage_row(coverage, patchy)
+    found = view.coverage_row(coverage, decoding_with(np.array([[0, 3, 3, 7]], np.uint8)))
     assert found.state == State.POOR
     assert "only 25 % of the lit pixels decode" in found.finding
     assert "Turn" not in found.advice
 
 
-class FakeDecoding:
-    reasons = np.ones((4, 4), np.uint8)
+def decoding_with(reasons: NDArray[np.uint8]) -> Decoding:
+    """As much of one as the row reads."""
+    return cast(Decoding, SimpleNamespace(reasons=reasons))
 
 
 class Blind:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.numerics.array_types import Floats
 from hw.simulated.simulation import SimulatedRoom
 from scanner.checking.check import check_rig
 from scanner.checking.focus import BlurSamples, period_for, tell_apart
@@ -80,7 +81,7 @@ def test_a_camera_of_coarse_pixels_is_not_told_to_focus() -> None:
     assert "too coarse" in found.advice
 
 
-def vars_of(samples: BlurSamples) -> tuple:
+def vars_of(samples: BlurSamples) -> tuple[Floats, Floats, float]:
     return samples.where, samples.doubt2, samples.lost
 
 

@@ -1,5 +1,7 @@
 """A measured response makes fringes true sines: what gamma had bent is straight, and the recording means the same."""
 
+from typing import cast
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -62,7 +64,8 @@ def test_a_compensated_fringe_is_a_sine_of_light() -> None:
 def test_recordings_mean_the_same_and_tell_what_was_done(room: SimulatedRoom) -> None:
     stream = capture(rig_in(room), QUICK, response=ProjectorResponse((0.0, 0.3, 1.0)))
     assert stream.patterns == QUICK
-    assert stream.metadata["devices"]["response"] == "gamma 1.74, undone"
+    devices = cast(dict[str, str], stream.metadata["devices"])
+    assert devices["response"] == "gamma 1.74, undone"
 
 
 @given(st.lists(st.floats(0.01, 1.0), min_size=1, max_size=40))

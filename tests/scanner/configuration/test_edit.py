@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -78,7 +79,7 @@ VALUES = st.recursive(
 def test_whatever_the_file_is_like_it_means_the_same_but_for_the_key(
     section: dict[str, object], flow: bool, there: bool
 ) -> None:
-    data = {"one": 1, "rig": section | ({"exposure_us": 1} if there else {}), "two": [2, {"three": 3}]}
+    data: dict[str, Any] = {"one": 1, "rig": section | ({"exposure_us": 1} if there else {}), "two": [2, {"three": 3}]}
     parts = [yaml.safe_dump({key: value}, default_flow_style=False, allow_unicode=True) for key, value in data.items()]
     if flow:
         parts[1] = f"rig: {yaml.safe_dump(data['rig'], default_flow_style=True, allow_unicode=True)}"

@@ -1,6 +1,6 @@
 """The same sequence under other light, with other cameras: no false alarm, and the masks and warnings that belong."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -168,7 +168,7 @@ def test_the_frames_are_not_changed_and_may_be_reused() -> None:
 
     buffer = np.empty_like(frames[0])
 
-    def grabbed() -> object:
+    def grabbed() -> Iterator[Image]:
         for frame in frames:
             buffer[...] = frame
             yield buffer

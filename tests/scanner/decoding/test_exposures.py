@@ -132,6 +132,7 @@ def test_a_simulated_capture_is_recorded_and_replayed(tmp_path: Path) -> None:
 def test_a_camera_of_one_exposure_is_refused() -> None:
     class Fixed:
         size = (8, 8)
+        highest_level = 255
 
         def grab(self) -> Frame:
             raise NotImplementedError

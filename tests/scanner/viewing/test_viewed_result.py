@@ -115,12 +115,12 @@ def test_the_sigma_of_depth_contains_the_calibrations(tmp_path: Path) -> None:
     calibration = read_calibration(written.folder / "calibration.yaml")
     covariance = np.zeros((SHARED, SHARED))
     covariance[0, 0] = 0.001**2
-    devices = (
+    camera_state, projector_state = (
         np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
         for device in (calibration.camera, calibration.projector)
     )
     direction = calibration.translation / calibration.baseline
-    state = State(*devices, calibration.rotation, direction, np.zeros((0, 3)), ())
+    state = State(camera_state, projector_state, calibration.rotation, direction, np.zeros((0, 3)), ())
     more = confidence_entries(Verdict("good", "Well", ("so",)), Uncertainty(state, covariance, None, 0.05))
     write_calibration(written.folder / "calibration.yaml", calibration, more)
     result = ViewedResult(written.folder)

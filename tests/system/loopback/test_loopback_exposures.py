@@ -1,10 +1,12 @@
 """Exposures that change while a real camera runs."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from calib.numerics.array_types import Image
 from hw.errors import DeviceError
 from hw.open_rig import open_rig
 from hw.rig import ExposureControl, Rig
@@ -13,7 +15,7 @@ from scanner.capture.recording import open_capture
 from scanner.capture.stream import capture
 from scanner.checking.exposure import propose_exposure
 from scanner.configuration.schema import load_config
-from scanner.patterns.pattern import Black, Pattern, White
+from scanner.patterns.pattern import Black, Pattern, White, draw
 from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Loopback, scan
 
 pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
@@ -22,7 +24,7 @@ PERIOD_US = 1e6 / 60
 
 
 @pytest.fixture
-def opened(config: Path, rig: Loopback):
+def opened(config: Path, rig: Loopback) -> Iterator[Rig]:
     settings = load_config(config)
     with open_rig(settings.required_rig, settings.camera_size, settings.projector_size) as opened:
         yield opened.rig
@@ -66,9 +68,7 @@ def test_a_scan_takes_each_pattern_at_each_exposure(config: Path, rig: Loopback,
         assert np.sqrt(np.mean((frame.image - expected) ** 2)) < 2.5, f"frame {index} is not of {pattern}"
 
 
-def pattern_image(pattern: Pattern):
-    from scanner.patterns.pattern import draw
-
+def pattern_image(pattern: Pattern) -> Image:
     return draw(pattern, PROJECTOR)
 
 

@@ -62,7 +62,9 @@ def test_a_scan_is_as_good_as_on_the_simulated_rig(
         ("pixel_format: Mono8, trigger: free-run", np.uint8, 1),
     ],
 )
-def test_other_settings_act(config: Path, rig: Loopback, settings: str, kind: type[np.generic], channels: int) -> None:
+def test_other_settings_act(
+    config: Path, rig: Loopback, settings: str, kind: type[np.uint8] | type[np.uint16], channels: int
+) -> None:
     config.write_text(CONFIG.replace("packet_size: 8000", f"packet_size: 8000, {settings}"))
     chosen = load_config(config)
     with open_rig(chosen.required_rig, chosen.camera_size, chosen.projector_size) as opened:
