@@ -31,6 +31,7 @@ from scanner.viewing.geometry import (
 from scanner.viewing.result import ALL_CAPTURES, ViewedCloud, ViewedResult
 from tests.support.cloud_scene import room
 from tests.support.result_folder import Written, write_result
+from tests.support.states import device_of
 
 
 @pytest.fixture(scope="module")
@@ -115,12 +116,15 @@ def test_the_sigma_of_depth_contains_the_calibrations(tmp_path: Path) -> None:
     calibration = read_calibration(written.folder / "calibration.yaml")
     covariance = np.zeros((SHARED, SHARED))
     covariance[0, 0] = 0.001**2
-    camera_state, projector_state = (
-        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
-        for device in (calibration.camera, calibration.projector)
-    )
     direction = calibration.translation / calibration.baseline
-    state = State(camera_state, projector_state, calibration.rotation, direction, np.zeros((0, 3)), ())
+    state = State(
+        device_of(calibration.camera),
+        device_of(calibration.projector),
+        calibration.rotation,
+        direction,
+        np.zeros((0, 3)),
+        (),
+    )
     more = confidence_entries(Verdict("good", "Well", ("so",)), Uncertainty(state, covariance, None, 0.05))
     write_calibration(written.folder / "calibration.yaml", calibration, more)
     result = ViewedResult(written.folder)
