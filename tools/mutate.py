@@ -3,7 +3,7 @@
     python tools/mutate.py --count 20 --seed 1           # anywhere in calib/ and scanner/decoding/
     python tools/mutate.py --at calib/plane_segmentation/faces.py:60 --at scanner/decoding/tiles.py:40
 
-Works in a temporary copy of the tree. The tests of a file are those in the folder that mirrors its own.
+Works in a temporary copy of the tree. The tests of a file are those in the folder that mirrors its own, or --tests.
 """
 
 import ast
@@ -96,13 +96,22 @@ def _is_text(node: ast.expr) -> bool:
     return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
 
 
-def survives(mutant: Mutant, copy: Path, time_limit_s: float) -> bool:
+def survives(mutant: Mutant, copy: Path, tests: list[str], time_limit_s: float) -> bool:
     """Whether the tests pass with it; a test that never ends has noticed."""
-    file, tests = copy / mutant.path, _tests_of(mutant.path)
+    file = copy / mutant.path
     source = file.read_bytes()
     # The machine code that Numba keeps is renewed with its file; Python's own is not written at all.
     environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", str(tests)]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-x",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        *(tests or [_tests_of(mutant.path)]),
+    ]
     try:
         file.write_bytes(mutant.applied(source))
         run = subprocess.run(command, cwd=copy, env=environment, timeout=time_limit_s, capture_output=True)
@@ -115,12 +124,12 @@ def survives(mutant: Mutant, copy: Path, time_limit_s: float) -> bool:
     return run.returncode == 0
 
 
-def _tests_of(path: Path) -> Path:
+def _tests_of(path: Path) -> str:
     """The folder that mirrors the file's own, or the nearest above that there is."""
     folder = path.parent
     while not (ROOT / "tests" / folder).is_dir():
         folder = folder.parent
-    return "tests" / folder
+    return str("tests" / folder)
 
 
 def main() -> int:
@@ -136,7 +145,7 @@ def main() -> int:
             else:
                 shutil.copy2(ROOT / name, copy / name)
         for number, mutant in enumerate(mutants, 1):
-            survived = survives(mutant, copy, options.time_limit)
+            survived = survives(mutant, copy, options.tests, options.time_limit)
             survivors += survived
             print(f"{number}/{len(mutants)} {'SURVIVED' if survived else 'noticed '} {mutant}", flush=True)
     print(f"{len(mutants) - survivors} of {len(mutants)} noticed")
@@ -158,6 +167,7 @@ def _options() -> Namespace:
     parser.add_argument("--count", type=int, default=40, help="operators to flip (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the choice (default: %(default)s)")
     parser.add_argument("--at", action="append", metavar="FILE:LINE", help="all operators of a line instead")
+    parser.add_argument("--tests", action="append", default=[], metavar="PATH", help="to run instead of the folder's")
     parser.add_argument("--time-limit", type=float, default=600.0, metavar="SECONDS", help="for each run of tests")
     return parser.parse_args()
 

@@ -96,13 +96,12 @@ def test_focals_that_no_device_has_are_refused(
     good: Refinement, device: str, widths: float, is_plausible: bool
 ) -> None:
     state = good.fit.state
-    parameters, size = {
-        "camera": (state.camera, KNOWLEDGE.camera_size),
-        "projector": (state.projector, KNOWLEDGE.projector_size),
-    }[device]
-    changed = parameters.copy()
-    changed[0] = widths * max(size)
-    odd = replace(good, fit=replace(good.fit, state=replace(state, **{device: changed})))
+    camera, projector = state.camera.copy(), state.projector.copy()
+    if device == "camera":
+        camera[0] = widths * max(KNOWLEDGE.camera_size)
+    else:
+        projector[0] = widths * max(KNOWLEDGE.projector_size)
+    odd = replace(good, fit=replace(good.fit, state=replace(state, camera=camera, projector=projector)))
     if is_plausible:
         refuse_untrustworthy(odd, KNOWLEDGE)
     else:

@@ -16,7 +16,7 @@ from scanner.decoding.map_checks import _count_jumps
 from scanner.decoding.noise_model import NoiseModel
 from scanner.decoding.phase_unwrapping import Disagreements, measured_tolerances, widest_tolerances
 from scanner.decoding.sequence_plan import plan_sequence
-from scanner.patterns.pattern import gray_sequence, phase_sequence
+from scanner.patterns.pattern import Pattern, gray_sequence, phase_sequence
 
 SHAPE = (3, 4)
 
@@ -112,7 +112,11 @@ def test_jumps_over_the_edges_of_cells(values: np.ndarray, there: np.ndarray, of
     ],
 )
 def test_the_tolerance_of_an_interval_is_measured_in_bounds(cell: int, outside_px: float, interval_px: float) -> None:
-    patterns = [*gray_sequence("x", 1024, cell), *phase_sequence("x", 4 * cell, 4), *gray_sequence("y", 8, 1)]
+    patterns: list[Pattern] = [
+        *gray_sequence("x", 1024, cell),
+        *phase_sequence("x", 4 * cell, 4),
+        *gray_sequence("y", 8, 1),
+    ]
     plan = plan_sequence(patterns, (1024, 8)).x
     rng = np.random.default_rng(0)
     outside = np.concatenate([np.abs(rng.normal(0, outside_px, 20_000)), np.zeros(30_000)]).astype(np.float32)
