@@ -57,7 +57,7 @@ def test_the_sphere_has_its_radius(scene: Scene, cloud: Cloud) -> None:
     design = np.column_stack([2 * on_sphere, np.ones(len(on_sphere))])
     x, y, z, rest = np.linalg.lstsq(design, np.sum(on_sphere**2, axis=1), rcond=None)[0]
     radius_m = np.sqrt(rest + x * x + y * y + z * z)
-    assert 0 < abs(radius_m - SPHERE_RADIUS_M) < 5e-4
+    assert 1e-7 < abs(radius_m - SPHERE_RADIUS_M) < 5e-4
 
 
 def test_every_point_has_a_unit_normal_that_faces_the_camera(cloud: Cloud) -> None:

@@ -18,11 +18,11 @@ def test_bends_are_found_and_taken_off(seed: int, k1: float, k1_projector: float
     found = straighten(into_cells(capture.matches), camera.principal_point_px, projector.principal_point_px)
     k1_found = found.camera_bend * camera.focal_px[0] ** 2
     k1_projector_found = found.projector_bend * projector.focal_px[0] ** 2
-    assert 0 < abs(k1_found - k1) < 0.01
-    assert 0 < abs(k1_projector_found - k1_projector) < 0.01
+    assert 1e-6 < abs(k1_found - k1) < 0.01
+    assert 1e-6 < abs(k1_projector_found - k1_projector) < 0.01
     bare = replace(capture.calibration, camera=PAPER_CAMERA, projector=PAPER_PROJECTOR)
     rays = bare.camera.unproject(found.matches.camera_px)
     normals = capture.corner.normals[found.matches.face]
     points = (normals @ capture.corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
     ideal_px = bare.projector.project(points @ bare.rotation.T + bare.translation)
-    assert 0 < np.sqrt(np.mean((ideal_px - found.matches.projector_px) ** 2)) < 1.0
+    assert 1e-4 < np.sqrt(np.mean((ideal_px - found.matches.projector_px) ** 2)) < 1.0

@@ -43,7 +43,7 @@ def samples_of(projector: float, camera: float, *, noise: float = 0.02, even: bo
 def test_blur_is_split_between_the_lenses(projector: float, camera: float) -> None:
     samples = samples_of(projector, camera)
     lenses = tell_apart(samples)
-    assert 0 < lenses.projector2_sigma < 0.1
+    assert 1e-4 < lenses.projector2_sigma < 0.1
     assert abs(lenses.projector2 - projector**2) < 4 * lenses.projector2_sigma
     assert abs(lenses.camera2 - camera**2 * lenses.span**2) < 4 * lenses.camera2_sigma
 

@@ -49,10 +49,10 @@ def cloud(written: Written) -> ViewedCloud:
 def test_the_corner_is_where_it_is(written: Written, cloud: ViewedCloud) -> None:
     assert cloud.corner is not None
     found, true = cloud.corner.corner, written.scene.corner
-    assert 0 < np.linalg.norm(found.vertex - true.vertex) < 0.001
+    assert 1e-7 < np.linalg.norm(found.vertex - true.vertex) < 0.001
     assert np.min(np.sum(found.legs * true.legs, axis=1)) > 0.99999
     for angle in cloud.corner.angles:
-        assert 0 < abs(angle.angle_deg - 90) < 0.05
+        assert 1e-6 < abs(angle.angle_deg - 90) < 0.05
 
 
 def test_outlines_begin_at_the_vertex_and_hold_their_points(written: Written, cloud: ViewedCloud) -> None:
