@@ -9,6 +9,7 @@ Works in a temporary copy of the tree. The tests of a file are those in the fold
 import ast
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -62,8 +63,9 @@ def mutants_of(path: Path) -> list[Mutant]:
     found = []
     for node, begin, end in _operators(ast.parse(source), starts):
         old, new = _FLIPPED.get(type(node), ("", ""))
-        place = source.find(old.encode(), begin, end)
-        if old and place >= 0:
+        between = re.sub(rb"#[^\n]*", lambda comment: b" " * len(comment[0]), source[begin:end])
+        if old:
+            place = begin + between.index(old.encode())
             found.append(Mutant(path, source.count(b"\n", 0, place) + 1, place, place + len(old), new.encode()))
     return found
 

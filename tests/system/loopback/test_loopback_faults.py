@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -130,9 +129,7 @@ def test_the_screen_dies(config: Path, rig: Loopback, room: SimulatedRoom, capsy
 
 def test_ctrl_c(config: Path, rig: Loopback, room: SimulatedRoom) -> None:
     command = [sys.executable, "-m", "scanner", "--config", str(config), "--out", str(config.with_name("result"))]
-    # What runs in a shell's background is started deaf to Ctrl-C, and its children inherit that.
-    listening = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listening)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     after_frames(5, config, lambda: process.send_signal(signal.SIGINT))
     message = process.communicate(timeout=60)[1]
     assert process.returncode == 130
