@@ -158,7 +158,8 @@ def _chosen(options: Namespace) -> list[Mutant]:
     if options.at:
         places = [place.rsplit(":", 1) for place in options.at]
         return [mutant for path, line in places for mutant in mutants_of(Path(path)) if mutant.line == int(line)]
-    paths = sorted(path for folder in _FOLDERS for path in (ROOT / folder).rglob("*.py"))
+    folders = options.folder or _FOLDERS
+    paths = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
     mutants = [mutant for path in paths for mutant in mutants_of(path.relative_to(ROOT))]
     return random.Random(options.seed).sample(mutants, options.count)
 
@@ -168,6 +169,9 @@ def _options() -> Namespace:
     parser = ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=40, help="operators to flip (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the choice (default: %(default)s)")
+    parser.add_argument(
+        "--folder", action="append", metavar="PATH", help=f"to choose from (default: {', '.join(_FOLDERS)})"
+    )
     parser.add_argument("--at", action="append", metavar="FILE:LINE", help="all operators of a line instead")
     parser.add_argument("--tests", action="append", default=[], metavar="PATH", help="to run instead of the folder's")
     parser.add_argument("--time-limit", type=float, default=600.0, metavar="SECONDS", help="for each run of tests")
