@@ -66,10 +66,11 @@ def seen_by_camera(
 ) -> Iterator[Image]:
     """Frames (H, W), given which projector pixel (H, W, 2) each camera pixel sees, and how much it reflects (H, W)."""
     rng = np.random.default_rng(1)
+    x, y = cv2.split(projector_px)
     noise = [rng.normal(0, 1.2, albedo.shape).astype(np.float32) for _ in range(3)]
     for number, pattern in enumerate(patterns):
         shown = cv2.GaussianBlur((draw(pattern, projector) / np.float32(255)) ** np.float32(2.2), (0, 0), 0.6)
-        seen = albedo * (cv2.remap(shown, projector_px, np.empty(0), cv2.INTER_LINEAR) + _INDIRECT * shown.mean())
+        seen = albedo * (cv2.remap(shown, x, y, cv2.INTER_LINEAR) + _INDIRECT * shown.mean())
         levels = _WHITE * seen + _AMBIENT + np.roll(noise[number % 3], 7919 * number)
         yield np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
