@@ -77,3 +77,14 @@ def test_too_few_matches_are_named() -> None:
     face = np.where(np.arange(len(matches)) < 3, 0, -1).astype(np.int32)
     with pytest.raises(TooFewMatchesError, match="face 0 has 3 matches"):
         into_cells(matches.with_faces(face), (0,))
+
+
+def test_cells_that_hold_next_to_nothing_are_left_out() -> None:
+    noisy, _ = _matches(0.1)
+    cells = into_cells(noisy)
+    per_cell = (cells.noise_px / cells.sigma_px) ** 2
+    for plane in range(3):
+        of_plane = per_cell[cells.plane == plane]
+        # Fewer than a fifth of what a typical match has around it: strays, or the edge of a face that cuts a cell off.
+        typical = np.sort(of_plane)[np.searchsorted(np.cumsum(np.sort(of_plane)), of_plane.sum() / 2)]
+        assert 0.18 < of_plane.min() / typical < 0.5
