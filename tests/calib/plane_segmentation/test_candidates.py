@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 from calib.geometry.homography import homogeneous
@@ -10,6 +11,7 @@ from calib.numerics.array_types import Floats
 from calib.plane_segmentation import corner_hypotheses
 from calib.plane_segmentation.faces import find_faces
 from calib.plane_segmentation.fundamental_matrix import _best_fundamental, _best_homography
+from calib.plane_segmentation.plane_parallax import Lens, TwoView
 from calib.plane_segmentation.surfels import make_surfels
 from calib.refusal import RefusalError
 
@@ -67,6 +69,39 @@ def test_regular_angles_are_likelier_than_others(
     off = min(angle_deg % 90, 90 - angle_deg % 90)
     regular = 2 * norm.pdf(off, scale=sigma)  # folded: off is not negative
     assert found == pytest.approx(np.log((regular + 1 / 45) / 2), abs=1e-5)
+
+
+def corner_before(focal: float, projector_focal: float) -> tuple[TwoView, Floats, list[Floats]]:
+    """A square corner before two ideal devices: the geometry with some plane's homography as its base, the planes'
+    parallaxes (3, 3) and points on them in homogeneous image coordinates.
+    """
+    camera, projector = np.diag([focal, focal, 1.0]), np.diag([projector_focal, projector_focal, 1.0])
+    turn = Rotation.from_euler("xyz", [0.05, -0.15, 0.03]).as_matrix()
+    epipole = projector @ np.array([0.3, 0.05, 0.06])
+    legs = Rotation.from_euler("xyz", [0.9, 0.55, 0.2]).as_matrix().T  # of the corner, towards the camera
+    legs *= -np.sign(legs[:, 2:])
+    vertex = np.array([0.1, 0.05, 3.0])
+    inverse_depth = legs / (legs @ vertex)[:, None] @ np.linalg.inv(camera)
+    base = np.array([0.1, -0.05, 0.2])
+    view = TwoView(
+        Lens((2, 2)), Lens((2, 2)), projector @ turn @ np.linalg.inv(camera) + np.outer(epipole, base), epipole
+    )
+    spread = np.random.default_rng(0).uniform(0.05, 1, (2, 40, 1))
+    points = [vertex + spread[0] * legs[face - 2] + spread[1] * legs[face - 1] for face in range(3)]
+    return view, inverse_depth - base, [homogeneous((x / x[:, 2:])[:, :2]) @ camera for x in points]
+
+
+@pytest.mark.parametrize(("focal", "projector_focal"), [(1.2, 1.2), (1.5, 2.9), (2.0, 2.2), (3.4, 1.8), (4.5, 3.0)])
+def test_the_corner_fits_where_the_projectors_pixels_are_square(
+    monkeypatch: pytest.MonkeyPatch, focal: float, projector_focal: float
+) -> None:
+    monkeypatch.setattr(corner_hypotheses, "_SQUARE_SIGMA", 1e-4)  # no error of the planes is to be allowed for here
+    view, planes, x = corner_before(focal, projector_focal)
+    found = corner_hypotheses._best_fit(view, planes, x, planes)
+    assert found is not None
+    assert found.focal == pytest.approx(focal, rel=0.025)  # 2.45 % from one trial to the next
+    assert found.off_square < 3e-4
+    np.testing.assert_allclose(found.at_infinity, [-0.1, 0.05, -0.2], atol=0.01)
 
 
 def test_matches_that_are_smooth_at_few_places_only_are_refused() -> None:

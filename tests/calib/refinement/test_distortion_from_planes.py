@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.refinement.distortion_from_planes import straighten
+from calib.refinement.distortion_from_planes import _SIGMA, _homographies, _misfit, straighten
 from calib.refinement.match_cells import into_cells
 from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
+from tests.support.states import device_of
 
 
 @pytest.mark.parametrize(("seed", "k1", "k1_projector"), [(1, 0.0, 0.0), (2, -0.1, 0.0), (3, -0.06, 0.05)])
@@ -26,3 +27,26 @@ def test_bends_are_found_and_taken_off(seed: int, k1: float, k1_projector: float
     points = (normals @ capture.corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
     ideal_px = bare.projector.project(points @ bare.rotation.T + bare.translation)
     assert 1e-4 < np.sqrt(np.mean((ideal_px - found.matches.projector_px) ** 2)) < 1.0
+
+
+def test_the_slope_is_half_the_gradient_of_the_cost() -> None:
+    capture = random_capture(np.random.default_rng(4), count=5000)
+    cells = into_cells(capture.matches)
+    camera, projector = device_of(PAPER_CAMERA), device_of(PAPER_PROJECTOR)
+    homographies = _homographies(cells, camera, projector)
+    parameters = np.concatenate([homographies.ravel(), [-0.2, 0.3]])
+    _, normal, slope = _misfit(cells, camera, projector, parameters)
+    for column, step in enumerate(1e-6 * np.eye(len(parameters))):
+        ahead, behind = (_misfit(cells, camera, projector, parameters + s)[0] for s in (step, -step))
+        assert abs((ahead - behind) / 4e-6 - slope[column]) < 1e-4 * np.sqrt(normal[column, column]) * np.sqrt(ahead)
+
+
+def test_bends_that_nothing_shows_cost_what_the_prior_says() -> None:
+    capture = random_capture(np.random.default_rng(4), count=5000)
+    cells = into_cells(capture.matches)
+    camera, projector = device_of(PAPER_CAMERA), device_of(PAPER_PROJECTOR)
+    parameters = np.concatenate([_homographies(cells, camera, projector).ravel(), [0.1, -0.3]])
+    nothing = replace(cells, sigma_px=np.full(len(cells), 1e9))
+    cost, _, slope = _misfit(nothing, camera, projector, parameters)
+    assert cost == pytest.approx((0.1**2 + 0.3**2) / _SIGMA**2, rel=1e-6)
+    np.testing.assert_allclose(slope[-2:], np.array([0.1, -0.3]) / _SIGMA**2, rtol=1e-6)
