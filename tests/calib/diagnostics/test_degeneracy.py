@@ -63,9 +63,12 @@ def test_devices_behind_one_another_are_named_with_the_angle(ahead_deg: float, i
 
 @pytest.mark.parametrize(("distance", "is_named"), [(50.0, True), (34.0, True), (33.0, False)])
 def test_a_short_baseline_is_named_with_its_share(distance: float, is_named: bool) -> None:
-    found = reasons_in_space(state_seen(np.ones(3), distance), 0, RIG)
+    state = state_seen(np.ones(3), distance)
     share = f"camera and projector are only {100 / distance:.1f} % of the distance to the corner apart"
-    assert found == [share] * is_named
+    assert reasons_in_space(state, 0, RIG) == [share] * is_named
+    pose = Pose(state.poses[0].frame, 2 * state.poses[0].vertex)  # the same in another unit, as of a further photo
+    in_halves = replace(state, translation=2 * state.translation, poses=(pose,))
+    assert reasons_in_space(in_halves, 0, RIG) == [share] * is_named
 
 
 def cells_of(*faces: tuple[float, float]) -> Cells:
