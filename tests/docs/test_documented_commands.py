@@ -13,7 +13,8 @@ import yaml
 
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
-from tests.support.documented import PAGES, ROOT, Documented, commands, commands_in, parse
+from tests.support.documented import PAGES, Documented, commands, commands_in, parse
+from tests.support.places import ROOT
 
 COMMANDS = commands()
 OURS = [command for command in COMMANDS if not command.foreign]
