@@ -23,7 +23,7 @@ from scanner.configuration import Config
 from scanner.decoding import MaskReason
 from scanner.patterns import Pattern, phase_sequence
 from scanner.reconstruction import read_captures
-from scanner.results import Findings
+from scanner.results import Decoded
 from scanner.ui import Progress
 
 OnRow = Callable[[CheckRow], None]
@@ -68,7 +68,7 @@ class _Bench:
     rig: Rig
     config: Config
     terminal: Progress
-    earlier: list[Findings]
+    earlier: list[Decoded]
 
     def show(self, patterns: tuple[Pattern, ...]) -> Iterator[tuple[Pattern, Frame]]:
         """Frames of patterns, sent as a scan would send them."""

@@ -50,9 +50,10 @@ def run(args: Namespace) -> None:
     out = args.out or default_out(_name(recording.folder), overwrite=args.overwrite)
     terminal = Terminal(quiet=args.quiet)
     with new_result(out, config, overwrite=args.overwrite) as folder:
-        scan = pipeline.replay(
-            recording, config, folder, terminal, masks=masks, calibration=calibration, earlier=earlier
-        )
+        if calibration:
+            scan = pipeline.replay_calibrated(recording, calibration, config, folder, terminal)
+        else:
+            scan = pipeline.replay(recording, config, folder, terminal, masks=masks, earlier=earlier)
     show_outcome(scan, out, terminal)
 
 

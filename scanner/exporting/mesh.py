@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from calib.numerics import Floats, Ints
 from calib.pointcloud import SeenPoints, image_triangles
 from scanner.errors import InputError
+from scanner.io import write_ply
 from scanner.results import FinishedScan
 
 # The camera's axes (x right, y down, z forward) turned to x right, y up, z backward, as glTF's cameras look.
@@ -48,27 +49,7 @@ def build_mesh(scan: FinishedScan) -> Mesh:
 
 def write_mesh_ply(path: Path, mesh: Mesh) -> None:
     """Binary PLY in the camera's frame, like the cloud. Raises OSError."""
-    vertex = np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)])
-    vertices = np.empty(len(mesh.points), vertex)
-    vertices["xyz"], vertices["normal"], vertices["rgb"] = mesh.points, mesh.normals, mesh.colours
-    faces = np.empty(len(mesh.triangles), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
-    faces["count"], faces["corners"] = 3, mesh.triangles
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment unit {_one_line(mesh.unit)} (of x, y, z)",
-        "comment camera frame: x right, y down, z forward, origin at the camera's centre",
-        f"element vertex {len(vertices)}",
-        *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
-        *(f"property uchar {name}" for name in ("red", "green", "blue")),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
-    with path.open("wb") as file:
-        file.write("".join(f"{line}\n" for line in header).encode("ascii", errors="replace"))
-        file.write(vertices.data)
-        file.write(faces.data)
+    write_ply(path, mesh, triangles=mesh.triangles)
 
 
 def write_mesh_obj(path: Path, mesh: Mesh) -> None:
@@ -76,7 +57,7 @@ def write_mesh_obj(path: Path, mesh: Mesh) -> None:
     points, normals = mesh.points * Y_UP_FROM_CAMERA, mesh.normals * Y_UP_FROM_CAMERA
     corners = mesh.triangles + 1
     with path.open("w", encoding="utf-8") as file:
-        file.write(f"# unit {_one_line(mesh.unit)}; x right, y up, z backward, origin at the camera's centre\n")
+        file.write(f"# unit {' '.join(mesh.unit.split())}; x right, y up, z backward, origin at the camera's centre\n")
         for line, table in (
             ("v %.9g %.9g %.9g %.4f %.4f %.4f\n", np.hstack([points, mesh.colours / 255.0])),
             ("vn %.5f %.5f %.5f\n", normals),
@@ -85,7 +66,3 @@ def write_mesh_obj(path: Path, mesh: Mesh) -> None:
             for start in range(0, len(table), _OBJ_LINES):
                 rows = table[start : start + _OBJ_LINES]
                 file.write(line * len(rows) % tuple(rows.ravel().tolist()))
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())

@@ -35,9 +35,10 @@ class Flatness:
 
 def flatness(report: ReportInput) -> Flatness | None:
     """The faces of the cloud; None without a cloud or labelled faces."""
-    cloud, face = report.cloud, report.sample.face
-    if cloud is None or face is None:
+    face = report.sample.face
+    if report.reconstructed is None or face is None:
         return None
+    cloud = report.reconstructed.cloud
     pixel = np.rint(report.sample.camera_px).astype(np.int64)
     height, width = cloud.points.shape[:2]
     inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=1)

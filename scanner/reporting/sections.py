@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from calib.numerics import Floats
+from calib.pointcloud import Cloud
 from scanner.capture import CaptureFacts
 from scanner.decoding import Decoding, MaskReason
 from scanner.patterns import Gray, Pattern, Phase, Xor
@@ -113,9 +114,9 @@ class Mask:
 
 def tables(report: ReportInput) -> tuple[Table, ...]:
     """The calibration's numbers; none for a refusal."""
-    calibration, truth = report.calibration, report.truth
-    if calibration is None:
+    if report.reconstructed is None:
         return ()
+    calibration, truth = report.reconstructed.calibration, report.truth
     found = [Table("Camera", tuple(device_quantities("camera", calibration, truth)))]
     if not calibration.one_camera:
         found.append(Table("Projector", tuple(device_quantities("projector", calibration, truth))))
@@ -130,15 +131,17 @@ def faces(report: ReportInput) -> Faces | None:
     """The faces over the white frame; None if none were found."""
     if not len(report.on_faces):
         return None
-    width, height = report.capture.camera_size
+    width, height = report.facts.camera_size
     labels = maps.face_labels(report.matches, (width, height))
-    texture = np.full((height, width), 128, dtype=np.uint8) if report.texture is None else report.texture
+    texture = report.outcome.decoded.texture
+    if texture is None:
+        texture = np.full((height, width), 128, dtype=np.uint8)
     painted = maps.faces_over(photograph(texture), labels)
     overlay = maps.face_overlay(
         labels,
         (width, height),
         report.solution.corner if report.solution else None,
-        report.calibration.camera if report.calibration else None,
+        report.reconstructed.calibration.camera if report.reconstructed else None,
     )
     counts = [np.count_nonzero(report.matches.face == face) for face in range(3)]
     return Faces(
@@ -153,25 +156,26 @@ def faces(report: ReportInput) -> Faces | None:
 
 def scene(report: ReportInput) -> Picture | None:
     """The camera's image of the lit scene, where no faces were found to show in it."""
-    if report.texture is None or len(report.on_faces):
+    texture = report.outcome.decoded.texture
+    if texture is None or len(report.on_faces):
         return None
-    return picture(photograph(report.texture), "the camera's image under white light", jpeg=True)
+    return picture(photograph(texture), "the camera's image under white light", jpeg=True)
 
 
 def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
     """Pictures of the cloud from the side, above and the front."""
-    cloud, calibration = report.cloud, report.calibration
-    if cloud is None or calibration is None or not report.in_cloud[0]:
+    if report.reconstructed is None or not report.in_cloud[0]:
         return ()
+    cloud, calibration = report.reconstructed.cloud, report.reconstructed.calibration
     forward = np.array([0.0, 0.0, 1.0])
     views = standard_views(forward, upright(report))
-    frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(report), BLUE, VERMILION)
+    frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(report, cloud), BLUE, VERMILION)
 
     def show(name: str) -> Picture:
         return picture(
             render(cloud, views[name], _VIEW_SIZES[name], [] if name == "front" else frusta),
             f"the point cloud, {name} view",
-            caption=_caption(name, report.capture) + (_CORNER_CAPTIONS[name] if report.solution else ""),
+            caption=_caption(name, report.facts) + (_CORNER_CAPTIONS[name] if report.solution else ""),
         )
 
     return tuple(map(show, views))
@@ -194,17 +198,17 @@ def upright(report: ReportInput) -> Floats:
     return upright
 
 
-def typical_depth(report: ReportInput) -> float:
-    """Median depth of the points of the cloud, in its unit."""
-    assert report.cloud is not None
-    return float(np.median(report.cloud.points.reshape(-1, 3)[report.in_cloud[1], 2]))
+def typical_depth(report: ReportInput, cloud: Cloud) -> float:
+    """Median depth of the points of the report's cloud, in its unit."""
+    return float(np.median(cloud.points.reshape(-1, 3)[report.in_cloud[1], 2]))
 
 
 def depth(report: ReportInput) -> ScaledMap | None:
     """Depth over the camera's image."""
-    if report.cloud is None or not report.in_cloud[0]:
+    if report.reconstructed is None or not report.in_cloud[0]:
         return None
-    painted, scale = maps.depth_map(report.cloud.points, report.cloud.unit)
+    cloud = report.reconstructed.cloud
+    painted, scale = maps.depth_map(cloud.points, cloud.unit)
     return ScaledMap(picture(painted, "depth over the camera's image"), scale)
 
 
@@ -241,7 +245,7 @@ def subtitle(capture: CaptureFacts) -> str:
 
 def capture_rows(report: ReportInput) -> tuple[tuple[str, str], ...]:
     """Facts of the capture, as name and value."""
-    facts = report.capture
+    facts = report.facts
     if facts.photos:
         rows = [("photos", "{} × {} px".format(*facts.camera_size)), ("matches", f"{len(report.matches):,}")]
         return (*rows, *facts.identity.items())
@@ -254,10 +258,11 @@ def capture_rows(report: ReportInput) -> tuple[tuple[str, str], ...]:
         rows.append(("frames", f"{len(facts.patterns)}: {describe_patterns(facts.patterns)}"))
     if facts.exposure_us:
         rows.append(("exposure", _exposures(facts)))
-    if report.decoding is not None:
-        rows += _about_frames(report.decoding)
-    if report.decoding is not None and report.decoding.modulation is not None:
-        share = 100 * report.decoding.modulation
+    decoding = report.outcome.decoded.decoding
+    if decoding is not None:
+        rows += _about_frames(decoding)
+    if decoding is not None and decoding.modulation is not None:
+        share = 100 * decoding.modulation
         rows.append(("focus", f"the finest fringe keeps {share:.0f} % of the light's contrast"))
     return (*rows, *facts.identity.items())
 

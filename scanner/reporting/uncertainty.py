@@ -33,9 +33,9 @@ class PointSigmas:
 def point_sigmas(report: ReportInput) -> PointSigmas | None:
     """The map of the sigmas of depth; None where the method knows none."""
     solution = report.solution
-    if solution is None or solution.uncertainty is None or report.cloud is None:
+    if solution is None or solution.uncertainty is None:
         return None
-    percent = _relative_sigmas(report.matches, solution, solution.uncertainty, report.capture.camera_size)
+    percent = _relative_sigmas(report.matches, solution, solution.uncertainty, report.facts.camera_size)
     known = percent[np.isfinite(percent)]
     if not len(known):
         return None
