@@ -30,6 +30,24 @@ class Corner:
         return unit
 
     @property
+    def axes(self) -> Floats:
+        """Right-handed orthonormal rows (3, 3) nearest to the legs: the corner's frame.
+
+        The nearest rotation (Schönemann 1966); legs that are numbered the left-handed way round change places first.
+        """
+        u, _, vt = np.linalg.svd(self.legs if np.linalg.det(self.legs) > 0 else self.legs[[0, 2, 1]])
+        nearest: Floats = u @ vt
+        return nearest
+
+    @property
+    def up(self) -> Floats:
+        """The leg that is most upright in the camera's image, or its opposite, pointing up there, (3,)."""
+        above = np.array([0.0, -1.0, 0.0])
+        steepest: Floats = self.legs[np.argmax(np.abs(self.legs @ above))]
+        up: Floats = steepest * np.sign(steepest @ above)
+        return up
+
+    @property
     def angles_deg(self) -> Floats:
         """Angles between the faces (B, C), (C, A), (A, B), as dihedral angles of the corner in degrees, (3,)."""
         normals = self.normals

@@ -1,7 +1,7 @@
 """Points in space, on the grid of the camera's image or without order: surfaces, planes, spheres, registration."""
 
 from calib.pointcloud.corner_registration import Order, find_order
-from calib.pointcloud.corner_view import View, orthonormal_axes
+from calib.pointcloud.corner_view import View
 from calib.pointcloud.image_mesh import SeenPoints, image_triangles
 from calib.pointcloud.merged_cloud import MergedCloud, merged
 from calib.pointcloud.normals import surface

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Corner, Intrinsics, Matches
+from calib.geometry import Corner, Intrinsics
 from calib.numerics import Bools, Floats, Ints
 from scanner.quantities import FACE_NAMES
 from scanner.rendering import (
@@ -57,10 +57,12 @@ class Overlay:
     letters: tuple[tuple[str, float, float], ...]
 
 
-def face_labels(matches: Matches, camera: tuple[int, int]) -> Pixels:
-    """Which face is where, 1, 2, 3, or 0 for none: the image of the `camera` (width, height), reduced."""
-    assert matches.face is not None
-    return labels_on_grid(matches.camera_px, matches.face, camera, reduced_size(*camera))
+def face_labels(camera_px: Floats, face: Ints, camera: tuple[int, int]) -> Pixels:
+    """Which face is where, 1, 2, 3, or 0 for none: the image of the `camera` (width, height), reduced.
+
+    From matches with a `face` (N,) at pixels (N, 2).
+    """
+    return labels_on_grid(camera_px, face, camera, reduced_size(*camera))
 
 
 def faces_over(background: Pixels, labels: Pixels) -> Pixels:

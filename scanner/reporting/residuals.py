@@ -8,7 +8,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from calib.geometry import Calibration, Corner, Matches
-from calib.numerics import Floats, SpatialCorrelation, spatial_correlation
+from calib.numerics import Floats, Ints, SpatialCorrelation, spatial_correlation
 from calib.pointcloud import Cloud, CloudStatistics
 from scanner.quantities import percent
 from scanner.rendering import LONGEST_SIDE, places_within
@@ -46,11 +46,10 @@ class Misses:
 
 def face_residuals(report: ReportInput) -> Residuals | None:
     """Matches on the three faces against the corner, in x and y of the projector; None without a solution."""
-    solution = report.solution
-    if solution is None or not len(report.on_faces):
+    solution, sample = report.solution, report.sample
+    if solution is None or sample.face is None or not len(sample):
         return None
-    sample = report.sample
-    residual_px = _off_the_corner(sample, solution.calibration, solution.corner)
+    residual_px = _off_the_corner(sample, sample.face, solution.calibration, solution.corner)
     known = np.isfinite(residual_px).all(axis=1)
     pixel, residual_px = sample.camera_px[known], residual_px[known]
     if not len(pixel):
@@ -71,10 +70,9 @@ def face_residuals(report: ReportInput) -> Residuals | None:
     )
 
 
-def _off_the_corner(matches: Matches, calibration: Calibration, corner: Corner) -> Floats:
+def _off_the_corner(matches: Matches, face: Ints, calibration: Calibration, corner: Corner) -> Floats:
     """Projector pixels minus where the corner has them, (N, 2): the ray of the camera's pixel meets its face there."""
-    assert matches.face is not None
-    normals = corner.normals[matches.face]
+    normals = corner.normals[face]
     rays = calibration.camera.unproject(matches.camera_px)
     with np.errstate(divide="ignore", invalid="ignore"):
         points = (normals @ corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays

@@ -25,8 +25,9 @@ from scanner.rendering import (
     IndexedPicture,
     Pixels,
     css_colour,
-    data_uri,
+    jpeg_uri,
     photograph,
+    png_uri,
     render,
     rig_frusta,
     standard_views,
@@ -129,23 +130,23 @@ def tables(report: ReportInput) -> tuple[Table, ...]:
 
 def faces(report: ReportInput) -> Faces | None:
     """The faces over the white frame; None if none were found."""
-    if not len(report.on_faces):
+    face, found = report.matches.face, report.reconstructed
+    if face is None or not len(report.on_faces):
         return None
     width, height = report.facts.camera_size
-    labels = maps.face_labels(report.matches, (width, height))
+    labels = maps.face_labels(report.matches.camera_px, face, (width, height))
     texture = report.outcome.decoded.texture
-    if texture is None:
-        texture = np.full((height, width), 128, dtype=np.uint8)
-    painted = maps.faces_over(photograph(texture), labels)
+    background = np.full((height, width), 128, dtype=np.uint8) if texture is None else texture
+    painted = maps.faces_over(photograph(background), labels)
     overlay = maps.face_overlay(
         labels,
         (width, height),
         report.solution.corner if report.solution else None,
-        report.reconstructed.calibration.camera if report.reconstructed else None,
+        found.calibration.camera if found else None,
     )
-    counts = [np.count_nonzero(report.matches.face == face) for face in range(3)]
+    counts = np.bincount(face[face >= 0], minlength=len(FACE_NAMES))
     return Faces(
-        picture(painted, "the camera's image with the faces of the corner in colour", jpeg=True),
+        photo(painted, "the camera's image with the faces of the corner in colour"),
         overlay,
         tuple(
             LegendEntry(css_colour(colour), f"face {name}", f"{count:,} matches")
@@ -159,7 +160,7 @@ def scene(report: ReportInput) -> Picture | None:
     texture = report.outcome.decoded.texture
     if texture is None or len(report.on_faces):
         return None
-    return picture(photograph(texture), "the camera's image under white light", jpeg=True)
+    return photo(photograph(texture), "the camera's image under white light")
 
 
 def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
@@ -189,13 +190,7 @@ def _caption(view: str, capture: CaptureFacts) -> str:
 
 def upright(report: ReportInput) -> Floats:
     """The vertical (3,) in the camera's frame: the corner's steepest edge in the image, or the camera's own up."""
-    camera_up = np.array([0.0, -1.0, 0.0])
-    if report.solution is None:
-        return camera_up
-    legs = report.solution.corner.legs
-    steepest = legs[np.argmax(np.abs(legs @ camera_up))]
-    upright: Floats = steepest * np.sign(steepest @ camera_up)
-    return upright
+    return np.array([0.0, -1.0, 0.0]) if report.solution is None else report.solution.corner.up
 
 
 def typical_depth(report: ReportInput, cloud: Cloud) -> float:
@@ -304,6 +299,11 @@ def _kind(pattern: Pattern) -> str:
     return type(pattern).__name__.lower()
 
 
-def picture(pixels: Pixels | IndexedPicture, alt: str, *, caption: str = "", jpeg: bool = False) -> Picture:
-    """Pixels as an image for the page; `jpeg` for photographs."""
-    return Picture(data_uri(pixels, jpeg=jpeg), pixels.shape[1], pixels.shape[0], alt, caption)
+def picture(pixels: Pixels | IndexedPicture, alt: str, *, caption: str = "") -> Picture:
+    """Pixels as an image for the page."""
+    return Picture(png_uri(pixels), pixels.shape[1], pixels.shape[0], alt, caption)
+
+
+def photo(pixels: Pixels, alt: str) -> Picture:
+    """A photograph as an image for the page."""
+    return Picture(jpeg_uri(pixels), pixels.shape[1], pixels.shape[0], alt)

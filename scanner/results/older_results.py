@@ -5,7 +5,6 @@ from scipy.spatial import cKDTree
 
 from calib.geometry import Calibration, Corner, Matches, intersect
 from calib.numerics import Bools, Floats, Ints
-from calib.pointcloud import orthonormal_axes
 
 # Coordinates in the cloud are rounded to 24 bits; relative to a point's distance this is far more than that.
 _SAME_POINT = 1e-5
@@ -32,8 +31,7 @@ def place_camera(points: Floats, corner: Corner, merged: Floats) -> Floats:
     """The pose (3, 4) of a camera in the merged cloud's frame, which is the corner's: its axes are numbered as fits
     `points` (N, 3) of the camera's frame to the points of the `merged` cloud (M, 3) best.
     """
-    axes = orthonormal_axes(corner)
-    turned = [np.roll(axes, turn, axis=0) for turn in range(3)]
+    turned = [np.roll(corner.axes, turn, axis=0) for turn in range(3)]
     tree = cKDTree(merged)
     misses = [np.median(tree.query((points - corner.vertex) @ rotation.T)[0]) for rotation in turned]
     rotation: Floats = turned[int(np.argmin(misses))]

@@ -183,12 +183,7 @@ class ViewedResult:
 
 def _up(corner: MeasuredCorner | None) -> Floats:
     """Upwards in the camera's frame: the most upright edge of the corner, or the camera's own."""
-    above = np.array([0.0, -1.0, 0.0])
-    if corner is None:
-        return above
-    legs = corner.corner.legs
-    steepest: Floats = legs[np.argmax(np.abs(legs @ above))]
-    return steepest if steepest @ above > 0 else -steepest
+    return np.array([0.0, -1.0, 0.0]) if corner is None else corner.corner.up
 
 
 def _picture(folder: Path, scan: FinishedScan) -> NDArray[np.uint8]:
