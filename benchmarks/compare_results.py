@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +31,24 @@ _SMALL = (
 )
 
 
-def commands(seeds: list[int], recordings: list[Path]) -> Iterator[tuple[str, list[str]]]:
-    """What to run, by name; the configuration is each checkout's own."""
+def commands(seeds: list[int], recordings: list[Path], results: Path) -> Iterator[tuple[str, list[str]]]:
+    """What to run, by name; the configuration is each checkout's own, `results` are those of the first checkout."""
     room = ["--config", "configs/room-sim.yaml", *(word for key in _SMALL for word in ("--set", key))]
     for seed in seeds:
         one = [*room, "--set", f"rig.seed={seed}"]
         yield f"room {seed}", one
         yield f"room {seed}, twice", [*one, "--captures", "2", "--set", "corner.squareness_deg=0.3"]
         yield f"room {seed}, paper", [*one, "--set", "method=paper"]
+        yield f"room {seed}, from its matches", ["calibrate", str(results / _folder(f"room {seed}, twice")), *one]
     for recording in recordings:
         yield recording.name, ["replay", str(recording)]
         if (recording / "calibration.yaml").is_file():
             given = ["--calibration", str(recording / "calibration.yaml")]
             yield f"{recording.name}, calibrated", ["replay", str(recording), *given]
+
+
+def _folder(name: str) -> str:
+    return name.replace(", ", "-").replace(" ", "-")
 
 
 def run(checkout: Path, arguments: list[str], out: Path) -> tuple[int, list[str]]:
@@ -72,6 +78,8 @@ def differences(before: Path, after: Path, tolerance: float) -> Iterator[str]:
         for key in sorted(first.keys() | second.keys()):
             if key not in first or key not in second:
                 yield f"{name}: {key} is only {'before' if key in first else 'after'}"
+            elif isinstance(first[key], str) or isinstance(second[key], str):
+                yield from (f"{name}: {change}" for change in _changes(str(first[key]), str(second[key])))
             else:
                 off = _off(first[key], second[key])
                 if off > tolerance:
@@ -79,15 +87,19 @@ def differences(before: Path, after: Path, tolerance: float) -> Iterator[str]:
 
 
 def _off(first: Any, second: Any) -> float:
-    """The largest difference of two values, relative to the largest number in them; infinite where they are unlike."""
-    if isinstance(first, str) or isinstance(second, str):
-        return 0.0 if first == second else float("inf")
+    """The largest difference of two arrays, relative to the largest number in them; infinite where they are unlike."""
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
-    if a.shape != b.shape:
+    if a.shape != b.shape or np.any(np.isnan(a) != np.isnan(b)):
         return float("inf")
-    if not a.size:
-        return 0.0
-    return float(np.nanmax(np.abs(a - b)) / max(np.nanmax(np.abs(a)), 1e-300))
+    return float(np.nanmax(np.abs(a - b), initial=0.0) / max(np.nanmax(np.abs(a), initial=0.0), 1e-300))
+
+
+def _changes(first: str, second: str) -> Iterator[str]:
+    """Which words of a text are others now."""
+    words = first.split(), second.split()
+    for kind, begin, end, new, until in SequenceMatcher(None, *words, autojunk=False).get_opcodes():
+        if kind != "equal":
+            yield f"“{' '.join(words[0][begin:end])}” is now “{' '.join(words[1][new:until])}”"
 
 
 def _yaml(path: Path) -> dict[str, Any]:
@@ -141,8 +153,8 @@ def main() -> int:
     found = 0
     with tempfile.TemporaryDirectory() as temporary:
         place = (args.keep or Path(temporary)).resolve()
-        for name, arguments in commands(args.seeds, [path.resolve() for path in args.recordings]):
-            folders = [place / side / name.replace(", ", "-").replace(" ", "-") for side in ("before", "after")]
+        for name, arguments in commands(args.seeds, [path.resolve() for path in args.recordings], place / "before"):
+            folders = [place / side / _folder(name) for side in ("before", "after")]
             ended = [
                 run(checkout.resolve(), arguments, out)
                 for checkout, out in zip((args.before, args.after), folders, strict=True)
