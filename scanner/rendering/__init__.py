@@ -31,3 +31,4 @@ from scanner.rendering.downsampling import (
 )
 from scanner.rendering.photographs import LONGEST_SIDE, jpeg_uri, photograph, png_uri, reduced_size
 from scanner.rendering.png import IndexedPicture, Pixels
+from scanner.rendering.ticks import even_ticks, tick_text
