@@ -91,7 +91,7 @@ def stream_of(
                 last.append((time.perf_counter(), time.process_time()))
             yield pattern, Frame(image)
 
-    return Stream(patterns, (PROJECTOR.width, PROJECTOR.height), (camera.width, camera.height), as_they_come())
+    return Stream(patterns, PROJECTOR.size, camera.size, as_they_come())
 
 
 def one_run(frames: list[Image], patterns: tuple[Pattern, ...], profile: cProfile.Profile | None = None) -> Stopwatch:

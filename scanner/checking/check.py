@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 
+from calib.geometry import Size
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from hw.rig import Frame, Rig
@@ -52,7 +53,7 @@ def check(config: Config, terminal: Progress, on_row: OnRow | None = None) -> Ch
 
 def check_rig(rig: Rig, config: Config, terminal: Progress, on_row: OnRow | None = None) -> CheckReport:
     """Check a rig that is open, as `check` does. Its camera is left at the exposure that is proposed."""
-    earlier = read_captures(config.earlier, rig.camera.size, rig.projector.size)
+    earlier = read_captures(config.earlier, Size(*rig.camera.size), Size(*rig.projector.size))
     checking = Checking(on_row)
     try:
         _check(_Bench(rig, config, terminal, earlier), checking)

@@ -68,8 +68,8 @@ def _check_sizes(path: Path, calibration: Calibration, recording: Recording) -> 
         ("camera", calibration.camera, recording.camera_size),
         ("projector", calibration.projector, recording.projector_size),
     ):
-        if (device.width, device.height) != expected:
+        if device.size != expected:
             raise InputError(
-                f"{path}: its {name} is {device.width} × {device.height}, but the capture's is "
-                f"{expected[0]} × {expected[1]}: this calibration belongs to another rig"
+                f"{path}: its {name} is {device.size}, but the capture's is {expected}: this calibration belongs to "
+                "another rig"
             )

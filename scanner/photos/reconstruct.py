@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.geometry import Matches
+from calib.geometry import Matches, Size
 from calib.numerics import Bools
 from calib.plane_segmentation import find_alike, find_sparse_faces
 from calib.pointcloud import Cloud, MergedCloud, View, build_cloud, merged
@@ -75,7 +75,7 @@ def refuse_unsuitable(config: Config) -> None:
         raise InputError("'earlier' is for captures of a rig; give all photos on the command line instead")
 
 
-def principal_point(config: Config, size: tuple[int, int]) -> PrincipalPoint:
+def principal_point(config: Config, size: Size) -> PrincipalPoint:
     """What is known of the principal point: nothing, unless the configuration says otherwise."""
     setting = config.camera.principal_point
     if setting.known is None and setting.prior is None and setting.sigma_px is None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.geometry import NO_FACE
+from calib.geometry import NO_FACE, Size
 from calib.numerics import Floats, Image, Ints
 from scanner.capture import CAPTURE_FILE, CaptureFacts, Recording, open_capture
 from scanner.errors import InputError
@@ -16,8 +16,6 @@ from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, D
 
 # Undistorted or extrapolated pixels may lie outside of the image, but not far.
 _MARGIN_OF_SIZE = 0.1
-
-Size = tuple[int, int]
 
 
 def read_captures(paths: Sequence[Path], camera_size: Size, projector_size: Size) -> list[Decoded]:
@@ -70,7 +68,7 @@ def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Imag
             ("camera", calibration.camera, camera_size),
             ("projector", calibration.projector, projector_size),
         ):
-            _check_size(folder, name, (device.width, device.height), expected)
+            _check_size(folder, name, device.size, expected)
     if not (folder / CAPTURE_FOLDER / CAPTURE_FILE).is_file():
         return None
     recording = open_capture(folder / CAPTURE_FOLDER)
@@ -82,7 +80,7 @@ def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Imag
 def _check_size(folder: Path, name: str, found: Size, expected: Size) -> None:
     if found != expected:
         raise InputError(
-            f"{folder}: its {name} is {found[0]} × {found[1]}, but {expected[0]} × {expected[1]} is expected: captures "
+            f"{folder}: its {name} is {found}, but {expected} is expected: captures "
             "that are calibrated together come from one unchanged rig"
         )
 

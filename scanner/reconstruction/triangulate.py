@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from calib.geometry import Size
 from calib.pointcloud import CloudStatistics, build_cloud
 from calib.refusal import RefusalError
 from scanner.results import Calibrated, GivenCalibration, Reconstructed, Stage, naming
@@ -31,12 +32,12 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
     return tuple(reconstructed)
 
 
-def _refuse_foreign(statistics: CloudStatistics, projector_size: tuple[int, int]) -> None:
+def _refuse_foreign(statistics: CloudStatistics, projector_size: Size) -> None:
     """Raise RefusalError if, by a given calibration, no rays meet, or all miss by more than lenses explain."""
     advice = "Check that it belongs to this rig, and that nothing has moved since it was made."
     if statistics.kept == 0:
         raise RefusalError("The calibration puts no point in front of both camera and projector.", advice)
-    if statistics.calibration_px > _LARGEST_MISS_OF_WIDTH * projector_size[0]:
+    if statistics.calibration_px > _LARGEST_MISS_OF_WIDTH * projector_size.width:
         raise RefusalError(
             f"With this calibration, rays that should meet miss by {statistics.calibration_px:.0f} projector pixels.",
             advice,

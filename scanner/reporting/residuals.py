@@ -7,7 +7,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from calib.geometry import Calibration, Corner, Matches
+from calib.geometry import Calibration, Corner, Matches, Size
 from calib.numerics import Floats, Ints, SpatialCorrelation, spatial_correlation
 from calib.pointcloud import Cloud, CloudStatistics
 from scanner.quantities import percent
@@ -121,8 +121,8 @@ def statement(found: SpatialCorrelation | None) -> str:
     return f"Structured: {numbers}; {shared}."
 
 
-def _cell_px(camera_size: tuple[int, int]) -> float:
-    return max(4.0, camera_size[0] * _CELL_OF_WIDTH)
+def _cell_px(camera_size: Size) -> float:
+    return max(4.0, camera_size.width * _CELL_OF_WIDTH)
 
 
 def _map(values: NDArray[np.float32], limit: float, alt: str, longest_side: int = _HALF_PAGE) -> ScaledMap:
@@ -130,9 +130,9 @@ def _map(values: NDArray[np.float32], limit: float, alt: str, longest_side: int 
     return ScaledMap(picture(painted, f"{alt} over the camera's image"), scale)
 
 
-def _on_grid(pixel: Floats, values: Floats, size: tuple[int, int], step: int) -> NDArray[np.float32]:
+def _on_grid(pixel: Floats, values: Floats, size: Size, step: int) -> NDArray[np.float32]:
     """Values (N,) at pixels (N, 2) of an image of (width, height), on a grid `step` times as coarse, NaN for none."""
-    grid = np.full(((size[1] - 1) // step + 1, (size[0] - 1) // step + 1), np.nan, np.float32)
+    grid = np.full(((size.height - 1) // step + 1, (size.width - 1) // step + 1), np.nan, np.float32)
     cell = np.floor((pixel + 0.5) / step).astype(np.int64)
     column, row = (np.clip(cell[:, axis], 0, grid.shape[1 - axis] - 1) for axis in (0, 1))
     grid[row, column] = values

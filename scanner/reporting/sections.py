@@ -133,14 +133,13 @@ def faces(report: ReportInput) -> Faces | None:
     face, found = report.matches.face, report.reconstructed
     if face is None or not len(report.on_faces):
         return None
-    width, height = report.facts.camera_size
-    labels = maps.face_labels(report.matches.camera_px, face, (width, height))
-    texture = report.outcome.decoded.texture
-    background = np.full((height, width), 128, dtype=np.uint8) if texture is None else texture
+    size, texture = report.facts.camera_size, report.outcome.decoded.texture
+    labels = maps.face_labels(report.matches.camera_px, face, size)
+    background = np.full((size.height, size.width), 128, dtype=np.uint8) if texture is None else texture
     painted = maps.faces_over(photograph(background), labels)
     overlay = maps.face_overlay(
         labels,
-        (width, height),
+        size,
         report.solution.corner if report.solution else None,
         found.calibration.camera if found else None,
     )
@@ -232,21 +231,20 @@ def mask(decoding: Decoding | None) -> Mask | None:
 def subtitle(capture: CaptureFacts) -> str:
     """The capture in one line."""
     frames = f", {len(capture.patterns)} frames" if capture.patterns else ""
-    (width, height), (columns, rows) = capture.camera_size, capture.projector_size
     if capture.photos:
-        return f"Photos of {width} × {height}."
-    return f"Camera {width} × {height}, projector {columns} × {rows}{frames}."
+        return f"Photos of {capture.camera_size}."
+    return f"Camera {capture.camera_size}, projector {capture.projector_size}{frames}."
 
 
 def capture_rows(report: ReportInput) -> tuple[tuple[str, str], ...]:
     """Facts of the capture, as name and value."""
     facts = report.facts
     if facts.photos:
-        rows = [("photos", "{} × {} px".format(*facts.camera_size)), ("matches", f"{len(report.matches):,}")]
+        rows = [("photos", f"{facts.camera_size} px"), ("matches", f"{len(report.matches):,}")]
         return (*rows, *facts.identity.items())
     rows = [
-        ("camera", "{} × {} px".format(*facts.camera_size)),
-        ("projector", "{} × {} px".format(*facts.projector_size)),
+        ("camera", f"{facts.camera_size} px"),
+        ("projector", f"{facts.projector_size} px"),
         ("matches", f"{len(report.matches):,} ({percent(report.decoded_share)} of the camera's pixels)"),
     ]
     if facts.patterns:

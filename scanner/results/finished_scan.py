@@ -45,8 +45,7 @@ class FinishedScan:
     @property
     def index_grid(self) -> Ints:
         """Which point each camera pixel has, (H, W), `NONE` for none."""
-        camera = self.calibration.camera
-        return index_grid(self.pixel, (camera.width, camera.height))
+        return index_grid(self.pixel, self.calibration.camera.size)
 
 
 def read_calibration_of(folder: Path) -> Calibration:
@@ -89,7 +88,7 @@ def _of_another_scan(folder: Path) -> InputError:
 
 def _has_own_pixels(pixel: Ints, calibration: Calibration) -> bool:
     """Whether pixels (N, 2) are in the camera's image, and no two alike."""
-    size = (calibration.camera.width, calibration.camera.height)
+    size = calibration.camera.size
     if np.any((pixel < 0) | (pixel >= size)):
         return False
     taken = np.zeros(size[::-1], np.bool_)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.geometry.camera import Size
 from calib.geometry.corner import Corner
 from calib.geometry.matches import Matches
 from calib.pointcloud.organised_cloud import build_cloud
@@ -18,7 +19,7 @@ from scanner.reporting.contents import ReportInput
 from scanner.results.stages import Decoded, Reconstructed, Refused, SelfCalibrated
 from tests.support.cloud_scene import Scene
 
-SIZES = ((408, 342), (854, 480))
+SIZES = (Size(408, 342), Size(854, 480))
 
 
 def decoding_of(scene: Scene) -> Decoding:

@@ -92,8 +92,7 @@ def found_in(scene: Scene, corner: Corner, photograph: np.ndarray | None) -> Sel
         0.1,
         "refined",
     )
-    sizes = (CAMERA.width, CAMERA.height), (PROJECTOR.width, PROJECTOR.height)
-    decoded = Decoded(CaptureFacts(*sizes), scene.matches, GivenMatches(photograph))
+    decoded = Decoded(CaptureFacts(CAMERA.size, PROJECTOR.size), scene.matches, GivenMatches(photograph))
     return SelfCalibrated(decoded, solution, scene.calibration)
 
 

@@ -64,8 +64,7 @@ def report(scene: Scene) -> ReportInput:
     )
     cloud = build_cloud(scene.matches, scene.texture, calibration)
     view = View(cloud.points, None, CAMERA, solution.corner)
-    sizes = (CAMERA.width, CAMERA.height), (PROJECTOR.width, PROJECTOR.height)
-    decoded = Decoded(CaptureFacts(*sizes), scene.matches, GivenMatches(scene.texture))
+    decoded = Decoded(CaptureFacts(CAMERA.size, PROJECTOR.size), scene.matches, GivenMatches(scene.texture))
     rows = (
         CaptureRow("capture 1", "captures/1/report.html", 1234, 0.0712, cloud.statistics),
         CaptureRow("capture <2>", "", 5678, None, None),
