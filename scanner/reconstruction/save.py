@@ -23,11 +23,11 @@ from scanner.results import (
     Reconstructed,
     Refused,
     Scan,
-    SelfCalibrated,
     Stage,
     confidence_entries,
     folder_of,
     remarks_on,
+    solution_of,
     titles_of,
 )
 
@@ -79,27 +79,25 @@ def _log(remarks: tuple[str, ...]) -> None:
 def _save(
     captures: Sequence[Reconstructed | Refused], folder: Path, merged: MergedCloud | None, remarks: tuple[str, ...]
 ) -> None:
-    count = len(captures)
-    rows = _rows(captures) if count > 1 else ()
+    """Write what each capture came to; `merged` and `remarks` are on the newest one's page."""
+    count, truth = len(captures), captures[-1].decoded.facts.truth
+    places = [folder_of(folder, index, count) for index in range(count)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        written, pages = [], []
+        written = []
+        for place, capture in zip(places, captures, strict=True):
+            place.mkdir(parents=True, exist_ok=True)
+            decoded = capture.decoded
+            written.append(pool.submit(write_matches, place / MATCHES_FILE, decoded.matches, decoded.plane))
+            if isinstance(capture, Reconstructed):
+                written.append(pool.submit(write_ply, place / CLOUD_FILE, capture.cloud, match=capture.cloud.match))
         if merged is not None:
             written.append(pool.submit(write_merged_ply, folder / MERGED_FILE, merged))
             write_poses(folder / POSES_FILE, merged.from_cameras)
-        for index, capture in enumerate(captures):
-            place = folder_of(folder, index, count)
-            place.mkdir(parents=True, exist_ok=True)
-            written.append(
-                pool.submit(write_matches, place / MATCHES_FILE, capture.decoded.matches, capture.decoded.plane)
-            )
-            if isinstance(capture, Reconstructed):
-                written.append(pool.submit(write_ply, place / CLOUD_FILE, capture.cloud, match=capture.cloud.match))
-            newest = index == count - 1
-            company = Company(count, rows, merged, remarks) if newest else Company(count, remarks=(_ONE_OF_SEVERAL,))
-            pages.append((place, capture, company))
         # The files are still being written while the reports that list them are made.
-        for place, capture, company in pages:
-            _write_report(place, capture, company, captures[-1].decoded.facts.truth)
+        for place, capture in zip(places[:-1], captures[:-1], strict=True):
+            _write_report(place, capture, Company(count, remarks=(_ONE_OF_SEVERAL,)), truth)
+        rows = _rows(captures) if count > 1 else ()
+        _write_report(folder, captures[-1], Company(count, rows, merged, remarks), truth)
         for each in written:
             each.result()
 
@@ -122,15 +120,8 @@ def _rows(captures: Sequence[Reconstructed | Refused]) -> tuple[CaptureRow, ...]
     rows = []
     for index, (title, capture) in enumerate(zip(titles, captures, strict=True)):
         stage = capture.reached if isinstance(capture, Refused) else capture
-        calibrated = stage.calibrated if isinstance(stage, Reconstructed) else stage
         address = "" if index == count - 1 else (folder_of(Path(), index, count) / REPORT_FILE).as_posix()
-        rows.append(
-            CaptureRow(
-                title,
-                address,
-                len(capture.decoded.matches),
-                calibrated.solution.residual_px if isinstance(calibrated, SelfCalibrated) else None,
-                stage.cloud.statistics if isinstance(stage, Reconstructed) else None,
-            )
-        )
+        solution, matches = solution_of(stage), len(capture.decoded.matches)
+        statistics = stage.cloud.statistics if isinstance(stage, Reconstructed) else None
+        rows.append(CaptureRow(title, address, matches, solution.residual_px if solution else None, statistics))
     return tuple(rows)

@@ -32,6 +32,7 @@ from scanner.results.stages import (
     decoded_of,
     naming,
     remarks_on,
+    solution_of,
     titles_of,
 )
 from scanner.results.stated_uncertainty import confidence_entries, read_uncertainty, read_verdict

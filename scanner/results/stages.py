@@ -103,7 +103,7 @@ class Reconstructed:
     @property
     def solution(self) -> SelfCalibration | None:
         """What calibrated it; None where the calibration was given."""
-        return self.calibrated.solution if isinstance(self.calibrated, SelfCalibrated) else None
+        return solution_of(self)
 
 
 Stage = Decoded | SelfCalibrated | GivenCalibration | Reconstructed
@@ -146,12 +146,19 @@ def decoded_of(stage: Stage) -> Decoded:
     return stage if isinstance(stage, Decoded) else stage.decoded
 
 
+def solution_of(stage: Stage) -> SelfCalibration | None:
+    """What calibrated the capture; None where nothing has, or the calibration was given."""
+    match stage:
+        case SelfCalibrated(solution=solution) | Reconstructed(SelfCalibrated(solution=solution)):
+            return solution
+        case _:
+            return None
+
+
 def remarks_on(stage: Stage) -> tuple[str, ...]:
     """What a person should know about the decoding and the calibration, in sentences."""
-    decoding = decoded_of(stage).decoding
-    calibrated = stage.calibrated if isinstance(stage, Reconstructed) else stage
-    notes = calibrated.solution.notes if isinstance(calibrated, SelfCalibrated) else ()
-    return (*(decoding.warnings if decoding else ()), *notes)
+    decoding, solution = decoded_of(stage).decoding, solution_of(stage)
+    return (*(decoding.warnings if decoding else ()), *(solution.notes if solution else ()))
 
 
 def titles_of(captures: Sequence[Decoded]) -> tuple[str, ...]:
