@@ -154,7 +154,7 @@ def test_a_simulated_rig_steps_aside_by_itself() -> None:
     assert at_place(settings, 0) == settings
     assert at_place(settings, 3) == settings.model_copy(update={"pose": 5})
     assert at_place(settings, 5).pose == 7
-    with pytest.raises(DeviceError, match=r"places 0 to 7; from rig\.pose 2 it cannot step aside 6 times"):
+    with pytest.raises(DeviceError, match=r"places 0 to 7; from pose 2 it cannot step aside 6 times"):
         at_place(settings, 6)
 
 

@@ -183,7 +183,7 @@ def test_a_script_that_is_not_the_reports_does_not_run(
     page.on("console", lambda message: said.append(message.text))
     page.goto(spoiled.as_uri())
     page.locator(".viewer.live").wait_for()
-    assert page.title() == "A room"
+    assert page.title() == "Scan"
     assert any("Content Security Policy" in text for text in said)
     page.close()
 
