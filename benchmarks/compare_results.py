@@ -1,6 +1,6 @@
 """Do two checkouts of this program come to the same results?
 
-    git worktree add ../before v0.1.0
+    git worktree add ../before COMMIT
     python benchmarks/compare_results.py ../before . --seeds 0 1 2 --recordings captures/*
 
 Both scan the same simulated rooms, alone and from two places, and replay the same recordings, each with the calibration
