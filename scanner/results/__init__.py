@@ -14,6 +14,7 @@ from scanner.results.result_folder import (
     REPORT_FILE,
     TRUTH_FILE,
     OutputFolder,
+    beside,
     default_out,
     folder_of,
     new_result,
