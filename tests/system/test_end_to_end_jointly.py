@@ -51,7 +51,7 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Scanned:
 
 def test_both_captures_are_kept_whole(scanned: Scanned) -> None:
     assert scanned.exit_code == 0
-    assert names(scanned.result) == FILES | {"captures", "merged.ply", "scan.log", "truth.yaml"}
+    assert names(scanned.result) == FILES | {"captures", "merged.ply", "poses.yaml", "scan.log", "truth.yaml"}
     assert names(scanned.result / "captures") == {"1"}
     first = scanned.result / "captures" / "1"
     assert names(first) == FILES
@@ -105,7 +105,7 @@ def test_a_replay_with_an_earlier_result_finds_the_same(scanned: Scanned, tmp_pa
     config.write_text(CONFIG + "earlier: [result/captures/1]\n")
     out = tmp_path / "replayed"
     assert run("replay", scanned.result / "capture", "--config", config, "--out", out, "--quiet") == 0
-    assert names(out) == FILES | {"captures", "merged.ply", "scan.log"}
+    assert names(out) == FILES | {"captures", "merged.ply", "poses.yaml", "scan.log"}
     assert names(out / "captures/1") == FILES - {"capture"}
     live, replayed = (read_calibration(folder / "calibration.yaml") for folder in (scanned.result, out))
     assert np.allclose(replayed.camera.focal_px, live.camera.focal_px, rtol=1e-5)
