@@ -10,6 +10,7 @@ from scanner.capture.recording import open_capture
 from scanner.commands.main import main
 from scanner.io.calibration_file import read_calibration
 from scanner.io.matches_file import read_matches
+from scanner.io.ply import read_cloud
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.results.finished_scan import read_finished_scan
 
@@ -110,6 +111,5 @@ def test_a_replay_with_an_earlier_result_finds_the_same(scanned: Scanned, tmp_pa
     live, replayed = (read_calibration(folder / "calibration.yaml") for folder in (scanned.result, out))
     assert np.allclose(replayed.camera.focal_px, live.camera.focal_px, rtol=1e-5)
     # The earlier capture's colours come from its recording.
-    clouds = [(folder / "captures/1/cloud.ply").read_bytes() for folder in (scanned.result, out)]
-    colours = [np.frombuffer(cloud.split(b"end_header\n", 1)[1], VERTEX)["rgb"] for cloud in clouds]
+    colours = [read_cloud(folder / "captures/1/cloud.ply").colours for folder in (scanned.result, out)]
     np.testing.assert_array_equal(*colours)
