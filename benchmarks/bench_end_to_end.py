@@ -37,7 +37,6 @@ from scanner.decoding import Floats32
 from scanner.patterns import Pattern, sequence_for
 from scanner.pipeline import decode, reconstruct
 from scanner.reporting import page as report
-from scanner.results import Scan
 
 CAMERA = replace(PAPER_CAMERA, distortion=(-0.02, 0.0, 0.0, 0.0, 0.0))
 PROJECTOR = Intrinsics(1920, 1200, (950.0, 950.0), (955.0, 640.0), (-0.01, 0.0, 0.0, 0.0, 0.0))
@@ -55,9 +54,9 @@ ALONE = {
     "surface": "calib.pointcloud.organised_cloud.surface",
 }
 BESIDE = {
-    "matches file": "scanner.results.records.write_matches",
-    "cloud file": "scanner.results.records.write_ply",
-    "report, all of it": "scanner.results.records.write_report",
+    "matches file": "scanner.reconstruction.save.write_matches",
+    "cloud file": "scanner.reconstruction.save.write_ply",
+    "report, all of it": "scanner.reconstruction.save.write_report",
 }
 _CAMERA_AT, _PROJECTOR_AT = np.array([1.9, 2.3, 1.5]), np.array([2.3, 1.9, 1.8])
 _UP = np.array([0.0, 0.0, 1.0])
@@ -92,7 +91,7 @@ def stream_of(
                 last.append((time.perf_counter(), time.process_time()))
             yield pattern, Frame(image)
 
-    return Stream(patterns, (PROJECTOR.width, PROJECTOR.height), (camera.width, camera.height), as_they_come())
+    return Stream(patterns, PROJECTOR.size, camera.size, as_they_come())
 
 
 def one_run(frames: list[Image], patterns: tuple[Pattern, ...], profile: cProfile.Profile | None = None) -> Stopwatch:
@@ -103,7 +102,7 @@ def one_run(frames: list[Image], patterns: tuple[Pattern, ...], profile: cProfil
     watched = watch.watched(ALONE, BESIDE, report.PARTS, "report: ")
     with tempfile.TemporaryDirectory() as folder, watched, profile or nullcontext():
         found = decode(stream_of(frames, patterns, CAMERA, last), watch, "Decoding")
-        reconstruct(Scan([found]), config, Path(folder), watch)
+        reconstruct([found], config, Path(folder), watch)
     clock, processors = last[0]
     watch.steps[TOTAL] = Duration(time.perf_counter() - clock, time.process_time() - processors)
     watch.matched = len(found.matches)

@@ -122,7 +122,7 @@ class AravisCamera:
         if not shortest <= exposure_us <= longest:
             raise DeviceError(
                 f"camera {self.name}: an exposure of {exposure_us:.0f} µs is wanted, but it can make {shortest:.0f} to "
-                f"{longest:.0f} µs. Change rig.exposure_us or sequence.exposures_us to what the camera can do."
+                f"{longest:.0f} µs. Ask for an exposure_us, or exposures_us, that the camera can do."
             )
         if abs(exposure_us - self.exposure_us) <= _SETTING_TOLERANCE * exposure_us:
             return self.exposure_us
@@ -343,7 +343,7 @@ def _open(wanted: str | None) -> Any:
     if wanted is None:
         found = _discover()
         if len(found) != 1:
-            raise DeviceError(not_found("expected one camera, as rig.camera names none", found))
+            raise DeviceError(not_found("expected one camera, as the rig names none", found))
         wanted = found[0].device_id
     try:
         return Aravis.Camera.new(wanted)

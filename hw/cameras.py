@@ -27,6 +27,6 @@ def not_found(problem: str, there: Sequence[CameraInfo]) -> str:
     """What to tell an operator whose camera was not found, but these were."""
     return (
         f"camera: {problem}. Found: {'; '.join(map(str, there)) or 'none'}. Check power and cable, that the computer's "
-        "network interface is in the camera's subnet, that no firewall is in between, and rig.camera; scan devices "
-        "lists what answers."
+        "network interface is in the camera's subnet, that no firewall is in between, and which camera the rig names; "
+        "scan devices lists what answers."
     )

@@ -26,7 +26,7 @@ _CLIPPED = 254 / 255  # of the highest level; demosaicing mixes clipped pixels w
 
 
 LOST_ADVICE = (
-    "Check cable and power; give the camera a network interface of its own, with large packets (rig.packet_size) and a "
+    "Check cable and power; give the camera a network interface of its own, with large packets (packet_size) and a "
     "large receive buffer; then rerun."
 )
 
@@ -163,7 +163,7 @@ class Flashes:
         if not lit.any():
             raise OverexposedError(
                 f"camera {self._camera.name}: everything that white lights is overexposed. Close the aperture, lower "
-                "rig.gain or rig.exposure_us, then rerun."
+                "the rig's gain or exposure_us, then rerun."
             )
         return lit
 

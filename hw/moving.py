@@ -19,7 +19,7 @@ def at_place(settings: RigSettings, step: int) -> RigSettings:
             last = _last_pose()
             if settings.pose + step > last:
                 raise DeviceError(
-                    f"the simulated rig has places 0 to {last}; from rig.pose {settings.pose} it cannot step aside "
+                    f"the simulated rig has places 0 to {last}; from pose {settings.pose} it cannot step aside "
                     f"{step} times"
                 )
             settings = settings.model_copy(update={"pose": settings.pose + step})

@@ -99,5 +99,7 @@ class Rig:
 def exposure_control(camera: object) -> ExposureControl:
     """The camera, whose exposure can be changed. Raises DeviceError if it cannot."""
     if not isinstance(camera, ExposureControl):
-        raise DeviceError("this camera's exposure cannot be changed during a capture; leave sequence.exposures_us out")
+        raise DeviceError(
+            "this camera's exposure cannot be changed during a capture; take every pattern with one exposure"
+        )
     return camera

@@ -36,18 +36,18 @@ def choose_screen(screens: Sequence[Screen], wanted: int | str | None, size: tup
     """
     found = [screen for screen in screens if _is_wanted(screen, wanted, size)]
     shown_size = f"{size[0]} × {size[1]}"
-    described = f"rig.screen: {wanted}" if wanted is not None else f"a screen of the projector's size, {shown_size}"
+    described = f"screen: {wanted}" if wanted is not None else f"a screen of the projector's size, {shown_size}"
     if len(found) != 1:
         problem = f"no screen is {described}" if not found else f"{len(found)} screens are {described}"
         raise DeviceError(
-            f"projector: {problem}. There are: {'; '.join(map(str, screens)) or 'none'}. Set rig.screen to the number, "
-            "name or geometry of the projector's, and projector.width and projector.height to its size."
+            f"projector: {problem}. There are: {'; '.join(map(str, screens)) or 'none'}. Set the rig's screen to "
+            "the number, name or geometry of the projector's, and the projector's width and height to its size."
         )
     (screen,) = found
     if (screen.width, screen.height) != size:
         raise DeviceError(
             f"projector: {screen} is not {shown_size}, the size of the patterns. Pictures are never scaled: set the "
-            f"screen to the projector's own resolution, and projector.width and projector.height to the same."
+            f"screen to the projector's own resolution, and the width and height of the patterns to the same."
         )
     return screen
 

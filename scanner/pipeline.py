@@ -6,20 +6,28 @@ calibrated are worth keeping, and the report says why.
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from calib.geometry import Calibration
 from calib.numerics import Bools
-from calib.pointcloud import build_cloud
-from calib.refusal import RefusalError
 from hw.open_rig import open_rig
 from hw.settings import RigSettings
 from scanner.capture import CaptureFacts, Recording, Stream, capture, identity, next_place, record
 from scanner.configuration import Config
 from scanner.decoding import Decoder
 from scanner.io import write_calibration
-from scanner.reconstruction import merge, refuse_foreign, refuse_misfit, save, scaled, self_calibration, set_aside
-from scanner.results import CAPTURE_FOLDER, TRUTH_FILE, Findings, Scan
+from scanner.reconstruction import (
+    calibrate,
+    label,
+    merge,
+    refusal_saved,
+    save,
+    scaled,
+    set_aside,
+    triangulate,
+)
+from scanner.results import CAPTURE_FOLDER, TRUTH_FILE, Decoded, GivenCalibration, Scan
 from scanner.ui import Progress, Terminal
 
 
@@ -30,7 +38,7 @@ def scan(
     *,
     number: int = 1,
     masks: Bools | None = None,
-    earlier: Sequence[Findings] = (),
+    earlier: Sequence[Decoded] = (),
 ) -> Scan:
     """Capture with the configured rig, from one place or from several, then reconstruct. Raises DeviceError too."""
     captures = [*earlier]
@@ -40,12 +48,11 @@ def scan(
             break
         if step:
             set_aside(captures, folder)
-        captures.append(take(rig, config, folder, terminal))
-        captures[-1].name = f"Capture {len(captures)}"
-    return reconstruct(Scan(captures), config, folder, terminal, masks=masks)
+        captures.append(take(rig, config, folder, terminal, f"Capture {len(captures) + 1}"))
+    return reconstruct(captures, config, folder, terminal, masks=masks)
 
 
-def take(settings: RigSettings, config: Config, folder: Path, progress: Progress) -> Findings:
+def take(settings: RigSettings, config: Config, folder: Path, progress: Progress, name: str) -> Decoded:
     """One capture, recorded and decoded as it comes. Raises DeviceError."""
     patterns = config.sequence.patterns(config.projector_size)
     with ExitStack() as devices:
@@ -54,9 +61,8 @@ def take(settings: RigSettings, config: Config, folder: Path, progress: Progress
         if opened.truth:
             write_calibration(folder / TRUTH_FILE, opened.truth)
         live = capture(opened.rig, patterns, config.sequence.exposures_us, config.projector.known_response)
-        found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding")
-    found.truth = opened.truth
-    return found
+        found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding", name)
+    return replace(found, facts=replace(found.facts, truth=opened.truth))
 
 
 def replay(
@@ -66,22 +72,30 @@ def replay(
     terminal: Terminal,
     *,
     masks: Bools | None = None,
-    calibration: Calibration | None = None,
-    earlier: Sequence[Findings] = (),
+    earlier: Sequence[Decoded] = (),
 ) -> Scan:
     """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
+    found = _decode_recording(recording, folder, terminal)
+    return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
+
+
+def replay_calibrated(
+    recording: Recording, calibration: Calibration, config: Config, folder: Path, terminal: Terminal
+) -> Scan:
+    """The same with a calibration that is known: nothing is calibrated. Raises InputError, RefusalError."""
+    found = _decode_recording(recording, folder, terminal)
+    with refusal_saved([found], folder) as reached:
+        given = GivenCalibration(found, scaled(calibration, None, config.scale))
+        captures = triangulate([given], reached, terminal)
+    return _finished(Scan(captures), folder, terminal)
+
+
+def _decode_recording(recording: Recording, folder: Path, terminal: Terminal) -> Decoded:
     recording.copy_to(folder / CAPTURE_FOLDER)
-    found = decode(recording.stream(), terminal, "Decoding")
-    found.name = str(recording.folder)
-    return reconstruct(Scan([*earlier, found]), config, folder, terminal, masks=masks, calibration=calibration)
+    return decode(recording.stream(), terminal, "Decoding", str(recording.folder))
 
 
-def calibrate(captures: Sequence[Findings], config: Config, folder: Path, terminal: Terminal) -> Scan:
-    """Reconstruct from matches, with or without face labels. Raises RefusalError."""
-    return reconstruct(Scan(captures), config, folder, terminal)
-
-
-def decode(stream: Stream, progress: Progress, what: str) -> Findings:
+def decode(stream: Stream, progress: Progress, what: str, name: str = "") -> Decoded:
     """Frames as they come → matches; no frame is kept."""
     decoder = Decoder(stream.patterns, stream.projector_size)
     exposures_us = []
@@ -91,51 +105,27 @@ def decode(stream: Stream, progress: Progress, what: str) -> Findings:
     with progress.step("Matching"):
         decoding = decoder.finish()
     about = identity({**stream.metadata, **stream.account()})
-    facts = CaptureFacts(
-        stream.camera_size,
-        stream.projector_size,
-        stream.patterns,
-        about,
-        tuple(exposures_us),
-    )
-    return Findings(facts, decoding.matches, decoding)
+    facts = CaptureFacts(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
+    return Decoded(facts, decoding.matches, decoding, name)
 
 
 def reconstruct(
-    scan: Scan,
-    config: Config,
-    folder: Path,
-    progress: Progress,
-    *,
-    masks: Bools | None = None,
-    calibration: Calibration | None = None,
+    captures: Sequence[Decoded], config: Config, folder: Path, progress: Progress, *, masks: Bools | None = None
 ) -> Scan:
-    """Matches → calibration (unless one is given) → clouds → files. Raises RefusalError."""
-    try:
-        if calibration is None:
-            with progress.step("Calibrating"):
-                calibration = self_calibration(scan, config, masks)
-        corner = scan.newest.solution.corner if scan.newest.solution else None
-        calibration = scaled(calibration, corner, config.scale)
-        for found in scan.captures:
-            with progress.step("Triangulating"), scan.naming(found):
-                triangulate(found, calibration)
-        if len(scan.captures) > 1 and config.corner.same:
+    """Matches → faces → one calibration → clouds → files; `masks` are of the newest capture. Raises RefusalError."""
+    with refusal_saved(captures, folder) as reached:
+        with progress.step("Calibrating"):
+            labelled = label(captures, reached, masks)
+            reached[:] = calibrated = calibrate(labelled, config)
+        reconstructed = triangulate(calibrated, reached, progress)
+        result = Scan(reconstructed)
+        if len(captures) > 1 and config.corner.same:
             with progress.step("Merging the clouds"):
-                merge(scan)
-    except RefusalError as refusal:
-        save(scan, folder, refusal)
-        raise
+                result = Scan(reconstructed, *merge(calibrated, [capture.cloud for capture in reconstructed]))
+    return _finished(result, folder, progress)
+
+
+def _finished(result: Scan, folder: Path, progress: Progress) -> Scan:
     with progress.step("Writing the result"):
-        save(scan, folder)
-    return scan
-
-
-def triangulate(found: Findings, calibration: Calibration) -> None:
-    """One capture's matches → its cloud, unless they refute the calibration. Raises RefusalError."""
-    found.calibration = calibration
-    found.cloud = build_cloud(found.matches, found.texture, calibration)
-    if not found.solution:
-        refuse_foreign(found.cloud.statistics, found.facts.projector_size)
-    elif found.solution.method == "refined":  # the paper's method leaves out lenses, so a misfit is to be expected
-        refuse_misfit(found.cloud.statistics)
+        save(result, folder)
+    return result

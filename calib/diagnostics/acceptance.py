@@ -108,7 +108,7 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
                 else "they should be"
             )
             + f": with the angles free, −2 log likelihood is lower by {refinement.tension:.0f}.",
-            "Choose another corner, or give a larger corner.squareness_deg.",
+            "Choose another corner, or allow for walls farther from square (a larger squareness_deg).",
         )
 
 

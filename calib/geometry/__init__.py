@@ -1,7 +1,7 @@
 """Cameras, lenses, poses, homographies, the cuboid corner, triangulation: formulas, and nothing that is estimated."""
 
 from calib.geometry.calibration import Calibration, DeviceSigmas, Sigmas
-from calib.geometry.camera import Intrinsics
+from calib.geometry.camera import Intrinsics, Size
 from calib.geometry.corner import (
     Corner,
     CornerImage,

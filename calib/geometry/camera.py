@@ -6,18 +6,34 @@ the other way.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.polynomial.polynomial import polyval
 
 from calib.geometry import radial_distortion as lens
-from calib.numerics import Floats
+from calib.numerics import Floats, Image
 
 _WORTH_A_POLYNOMIAL = 1000
 _DEGREES = (6, 10, 14, 18)
 _CHECKED = 64
 _POLYNOMIAL_TOLERANCE = 1e-10
+
+
+class Size(NamedTuple):
+    """Of an image, or of a device that takes or shows one, in pixels."""
+
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, image: Image) -> "Size":
+        """Of an image (H, W) or (H, W, 3)."""
+        return cls(image.shape[1], image.shape[0])
+
+    def __str__(self) -> str:
+        return f"{self.width} × {self.height}"
 
 
 @dataclass(frozen=True)
@@ -42,6 +58,11 @@ class Intrinsics:
             raise ValueError(f"intrinsics must be finite numbers, found {numbers}")
         if not min(self.focal_px) > 0:
             raise ValueError(f"focal lengths must be positive, found {self.focal_px}")
+
+    @property
+    def size(self) -> Size:
+        """Of the device's image."""
+        return Size(self.width, self.height)
 
     @property
     def matrix(self) -> Floats:

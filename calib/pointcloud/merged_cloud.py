@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, Floats, Ints, in_pieces
+from calib.numerics import Floats, Ints, in_pieces
 from calib.pointcloud.corner_view import View
 from calib.pointcloud.organised_cloud import Cloud
 from calib.pointcloud.voxel_grid import nearest_in_voxels
@@ -28,11 +28,6 @@ class MergedCloud:
     grid: float
     turns: tuple[int, ...]
     from_cameras: tuple[Floats, ...]
-
-    @property
-    def there(self) -> Bools:
-        """Which points are there, (N,): all."""
-        return np.ones(len(self.points), dtype=np.bool_)
 
 
 def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...]) -> MergedCloud:

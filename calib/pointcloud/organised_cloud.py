@@ -44,13 +44,15 @@ class Cloud:
 
     `points` (H, W, 3) in `unit`, NaN where there is none; `colours` (H, W, 3) RGB; `normals` (H, W, 3), of unit length
     and facing the camera; `residual_px` (H, W): signed distance of the projector pixel from the camera pixel's epipolar
-    line, also where the point was dropped for it, NaN where there was no match.
+    line, also where the point was dropped for it, NaN where there was no match; `match` (H, W): the number of the match
+    that each point was triangulated from, of no meaning where there is none.
     """
 
     points: NDArray[np.float32]
     colours: NDArray[np.uint8]
     normals: NDArray[np.float32]
     residual_px: NDArray[np.float32]
+    match: NDArray[np.int32]
     unit: str
     statistics: CloudStatistics
 
@@ -92,6 +94,7 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
         colours=_colours(texture, np.isfinite(points[..., 2])),
         normals=on_surface.normals,
         residual_px=organised.residual_px,
+        match=organised.match,
         unit=calibration.unit,
         statistics=CloudStatistics(
             matched=len(matches),

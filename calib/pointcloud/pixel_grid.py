@@ -21,12 +21,14 @@ class Organised:
     """What became of matches: all of them are kept, or counted by why they were not.
 
     `points` (H, W, 3) in the camera's frame, NaN where there is none; `residual_px` (H, W): that of the point, or of
-    one that was dropped for it, NaN where no rays met. `outside_image`, `behind`, `disagreeing`, `shared_pixel`: as of
-    `CloudStatistics`. `misses`: what was expected; `trend_px`: root mean square of their smooth part.
+    one that was dropped for it, NaN where no rays met; `match` (H, W): the number of each point's match.
+    `outside_image`, `behind`, `disagreeing`, `shared_pixel`: as of `CloudStatistics`. `misses`: what was expected;
+    `trend_px`: root mean square of their smooth part.
     """
 
     points: NDArray[np.float32]
     residual_px: NDArray[np.float32]
+    match: NDArray[np.int32]
     outside_image: int
     behind: int
     disagreeing: int
@@ -40,6 +42,7 @@ def organise(matches: Matches, calibration: Calibration) -> Organised:
     count, shape = len(matches), (calibration.camera.height, calibration.camera.width)
     misses = _expected_misses(matches, calibration)
     points, residual_px = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
+    match = np.zeros(shape, np.int32)
 
     def clear(rows: slice) -> None:
         points[rows] = np.nan
@@ -53,7 +56,16 @@ def organise(matches: Matches, calibration: Calibration) -> Organised:
             met = intersect_rays(camera_px, matches.projector_px[some], calibration)
             trend_px = misses.trend_px(camera_px, met.foot_px, calibration)
             squared_trend += _place(
-                camera_px.T, met.points.T, met.residual_px, trend_px, misses.limit_px, points, residual_px, fates
+                start,
+                camera_px.T,
+                met.points.T,
+                met.residual_px,
+                trend_px,
+                misses.limit_px,
+                points,
+                residual_px,
+                match,
+                fates,
             )
         return fates, squared_trend
 
@@ -67,6 +79,7 @@ def organise(matches: Matches, calibration: Calibration) -> Organised:
     return Organised(
         points,
         residual_px,
+        match,
         int(fates[_OUTSIDE]),
         int(fates[_BEHIND]),
         int(fates[_DISAGREEING]),
@@ -107,6 +120,7 @@ def _increase(camera_px: Floats, width: int) -> bool:
 
 @compiled
 def _place(
+    first: int,
     camera_px: Floats,
     points: Floats,
     residual_px: Floats,
@@ -114,9 +128,10 @@ def _place(
     limit_px: float,
     grid: NDArray[np.float32],
     grid_residual_px: NDArray[np.float32],
+    grid_match: NDArray[np.int32],
     fates: Ints,
 ) -> float:
-    """Put points (3, N) of camera pixels (2, N) on the grid, count those that are not kept.
+    """Put points (3, N) of camera pixels (2, N) on the grid, count those that are not kept; `first` is the first match.
 
     Returns the sum of the squared trends of those that agree.
     """
@@ -142,6 +157,7 @@ def _place(
             if not taken or (agrees and abs(rounded) < abs(grid_residual_px[y, x])):
                 grid_residual_px[y, x] = rounded
                 if agrees:
+                    grid_match[y, x] = first + i
                     for axis in range(3):
                         grid[y, x, axis] = points[axis, i]
     return squared_trend

@@ -201,7 +201,7 @@ def _by_paper(
         "paper",
         (
             "The paper's method knows neither lens distortion nor uncertainty: in simulated rooms it errs by 0.2 to "
-            "16 %. It is there for comparison; 'method: refined' is the one to use.",
+            "16 %. It is there for comparison; the method 'refined' is the one to use.",
         ),
     )
 

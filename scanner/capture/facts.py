@@ -3,23 +3,26 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from calib.geometry import Calibration, Size
 from scanner.patterns import Pattern
 
 
 @dataclass(frozen=True)
 class CaptureFacts:
-    """How the capture was taken: sizes are (width, height); what is not known is left out.
+    """How the capture was taken; what is not known is left out.
 
     `identity` names devices and whatever else the recording says about itself. `exposure_us`: the frames' exposures.
-    `photos`: what stands for the projector is the camera at a second place.
+    `photos`: what stands for the projector is the camera at a second place. `truth` is known of simulated rigs, and
+    only for showing it.
     """
 
-    camera_size: tuple[int, int]
-    projector_size: tuple[int, int]
+    camera_size: Size
+    projector_size: Size
     patterns: tuple[Pattern, ...] = ()
     identity: Mapping[str, str] = field(default_factory=dict)
     exposure_us: tuple[float, ...] = ()
     photos: bool = False
+    truth: Calibration | None = None
 
     @property
     def pixels(self) -> str:

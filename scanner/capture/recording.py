@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import Field, field_validator
 
+from calib.geometry import Size
 from calib.numerics import Image
 from hw.rig import Frame
 from scanner.capture.stream import Stream
@@ -125,8 +126,8 @@ class Recording:
     folder: Path
     files: tuple[str, ...]
     patterns: tuple[Pattern, ...]
-    projector_size: tuple[int, int]
-    camera_size: tuple[int, int]
+    projector_size: Size
+    camera_size: Size
     metadata: Mapping[str, Any]
     read_back: tuple[tuple[float | None, int | None], ...]
 
@@ -147,12 +148,12 @@ class Recording:
             yield pattern, Frame(image, *read_back)
 
     def _check_size(self, file: str, image: Image) -> None:
-        found = (image.shape[1], image.shape[0])
+        found = Size.of(image)
         if found != self.camera_size:
             swapped = "; are width and height swapped?" if found[::-1] == self.camera_size else ""
             raise InputError(
-                f"{self.folder / file}: expected {self.camera_size[0]} × {self.camera_size[1]} pixels, the size of the "
-                f"camera in {CAPTURE_FILE}, found {found[0]} × {found[1]}{swapped}"
+                f"{self.folder / file}: expected {self.camera_size} pixels, the size of the camera in "
+                f"{CAPTURE_FILE}, found {found}{swapped}"
             )
 
     def copy_to(self, folder: Path) -> None:
@@ -189,8 +190,8 @@ def open_capture(path: Path) -> Recording:
         folder,
         files,
         patterns,
-        (entry.projector.width, entry.projector.height),
-        (entry.camera.width, entry.camera.height),
+        Size(entry.projector.width, entry.projector.height),
+        Size(entry.camera.width, entry.camera.height),
         data,
         tuple(frame.read_back for frame in entry.frames),
     )

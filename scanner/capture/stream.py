@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
+from calib.geometry import Size
 from hw.errors import DeviceError
 from hw.rig import Frame, Rig, exposure_control
 from scanner.patterns import Pattern, ProjectorResponse, draw
@@ -12,13 +13,13 @@ from scanner.patterns import Pattern, ProjectorResponse, draw
 class Stream:
     """Patterns and the frames that show them, one after the other; live, simulated or recorded looks the same.
 
-    `frames` can be walked through once. Sizes are (width, height). `metadata` holds further keys for the recording,
+    `frames` can be walked through once. `metadata` holds further keys for the recording,
     `account` those that are known only when the frames have been walked through.
     """
 
     patterns: tuple[Pattern, ...]
-    projector_size: tuple[int, int]
-    camera_size: tuple[int, int]
+    projector_size: Size
+    camera_size: Size
     frames: Iterator[tuple[Pattern, Frame]]
     metadata: Mapping[str, object] = field(default_factory=dict)
     account: Callable[[], Mapping[str, object]] = dict
@@ -43,7 +44,8 @@ def capture(
     repeated = tuple(pattern for pattern in patterns for _ in exposures_us or (None,))
     frames = _frames(rig, repeated, exposures_us, response)
     devices = rig.identity if response is None else rig.identity | {"response": f"gamma {response.gamma:.2f}, undone"}
-    return Stream(repeated, rig.projector.size, rig.camera.size, frames, {"devices": devices}, rig.account)
+    sizes = Size(*rig.projector.size), Size(*rig.camera.size)
+    return Stream(repeated, *sizes, frames, {"devices": devices}, rig.account)
 
 
 def _frames(
@@ -68,6 +70,6 @@ def _try_exposures(rig: Rig, exposures_us: tuple[float, ...]) -> None:
         if found in became[:number]:
             other = exposures_us[became.index(found)]
             raise DeviceError(
-                f"the camera makes the same of {other:g} and {wanted:g} µs in sequence.exposures_us, {found:.0f} µs: "
+                f"the camera makes the same of {other:g} and {wanted:g} µs in exposures_us, {found:.0f} µs: "
                 "exposures are whole numbers of the projector's refresh periods; choose some that are further apart"
             )

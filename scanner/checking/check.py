@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 
+from calib.geometry import Size
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from hw.rig import Frame, Rig
@@ -23,7 +24,7 @@ from scanner.configuration import Config
 from scanner.decoding import MaskReason
 from scanner.patterns import Pattern, phase_sequence
 from scanner.reconstruction import read_captures
-from scanner.results import Findings
+from scanner.results import Decoded
 from scanner.ui import Progress
 
 OnRow = Callable[[CheckRow], None]
@@ -52,7 +53,7 @@ def check(config: Config, terminal: Progress, on_row: OnRow | None = None) -> Ch
 
 def check_rig(rig: Rig, config: Config, terminal: Progress, on_row: OnRow | None = None) -> CheckReport:
     """Check a rig that is open, as `check` does. Its camera is left at the exposure that is proposed."""
-    earlier = read_captures(config.earlier, rig.camera.size, rig.projector.size)
+    earlier = read_captures(config.earlier, Size(*rig.camera.size), Size(*rig.projector.size))
     checking = Checking(on_row)
     try:
         _check(_Bench(rig, config, terminal, earlier), checking)
@@ -68,7 +69,7 @@ class _Bench:
     rig: Rig
     config: Config
     terminal: Progress
-    earlier: list[Findings]
+    earlier: list[Decoded]
 
     def show(self, patterns: tuple[Pattern, ...]) -> Iterator[tuple[Pattern, Frame]]:
         """Frames of patterns, sent as a scan would send them."""

@@ -19,8 +19,8 @@ from scanner.decoding import Decoding, MaskReason
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Preset, PresetName
 from scanner.pipeline import decode
-from scanner.reconstruction import self_calibration
-from scanner.results import Findings, Scan
+from scanner.reconstruction import label, solve
+from scanner.results import Decoded
 from scanner.ui import Progress
 
 _QUICK: PresetName = "quick"
@@ -41,9 +41,9 @@ _UNREADABLE = "Correct what the lines above say about light and focus, keep the 
 
 @dataclass(frozen=True)
 class Capture:
-    """What a sequence showed; `findings` is None and `problem` says why where its frames do not decode."""
+    """What a sequence showed; `decoded` is None and `problem` says why where its frames do not decode."""
 
-    findings: Findings | None
+    decoded: Decoded | None
     problem: str = ""
 
     @property
@@ -54,7 +54,7 @@ class Capture:
     @property
     def decoding(self) -> Decoding | None:
         """What was decoded."""
-        return self.findings.decoding if self.findings else None
+        return self.decoded.decoding if self.decoded else None
 
 
 def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress) -> Capture:
@@ -168,25 +168,24 @@ def _turned(device: str, middle: tuple[float, float], otherwise: str) -> str:
     )
 
 
-def predict(findings: Findings, config: Config, earlier: Sequence[Findings]) -> SelfCalibration:
+def predict(decoded: Decoded, config: Config, earlier: Sequence[Decoded]) -> SelfCalibration:
     """What a capture calibrates, together with earlier ones if there are any. Raises RefusalError."""
-    self_calibration(Scan([*earlier, findings]), config.model_copy(update={"method": "refined"}))
-    assert findings.solution is not None
-    return findings.solution
+    captures = [*earlier, decoded]
+    return solve(label(captures, [*captures]), config.model_copy(update={"method": "refined"}))[-1]
 
 
 def view_row(
-    seen: Capture, config: Config, earlier: Sequence[Findings], *, as_configured: bool = False
+    seen: Capture, config: Config, earlier: Sequence[Decoded], *, as_configured: bool = False
 ) -> tuple[CheckRow, RefusalError | None]:
     """How well this view will calibrate, and why a scan would be refused, if it would.
 
     `as_configured`: `seen` is not the quick capture, of which too little could be had.
     """
-    if seen.findings is None:
+    if seen.decoded is None:
         row = CheckRow(_VIEW, State.FAILED, f"the frames do not decode: {seen.problem}", _UNREADABLE)
         return row, refusal_of(row)
     try:
-        solution = predict(seen.findings, config, earlier)
+        solution = predict(seen.decoded, config, earlier)
     except RefusalError as refusal:
         return CheckRow(_VIEW, State.FAILED, refusal.reason, refusal.advice), refusal
     sigmas = relative_sigmas(solution)

@@ -18,5 +18,5 @@ def run(args: Namespace) -> None:
     refuse_impossible(config, len(captures))
     terminal = Terminal(quiet=args.quiet)
     with new_result(args.out, config, overwrite=args.overwrite) as folder:
-        scan = pipeline.calibrate(captures, config, folder, terminal)
+        scan = pipeline.reconstruct(captures, config, folder, terminal)
     show_outcome(scan, args.out, terminal)

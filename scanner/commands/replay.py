@@ -36,9 +36,10 @@ def run(args: Namespace) -> None:
     out = args.out or default_out(_name(recording.folder), overwrite=args.overwrite)
     terminal = Terminal(quiet=args.quiet)
     with new_result(out, config, overwrite=args.overwrite) as folder:
-        scan = pipeline.replay(
-            recording, config, folder, terminal, masks=masks, calibration=calibration, earlier=earlier
-        )
+        if calibration:
+            scan = pipeline.replay_calibrated(recording, calibration, config, folder, terminal)
+        else:
+            scan = pipeline.replay(recording, config, folder, terminal, masks=masks, earlier=earlier)
     show_outcome(scan, out, terminal)
 
 
@@ -53,8 +54,8 @@ def _check_sizes(path: Path, calibration: Calibration, recording: Recording) -> 
         ("camera", calibration.camera, recording.camera_size),
         ("projector", calibration.projector, recording.projector_size),
     ):
-        if (device.width, device.height) != expected:
+        if device.size != expected:
             raise InputError(
-                f"{path}: its {name} is {device.width} × {device.height}, but the capture's is "
-                f"{expected[0]} × {expected[1]}: this calibration belongs to another rig"
+                f"{path}: its {name} is {device.size}, but the capture's is {expected}: this calibration belongs to "
+                "another rig"
             )

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from calib.geometry import Size
 from calib.refinement import SQUARENESS_DEG
 from calib.self_calibration import PrincipalPoint
 from hw.settings import RigSettings
@@ -36,9 +37,9 @@ class _DeviceSettings(Section):
         return self
 
     @property
-    def size(self) -> tuple[int, int] | None:
-        """(width, height), or None if it is not given."""
-        return None if self.width is None or self.height is None else (self.width, self.height)
+    def size(self) -> Size | None:
+        """Of the image, or None if it is not given."""
+        return None if self.width is None or self.height is None else Size(self.width, self.height)
 
 
 class PrincipalPointSettings(Section):
@@ -194,17 +195,17 @@ class Config(Section):
         return self.rig
 
     @property
-    def camera_size(self) -> tuple[int, int]:
-        """(width, height). Raises InputError if it is not configured."""
+    def camera_size(self) -> Size:
+        """Of the camera's image. Raises InputError if it is not configured."""
         return _required_size("camera", self.camera.size)
 
     @property
-    def projector_size(self) -> tuple[int, int]:
-        """(width, height). Raises InputError if it is not configured."""
+    def projector_size(self) -> Size:
+        """Of the projector's image. Raises InputError if it is not configured."""
         return _required_size("projector", self.projector.size)
 
-    def principal_point(self, camera_size: tuple[int, int]) -> PrincipalPoint:
-        """What is known of the camera's principal point, for images of (width, height).
+    def principal_point(self, camera_size: Size) -> PrincipalPoint:
+        """What is known of the camera's principal point, for images of that size.
 
         Raises InputError if a known point belongs to images of another size, or is nowhere near the image.
         """
@@ -215,25 +216,19 @@ class Config(Section):
             return PrincipalPoint(((width - 1) / 2, (height - 1) / 2), sigma_px)
         if self.camera.size not in (None, camera_size):
             raise InputError(
-                f"the configuration's camera is {_shown(self.camera_size)}, but the images are {_shown(camera_size)}: "
+                f"the configuration's camera is {self.camera_size}, but the images are {camera_size}: "
                 "camera.principal_point.known does not apply to them"
             )
         x, y = setting.known
         if not (-width <= x <= 2 * width and -height <= y <= 2 * height):
-            raise InputError(
-                f"camera.principal_point.known is ({x:g}, {y:g}), far outside of the {_shown(camera_size)} image"
-            )
+            raise InputError(f"camera.principal_point.known is ({x:g}, {y:g}), far outside of the {camera_size} image")
         return PrincipalPoint((x, y), 0.0)
 
 
-def _required_size(device: str, size: tuple[int, int] | None) -> tuple[int, int]:
+def _required_size(device: str, size: Size | None) -> Size:
     if size is None:
         raise InputError(f"the configuration has no '{device}.width' and '{device}.height': give the size of its image")
     return size
-
-
-def _shown(size: tuple[int, int]) -> str:
-    return f"{size[0]} × {size[1]}"
 
 
 def load_config(path: Path | None, overrides: Iterable[str] = ()) -> Config:

@@ -13,7 +13,7 @@ from hw.settings import AravisRigSettings, RigSettings
 from scanner.console.picture import HISTOGRAM_BINS, exposed, histogram, shown
 from scanner.console.settings import Picture
 from scanner.quantities import percent
-from scanner.rendering import Pixels, data_uri
+from scanner.rendering import Pixels, jpeg_uri
 
 _EVERY_S = 0.15  # a page and a network have to keep up
 _LONGEST_MS = 10_000.0
@@ -84,7 +84,7 @@ class CameraView:
 def _html(picture: Pixels) -> str:
     """The picture as wide as the panel. Viser's own image complains in the browser's console when it changes fast."""
     style = "width:100%; padding:0 0.7em; box-sizing:border-box"
-    return f'<img alt="what the camera sees" style="{style}" src="{data_uri(picture, jpeg=True)}">'
+    return f'<img alt="what the camera sees" style="{style}" src="{jpeg_uri(picture)}">'
 
 
 def _histogram_plot(gui: viser.GuiApi) -> viser.GuiUplotHandle:

@@ -5,7 +5,7 @@ from pathlib import Path
 from scanner import pipeline
 from scanner.console.settings import Settings
 from scanner.reconstruction import read_captures, refuse_impossible
-from scanner.results import Scan, default_out, new_result
+from scanner.results import default_out, new_result
 from scanner.ui import Progress
 
 
@@ -20,7 +20,6 @@ def scan(settings: Settings, progress: Progress) -> Path:
     refuse_impossible(config, len(earlier) + 1)
     out = default_out(settings.config.stem, overwrite=False)
     with new_result(out, config, overwrite=False, keep_capture=True) as folder:
-        taken = pipeline.take(config.required_rig, config, folder, progress)
-        taken.name = f"Capture {len(earlier) + 1}"
-        pipeline.reconstruct(Scan([*earlier, taken]), config, folder, progress)
+        taken = pipeline.take(config.required_rig, config, folder, progress, f"Capture {len(earlier) + 1}")
+        pipeline.reconstruct([*earlier, taken], config, folder, progress)
     return out

@@ -1,97 +1,30 @@
-"""Point clouds as binary PLY (Turk 1994), the way MeshLab, CloudCompare and Open3D read it."""
+"""Point clouds and meshes as binary PLY (Turk 1994), the way MeshLab, CloudCompare and Open3D read it."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, Floats, compiled
-from calib.pointcloud import MergedCloud
+from calib.numerics import Floats, Ints
 from scanner.errors import InputError
 
-_FLOATS, _BYTES = ("x", "y", "z", "nx", "ny", "nz"), ("red", "green", "blue")
-_VERTEX = np.dtype([*((name, "<f4") for name in _FLOATS), *((name, "u1") for name in _BYTES)])
-_PROPERTIES = (*(f"float {name}" for name in _FLOATS), *(f"uchar {name}" for name in _BYTES))
-_PIECE = 1 << 15  # points to be written at once, from the processor's cache
-_CAMERA_FRAME = "camera frame: x right, y down, z forward, origin at the camera's centre"
+
+class _Column(NamedTuple):
+    """What a vertex has: the array's name, the type of its components, their names in the file."""
+
+    name: str
+    kind: str
+    components: tuple[str, ...]
 
 
-class PointCloud(Protocol):
-    """What is written: `points`, `normals` and RGB `colours` (..., 3), where they are `there` (...)."""
-
-    @property
-    def points(self) -> NDArray[np.float32]: ...  # noqa: D102
-    @property
-    def normals(self) -> NDArray[np.float32]: ...  # noqa: D102
-    @property
-    def colours(self) -> NDArray[np.uint8]: ...  # noqa: D102
-    @property
-    def unit(self) -> str: ...  # noqa: D102
-    @property
-    def there(self) -> Bools: ...  # noqa: D102
-
-
-def write_ply(path: Path, cloud: PointCloud) -> None:
-    """Write the points that are there, in the camera's frame, with normals and colours, row by row of its image.
-
-    Raises OSError if the file cannot be written.
-    """
-    _write(path, cloud, _CAMERA_FRAME)
-
-
-def write_merged_ply(path: Path, cloud: MergedCloud) -> None:
-    """The same for a cloud of several captures. Raises OSError if the file cannot be written."""
-    _write(path, cloud, "corner frame: origin at the corner's vertex, axes along its edges, z along the most upright")
-
-
-def _write(path: Path, cloud: PointCloud, frame: str) -> None:
-    there = cloud.there.ravel()
-    points, normals, colours = cloud.points.reshape(-1, 3), cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)
-    vertices = np.empty(_PIECE, dtype=_VERTEX)
-    with path.open("wb") as file:
-        file.write(_header(int(np.count_nonzero(there)), cloud.unit, frame))
-        for start in range(0, len(there), _PIECE):
-            some = slice(start, start + _PIECE)
-            count = _fill(vertices, there[some], points[some], normals[some], colours[some])
-            file.write(vertices[:count].data)
-
-
-@compiled
-def _fill(
-    vertices: NDArray[np.void],
-    there: Bools,
-    points: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    colours: NDArray[np.uint8],
-) -> int:
-    """Fill in the first vertices with those of N points that are there; returns how many they are."""
-    count = 0
-    for i in range(len(there)):
-        if there[i]:
-            vertex = vertices[count]
-            vertex.x, vertex.y, vertex.z = points[i, 0], points[i, 1], points[i, 2]
-            vertex.nx, vertex.ny, vertex.nz = normals[i, 0], normals[i, 1], normals[i, 2]
-            vertex.red, vertex.green, vertex.blue = colours[i, 0], colours[i, 1], colours[i, 2]
-            count += 1
-    return count
-
-
-def _header(count: int, unit: str, frame: str) -> bytes:
-    # The unit comes from a file that a person wrote: whatever it says, it must not end the comment or the header.
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment unit {' '.join(unit.split())} (of x, y, z)",
-        f"comment {frame}",
-        f"element vertex {count}",
-        *(f"property {name}" for name in _PROPERTIES),
-        "end_header",
-    ]
-    return "".join(f"{line}\n" for line in lines).encode("ascii", errors="replace")
-
-
+_COLUMNS = (
+    _Column("points", "float", ("x", "y", "z")),
+    _Column("normals", "float", ("nx", "ny", "nz")),
+    _Column("colours", "uchar", ("red", "green", "blue")),
+)
+_MATCH = _Column("match", "int", ("match",))
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "<i1"),
     **dict.fromkeys(("uchar", "uint8"), "<u1"),
@@ -102,20 +35,87 @@ _TYPES = {
     **dict.fromkeys(("float", "float32"), "<f4"),
     **dict.fromkeys(("double", "float64"), "<f8"),
 }
+_TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+_PIECE = 1 << 15  # points to be written at once, from the processor's cache
 _LONGEST_HEADER = 1 << 16
 _END = b"end_header\n"
+_CAMERA_FRAME = "camera frame: x right, y down, z forward, origin at the camera's centre"
+_CORNER_FRAME = "corner frame: origin at the corner's vertex, axes along its edges, z along the most upright"
+
+
+class PointCloud(Protocol):
+    """What is written: `points` (NaN for none), `normals` and RGB `colours` (..., 3)."""
+
+    @property
+    def points(self) -> NDArray[np.floating]: ...  # noqa: D102
+    @property
+    def normals(self) -> NDArray[np.floating]: ...  # noqa: D102
+    @property
+    def colours(self) -> NDArray[np.uint8]: ...  # noqa: D102
+    @property
+    def unit(self) -> str: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
 class CloudPoints:
-    """`points` (N, 3), `normals` (N, 3) of unit length, `colours` (N, 3) RGB."""
+    """`points` (N, 3), `normals` (N, 3) of unit length, `colours` (N, 3) RGB.
+
+    `match` (N,): the number of the match that each point was triangulated from; None where the file does not say.
+    """
 
     points: Floats
     normals: Floats
     colours: NDArray[np.uint8]
+    match: Ints | None
 
     def __len__(self) -> int:
         return len(self.points)
+
+
+def write_ply(path: Path, cloud: PointCloud, *, match: Ints | None = None, triangles: Ints | None = None) -> None:
+    """Write the points that are there, in the camera's frame, with normals and colours, row by row of its image.
+
+    `match` (...): which match each point was triangulated from; `triangles` (T, 3): between points that are all there.
+
+    Raises OSError if the file cannot be written.
+    """
+    _write(path, cloud, _CAMERA_FRAME, match, triangles)
+
+
+def write_merged_ply(path: Path, cloud: PointCloud) -> None:
+    """The same for a cloud of several captures, in their corner's frame. Raises OSError."""
+    _write(path, cloud, _CORNER_FRAME, None, None)
+
+
+def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triangles: Ints | None) -> None:
+    columns = _COLUMNS if match is None else (*_COLUMNS, _MATCH)
+    arrays = [cloud.points.reshape(-1, 3), cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)]
+    arrays += [] if match is None else [match.reshape(-1, 1)]
+    there = np.isfinite(arrays[0][:, 2])
+    vertices = np.empty(_PIECE, [(column.name, _TYPES[column.kind], len(column.components)) for column in columns])
+    # The unit comes from a file that a person wrote: whatever it says, it must not end the comment or the header.
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment unit {' '.join(cloud.unit.split())} (of x, y, z)",
+        f"comment {frame}",
+        f"element vertex {np.count_nonzero(there)}",
+        *(f"property {column.kind} {name}" for column in columns for name in column.components),
+    ]
+    if triangles is not None:
+        header += [f"element face {len(triangles)}", "property list uchar int vertex_indices"]
+    with path.open("wb") as file:
+        file.write("".join(f"{line}\n" for line in header).encode("ascii", errors="replace") + _END)
+        for start in range(0, len(there), _PIECE):
+            piece = slice(start, start + _PIECE)
+            chosen = np.flatnonzero(there[piece])
+            for column, array in zip(columns, arrays, strict=True):
+                vertices[column.name][: len(chosen)] = array[piece].take(chosen, axis=0)
+            file.write(vertices[: len(chosen)].data)
+        if triangles is not None:
+            faces = np.empty(len(triangles), _TRIANGLE)
+            faces["count"], faces["corners"] = 3, triangles
+            file.write(faces.data)
 
 
 def read_cloud(path: Path) -> CloudPoints:
@@ -135,10 +135,13 @@ def read_cloud(path: Path) -> CloudPoints:
     if len(data) - start < count * layout.itemsize:
         raise InputError(f"{path}: truncated: the header promises {count} points; copy the file again")
     vertices = np.frombuffer(data, layout, count, start)
+    points, normals, colours = (np.stack([vertices[name] for name in column.components], axis=1) for column in _COLUMNS)
+    known = _MATCH.name in (layout.names or ())
     return CloudPoints(
-        _columns(vertices, ("x", "y", "z")).astype(np.float64),
-        _columns(vertices, ("nx", "ny", "nz")).astype(np.float64),
-        _columns(vertices, ("red", "green", "blue")).astype(np.uint8),
+        points.astype(np.float64),
+        normals.astype(np.float64),
+        colours.astype(np.uint8),
+        vertices[_MATCH.name].astype(np.int64) if known else None,
     )
 
 
@@ -152,12 +155,8 @@ def _vertex_layout(path: Path, header: list[str]) -> tuple[int, np.dtype[np.void
     properties = words[elements[0] : elements[1] if len(elements) > 1 else None]
     fields = [(line[2], _TYPES.get(line[1], "")) for line in properties if line[0] == "property" and len(line) >= 3]
     names = [name for name, _ in fields]
-    missing = [name for name in ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue") if name not in names]
+    missing = [name for column in _COLUMNS for name in column.components if name not in names]
     if missing or len(set(names)) < len(names) or not all(kind for _, kind in fields):
         found = f"without {', '.join(missing)}" if missing else "with properties that no cloud has"
         raise InputError(f"{path}: expected points with normals and colours, found vertices {found}")
     return int(count), np.dtype(fields)
-
-
-def _columns(vertices: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.generic]:
-    return np.stack([vertices[name] for name in names], axis=1)

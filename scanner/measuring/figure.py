@@ -1,74 +1,144 @@
 """`measure.png`: heat maps of the fitting errors, over the camera's pixels."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from calib.numerics import Floats
 from calib.pointcloud import NONE, index_grid, without_gaps
 from scanner.measuring.measurements import FitErrors, Measurements
 from scanner.quantities import ShownUnit, shown_unit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from scanner.rendering import between, even_ticks, shaded
 
 FIGURE_FILE = "measure.png"
 
-_PANEL_INCHES = (6.4, 5.2)
-_DPI = 110
-_FONT_POINTS = 10
+_WIDTH, _HEIGHT = 704, 572  # of a panel
+_LEFT, _TOP, _RIGHT, _BOTTOM = 70, 56, 134, 58  # around its map: for titles, ticks and the scale of colours
+_BAR_AT, _BAR_WIDTH = 16, 20
+_MOST_TICKS, _TICK = 8, 5
+_TEXT, _TITLE = ImageFont.load_default(14), ImageFont.load_default(16)
 _SHOWN_SHARE = 0.99
-_COLOURS = "coolwarm"
-_NO_POINT = "#d9d9d9"
+_SHADES = between((59, 76, 192), (221, 221, 221), (180, 4, 38))  # Moreland 2009
+_NO_POINT = (217, 217, 217)
 _MARGIN_OF_IMAGE = 0.15
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """A map of `errors` with two lines of title; `circle`: centre (x, y) and radius of a sphere's image."""
+
+    title: str
+    errors: Sequence[FitErrors]
+    circle: tuple[float, float, float] | None = None
 
 
 def write_figure(path: Path, measured: Measurements) -> None:
     """Draw a panel for each sphere and one for all faces; there has to be one of either. Raises OSError."""
-    # Loading matplotlib takes longer than some whole commands, none of which draws with it but this one.
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Circle
-
-    panels = len(measured.spheres) + bool(measured.faces)
     unit = shown_unit(measured.unit)
-    figure = Figure(figsize=(panels * _PANEL_INCHES[0], _PANEL_INCHES[1]), dpi=_DPI, layout="constrained")
-    every = figure.subplots(1, panels, squeeze=False)[0]
-    for number, (sphere, axes) in enumerate(zip(measured.spheres, every, strict=False), start=1):
-        _draw(axes, [sphere.errors], unit)
-        x, y, radius = sphere.image_px
-        axes.add_patch(Circle((x, y), radius, fill=False, linestyle="--", linewidth=0.8))
-        reach = (1 + _MARGIN_OF_IMAGE) * radius
-        axes.set_xlim(x - reach, x + reach)
-        axes.set_ylim(y + reach, y - reach)
-        fitted = f"diameter {unit.length(sphere.diameter, sphere.diameter_sigma)}"
-        _title(axes, f"Sphere {number}: {fitted}", f"mean absolute error {unit.error(sphere.errors.mean_absolute)}")
+    panels = [
+        _Panel(
+            f"Sphere {number}: diameter {unit.length(sphere.diameter, sphere.diameter_sigma)}\n"
+            f"mean absolute error {unit.error(sphere.errors.mean_absolute)}",
+            [sphere.errors],
+            sphere.image_px,
+        )
+        for number, sphere in enumerate(measured.spheres, start=1)
+    ]
     if measured.faces:
-        _draw(every[-1], [face.errors for face in measured.faces], unit)
         flatness = ", ".join(f"{face.name} {unit.number(face.errors.mean_absolute)}" for face in measured.faces)
-        _title(every[-1], "Flatness of the faces: mean absolute errors", f"{flatness} {unit.name}")
-    figure.savefig(path, format="png", metadata={"Software": None})
+        title = f"Flatness of the faces: mean absolute errors\n{flatness} {unit.name}"
+        panels.append(_Panel(title, [face.errors for face in measured.faces]))
+    figure = Image.new("RGB", (len(panels) * _WIDTH, _HEIGHT), "white")
+    for number, panel in enumerate(panels):
+        figure.paste(_drawn(panel, unit), (number * _WIDTH, 0))
+    figure.save(path, "PNG")
 
 
-def _draw(axes: "Axes", errors: Sequence[FitErrors], unit: ShownUnit) -> None:
+@dataclass(frozen=True)
+class _Frame:
+    """Where a part of the camera's image, from pixel `low` (2,) to `high` (2,), is in a panel."""
+
+    low: Floats
+    high: Floats
+
+    @property
+    def scale(self) -> float:
+        """Pixels of the panel for one of the camera's."""
+        return float(np.min(np.array([_WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM]) / (self.high - self.low)))
+
+    def place(self, x: float, y: float) -> tuple[int, int]:
+        """Of a pixel of the camera."""
+        return round(_LEFT + self.scale * (x - self.low[0])), round(_TOP + self.scale * (y - self.low[1]))
+
+
+def _drawn(panel: _Panel, unit: ShownUnit) -> Image.Image:
     """Signed distances in colour, on the part of the camera's image that has them."""
-    residual = unit.factor * np.concatenate([part.residual for part in errors])
-    pixel = np.concatenate([part.pixel for part in errors])
+    residual = unit.factor * np.concatenate([part.residual for part in panel.errors])
+    pixel = np.concatenate([part.pixel for part in panel.errors])
     (left, top), (right, bottom) = pixel.min(axis=0), pixel.max(axis=0)
+    low, high = np.array([left - 0.5, top - 0.5]), np.array([right + 0.5, bottom + 0.5])
     index = without_gaps(index_grid(pixel - (left, top), (right - left + 1, bottom - top + 1)))
-    grid: Floats = np.where(index == NONE, np.nan, residual[index])
     limit = float(np.quantile(np.abs(residual), _SHOWN_SHARE)) or 1.0
-    extent = (left - 0.5, right + 0.5, bottom + 0.5, top - 0.5)
-    picture = axes.imshow(grid, cmap=_COLOURS, vmin=-limit, vmax=limit, extent=extent, interpolation="nearest")
-    axes.set_facecolor(_NO_POINT)
-    bar = axes.figure.colorbar(picture, ax=axes, extend="both", shrink=0.9)
-    bar.set_label(f"{unit.name} off, + towards the camera", size=_FONT_POINTS)
-    bar.ax.tick_params(labelsize=_FONT_POINTS)
-    axes.set_xlabel("camera column, px", size=_FONT_POINTS)
-    axes.set_ylabel("camera row, px", size=_FONT_POINTS)
-    axes.tick_params(labelsize=_FONT_POINTS)
+    colours = shaded(np.clip(residual / (2 * limit) + 0.5, 0, 1), _SHADES)[index]
+    colours[index == NONE] = _NO_POINT
+
+    frame = _Frame(low, high)
+    if panel.circle:
+        x, y, radius = panel.circle
+        reach = (1 + _MARGIN_OF_IMAGE) * radius
+        frame = _Frame(np.array([x - reach, y - reach]), np.array([x + reach, y + reach]))
+    image = Image.new("RGB", (_WIDTH, _HEIGHT), "white")
+    drawing = ImageDraw.Draw(image)
+    drawing.rectangle((*frame.place(*frame.low), *frame.place(*frame.high)), _NO_POINT)
+    begin, end = frame.place(*low), frame.place(*high)
+    size = max(1, end[0] - begin[0]), max(1, end[1] - begin[1])
+    image.paste(Image.fromarray(colours).resize(size, Image.Resampling.NEAREST), begin)
+    if panel.circle:
+        drawing.ellipse((*frame.place(x - radius, y - radius), *frame.place(x + radius, y + radius)), outline="black")
+    _draw_axes(drawing, frame)
+    x_end, y_end = frame.place(*frame.high)
+    drawing.multiline_text(((_LEFT + x_end) / 2, 8), panel.title, "black", _TITLE, "ma", align="center")
+    _draw_scale(image, limit, f"{unit.name} off, + towards the camera", (x_end + _BAR_AT, y_end))
+    return image
 
 
-def _title(axes: "Axes", first: str, second: str) -> None:
-    axes.set_title(f"{first}\n{second}", fontsize=_FONT_POINTS + 1)
+def _draw_axes(drawing: ImageDraw.ImageDraw, frame: _Frame) -> None:
+    right, bottom = frame.place(*frame.high)
+    drawing.rectangle((_LEFT, _TOP, right, bottom), outline="black")
+    for tick in even_ticks(frame.low[0], frame.high[0], _MOST_TICKS):
+        x, _ = frame.place(tick, 0)
+        drawing.line((x, bottom, x, bottom + _TICK), "black")
+        drawing.text((x, bottom + 2 * _TICK), f"{tick:.6g}", "black", _TEXT, "ma")
+    for tick in even_ticks(frame.low[1], frame.high[1], _MOST_TICKS):
+        _, y = frame.place(0, tick)
+        drawing.line((_LEFT - _TICK, y, _LEFT, y), "black")
+        drawing.text((_LEFT - 2 * _TICK, y), f"{tick:.6g}", "black", _TEXT, "rm")
+    drawing.text(((_LEFT + right) / 2, bottom + 32), "camera column, px", "black", _TEXT, "ma")
+    _draw_upwards(drawing, (12, (_TOP + bottom) // 2), "camera row, px")
+
+
+def _draw_scale(image: Image.Image, limit: float, text: str, at: tuple[int, int]) -> None:
+    """What the colours mean, from −`limit` to `limit`; its lower left corner is `at`."""
+    drawing = ImageDraw.Draw(image)
+    left, bottom = at
+    shades = Image.fromarray(np.ascontiguousarray(_SHADES[::-1, None])).resize((_BAR_WIDTH, bottom - _TOP))
+    image.paste(shades, (left, _TOP))
+    right = left + _BAR_WIDTH
+    drawing.rectangle((left, _TOP, right, bottom), outline="black")
+    for tick in even_ticks(-limit, limit, _MOST_TICKS):
+        y = _TOP + (limit - tick) / (2 * limit) * (bottom - _TOP)
+        drawing.line((right, y, right + _TICK, y), "black")
+        drawing.text((right + 2 * _TICK, y), f"{tick:.6g}", "black", _TEXT, "lm")  # this font has no minus sign
+    _draw_upwards(drawing, (right + 72, (_TOP + bottom) // 2), text)
+
+
+def _draw_upwards(drawing: ImageDraw.ImageDraw, middle: tuple[int, int], text: str) -> None:
+    """Text that reads from below, around its `middle`."""
+    left, top, right, bottom = (round(edge) for edge in _TEXT.getbbox(text))
+    written = Image.new("L", (right - left, bottom - top))
+    ImageDraw.Draw(written).text((-left, -top), text, 255, _TEXT)
+    turned = written.transpose(Image.Transpose.ROTATE_90)
+    drawing.bitmap((middle[0] - turned.width // 2, middle[1] - turned.height // 2), turned, "black")

@@ -18,29 +18,24 @@ FORMAT = 1
 SEQUENCE_FILE = "sequence.yaml"
 
 
-class WhiteEntry(Entry):
-    """A white frame."""
+_KINDS: dict[str, type[Pattern]] = {kind.__name__.lower(): kind for kind in (White, Black, Gray, Xor, Phase)}
 
-    kind: Literal["white"]
 
-    def pattern(self) -> White:
+class _Shown(Entry):
+    """What a frame shows: the fields of a pattern, with the limits of what can be drawn and decoded."""
+
+    kind: str
+
+    def pattern(self) -> Pattern:
         """What the entry describes."""
-        return White()
+        return _KINDS[self.kind](**self.model_dump(exclude={"kind"}))
 
 
-class BlackEntry(Entry):
-    """A black frame."""
-
-    kind: Literal["black"]
-
-    def pattern(self) -> Black:
-        """What the entry describes."""
-        return Black()
+class _PlainEntry(_Shown):
+    kind: Literal["white", "black"]
 
 
-class _BitEntry(Entry):
-    """A bit of a code."""
-
+class _BitEntry(_Shown):
     axis: Axis
     bit: Whole = Field(ge=0)
     bits: Whole = Field(ge=1, le=32)
@@ -55,34 +50,22 @@ class _BitEntry(Entry):
         return self
 
 
-class GrayEntry(_BitEntry):
-    """A bit of a Gray code."""
-
+class _GrayEntry(_BitEntry):
     kind: Literal["gray"]
 
-    def pattern(self) -> Gray:
-        """What the entry describes."""
-        return Gray(self.axis, self.bit, self.bits, self.cell, self.offset, self.inverted)
 
-
-class XorEntry(_BitEntry):
-    """A bit of a Gray code relative to another of its bits."""
-
+class _XorEntry(_BitEntry):
     kind: Literal["xor"]
     base: Whole = Field(ge=0)
 
     @model_validator(mode="after")
-    def _base_is_another(self) -> "XorEntry":
+    def _base_is_another(self) -> "_XorEntry":
         if self.base >= self.bits or self.base == self.bit:
             raise ValueError(f"base must be another of the {self.bits} bits than bit {self.bit}, found {self.base}")
         return self
 
-    def pattern(self) -> Xor:
-        """What the entry describes."""
-        return Xor(self.axis, self.bit, self.bits, self.base, self.cell, self.offset, self.inverted)
 
-
-class PhaseEntry(Entry):
+class _PhaseEntry(_Shown):
     """A fringe; a period of less than two pixels cannot be drawn."""
 
     kind: Literal["phase"]
@@ -90,12 +73,8 @@ class PhaseEntry(Entry):
     period: Number = Field(ge=2, le=1e6)
     shift: Number
 
-    def pattern(self) -> Phase:
-        """What the entry describes."""
-        return Phase(self.axis, self.period, self.shift)
 
-
-PatternEntry = Annotated[WhiteEntry | BlackEntry | GrayEntry | XorEntry | PhaseEntry, Field(discriminator="kind")]
+PatternEntry = Annotated[_PlainEntry | _GrayEntry | _XorEntry | _PhaseEntry, Field(discriminator="kind")]
 
 
 def pattern_to_dict(pattern: Pattern) -> dict[str, Any]:

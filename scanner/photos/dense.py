@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Calibration, Intrinsics, Matches, intersect
-from calib.numerics import Bools, Floats, Image
+from calib.numerics import Floats, Image
 from calib.pointcloud import surface
 from scanner.photos.photo import Photo
 
@@ -30,11 +30,6 @@ class DenseCloud:
     colours: NDArray[np.uint8]
     normals: NDArray[np.float32]
     unit: str
-
-    @property
-    def there(self) -> Bools:
-        """Which pixels have a point, (H, W)."""
-        return np.isfinite(self.points[..., 2])
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
 
+from calib.geometry import Size
 from calib.numerics import Image as Pixels
 from scanner.errors import InputError
 from scanner.io import read_image
@@ -35,9 +36,9 @@ class Photo:
     focal_px: float | None
 
     @property
-    def size(self) -> tuple[int, int]:
-        """(width, height)."""
-        return self.pixels.shape[1], self.pixels.shape[0]
+    def size(self) -> Size:
+        """Of the photo as it is meant to be seen."""
+        return Size.of(self.pixels)
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def read_photos(paths: Sequence[Path]) -> list[Photo]:
         return upright
     if len({each.pixels.shape[:2] for each in stored}) == 1:
         return [each.turned(stored[0].orientation) for each in stored]
-    sizes = ", ".join(f"{photo.path.name} {photo.size[0]} × {photo.size[1]}" for photo in upright)
+    sizes = ", ".join(f"{photo.path.name} {photo.size}" for photo in upright)
     raise InputError(
         f"the photos must be of one size, found {sizes}: take them with one camera at one zoom, and crop all or none "
         "of them, in the same way"

@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.geometry import Corner, Matches
+from calib.geometry import Matches, Size
 from calib.numerics import Bools
 from calib.plane_segmentation import find_alike, find_sparse_faces
-from calib.pointcloud import View, build_cloud, merged
-from calib.refusal import RefusalError
+from calib.pointcloud import Cloud, MergedCloud, View, build_cloud, merged
 from calib.self_calibration import PrincipalPoint, anywhere, calibrate_photos
 from scanner.capture import CaptureFacts
 from scanner.configuration import Config, ScaleSettings
@@ -23,8 +22,8 @@ from scanner.io import write_ply
 from scanner.photos.dense import dense_cloud
 from scanner.photos.features import find_features, match_features, refuse_unrelated
 from scanner.photos.photo import Photo
-from scanner.reconstruction import label_by_masks, refuse_few, refuse_misfit, save, scaled
-from scanner.results import DENSE_FILE, Findings, Scan
+from scanner.reconstruction import label_by_masks, refusal_saved, refuse_few, refuse_misfit, save, scaled
+from scanner.results import DENSE_FILE, Decoded, GivenMatches, Reconstructed, Scan, SelfCalibrated, Stage, naming
 from scanner.ui import Terminal
 
 _EXIF_SIGMA = 0.05  # EXIF focal lengths are rounded to millimetres, and those of zoom lenses are nominal
@@ -47,24 +46,21 @@ def reconstruct_photos(
 ) -> Scan:
     """Two or more photos of one camera → a result. Raises RefusalError, InputError."""
     focal_px = _exif_prior(photos[0]) if options.exif_prior else None
-    scan = Scan(_pairs(photos, options.matches))
-    try:
+    pairs = _pairs(photos, options.matches or Matches(np.zeros((0, 2)), np.zeros((0, 2))))
+    with refusal_saved(pairs, folder) as reached:
         if options.matches is None:
             with terminal.step("Matching"):
-                _match(scan, photos)
+                pairs = _match(pairs, photos, reached)
         with terminal.step("Finding the faces"):
-            _label(scan, options.masks)
+            pairs = _label(pairs, options.masks, reached)
         with terminal.step("Calibrating"):
-            _calibrate(scan, config, focal_px)
+            reached[:] = calibrated = _calibrate(pairs, config, focal_px)
         with terminal.step("Triangulating"):
-            _triangulate(scan)
-    except RefusalError as refusal:
-        save(scan, folder, refusal)
-        raise
+            scan = _triangulate(calibrated, reached)
     if options.dense:
         with terminal.step("Matching every pixel"):
-            assert scan.newest.calibration is not None
-            cloud = dense_cloud(photos[0], photos[1], scan.newest.calibration, scan.newest.matches)
+            newest = scan.newest
+            cloud = dense_cloud(photos[0], photos[1], newest.calibration, newest.decoded.matches)
             write_ply(folder / DENSE_FILE, cloud)
     with terminal.step("Writing the result"):
         save(scan, folder)
@@ -79,7 +75,7 @@ def refuse_unsuitable(config: Config) -> None:
         raise InputError("'earlier' is for captures of a rig; give all photos on the command line instead")
 
 
-def principal_point(config: Config, size: tuple[int, int]) -> PrincipalPoint:
+def principal_point(config: Config, size: Size) -> PrincipalPoint:
     """What is known of the principal point: nothing, unless the configuration says otherwise."""
     setting = config.camera.principal_point
     if setting.known is None and setting.prior is None and setting.sigma_px is None:
@@ -95,96 +91,106 @@ def _exif_prior(photo: Photo) -> tuple[float, float]:
     return photo.focal_px, _EXIF_SIGMA * photo.focal_px
 
 
-def _pairs(photos: Sequence[Photo], matches: Matches | None) -> list[Findings]:
+def _pairs(photos: Sequence[Photo], matches: Matches) -> list[Decoded]:
     """The first photo with each of the others, the second one last: a result is about what comes last."""
     first = photos[0]
-    none = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
     exif = "not stated" if first.focal_px is None else f"{first.focal_px:.0f} px"
     return [
-        Findings(
+        Decoded(
             CaptureFacts(
                 first.size,
                 second.size,
                 identity={"first photo": str(first.path), "second photo": str(second.path), "focal length, EXIF": exif},
                 photos=True,
             ),
-            matches or none,
-            name=f"{first.path.name} and {second.path.name}",
-            photograph=first.pixels,
+            matches,
+            GivenMatches(first.pixels),
+            f"{first.path.name} and {second.path.name}",
         )
         for second in reversed(photos[1:])
     ]
 
 
-def _match(scan: Scan, photos: Sequence[Photo]) -> None:
+def _match(pairs: Sequence[Decoded], photos: Sequence[Photo], reached: list[Stage]) -> list[Decoded]:
     features = [find_features(photo.pixels) for photo in photos]
-    for found, second in zip(scan.captures, reversed(features[1:]), strict=True):
-        found.matches = match_features(features[0], second)
-        with scan.naming(found):
-            refuse_unrelated(found.matches, features[0], second)
+    matched = []
+    for number, (pair, second) in enumerate(zip(pairs, reversed(features[1:]), strict=True)):
+        matches = match_features(features[0], second)
+        reached[number] = found = pair.with_matches(matches, None)
+        with naming(pair, among=len(pairs)):
+            refuse_unrelated(matches, features[0], second)
+        matched.append(found)
+    return matched
 
 
-def _label(scan: Scan, masks: Bools | None) -> None:
-    newest = scan.newest
-    for found in reversed(scan.captures):
-        with scan.naming(found):
-            if masks is not None:
-                found.matches = label_by_masks(found.matches, masks)
-            elif found is not newest:
-                faces = find_alike(newest.matches, found.matches, found.facts.camera_size)
-                found.matches, found.plane = faces.matches, faces.plane
-            elif found.matches.face is None:
-                faces = find_sparse_faces(found.matches, found.facts.camera_size)
-                found.matches, found.plane = faces.matches, faces.plane
+def _label(pairs: Sequence[Decoded], masks: Bools | None, reached: list[Stage]) -> list[Decoded]:
+    """The newest pair's faces, and then the same ones in the others."""
+    labelled = list[Decoded]()
+    for pair in reversed(pairs):
+        with naming(pair, among=len(pairs)):
+            found = _labelled(pair, masks, labelled[0] if labelled else None)
+            labelled.append(found)
+            reached[-len(labelled)] = found
             refuse_few(found.matches, "See that all three faces are in both photos, with texture to match on each.")
+    return labelled[::-1]
 
 
-def _calibrate(scan: Scan, config: Config, focal_px: tuple[float, float] | None) -> None:
+def _labelled(pair: Decoded, masks: Bools | None, newest: Decoded | None) -> Decoded:
+    matches, size = pair.matches, pair.facts.camera_size
+    if masks is not None:
+        return pair.with_matches(label_by_masks(matches, masks), pair.plane)
+    if newest is not None:
+        faces = find_alike(newest.matches, matches, size)
+    elif matches.face is None:
+        faces = find_sparse_faces(matches, size)
+    else:
+        return pair
+    return pair.with_matches(faces.matches, faces.plane)
+
+
+def _calibrate(pairs: Sequence[Decoded], config: Config, focal_px: tuple[float, float] | None) -> list[SelfCalibrated]:
     """Solutions for all pairs; lengths in metres, or each pair's in its own baseline."""
-    size = scan.newest.facts.camera_size
-    pairs = list(reversed(scan.captures))
+    size = pairs[-1].facts.camera_size
     solutions = calibrate_photos(
-        [found.matches for found in pairs],
+        [pair.matches for pair in reversed(pairs)],
         size,
         principal_point=principal_point(config, size),
         squareness_deg=config.corner.squareness_deg,
         focal_px=focal_px,
     )
     scale = config.scale
-    for found, solution in zip(pairs, solutions, strict=True):
-        found.solution = solution
-        found.calibration = scaled(solution.calibration, solution.corner, scale)
+    calibrated = []
+    for pair, solution in zip(reversed(pairs), solutions, strict=True):
+        found = SelfCalibrated(pair, solution, scaled(solution.calibration, solution.corner, scale))
         if scale is not None:  # a baseline is that of the first two photos; the corner is the same for all
             scale = ScaleSettings(camera_to_corner_m=_distance(found))
+        calibrated.append(found)
+    return calibrated[::-1]
 
 
-def _distance(found: Findings) -> float:
+def _distance(pair: SelfCalibrated) -> float:
     """From the first photo's place to the corner's vertex, in the unit of the pair's calibration."""
-    assert found.solution is not None
-    assert found.calibration is not None
-    return float(np.linalg.norm(found.solution.corner.vertex)) * found.calibration.baseline
+    return float(np.linalg.norm(pair.corner.vertex))
 
 
-def _triangulate(scan: Scan) -> None:
-    for found in scan.captures:
-        assert found.calibration is not None
-        found.cloud = build_cloud(found.matches, found.texture, found.calibration, scattered=True)
-        with scan.naming(found):
-            refuse_misfit(found.cloud.statistics)
-    if len(scan.captures) > 1:
-        _merge(scan)
+def _triangulate(pairs: Sequence[SelfCalibrated], reached: list[Stage]) -> Scan:
+    captures = []
+    for number, pair in enumerate(pairs):
+        cloud = build_cloud(pair.decoded.matches, pair.decoded.texture, pair.calibration, scattered=True)
+        reached[number] = found = Reconstructed(pair, cloud)
+        with naming(pair.decoded, among=len(pairs)):
+            refuse_misfit(cloud.statistics)
+        captures.append(found)
+    clouds = [capture.cloud for capture in captures]
+    return Scan(tuple(captures), _merged(pairs, clouds) if len(pairs) > 1 else None)
 
 
-def _merge(scan: Scan) -> None:
+def _merged(pairs: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> MergedCloud:
     """All points in the corner's frame: every pair has the first photo's, so how they belong together is known."""
-    newest = scan.newest
-    assert newest.solution is not None
-    assert newest.calibration is not None
-    corner = Corner(newest.solution.corner.vertex * newest.calibration.baseline, newest.solution.corner.legs)
-    clouds = []
-    for found in scan.captures:
-        assert found.cloud is not None
-        factor = np.float32(_distance(newest) / _distance(found))
-        clouds.append(replace(found.cloud, points=found.cloud.points * factor))
-    views = [View(cloud.points, None, newest.calibration.camera, corner) for cloud in clouds]
-    scan.merged = merged(clouds, views, (0,) * len(clouds))
+    newest = pairs[-1]
+    alike = [
+        replace(cloud, points=cloud.points * np.float32(_distance(newest) / _distance(pair)))
+        for pair, cloud in zip(pairs, clouds, strict=True)
+    ]
+    views = [View(cloud.points, None, newest.calibration.camera, newest.corner) for cloud in alike]
+    return merged(alike, views, (0,) * len(alike))

@@ -6,26 +6,24 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.geometry import NO_FACE
+from calib.geometry import NO_FACE, Size
 from calib.numerics import Floats, Image, Ints
 from scanner.capture import CAPTURE_FILE, CaptureFacts, Recording, open_capture
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_image, read_matches, read_planes
 from scanner.patterns import White
-from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, Findings
+from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, GivenMatches
 
 # Undistorted or extrapolated pixels may lie outside of the image, but not far.
 _MARGIN_OF_SIZE = 0.1
 
-Size = tuple[int, int]
 
-
-def read_captures(paths: Sequence[Path], camera_size: Size, projector_size: Size) -> list[Findings]:
+def read_captures(paths: Sequence[Path], camera_size: Size, projector_size: Size) -> list[Decoded]:
     """The captures in matches files and result folders; a result of several captures stands for all of them.
 
     Raises InputError, naming the file, if one is damaged, belongs to images of another size, or is given twice.
     """
-    captures: list[Findings] = []
+    captures: list[Decoded] = []
     for path in paths:
         for place in _places(path):
             found = _read(place, camera_size, projector_size)
@@ -50,7 +48,7 @@ def _places(path: Path) -> Iterator[Path]:
     yield path
 
 
-def _read(place: Path, camera_size: Size, projector_size: Size) -> Findings:
+def _read(place: Path, camera_size: Size, projector_size: Size) -> Decoded:
     matches = read_matches(place)
     texture = None
     if place.is_dir():
@@ -59,7 +57,7 @@ def _read(place: Path, camera_size: Size, projector_size: Size) -> Findings:
     _check_inside(place, "projector", matches.projector_px, projector_size)
     matches = replace(matches, face=_three_faces(place, matches.face))
     facts = CaptureFacts(camera_size, projector_size, identity={"matches": str(place)})
-    return Findings(facts, matches, name=str(place), photograph=texture, plane=read_planes(place))
+    return Decoded(facts, matches, GivenMatches(texture), str(place), read_planes(place))
 
 
 def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Image | None:
@@ -70,7 +68,7 @@ def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Imag
             ("camera", calibration.camera, camera_size),
             ("projector", calibration.projector, projector_size),
         ):
-            _check_size(folder, name, (device.width, device.height), expected)
+            _check_size(folder, name, device.size, expected)
     if not (folder / CAPTURE_FOLDER / CAPTURE_FILE).is_file():
         return None
     recording = open_capture(folder / CAPTURE_FOLDER)
@@ -82,7 +80,7 @@ def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Imag
 def _check_size(folder: Path, name: str, found: Size, expected: Size) -> None:
     if found != expected:
         raise InputError(
-            f"{folder}: its {name} is {found[0]} × {found[1]}, but {expected[0]} × {expected[1]} is expected: captures "
+            f"{folder}: its {name} is {found}, but {expected} is expected: captures "
             "that are calibrated together come from one unchanged rig"
         )
 
@@ -94,7 +92,7 @@ def _white(recording: Recording) -> Image | None:
     return None
 
 
-def _refuse_same(found: Findings, other: Findings) -> None:
+def _refuse_same(found: Decoded, other: Decoded) -> None:
     a, b = found.matches, other.matches
     if np.array_equal(a.camera_px, b.camera_px) and np.array_equal(a.projector_px, b.projector_px):
         raise InputError(

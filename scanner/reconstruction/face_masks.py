@@ -5,16 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.geometry import NO_FACE, Matches
+from calib.geometry import NO_FACE, Matches, Size
 from calib.numerics import Bools
 from scanner.errors import InputError
 from scanner.io import read_image
 
 
-def read_masks(folder: Path, camera_size: tuple[int, int]) -> Bools:
+def read_masks(folder: Path, camera_size: Size) -> Bools:
     """The masks (3, H, W) of the faces 0, 1, 2 in the order of their file names.
 
-    Raises InputError unless the folder holds exactly three PNG of `camera_size` = (width, height), none empty and no
+    Raises InputError unless the folder holds exactly three PNG of `camera_size`, none empty and no
     two overlapping.
     """
     if not folder.is_dir():
@@ -33,13 +33,10 @@ def read_masks(folder: Path, camera_size: tuple[int, int]) -> Bools:
     return masks
 
 
-def _read_mask(path: Path, camera_size: tuple[int, int]) -> Bools:
+def _read_mask(path: Path, camera_size: Size) -> Bools:
     image = read_image(path)
-    found = (image.shape[1], image.shape[0])
-    if found != camera_size:
-        raise InputError(
-            f"{path}: expected the camera's size, {camera_size[0]} × {camera_size[1]}, found {found[0]} × {found[1]}"
-        )
+    if Size.of(image) != camera_size:
+        raise InputError(f"{path}: expected the camera's size, {camera_size}, found {Size.of(image)}")
     mask: Bools = (image if image.ndim == 2 else image.max(axis=2)) > 0
     if not mask.any():
         raise InputError(f"{path}: every pixel is zero: the face should be painted in any other colour")

@@ -6,49 +6,37 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Corner
 from calib.numerics import Floats, Image
 from calib.pointcloud import Cloud, MergedCloud, Order, View, find_order, merged
-from scanner.results import Findings, Scan
+from scanner.results import SelfCalibrated
 
 # Corners whose angles differ by more than this were found to be different ones: shared angles are equal.
 _SAME_ANGLE_DEG = 1e-6
 _CONSISTENCY_SAMPLE = 20_000
 
 
-def merge(scan: Scan) -> None:
-    """Fill in the merged cloud of captures of one corner, and say how well they agree, or why there is none."""
-    if not _one_corner(scan.captures):
-        scan.remarks_on_merging = ("The captures do not show the same corner, so their clouds were not merged.",)
-        return
-    views = [_view(found) for found in scan.captures]
-    newest = scan.newest.solution
-    order = find_order(views, newest.order_nats if newest else 0.0)
+def merge(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> tuple[MergedCloud | None, tuple[str, ...]]:
+    """The merged cloud of captures of one corner, and how well they agree; or None, and why there is none."""
+    if not _one_corner(captures):
+        return None, ("The captures do not show the same corner, so their clouds were not merged.",)
+    views = [_view(capture, cloud) for capture, cloud in zip(captures, clouds, strict=True)]
+    order = find_order(views, captures[-1].solution.order_nats)
     if not order.decided:
-        scan.remarks_on_merging = (_why_not(order),)
-        return
-    clouds = [found.cloud for found in scan.captures if found.cloud is not None]
-    scan.merged = merged(clouds, views, order.turns)
-    scan.remarks_on_merging = (_how_well(clouds, views, scan.merged),)
+        return None, (_why_not(order),)
+    cloud = merged(clouds, views, order.turns)
+    return cloud, (_how_well(clouds, views, cloud),)
 
 
-def _one_corner(captures: Sequence[Findings]) -> bool:
+def _one_corner(captures: Sequence[SelfCalibrated]) -> bool:
     """The calibration shares the angles of captures unless their matches tell that they show different corners."""
-    angles = np.array([found.solution.corner.angles_deg for found in captures if found.solution])
+    angles = np.array([capture.solution.corner.angles_deg for capture in captures])
     return bool(np.ptp(angles, axis=0).max() < _SAME_ANGLE_DEG)
 
 
-def _view(found: Findings) -> View:
-    assert found.cloud is not None
-    assert found.solution is not None
-    assert found.calibration is not None
-    corner = found.solution.corner  # in baselines
-    return View(
-        found.cloud.points,
-        None if found.texture is None else brightness(found.texture),
-        found.calibration.camera,
-        Corner(corner.vertex * found.calibration.baseline, corner.legs),
-    )
+def _view(capture: SelfCalibrated, cloud: Cloud) -> View:
+    texture = capture.decoded.texture
+    light = None if texture is None else brightness(texture)
+    return View(cloud.points, light, capture.calibration.camera, capture.corner)
 
 
 def brightness(texture: Image) -> NDArray[np.float32]:

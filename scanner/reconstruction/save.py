@@ -2,23 +2,33 @@
 
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
+from calib.geometry import Calibration
+from calib.pointcloud import MergedCloud
 from calib.refusal import RefusalError
-from scanner.io import MATCHES_FILE, write_calibration, write_matches, write_merged_ply, write_ply
-from scanner.reporting import CaptureRow, ReportInput, verdict, write_report
+from scanner.io import MATCHES_FILE, write_calibration, write_matches, write_merged_ply, write_ply, write_poses
+from scanner.reporting import CaptureRow, Company, ReportInput, verdict, write_report
 from scanner.results import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,
     CLOUD_FILE,
     MERGED_FILE,
+    POSES_FILE,
     REPORT_FILE,
-    Findings,
+    Decoded,
+    Reconstructed,
+    Refused,
     Scan,
+    Stage,
     confidence_entries,
     folder_of,
+    remarks_on,
+    solution_of,
+    titles_of,
 )
 
 log = logging.getLogger(__name__)
@@ -29,7 +39,7 @@ _ONE_OF_SEVERAL = (
 )
 
 
-def set_aside(captures: Sequence[Findings], folder: Path) -> None:
+def set_aside(captures: Sequence[Decoded], folder: Path) -> None:
     """Make room for the next capture: the last one's recording goes to its place among several, with its matches.
 
     Should the next one fail, what is needed to calibrate from those before it is on disk.
@@ -40,76 +50,78 @@ def set_aside(captures: Sequence[Findings], folder: Path) -> None:
     write_matches(place / MATCHES_FILE, captures[-1].matches)
 
 
-def save(scan: Scan, folder: Path, refusal: RefusalError | None = None) -> None:
-    """Write every capture's files into its folder of a result; after a refusal no calibration and no cloud.
+@contextmanager
+def refusal_saved(captures: Sequence[Decoded], folder: Path) -> Iterator[list[Stage]]:
+    """Gives a list in which the block notes the stage that each capture has reached.
 
-    Raises OSError.
+    After a RefusalError in the block what was reached is written into a result's folder, without calibration or cloud.
     """
-    for remark in scan.remarks:
+    reached: list[Stage] = [*captures]
+    try:
+        yield reached
+    except RefusalError as refusal:
+        _log(remarks_on(reached[-1]))
+        _save([Refused(stage, refusal) for stage in reached], folder, None, ())
+        raise
+
+
+def save(scan: Scan, folder: Path) -> None:
+    """Write every capture's files into its folder of a result. Raises OSError."""
+    _log(scan.remarks)
+    _save(scan.captures, folder, scan.merged, scan.remarks_on_merging)
+
+
+def _log(remarks: tuple[str, ...]) -> None:
+    for remark in remarks:
         log.info(remark)
-    places = [folder_of(folder, index, len(scan.captures)) for index in range(len(scan.captures))]
+
+
+def _save(
+    captures: Sequence[Reconstructed | Refused], folder: Path, merged: MergedCloud | None, remarks: tuple[str, ...]
+) -> None:
+    """Write what each capture came to; `merged` and `remarks` are on the newest one's page."""
+    count, truth = len(captures), captures[-1].decoded.facts.truth
+    places = [folder_of(folder, index, count) for index in range(count)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         written = []
-        for place, found in zip(places, scan.captures, strict=True):
+        for place, capture in zip(places, captures, strict=True):
             place.mkdir(parents=True, exist_ok=True)
-            written.append(pool.submit(write_matches, place / MATCHES_FILE, found.matches, found.plane))
-            if refusal is None and found.calibration and found.cloud:
-                written.append(pool.submit(write_ply, place / CLOUD_FILE, found.cloud))
-        if scan.merged is not None and refusal is None:
-            written.append(pool.submit(write_merged_ply, folder / MERGED_FILE, scan.merged))
+            decoded = capture.decoded
+            written.append(pool.submit(write_matches, place / MATCHES_FILE, decoded.matches, decoded.plane))
+            if isinstance(capture, Reconstructed):
+                written.append(pool.submit(write_ply, place / CLOUD_FILE, capture.cloud, match=capture.cloud.match))
+        if merged is not None:
+            written.append(pool.submit(write_merged_ply, folder / MERGED_FILE, merged))
+            write_poses(folder / POSES_FILE, merged.from_cameras)
         # The files are still being written while the reports that list them are made.
-        for place, found in zip(places, scan.captures, strict=True):
-            report = _report_input(scan, found, place, refusal)
-            if report.calibration is not None:
-                uncertainty = found.solution.uncertainty if found.solution else None
-                more = confidence_entries(verdict(report), uncertainty)
-                write_calibration(place / CALIBRATION_FILE, report.calibration, more)
-            write_report(place / REPORT_FILE, report)
+        for place, capture in zip(places[:-1], captures[:-1], strict=True):
+            _write_report(place, capture, Company(count, remarks=(_ONE_OF_SEVERAL,)), truth)
+        rows = _rows(captures) if count > 1 else ()
+        _write_report(folder, captures[-1], Company(count, rows, merged, remarks), truth)
         for each in written:
             each.result()
 
 
-def _report_input(scan: Scan, found: Findings, folder: Path, refusal: RefusalError | None) -> ReportInput:
-    newest = found is scan.newest
-    return ReportInput(
-        capture=found.facts,
-        matches=found.matches,
-        decoding=found.decoding,
-        solution=None if refusal else found.solution,
-        calibration=None if refusal else found.calibration,
-        cloud=None if refusal else found.cloud,
-        refusal=refusal,
-        truth=scan.newest.truth,
-        warnings=found.decoding.warnings if found.decoding else (),
-        files=_files(scan, found, folder, refusal),
-        photograph=found.photograph,
-        together=len(scan.captures),
-        captures=_rows(scan) if newest and len(scan.captures) > 1 else (),
-        merged=scan.merged if newest and not refusal else None,
-        remarks=scan.remarks_on_merging if newest else (_ONE_OF_SEVERAL,),
-    )
+def _write_report(folder: Path, capture: Reconstructed | Refused, company: Company, truth: Calibration | None) -> None:
+    """A capture's report, and its calibration, which says what the report concludes."""
+    files = {MATCHES_FILE, *(path.name for path in folder.iterdir())}
+    if isinstance(capture, Reconstructed):
+        files |= {CALIBRATION_FILE, CLOUD_FILE, *((MERGED_FILE, POSES_FILE) if company.merged is not None else ())}
+    report = ReportInput(capture, truth, tuple(sorted(files - {REPORT_FILE})), company)
+    if isinstance(capture, Reconstructed):
+        uncertainty = capture.solution.uncertainty if capture.solution else None
+        more = confidence_entries(verdict(report), uncertainty)
+        write_calibration(folder / CALIBRATION_FILE, capture.calibration, more)
+    write_report(folder / REPORT_FILE, report)
 
 
-def _files(scan: Scan, found: Findings, folder: Path, refusal: RefusalError | None) -> tuple[str, ...]:
-    """The names of what is in a capture's folder, or will be, beside the report."""
-    names = {MATCHES_FILE, *(path.name for path in folder.iterdir())}
-    if refusal is None and found.cloud:
-        names |= {CALIBRATION_FILE, CLOUD_FILE}
-    if refusal is None and found is scan.newest and scan.merged is not None:
-        names.add(MERGED_FILE)
-    return tuple(sorted(names - {REPORT_FILE}))
-
-
-def _rows(scan: Scan) -> tuple[CaptureRow, ...]:
-    count, result = len(scan.captures), Path()
-    return tuple(
-        CaptureRow(
-            title,
-            "" if found is scan.newest else (folder_of(result, index, count) / REPORT_FILE).as_posix(),
-            len(found.matches),
-            found.solution.residual_px if found.solution else None,
-            found.cloud.statistics.decoder_px if found.cloud else None,
-            found.cloud.statistics.kept if found.cloud else None,
-        )
-        for index, (title, found) in enumerate(zip(scan.titles, scan.captures, strict=True))
-    )
+def _rows(captures: Sequence[Reconstructed | Refused]) -> tuple[CaptureRow, ...]:
+    titles, count = titles_of([capture.decoded for capture in captures]), len(captures)
+    rows = []
+    for index, (title, capture) in enumerate(zip(titles, captures, strict=True)):
+        stage = capture.reached if isinstance(capture, Refused) else capture
+        address = "" if index == count - 1 else (folder_of(Path(), index, count) / REPORT_FILE).as_posix()
+        solution, matches = solution_of(stage), len(capture.decoded.matches)
+        statistics = stage.cloud.statistics if isinstance(stage, Reconstructed) else None
+        rows.append(CaptureRow(title, address, matches, solution.residual_px if solution else None, statistics))
+    return tuple(rows)

@@ -29,5 +29,6 @@ from scanner.rendering.downsampling import (
     one_in_cells,
     places_within,
 )
-from scanner.rendering.photographs import LONGEST_SIDE, data_uri, photograph, reduced_size
+from scanner.rendering.photographs import LONGEST_SIDE, jpeg_uri, photograph, png_uri, reduced_size
 from scanner.rendering.png import IndexedPicture, Pixels
+from scanner.rendering.ticks import even_ticks, tick_text

@@ -12,18 +12,19 @@ from scanner.rendering.png import IndexedPicture, Pixels, png_of
 LONGEST_SIDE = 1000
 
 
-def data_uri(picture: Pixels | IndexedPicture, *, jpeg: bool = False) -> str:
-    """RGBA (H, W, 4), or one with a palette, as a data URI; with `jpeg`, for photographs, it must be RGB."""
-    kind, encoded = ("jpeg", _jpeg_of(picture)) if jpeg else ("png", png_of(picture))
+def png_uri(picture: Pixels | IndexedPicture) -> str:
+    """RGBA (H, W, 4), or a picture with a palette, as a data URI."""
+    return _data_uri("png", png_of(picture))
+
+
+def jpeg_uri(pixels: Pixels) -> str:
+    """RGB (H, W, 3) as a data URI, for photographs."""
+    _, encoded = cv2.imencode(".jpeg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85])
+    return _data_uri("jpeg", encoded.tobytes())
+
+
+def _data_uri(kind: str, encoded: bytes) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(encoded).decode('ascii')}"
-
-
-def _jpeg_of(picture: Pixels | IndexedPicture) -> bytes:
-    assert not isinstance(picture, IndexedPicture)
-    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-    written, encoded = cv2.imencode(".jpeg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 85])
-    assert written, "OpenCV encodes JPEG in every build"
-    return encoded.tobytes()
 
 
 def photograph(texture: Image) -> Pixels:

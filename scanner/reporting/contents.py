@@ -6,13 +6,12 @@ from functools import cached_property
 import numpy as np
 
 from calib.geometry import Calibration, Matches
-from calib.numerics import Image, Ints
-from calib.pointcloud import NONE, Cloud, MergedCloud
-from calib.refusal import RefusalError
+from calib.numerics import Ints
+from calib.pointcloud import NONE, CloudStatistics, MergedCloud
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureFacts
-from scanner.decoding import Decoding
 from scanner.rendering import cells_over, one_in_cells, places_within
+from scanner.results import Reconstructed, Refused
 
 _MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
 
@@ -21,52 +20,61 @@ _MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
 class CaptureRow:
     """One of several captures that were calibrated together.
 
-    `report` is where its own report is, relative to this one, '' for this one. `decoder_px`: what the rays of its
-    matches miss each other by at random; `points`: in its cloud; None after a refusal.
+    `report` is where its own report is, relative to this one, '' for this one. `residual_px` and the cloud's
+    `statistics` are None where a refusal came first.
     """
 
     name: str
     report: str
     matches: int
     residual_px: float | None
-    decoder_px: float | None
-    points: int | None
+    statistics: CloudStatistics | None
+
+
+@dataclass(frozen=True)
+class Company:
+    """`count` captures that were calibrated together, and `remarks` on that.
+
+    On the newest one's page: `rows`, all of them if there are several, and `merged`, their cloud.
+    """
+
+    count: int = 1
+    rows: tuple[CaptureRow, ...] = ()
+    merged: MergedCloud | None = None
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class ReportInput:
-    """Everything that a report may tell; only the capture and its matches are always there.
+    """Everything that a report may tell of a capture: what became of it, and among which others.
 
-    `matches` carry face labels where faces were found. `calibration` is the one in use, with its scale: found by
-    `solution`, or given by the operator if there is no solution. `refusal` says why there is none. `truth` belongs to a
-    simulated rig. `files` are the names in the result folder. A result has a calibration or a refusal, never both.
-    `photograph` is the lit scene where nothing was decoded. `together`: how many captures were calibrated together.
-    On the newest one's page: `captures`, all of them if there are several, and `merged`, their cloud. `remarks` are
-    further notes.
-
-    Raises ValueError if it has both, or neither.
+    `truth` belongs to a simulated rig. `files` are the names in the result folder.
     """
 
-    capture: CaptureFacts
-    matches: Matches
-    title: str = "Scan"
-    decoding: Decoding | None = None
-    solution: SelfCalibration | None = None
-    calibration: Calibration | None = None
-    cloud: Cloud | None = None
-    refusal: RefusalError | None = None
+    outcome: Reconstructed | Refused
     truth: Calibration | None = None
-    warnings: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
-    photograph: Image | None = None
-    together: int = 1
-    captures: tuple[CaptureRow, ...] = ()
-    merged: MergedCloud | None = None
-    remarks: tuple[str, ...] = ()
+    company: Company = Company()
 
-    def __post_init__(self) -> None:
-        if (self.calibration is None) == (self.refusal is None):
-            raise ValueError("a report needs a calibration or a refusal, and not both")
+    @property
+    def facts(self) -> CaptureFacts:
+        """How the capture was taken."""
+        return self.outcome.decoded.facts
+
+    @property
+    def matches(self) -> Matches:
+        """With face labels where faces were found."""
+        return self.outcome.decoded.matches
+
+    @property
+    def reconstructed(self) -> Reconstructed | None:
+        """The cloud and how it came about; None after a refusal."""
+        return self.outcome if isinstance(self.outcome, Reconstructed) else None
+
+    @property
+    def solution(self) -> SelfCalibration | None:
+        """What calibrated the capture; None after a refusal, or where the calibration was given."""
+        return self.reconstructed.solution if self.reconstructed else None
 
     @cached_property
     def on_faces(self) -> Ints:
@@ -76,7 +84,7 @@ class ReportInput:
             return np.zeros(0, np.int64)
         if np.count_nonzero(face >= 0) <= _MOST_ON_FACES:
             return np.flatnonzero(face >= 0)
-        drawn = one_in_cells(self.matches.camera_px, face, 0, *cells_over(self.capture.camera_size, _MOST_ON_FACES))
+        drawn = one_in_cells(self.matches.camera_px, face, 0, *cells_over(self.facts.camera_size, _MOST_ON_FACES))
         return np.asarray(drawn[drawn != NONE])
 
     @cached_property
@@ -87,22 +95,17 @@ class ReportInput:
     @property
     def cell_px(self) -> int:
         """Side of square cells that are fine enough for what a page shows of matches."""
-        return cells_over(self.capture.camera_size, _MOST_ON_FACES)[0]
+        return cells_over(self.facts.camera_size, _MOST_ON_FACES)[0]
 
     @cached_property
     def in_cloud(self) -> tuple[int, Ints]:
         """How many pixels of the camera have a point, and some of them by number (n,): 100,000 at most, row by row."""
-        if self.cloud is None:
+        if self.reconstructed is None:
             return 0, np.zeros(0, np.int64)
-        return places_within(self.cloud.points[..., 2], np.inf, _MOST_IN_CLOUD)
-
-    @property
-    def texture(self) -> Image | None:
-        """The camera's image of the lit scene."""
-        return self.decoding.texture if self.decoding else self.photograph
+        return places_within(self.reconstructed.cloud.points[..., 2], np.inf, _MOST_IN_CLOUD)
 
     @property
     def decoded_share(self) -> float:
         """Matches per camera pixel."""
-        width, height = self.capture.camera_size
+        width, height = self.facts.camera_size
         return len(self.matches) / (width * height)

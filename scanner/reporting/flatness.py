@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.geometry import Size
 from calib.numerics import Floats
 from scanner.measuring import AngleMeasurement, FaceMeasurement, measure_faces
 from scanner.quantities import Quantity, shown_unit
@@ -35,9 +36,10 @@ class Flatness:
 
 def flatness(report: ReportInput) -> Flatness | None:
     """The faces of the cloud; None without a cloud or labelled faces."""
-    cloud, face = report.cloud, report.sample.face
-    if cloud is None or face is None:
+    face = report.sample.face
+    if report.reconstructed is None or face is None:
         return None
+    cloud = report.reconstructed.cloud
     pixel = np.rint(report.sample.camera_px).astype(np.int64)
     height, width = cloud.points.shape[:2]
     inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
@@ -51,14 +53,15 @@ def flatness(report: ReportInput) -> Flatness | None:
     rows = tuple(
         FlatnessRow(face.name, (unit.error(face.errors.mean_absolute), unit.error(face.errors.form))) for face in faces
     )
-    painted = _map(faces, (width, height), report.cell_px, unit.factor, unit.name)
+    painted = _map(faces, report.facts.camera_size, report.cell_px, unit.factor, unit.name)
     return Flatness(painted, rows, tuple(map(_shown, angles)))
 
 
-def _map(faces: tuple[FaceMeasurement, ...], size: tuple[int, int], step: int, factor: float, unit: str) -> ScaledMap:
+def _map(faces: tuple[FaceMeasurement, ...], size: Size, step: int, factor: float, unit: str) -> ScaledMap:
     off: Floats = factor * np.concatenate([face.errors.residual for face in faces])
     pixel = np.concatenate([face.errors.pixel for face in faces])
-    grid: NDArray[np.float32] = np.full(((size[1] - 1) // step + 1, (size[0] - 1) // step + 1), np.nan, np.float32)
+    shape = (size.height - 1) // step + 1, (size.width - 1) // step + 1
+    grid: NDArray[np.float32] = np.full(shape, np.nan, np.float32)
     grid[tuple((pixel // step).T[::-1])] = off
     painted, scale = maps.signed_map(grid, float(np.percentile(np.abs(off), _SHOWN_SHARE)) or 1e-6, unit, _MAP_SIDE)
     return ScaledMap(picture(painted, "distances of the faces' points from their planes"), scale)

@@ -49,10 +49,10 @@ def _objective(report: ReportInput) -> Markup | None:
     if solution is not None and solution.method == "paper":
         profile = solution.profile
         return plots.objective_plot(profile.focal_px, profile.cost, solution.calibration.camera.focal_px[0])
-    if not len(report.on_faces) or (report.refusal is None and solution is None):
+    if not len(report.on_faces) or (report.reconstructed and solution is None):
         return None
     sample = report.sample[:: max(1, len(report.sample) // _SAMPLE)]
-    size = report.capture.camera_size
+    size = report.facts.camera_size
     try:
         objective = _by_calibration(sample, solution.calibration) if solution else _by_straightness(sample, report)
     except TooFewMatchesError:
@@ -78,9 +78,9 @@ def _without_bend(pixels: Floats, device: Intrinsics) -> Floats:
 
 def _by_straightness(matches: Matches, report: ReportInput) -> Objective:
     """The objective of lenses whose bend makes the faces' homographies straight, for want of a calibration."""
-    width, height = report.capture.camera_size
+    width, height = report.facts.camera_size
     centre = (width - 1) / 2, (height - 1) / 2
-    knowledge = Knowledge((width, height), report.capture.projector_size, centre, 0.0, _SQUARE)
+    knowledge = Knowledge((width, height), report.facts.projector_size, centre, 0.0, _SQUARE)
     return family_of(into_cells(matches), knowledge).objective
 
 

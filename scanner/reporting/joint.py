@@ -34,17 +34,17 @@ def joint_rows(report: ReportInput) -> tuple[JointRow, ...]:
             (
                 f"{row.matches:,}",
                 "–" if row.residual_px is None else f"{row.residual_px:.3f} px",
-                "–" if row.decoder_px is None else f"{row.decoder_px:.3f} px",
-                "–" if row.points is None else f"{row.points:,}",
+                "–" if row.statistics is None else f"{row.statistics.decoder_px:.3f} px",
+                "–" if row.statistics is None else f"{row.statistics.kept:,}",
             ),
         )
-        for row in report.captures
+        for row in report.company.rows
     )
 
 
 def merged_views(report: ReportInput) -> tuple[Picture, ...]:
     """Pictures of the merged cloud, seen along the floor's diagonal into the corner, and from above."""
-    cloud = report.merged
+    cloud = report.company.merged
     if cloud is None or not len(cloud.points):
         return ()
     up = _UP * np.sign(np.median(cloud.points[:, 2])) if np.median(cloud.points[:, 2]) else _UP

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Corner, Intrinsics, Matches
+from calib.geometry import Corner, Intrinsics, Size
 from calib.numerics import Bools, Floats, Ints
 from scanner.quantities import FACE_NAMES
 from scanner.rendering import (
@@ -57,10 +57,12 @@ class Overlay:
     letters: tuple[tuple[str, float, float], ...]
 
 
-def face_labels(matches: Matches, camera: tuple[int, int]) -> Pixels:
-    """Which face is where, 1, 2, 3, or 0 for none: the image of the `camera` (width, height), reduced."""
-    assert matches.face is not None
-    return labels_on_grid(matches.camera_px, matches.face, camera, reduced_size(*camera))
+def face_labels(camera_px: Floats, face: Ints, camera: Size) -> Pixels:
+    """Which face is where, 1, 2, 3, or 0 for none: the image of the `camera` (width, height), reduced.
+
+    From matches with a `face` (N,) at pixels (N, 2).
+    """
+    return labels_on_grid(camera_px, face, camera, reduced_size(*camera))
 
 
 def faces_over(background: Pixels, labels: Pixels) -> Pixels:
@@ -81,9 +83,7 @@ def _closed(mask: Bools) -> Pixels:
     return np.asarray(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, kernel), np.uint8)
 
 
-def face_overlay(
-    labels: Pixels, camera_size: tuple[int, int], corner: Corner | None, camera: Intrinsics | None
-) -> Overlay:
+def face_overlay(labels: Pixels, camera_size: Size, corner: Corner | None, camera: Intrinsics | None) -> Overlay:
     """The faces' letters, and where the corner's edges should be if the calibration is right."""
     letters = []
     for face, name in enumerate(FACE_NAMES, start=1):

@@ -11,10 +11,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from calib.numerics import in_parallel
-from scanner.capture import CaptureFacts
 from scanner.quantities import plain
 from scanner.reporting import sections
-from scanner.reporting.contents import CaptureRow, ReportInput
+from scanner.reporting.contents import ReportInput
 from scanner.reporting.flatness import flatness
 from scanner.reporting.focal import focal_length
 from scanner.reporting.joint import joint_rows, merged_views
@@ -23,14 +22,13 @@ from scanner.reporting.uncertainty import point_sigmas, price_of_principal_point
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
 
-__all__ = ["PARTS", "CaptureFacts", "CaptureRow", "ReportInput", "write_report"]
-
 _FILES = {
     "calibration.yaml": "intrinsics of both devices, and the motion between them",
     "truth.yaml": "the same for the simulated rig, as it really is",
     "cloud.ply": "the point cloud with normals and colours, for MeshLab, CloudCompare or Open3D",
     "matches.npz": "camera and projector pixels of every match, and its face",
     "merged.ply": "the clouds of all captures in one, in the corner's frame",
+    "poses.yaml": "where the camera of each capture stood in that frame",
     "dense.ply": "a point for every pixel of the first two photos that was matched, in the first photo's frame",
     "captures": "the other captures that were calibrated with this one, each a result of its own",
     "capture": "the recording: replay it with scan replay",
@@ -51,7 +49,7 @@ PARTS: dict[str, Callable[[ReportInput], object]] = {
     "depth": sections.depth,
     "view3d": view3d,
     "scene": sections.scene,
-    "mask": lambda report: sections.mask(report.decoding),
+    "mask": lambda report: sections.mask(report.outcome.decoded.decoding),
 }
 
 
@@ -62,29 +60,29 @@ def write_report(path: Path, report: ReportInput) -> None:
     """
     parts = dict(zip(PARTS, in_parallel(lambda part: part(report), PARTS.values()), strict=True))
     tables = sections.tables(report)
+    decoding, solution, found = report.outcome.decoded.decoding, report.solution, report.reconstructed
     page = _template().render(
         **parts,
-        title=report.title,
-        subtitle=sections.subtitle(report.capture),
+        subtitle=sections.subtitle(report.facts),
         verdict=verdict(report),
-        warnings=report.warnings,
+        warnings=decoding.warnings if decoding else (),
         notes=(
-            *(report.solution.notes if report.solution else ()),
-            *price_of_principal_point(report.solution),
-            *report.remarks,
+            *(solution.notes if solution else ()),
+            *price_of_principal_point(solution),
+            *report.company.remarks,
         ),
-        method=report.solution.method if report.solution else None,
+        method=solution.method if solution else None,
         tables=tables,
         has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),
         plain=plain,
         has_truth=report.truth is not None,
-        photos=report.capture.photos,
+        photos=report.facts.photos,
         captures=joint_rows(report),
         capture=sections.capture_rows(report),
         script=_script(),
         script_hash=_hash(_script()),
         files=[(name, _FILES.get(name, "")) for name in report.files],
-        unit=report.calibration.unit if report.calibration else "",
+        unit=found.calibration.unit if found else "",
     )
     path.write_text(page, encoding="utf-8")
 

@@ -7,8 +7,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from calib.geometry import Calibration, Corner, Matches
-from calib.numerics import Floats, SpatialCorrelation, spatial_correlation
+from calib.geometry import Calibration, Corner, Matches, Size
+from calib.numerics import Floats, Ints, SpatialCorrelation, spatial_correlation
 from calib.pointcloud import Cloud, CloudStatistics
 from scanner.quantities import percent
 from scanner.rendering import LONGEST_SIDE, places_within
@@ -46,35 +46,33 @@ class Misses:
 
 def face_residuals(report: ReportInput) -> Residuals | None:
     """Matches on the three faces against the corner, in x and y of the projector; None without a solution."""
-    solution = report.solution
-    if solution is None or not len(report.on_faces):
+    solution, sample = report.solution, report.sample
+    if solution is None or sample.face is None or not len(sample):
         return None
-    sample = report.sample
-    residual_px = _off_the_corner(sample, solution.calibration, solution.corner)
+    residual_px = _off_the_corner(sample, sample.face, solution.calibration, solution.corner)
     known = np.isfinite(residual_px).all(axis=1)
     pixel, residual_px = sample.camera_px[known], residual_px[known]
     if not len(pixel):
         return None
-    size = report.capture.camera_size
+    size = report.facts.camera_size
     limit = float(np.percentile(np.abs(residual_px), _SHOWN_SHARE)) or 1e-3
     drawn = tuple(
         (_map(_on_grid(pixel, residual_px[:, axis], size, report.cell_px), limit, f"residuals in {name}"), caption)
-        for axis, (name, caption) in enumerate((name, f"Along the {report.capture.second}'s {name}.") for name in "xy")
+        for axis, (name, caption) in enumerate((name, f"Along the {report.facts.second}'s {name}.") for name in "xy")
     )
     found = spatial_correlation(pixel, residual_px, _cell_px(size))
     return Residuals(
         drawn,
-        plots.residual_histogram([*residual_px.T], None, limit, f"residual on the faces ({report.capture.pixels})"),
+        plots.residual_histogram([*residual_px.T], None, limit, f"residual on the faces ({report.facts.pixels})"),
         float(np.sqrt(np.mean(np.sum(residual_px**2, axis=1)))),
         statement(found),
         found is not None and found.structured,
     )
 
 
-def _off_the_corner(matches: Matches, calibration: Calibration, corner: Corner) -> Floats:
+def _off_the_corner(matches: Matches, face: Ints, calibration: Calibration, corner: Corner) -> Floats:
     """Projector pixels minus where the corner has them, (N, 2): the ray of the camera's pixel meets its face there."""
-    assert matches.face is not None
-    normals = corner.normals[matches.face]
+    normals = corner.normals[face]
     rays = calibration.camera.unproject(matches.camera_px)
     with np.errstate(divide="ignore", invalid="ignore"):
         points = (normals @ corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
@@ -85,20 +83,20 @@ def _off_the_corner(matches: Matches, calibration: Calibration, corner: Corner) 
 
 def misses(report: ReportInput) -> Misses | None:
     """Where and how far the rays of the matches miss each other."""
-    cloud = report.cloud
-    if cloud is None or not np.isfinite(cloud.residual_px).any():
+    if report.reconstructed is None or not np.isfinite(report.reconstructed.cloud.residual_px).any():
         return None
+    cloud = report.reconstructed.cloud
     statistics = cloud.statistics
     limit = _shown_range(report, cloud)
     _, close = places_within(cloud.residual_px, statistics.limit_px, _SAMPLE)
     pixel = np.stack(np.divmod(close, cloud.residual_px.shape[1])[::-1], axis=1).astype(np.float64)
     residual_px = cloud.residual_px.ravel()[close].astype(np.float64)
     every = max(1, ceil(len(pixel) / _TESTED))
-    found = spatial_correlation(pixel[::every], residual_px[::every], _cell_px(report.capture.camera_size))
+    found = spatial_correlation(pixel[::every], residual_px[::every], _cell_px(report.facts.camera_size))
     painted = _map(cloud.residual_px, limit, "misses of the rays", LONGEST_SIDE)
     residuals = Residuals(
         ((painted, ""),),
-        plots.residual_histogram([residual_px], statistics.decoder_px, limit, f"miss ({report.capture.pixels})"),
+        plots.residual_histogram([residual_px], statistics.decoder_px, limit, f"miss ({report.facts.pixels})"),
         float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else 0.0,
         statement(found),
         found is not None and found.structured,
@@ -123,8 +121,8 @@ def statement(found: SpatialCorrelation | None) -> str:
     return f"Structured: {numbers}; {shared}."
 
 
-def _cell_px(camera_size: tuple[int, int]) -> float:
-    return max(4.0, camera_size[0] * _CELL_OF_WIDTH)
+def _cell_px(camera_size: Size) -> float:
+    return max(4.0, camera_size.width * _CELL_OF_WIDTH)
 
 
 def _map(values: NDArray[np.float32], limit: float, alt: str, longest_side: int = _HALF_PAGE) -> ScaledMap:
@@ -132,9 +130,9 @@ def _map(values: NDArray[np.float32], limit: float, alt: str, longest_side: int 
     return ScaledMap(picture(painted, f"{alt} over the camera's image"), scale)
 
 
-def _on_grid(pixel: Floats, values: Floats, size: tuple[int, int], step: int) -> NDArray[np.float32]:
+def _on_grid(pixel: Floats, values: Floats, size: Size, step: int) -> NDArray[np.float32]:
     """Values (N,) at pixels (N, 2) of an image of (width, height), on a grid `step` times as coarse, NaN for none."""
-    grid = np.full(((size[1] - 1) // step + 1, (size[0] - 1) // step + 1), np.nan, np.float32)
+    grid = np.full(((size.height - 1) // step + 1, (size.width - 1) // step + 1), np.nan, np.float32)
     cell = np.floor((pixel + 0.5) / step).astype(np.int64)
     column, row = (np.clip(cell[:, axis], 0, grid.shape[1 - axis] - 1) for axis in (0, 1))
     grid[row, column] = values

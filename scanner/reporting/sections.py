@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from calib.numerics import Floats
+from calib.pointcloud import Cloud
 from scanner.capture import CaptureFacts
 from scanner.decoding import Decoding, MaskReason
 from scanner.patterns import Gray, Pattern, Phase, Xor
@@ -24,8 +25,9 @@ from scanner.rendering import (
     IndexedPicture,
     Pixels,
     css_colour,
-    data_uri,
+    jpeg_uri,
     photograph,
+    png_uri,
     render,
     rig_frusta,
     standard_views,
@@ -113,9 +115,9 @@ class Mask:
 
 def tables(report: ReportInput) -> tuple[Table, ...]:
     """The calibration's numbers; none for a refusal."""
-    calibration, truth = report.calibration, report.truth
-    if calibration is None:
+    if report.reconstructed is None:
         return ()
+    calibration, truth = report.reconstructed.calibration, report.truth
     found = [Table("Camera", tuple(device_quantities("camera", calibration, truth)))]
     if not calibration.one_camera:
         found.append(Table("Projector", tuple(device_quantities("projector", calibration, truth))))
@@ -128,21 +130,22 @@ def tables(report: ReportInput) -> tuple[Table, ...]:
 
 def faces(report: ReportInput) -> Faces | None:
     """The faces over the white frame; None if none were found."""
-    if not len(report.on_faces):
+    face, found = report.matches.face, report.reconstructed
+    if face is None or not len(report.on_faces):
         return None
-    width, height = report.capture.camera_size
-    labels = maps.face_labels(report.matches, (width, height))
-    texture = np.full((height, width), 128, dtype=np.uint8) if report.texture is None else report.texture
-    painted = maps.faces_over(photograph(texture), labels)
+    size, texture = report.facts.camera_size, report.outcome.decoded.texture
+    labels = maps.face_labels(report.matches.camera_px, face, size)
+    background = np.full((size.height, size.width), 128, dtype=np.uint8) if texture is None else texture
+    painted = maps.faces_over(photograph(background), labels)
     overlay = maps.face_overlay(
         labels,
-        (width, height),
+        size,
         report.solution.corner if report.solution else None,
-        report.calibration.camera if report.calibration else None,
+        found.calibration.camera if found else None,
     )
-    counts = [np.count_nonzero(report.matches.face == face) for face in range(3)]
+    counts = np.bincount(face[face >= 0], minlength=len(FACE_NAMES))
     return Faces(
-        picture(painted, "the camera's image with the faces of the corner in colour", jpeg=True),
+        photo(painted, "the camera's image with the faces of the corner in colour"),
         overlay,
         tuple(
             LegendEntry(css_colour(colour), f"face {name}", f"{count:,} matches")
@@ -153,25 +156,26 @@ def faces(report: ReportInput) -> Faces | None:
 
 def scene(report: ReportInput) -> Picture | None:
     """The camera's image of the lit scene, where no faces were found to show in it."""
-    if report.texture is None or len(report.on_faces):
+    texture = report.outcome.decoded.texture
+    if texture is None or len(report.on_faces):
         return None
-    return picture(photograph(report.texture), "the camera's image under white light", jpeg=True)
+    return photo(photograph(texture), "the camera's image under white light")
 
 
 def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
     """Pictures of the cloud from the side, above and the front."""
-    cloud, calibration = report.cloud, report.calibration
-    if cloud is None or calibration is None or not report.in_cloud[0]:
+    if report.reconstructed is None or not report.in_cloud[0]:
         return ()
+    cloud, calibration = report.reconstructed.cloud, report.reconstructed.calibration
     forward = np.array([0.0, 0.0, 1.0])
     views = standard_views(forward, upright(report))
-    frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(report), BLUE, VERMILION)
+    frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(report, cloud), BLUE, VERMILION)
 
     def show(name: str) -> Picture:
         return picture(
             render(cloud, views[name], _VIEW_SIZES[name], [] if name == "front" else frusta),
             f"the point cloud, {name} view",
-            caption=_caption(name, report.capture) + (_CORNER_CAPTIONS[name] if report.solution else ""),
+            caption=_caption(name, report.facts) + (_CORNER_CAPTIONS[name] if report.solution else ""),
         )
 
     return tuple(map(show, views))
@@ -188,17 +192,17 @@ def upright(report: ReportInput) -> Floats:
     return np.array([0.0, -1.0, 0.0]) if report.solution is None else report.solution.corner.up
 
 
-def typical_depth(report: ReportInput) -> float:
-    """Median depth of the points of the cloud, in its unit."""
-    assert report.cloud is not None
-    return float(np.median(report.cloud.points.reshape(-1, 3)[report.in_cloud[1], 2]))
+def typical_depth(report: ReportInput, cloud: Cloud) -> float:
+    """Median depth of the points of the report's cloud, in its unit."""
+    return float(np.median(cloud.points.reshape(-1, 3)[report.in_cloud[1], 2]))
 
 
 def depth(report: ReportInput) -> ScaledMap | None:
     """Depth over the camera's image."""
-    if report.cloud is None or not report.in_cloud[0]:
+    if report.reconstructed is None or not report.in_cloud[0]:
         return None
-    painted, scale = maps.depth_map(report.cloud.points, report.cloud.unit)
+    cloud = report.reconstructed.cloud
+    painted, scale = maps.depth_map(cloud.points, cloud.unit)
     return ScaledMap(picture(painted, "depth over the camera's image"), scale)
 
 
@@ -227,31 +231,31 @@ def mask(decoding: Decoding | None) -> Mask | None:
 def subtitle(capture: CaptureFacts) -> str:
     """The capture in one line."""
     frames = f", {len(capture.patterns)} frames" if capture.patterns else ""
-    (width, height), (columns, rows) = capture.camera_size, capture.projector_size
     if capture.photos:
-        return f"Photos of {width} × {height}."
-    return f"Camera {width} × {height}, projector {columns} × {rows}{frames}."
+        return f"Photos of {capture.camera_size}."
+    return f"Camera {capture.camera_size}, projector {capture.projector_size}{frames}."
 
 
 def capture_rows(report: ReportInput) -> tuple[tuple[str, str], ...]:
     """Facts of the capture, as name and value."""
-    facts = report.capture
+    facts = report.facts
     if facts.photos:
-        rows = [("photos", "{} × {} px".format(*facts.camera_size)), ("matches", f"{len(report.matches):,}")]
+        rows = [("photos", f"{facts.camera_size} px"), ("matches", f"{len(report.matches):,}")]
         return (*rows, *facts.identity.items())
     rows = [
-        ("camera", "{} × {} px".format(*facts.camera_size)),
-        ("projector", "{} × {} px".format(*facts.projector_size)),
+        ("camera", f"{facts.camera_size} px"),
+        ("projector", f"{facts.projector_size} px"),
         ("matches", f"{len(report.matches):,} ({percent(report.decoded_share)} of the camera's pixels)"),
     ]
     if facts.patterns:
         rows.append(("frames", f"{len(facts.patterns)}: {describe_patterns(facts.patterns)}"))
     if facts.exposure_us:
         rows.append(("exposure", _exposures(facts)))
-    if report.decoding is not None:
-        rows += _about_frames(report.decoding)
-    if report.decoding is not None and report.decoding.modulation is not None:
-        share = 100 * report.decoding.modulation
+    decoding = report.outcome.decoded.decoding
+    if decoding is not None:
+        rows += _about_frames(decoding)
+    if decoding is not None and decoding.modulation is not None:
+        share = 100 * decoding.modulation
         rows.append(("focus", f"the finest fringe keeps {share:.0f} % of the light's contrast"))
     return (*rows, *facts.identity.items())
 
@@ -293,6 +297,11 @@ def _kind(pattern: Pattern) -> str:
     return type(pattern).__name__.lower()
 
 
-def picture(pixels: Pixels | IndexedPicture, alt: str, *, caption: str = "", jpeg: bool = False) -> Picture:
-    """Pixels as an image for the page; `jpeg` for photographs."""
-    return Picture(data_uri(pixels, jpeg=jpeg), pixels.shape[1], pixels.shape[0], alt, caption)
+def picture(pixels: Pixels | IndexedPicture, alt: str, *, caption: str = "") -> Picture:
+    """Pixels as an image for the page."""
+    return Picture(png_uri(pixels), pixels.shape[1], pixels.shape[0], alt, caption)
+
+
+def photo(pixels: Pixels, alt: str) -> Picture:
+    """A photograph as an image for the page."""
+    return Picture(jpeg_uri(pixels), pixels.shape[1], pixels.shape[0], alt)

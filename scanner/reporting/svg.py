@@ -7,6 +7,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from calib.numerics import Floats
+from scanner.rendering import even_ticks, tick_text
 
 # One unit is one pixel where the plot is narrowest, so that the page's font sizes hold in it.
 WIDTH, HEIGHT = 680, 290
@@ -42,13 +43,7 @@ class Scale:
                 found = [value for value in found if self.low <= value <= self.high]
                 if 3 <= len(found) <= _MOST_TICKS:
                     return found
-        return self._even_ticks()
-
-    def _even_ticks(self) -> list[float]:
-        rough = (self.high - self.low) / _MOST_TICKS
-        power = 10.0 ** floor(log10(rough))
-        step = next(digit * power for digit in (1, 2, 5, 10) if digit * power >= rough)
-        return [k * step for k in range(ceil(self.low / step), floor(self.high / step) + 1)]
+        return even_ticks(self.low, self.high, _MOST_TICKS)
 
 
 class Plot:
@@ -109,7 +104,7 @@ class Plot:
         for tick in self._x.ticks():
             x = _LEFT + _ACROSS * float(self._x.share(np.array([tick]))[0])
             parts.append(f'<line class="grid" x1="{x:.1f}" y1="{_TOP}" x2="{x:.1f}" y2="{bottom}"/>')
-            parts.append(self._text(x, bottom + 18, _shown(tick), "middle"))
+            parts.append(self._text(x, bottom + 18, tick_text(tick), "middle"))
         return [*parts, self._text(_LEFT + _ACROSS / 2, HEIGHT - 8, self._x.label, "middle")]
 
     def _axis_y(self) -> list[str]:
@@ -117,14 +112,10 @@ class Plot:
         for tick in self._y.ticks():
             y = _TOP + _DOWN * (1 - float(self._y.share(np.array([tick]))[0]))
             parts.append(f'<line class="grid" x1="{_LEFT}" y1="{y:.1f}" x2="{WIDTH - _RIGHT}" y2="{y:.1f}"/>')
-            parts.append(self._text(_LEFT - 7, y + 4.5, _shown(tick), "end"))
+            parts.append(self._text(_LEFT - 7, y + 4.5, tick_text(tick), "end"))
         turned = f'<g transform="translate(16 {_TOP + _DOWN / 2}) rotate(-90)">'
         return [*parts, turned + self._text(0, 0, self._y.label, "middle") + "</g>"]
 
     @staticmethod
     def _text(x: float, y: float, text: str, anchor: str) -> str:
         return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
-
-
-def _shown(tick: float) -> str:
-    return f"{tick:.6g}".replace("-", "−")

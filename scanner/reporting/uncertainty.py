@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.diagnostics import Uncertainty
-from calib.geometry import NO_FACE, Matches, intersect
+from calib.geometry import NO_FACE, Matches, Size, intersect
 from calib.pointcloud import NONE
 from calib.refinement import CAMERA, PROJECTOR
 from calib.self_calibration import SelfCalibration
@@ -33,9 +33,9 @@ class PointSigmas:
 def point_sigmas(report: ReportInput) -> PointSigmas | None:
     """The map of the sigmas of depth; None where the method knows none."""
     solution = report.solution
-    if solution is None or solution.uncertainty is None or report.cloud is None:
+    if solution is None or solution.uncertainty is None:
         return None
-    percent = _relative_sigmas(report.matches, solution, solution.uncertainty, report.capture.camera_size)
+    percent = _relative_sigmas(report.matches, solution, solution.uncertainty, report.facts.camera_size)
     known = percent[np.isfinite(percent)]
     if not len(known):
         return None
@@ -45,7 +45,7 @@ def point_sigmas(report: ReportInput) -> PointSigmas | None:
 
 
 def _relative_sigmas(
-    matches: Matches, solution: SelfCalibration, uncertainty: Uncertainty, camera_size: tuple[int, int]
+    matches: Matches, solution: SelfCalibration, uncertainty: Uncertainty, camera_size: Size
 ) -> NDArray[np.float32]:
     """Of one match in each cell of a coarse grid over the image: sigma in per cent of its depth, NaN for none."""
     label = np.zeros(len(matches), np.int32) if matches.face is None else matches.face

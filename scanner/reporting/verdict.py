@@ -8,7 +8,7 @@ from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
 from scanner.quantities import intrinsic_errors_percent, percent
 from scanner.reporting.contents import ReportInput
-from scanner.results import Verdict
+from scanner.results import Reconstructed, Refused, SelfCalibrated, Verdict
 
 # A focal length that errs by one per cent bends a room by about as much as its walls are off square.
 _MEASUREMENT_GRADE = 0.01
@@ -36,51 +36,47 @@ _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and th
 
 def verdict(report: ReportInput) -> Verdict:
     """The verdict on a result."""
-    if report.refusal is not None:
-        matched = f"{len(report.matches):,} matches were decoded and are kept in matches.npz."
-        return Verdict("refused", "Not calibrated", (report.refusal.reason, matched), report.refusal.advice)
-    assert report.calibration is not None
-    if report.solution is None:
-        return _of_given(report)
-    return _of_self_calibration(report, report.calibration)
+    match report.outcome:
+        case Refused(refusal=refusal):
+            matched = f"{len(report.matches):,} matches were decoded and are kept in matches.npz."
+            return Verdict("refused", "Not calibrated", (refusal.reason, matched), refusal.advice)
+        case Reconstructed(SelfCalibrated() as calibrated, cloud):
+            return _of_self_calibration(report, calibrated, cloud.statistics)
+        case Reconstructed(cloud=cloud):
+            return _of_given(cloud.statistics, report.facts.pixels)
 
 
-def _of_given(report: ReportInput) -> Verdict:
-    reasons = ["The calibration was taken as it is; only its agreement with the matches was checked."]
-    if report.cloud is not None:
-        reasons += _about_cloud(report.cloud.statistics, report.capture.pixels)
-    if _misses_systematically(report):
+def _of_given(statistics: CloudStatistics, pixels: str) -> Verdict:
+    reasons = (
+        "The calibration was taken as it is; only its agreement with the matches was checked.",
+        *_about_cloud(statistics, pixels),
+    )
+    if statistics.calibration_px > _SYSTEMATIC_MISS_PX:
         headline = "Reconstructed with a calibration that does not quite fit"
-        return Verdict("fair", headline, tuple(reasons), _CHECK_THE_CALIBRATION)
-    return Verdict("good", "Reconstructed with the calibration that was given", tuple(reasons))
+        return Verdict("fair", headline, reasons, _CHECK_THE_CALIBRATION)
+    return Verdict("good", "Reconstructed with the calibration that was given", reasons)
 
 
-def _misses_systematically(report: ReportInput) -> bool:
-    return report.cloud is not None and report.cloud.statistics.calibration_px > _SYSTEMATIC_MISS_PX
-
-
-def _of_self_calibration(report: ReportInput, calibration: Calibration) -> Verdict:
-    assert report.solution is not None
+def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statistics: CloudStatistics) -> Verdict:
+    calibration, facts = calibrated.calibration, report.facts
     worst = _worst_focal_sigma(calibration)
     reasons = [
         _NO_SIGMA
         if worst is None
         else f"The focal lengths are known to ± {100 * worst:.2g} % (one standard deviation).",
-        f"On the three faces the calibration explains the matches to {report.solution.residual_px:.2g} "
-        f"{report.capture.pixels}. That is needed, but it is no proof: wrong focal lengths can explain matches nearly "
-        "as well.",
+        f"On the three faces the calibration explains the matches to {calibrated.solution.residual_px:.2g} "
+        f"{facts.pixels}. That is needed, but it is no proof: wrong focal lengths can explain matches nearly as well.",
     ]
     if report.truth is not None:
         error = float(np.abs(intrinsic_errors_percent(calibration, report.truth)).mean())
         reasons.append(f"This rig is simulated, so the truth is known: the intrinsics err by {error:.2g} % on average.")
-    if report.cloud is not None:
-        reasons += _about_cloud(report.cloud.statistics, report.capture.pixels)
-    if _misses_systematically(report):
+    reasons += _about_cloud(statistics, facts.pixels)
+    if statistics.calibration_px > _SYSTEMATIC_MISS_PX:
         return Verdict("fair", "Calibrated, but with errors that show", tuple(reasons), _LOOK_AT_THE_MISSES)
     if worst is not None and worst <= _MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
-    advice = _ONE_MORE if report.together > 1 else _THREE_CAPTURES
-    if report.capture.photos:
+    advice = _ONE_MORE if report.company.count > 1 else _THREE_CAPTURES
+    if facts.photos:
         advice = _THIRD_PHOTO
     return Verdict("fair", "Calibrated, well enough for a first look", tuple(reasons), advice)
 

@@ -15,6 +15,7 @@ from scanner.quantities import FACE_NAMES
 from scanner.rendering import FACE_COLOURS, Colour, css_colour, frustum
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import FRUSTUM_LENGTH, typical_depth, upright
+from scanner.results import Reconstructed
 
 # Of twelve bytes each: about a megabyte on the page.
 _MOST_POINTS = 70_000
@@ -41,11 +42,14 @@ class View3d:
 
 def view3d(report: ReportInput) -> View3d | None:
     """The merged cloud if there is one, else the capture's own; None without a cloud."""
-    cloud = report.merged if report.merged is not None and len(report.merged.points) else report.cloud
-    total = report.in_cloud[0] if cloud is report.cloud else len(cloud.points) if cloud else 0
-    if cloud is None or report.calibration is None or not total:
+    found, merged = report.reconstructed, report.company.merged
+    if found is None:
         return None
-    points, colours, normals, grid = _thinned(report, cloud, total)
+    cloud = merged if merged is not None and len(merged.points) else found.cloud
+    total = len(cloud.points) if isinstance(cloud, MergedCloud) else report.in_cloud[0]
+    if not total:
+        return None
+    points, colours, normals, grid = _thinned(report, found, cloud, total)
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 1e-9)
     return View3d(
@@ -57,7 +61,7 @@ def view3d(report: ReportInput) -> View3d | None:
                 "size": _rounded(size),
                 "splat": float(f"{_SPLAT_OF_GRID * grid:.4g}"),
                 **_orientation(report, cloud, points),
-                "lines": _outlines(report, cloud),
+                "lines": _outlines(report, found, cloud),
             },
             separators=(",", ":"),
         ),
@@ -67,10 +71,9 @@ def view3d(report: ReportInput) -> View3d | None:
 
 
 def _thinned(
-    report: ReportInput, cloud: Cloud | MergedCloud, total: int
+    report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCloud, total: int
 ) -> tuple[Floats, NDArray[np.uint8], NDArray[np.float32], float]:
     """Points (n, 3), colours, normals, and the typical distance of neighbours."""
-    assert report.calibration is not None
     if isinstance(cloud, MergedCloud):
         stride = max(1, ceil(total / _MOST_POINTS))
         chosen: tuple[slice, ...] = (slice(None, None, stride),)
@@ -78,7 +81,7 @@ def _thinned(
     else:
         stride = max(1, ceil(np.sqrt(total / _MOST_POINTS)))
         chosen = (slice(None, None, stride),) * 2
-        grid = stride * typical_depth(report) / report.calibration.camera.focal_px[0]
+        grid = stride * typical_depth(report, cloud) / found.calibration.camera.focal_px[0]
     there = np.isfinite(cloud.points[chosen][..., 2])
     colours = cloud.colours[chosen][there]
     white = max(1.0, float(np.percentile(colours, _WHITE_PERCENTILE))) if len(colours) else 255.0
@@ -105,22 +108,21 @@ def _orientation(report: ReportInput, cloud: Cloud | MergedCloud, points: Floats
     return {"up": _rounded(up), "forward": _rounded(forward), "centre": _rounded(middle)}
 
 
-def _outlines(report: ReportInput, cloud: Cloud | MergedCloud) -> list[dict[str, object]]:
+def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCloud) -> list[dict[str, object]]:
     """The faces as closed polygons with their letters, both devices as pyramids, in the cloud's frame."""
-    assert report.calibration is not None
-    calibration = report.calibration
+    calibration = found.calibration
     if isinstance(cloud, MergedCloud):
         length = FRUSTUM_LENGTH * float(np.linalg.norm(np.median(cloud.points, axis=0)))
         to_cloud = cloud.from_cameras
     else:
-        length = FRUSTUM_LENGTH * typical_depth(report)
+        length = FRUSTUM_LENGTH * typical_depth(report, cloud)
         to_cloud = (np.eye(3, 4),)
     lines: list[dict[str, object]] = []
-    if report.cloud is not None and to_cloud:
+    if to_cloud:
         # The capture of this page is the last one.
         lines += [
             {"colour": css_colour(colour), "text": name, "closed": True, "at": _moved(outline, to_cloud[-1])}
-            for name, colour, outline in _faces(report, report.cloud)
+            for name, colour, outline in _faces(report, found.cloud)
         ]
     camera = frustum(calibration.camera, length)
     projector = (frustum(calibration.projector, length) - calibration.translation) @ calibration.rotation

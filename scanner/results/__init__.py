@@ -1,7 +1,7 @@
 """A result: its folder, its verdict, what it states about itself."""
 
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
-from scanner.results.records import Findings, Scan
+from scanner.results.older_results import place_camera
 from scanner.results.result_folder import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,
@@ -10,6 +10,7 @@ from scanner.results.result_folder import (
     DENSE_FILE,
     LOG_FILE,
     MERGED_FILE,
+    POSES_FILE,
     REPORT_FILE,
     TRUTH_FILE,
     OutputFolder,
@@ -18,6 +19,22 @@ from scanner.results.result_folder import (
     folder_of,
     new_result,
     refuse_occupied,
+)
+from scanner.results.stages import (
+    Calibrated,
+    Decoded,
+    GivenCalibration,
+    GivenMatches,
+    Reconstructed,
+    Refused,
+    Scan,
+    SelfCalibrated,
+    Stage,
+    decoded_of,
+    naming,
+    remarks_on,
+    solution_of,
+    titles_of,
 )
 from scanner.results.stated_uncertainty import confidence_entries, read_uncertainty, read_verdict
 from scanner.results.verdict import Verdict

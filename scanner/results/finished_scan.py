@@ -5,17 +5,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from calib.geometry import Calibration, Matches, intersect
 from calib.numerics import Floats, Ints
-from calib.pointcloud import NONE, index_grid
+from calib.pointcloud import index_grid
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_cloud, read_matches
+from scanner.results.older_results import find_matches, same_points
 from scanner.results.result_folder import CALIBRATION_FILE, CLOUD_FILE
 
-# Coordinates in the cloud are rounded to 24 bits; relative to a point's distance this is far more than that.
-_SAME_POINT = 1e-5
+# Of a cloud, so many points tell whether it comes from these matches.
+_SAMPLE = 1000
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,7 @@ class FinishedScan:
     @property
     def index_grid(self) -> Ints:
         """Which point each camera pixel has, (H, W), `NONE` for none."""
-        camera = self.calibration.camera
-        return index_grid(self.pixel, (camera.width, camera.height))
+        return index_grid(self.pixel, self.calibration.camera.size)
 
 
 def read_calibration_of(folder: Path) -> Calibration:
@@ -70,44 +69,35 @@ def read_finished_scan(folder: Path) -> FinishedScan:
     matches = read_matches(folder)
     if not len(cloud):
         raise InputError(f"{folder}: the cloud is empty")
-    pixel = np.rint(matches.camera_px).astype(np.int64)
-    own = _own_matches(cloud.points, pixel, matches, calibration)
-    if own is None or not _all_different(pixel[own], calibration):
-        raise InputError(
-            f"{folder}: {CLOUD_FILE} does not follow from {MATCHES_FILE} and {CALIBRATION_FILE}: one of them was "
-            "changed or comes from another scan; make the result again with 'scan replay' or 'scan calibrate'"
-        )
-    return FinishedScan(calibration, matches[own], len(matches), cloud.points, cloud.normals, cloud.colours, pixel[own])
+    own = find_matches(cloud.points, matches, calibration) if cloud.match is None else cloud.match
+    if own is None or own.min() < 0 or own.max() >= len(matches):
+        raise _of_another_scan(folder)
+    matched = matches[own]
+    pixel = np.rint(matched.camera_px).astype(np.int64)
+    if not _has_own_pixels(pixel, calibration) or not _is_where_rays_meet(cloud.points, matched, calibration):
+        raise _of_another_scan(folder)
+    return FinishedScan(calibration, matched, len(matches), cloud.points, cloud.normals, cloud.colours, pixel)
 
 
-def _all_different(pixel: Ints, calibration: Calibration) -> bool:
-    taken = np.zeros((calibration.camera.height, calibration.camera.width), np.bool_)
+def _of_another_scan(folder: Path) -> InputError:
+    return InputError(
+        f"{folder}: {CLOUD_FILE} does not follow from {MATCHES_FILE} and {CALIBRATION_FILE}: one of them was "
+        "changed or comes from another scan; make the result again with 'scan replay' or 'scan calibrate'"
+    )
+
+
+def _has_own_pixels(pixel: Ints, calibration: Calibration) -> bool:
+    """Whether pixels (N, 2) are in the camera's image, and no two alike."""
+    size = calibration.camera.size
+    if np.any((pixel < 0) | (pixel >= size)):
+        return False
+    taken = np.zeros(size[::-1], np.bool_)
     taken[pixel[:, 1], pixel[:, 0]] = True
     return int(np.count_nonzero(taken)) == len(pixel)
 
 
-def _own_matches(points: Floats, pixel: Ints, matches: Matches, calibration: Calibration) -> Ints | None:
-    """Which match each point (N, 3) was triangulated from, (N,), or None if there is a point that none gives.
-
-    `pixel` (M, 2) is the camera's of each match. Nearly always a point is seen at its own match's pixel. Where the rays
-    missed each other by more than that, it is the nearest of the points that are left.
-    """
-    size = (calibration.camera.width, calibration.camera.height)
-    met = intersect(matches, calibration)
-    usable = np.flatnonzero(met.in_front & np.all((pixel >= 0) & (pixel < size), axis=1))
-    at_pixel = np.full(size[::-1], NONE, np.int64)
-    at_pixel[pixel[usable, 1], pixel[usable, 0]] = usable
-    seen = np.nan_to_num(np.rint(calibration.camera.project(points)), nan=-1.0).clip(-1, size).astype(np.int64)
-    inside = np.all((seen >= 0) & (seen < size), axis=1)
-    own = np.where(inside, at_pixel[tuple(np.where(inside[:, None], seen, 0).T[::-1])], NONE)
-    tolerance = _SAME_POINT * np.linalg.norm(points, axis=1)
-    missed = np.flatnonzero((own == NONE) | ~(np.linalg.norm(met.points[own] - points, axis=1) <= tolerance))
-    if len(missed):
-        left = np.setdiff1d(usable, np.delete(own, missed))
-        if not len(left):
-            return None
-        apart, nearest = cKDTree(met.points[left]).query(points[missed])
-        if np.any(apart > tolerance[missed]):
-            return None
-        own[missed] = left[nearest]
-    return own
+def _is_where_rays_meet(points: Floats, matched: Matches, calibration: Calibration) -> bool:
+    """Whether points (N, 3) are what their matches give, judged by some of them."""
+    sample = np.linspace(0, len(points) - 1, _SAMPLE).astype(np.int64)
+    met = intersect(matched[sample], calibration)
+    return bool(np.all(met.in_front) and np.all(same_points(points[sample], met.points)))

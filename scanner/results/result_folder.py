@@ -23,6 +23,7 @@ REPORT_FILE = "report.html"
 CAPTURE_FOLDER = "capture"
 CAPTURES_FOLDER = "captures"
 MERGED_FILE = "merged.ply"
+POSES_FILE = "poses.yaml"
 DENSE_FILE = "dense.ply"
 LOG_FILE = "scan.log"
 
@@ -33,6 +34,7 @@ _OURS = {
     TRUTH_FILE,
     CLOUD_FILE,
     MERGED_FILE,
+    POSES_FILE,
     DENSE_FILE,
     REPORT_FILE,
     CAPTURE_FOLDER,

@@ -6,10 +6,11 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats
+from calib.geometry import Matches
+from calib.numerics import Floats, Ints
 from scanner.quantities import FACE_NAMES, shown_unit
 from scanner.rendering import CIVIDIS, FACE_COLOURS, GREY, shaded
-from scanner.viewing.result import ViewedCloud
+from scanner.viewing.result import CaptureCloud, ViewedCloud
 
 _NAMED_SHADES = ("dark blue", "grey", "yellow")
 _FACE_WORDS = ("orange", "sky blue", "green")
@@ -43,25 +44,24 @@ class Coloured:
 def possible_colourings(cloud: ViewedCloud) -> tuple[Colouring, ...]:
     """What is known of every point of a cloud."""
     known = [Colouring.CAMERA]
-    if cloud.has_faces:
-        known.append(Colouring.FACES)
-    if cloud.has_sigma:
-        known.append(Colouring.SIGMA)
+    if isinstance(cloud, CaptureCloud):
+        known += [Colouring.FACES] if cloud.matches.face is not None else []
+        known += [Colouring.SIGMA] if cloud.has_sigma else []
     return tuple(known)
 
 
 def coloured(cloud: ViewedCloud, chosen: NDArray[np.int64], colouring: Colouring) -> Coloured:
     """The colours of the points at `chosen` (n,). Raises ValueError for what is not known of this cloud."""
-    if colouring not in possible_colourings(cloud):
-        raise ValueError(f"this cloud cannot be coloured by {colouring}")
-    match colouring:
-        case Colouring.CAMERA:
+    match cloud, colouring:
+        case _, Colouring.CAMERA:
             return Coloured(_brightened(cloud.colours[chosen]), "The colours are what the camera saw, brightened.")
-        case Colouring.FACES:
-            return _by_face(cloud, chosen)
-        case Colouring.SIGMA:
+        case CaptureCloud(matches=Matches(face=face)), Colouring.FACES if face is not None:
+            return _by_face(face[chosen])
+        case CaptureCloud(has_sigma=True), Colouring.SIGMA:
             source = _NOISE_ALONE if cloud.uncertainty is None else _BOTH
             return _by_sigma(cloud.depth_sigma(chosen), cloud.unit, source)
+        case _:
+            raise ValueError(f"this cloud cannot be coloured by {colouring}")
 
 
 def _brightened(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -72,9 +72,7 @@ def _brightened(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * np.clip(colours / white, 0, 1) ** (1 / 1.8)), np.uint8)
 
 
-def _by_face(cloud: ViewedCloud, chosen: NDArray[np.int64]) -> Coloured:
-    assert cloud.scan.matches.face is not None
-    face = cloud.scan.matches.face[chosen]
+def _by_face(face: Ints) -> Coloured:
     table = np.array([*FACE_COLOURS, GREY], np.uint8)
     named = ", ".join(f"{name} {word}" for name, word in zip(FACE_NAMES, _FACE_WORDS, strict=True))
     index = np.where((face >= 0) & (face < len(FACE_COLOURS)), face, len(FACE_COLOURS))

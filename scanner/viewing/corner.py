@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Calibration, Corner, Matches, intersect, polar
+from calib.geometry import Corner, polar
 from calib.numerics import Floats
 from scanner.measuring import AngleMeasurement, FaceMeasurement, measure_faces
+from scanner.results import FinishedScan
 from scanner.viewing.decimation import shuffled
 
 # Planes through so many points are as good to look at as through all, and known at once.
@@ -29,11 +30,12 @@ class MeasuredCorner:
     outlines: Floats
 
 
-def measured_corner(matches: Matches, calibration: Calibration) -> MeasuredCorner | None:
-    """Fit the faces to points of at most `FITTED_POINTS` matches; None if the matches do not label all three."""
-    part, points = triangulated(matches, calibration, FITTED_POINTS)
-    label = part.face
-    faces, angles = measure_faces(points, np.rint(part.camera_px).astype(np.int64), label, calibration.camera.width)
+def measured_corner(scan: FinishedScan) -> MeasuredCorner | None:
+    """Fit the faces to at most `FITTED_POINTS` points; None if the matches do not label all three."""
+    chosen = np.sort(shuffled(len(scan))[:FITTED_POINTS])
+    points = scan.points[chosen]
+    label = None if scan.matches.face is None else scan.matches.face[chosen]
+    faces, angles = measure_faces(points, scan.pixel[chosen], label, scan.calibration.camera.width)
     if len(faces) < 3 or label is None:
         return None
     normals = np.stack([face.normal for face in faces])
@@ -45,15 +47,6 @@ def measured_corner(matches: Matches, calibration: Calibration) -> MeasuredCorne
         legs[leg] *= 1.0 if np.median(beside @ legs[leg]) >= 0 else -1.0
     outlines = [_outline(from_vertex[label == face], np.delete(legs, face, axis=0)) for face in range(3)]
     return MeasuredCorner(Corner(vertex, legs), faces, angles, vertex + np.stack(outlines))
-
-
-def triangulated(matches: Matches, calibration: Calibration, count: int) -> tuple[Matches, Floats]:
-    """At most `count` of the matches, spread evenly, with their points (n, 3); those behind a device are left out."""
-    chosen = np.sort(shuffled(len(matches))[:count])
-    part = matches[chosen]
-    met = intersect(part, calibration)
-    front = np.flatnonzero(met.in_front)
-    return part[front], met.points[front]
 
 
 def _outline(points: Floats, edges: Floats) -> Floats:

@@ -1,43 +1,42 @@
 """A result folder as something to look at: its clouds, each with the rigs that saw it."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from calib.diagnostics import Uncertainty
-from calib.geometry import Calibration, Corner
+from calib.geometry import Calibration, Matches
 from calib.numerics import Floats
 from calib.pointcloud import point_covariances
 from scanner.capture import open_capture
 from scanner.errors import InputError
-from scanner.io import CloudPoints, read_calibration, read_cloud, read_image, read_matches
+from scanner.io import read_calibration, read_cloud, read_image, read_poses
 from scanner.patterns import White
 from scanner.rendering import photograph
 from scanner.results import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
-    CLOUD_FILE,
     MERGED_FILE,
+    POSES_FILE,
     TRUTH_FILE,
     FinishedScan,
     Verdict,
+    place_camera,
     read_calibration_of,
     read_finished_scan,
     read_uncertainty,
     read_verdict,
 )
-from scanner.viewing.corner import MeasuredCorner, measured_corner, triangulated
+from scanner.viewing.corner import MeasuredCorner, measured_corner
 from scanner.viewing.decimation import shuffled
 
 ALL_CAPTURES = "All captures, merged"
-_PLACING_POINTS = 2_000
-_PICTURED_POINTS = 500_000
+_PLACING_POINTS = 100_000
 _AT_ONCE = 100_000  # covariances are large
 
 
@@ -64,9 +63,7 @@ class PlacedRig:
 class ViewedCloud:
     """A cloud and what belongs to it, all in the cloud's frame but `corner`, which is in the frame of the first rig.
 
-    `points` (N, 3), `colours` (N, 3) RGB; `up` (3,) points up. What each point was triangulated from takes a while to
-    find out for millions, so `read_scan` does that when it is asked for; None for a merged cloud. `has_faces` and
-    `has_sigma`: what will be known then. `uncertainty` is the calibration's, where the result knows it.
+    `points` (N, 3), `colours` (N, 3) RGB; `up` (3,) points up.
     """
 
     points: Floats
@@ -75,22 +72,25 @@ class ViewedCloud:
     corner: MeasuredCorner | None
     up: Floats
     unit: str
-    read_scan: Callable[[], FinishedScan] | None = None
-    has_faces: bool = False
-    has_sigma: bool = False
-    uncertainty: Uncertainty | None = None
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
         """The points in an order whose every beginning is an even choice of them, (N,)."""
         return shuffled(len(self.points)).astype(np.int64)
 
-    @cached_property
-    def scan(self) -> FinishedScan:
-        """The same points with their matches. Raises InputError if they do not belong together."""
-        if self.read_scan is None:
-            raise ValueError("a merged cloud does not know what its points come from")
-        return self.read_scan()
+
+@dataclass(frozen=True, eq=False)
+class CaptureCloud(ViewedCloud):
+    """The cloud of one capture, of whose points the matches are known; `uncertainty` is the calibration's, or None."""
+
+    matches: Matches
+    calibration: Calibration
+    uncertainty: Uncertainty | None
+
+    @property
+    def has_sigma(self) -> bool:
+        """Whether anything is known of how sure the points are."""
+        return self.matches.sigma_px is not None or self.uncertainty is not None
 
     def depth_sigma(self, chosen: NDArray[np.int64]) -> Floats:
         """Standard deviation of the depth of points (n,), in `unit`.
@@ -100,11 +100,11 @@ class ViewedCloud:
         sigma = np.empty(len(chosen))
         for start in range(0, len(chosen), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
-            matches, calibration = self.scan.matches[chosen[part]], self.scan.calibration
+            matches = self.matches[chosen[part]]
             if self.uncertainty is None:
-                sigma[part] = np.sqrt(point_covariances(matches, calibration)[:, 2, 2])
+                sigma[part] = np.sqrt(point_covariances(matches, self.calibration)[:, 2, 2])
             else:
-                sigma[part] = calibration.baseline * self.uncertainty.of_points(matches)[:, 2]
+                sigma[part] = self.calibration.baseline * self.uncertainty.of_points(matches)[:, 2]
         return sigma
 
 
@@ -143,42 +143,42 @@ class ViewedResult:
         if name == ALL_CAPTURES:
             return self._merged()
         folder = self._captures[name]
-        points, matches = read_cloud(folder / CLOUD_FILE), read_matches(folder)
-        if not len(points):
-            raise InputError(f"{folder}: the cloud is empty")
-        calibration = read_calibration_of(folder)
-        uncertainty = read_uncertainty(folder / CALIBRATION_FILE, calibration)
-        corner = measured_corner(matches, calibration)
-        return ViewedCloud(
-            points.points,
-            points.colours,
-            (PlacedRig(calibration, np.eye(3), np.zeros(3), _picture(folder, points, calibration)),),
+        scan = read_finished_scan(folder)
+        corner = measured_corner(scan)
+        return CaptureCloud(
+            scan.points,
+            scan.colours,
+            (PlacedRig(scan.calibration, np.eye(3), np.zeros(3), _picture(folder, scan)),),
             corner,
             _up(corner),
-            calibration.unit,
-            partial(read_finished_scan, folder),
-            matches.face is not None,
-            matches.sigma_px is not None or uncertainty is not None,
-            uncertainty,
+            scan.unit,
+            scan.matches,
+            scan.calibration,
+            read_uncertainty(folder / CALIBRATION_FILE, scan.calibration),
         )
 
     def _merged(self) -> ViewedCloud:
         cloud = read_cloud(self.folder / MERGED_FILE)
         if not len(cloud):
             raise InputError(f"{self.folder / MERGED_FILE}: the cloud is empty")
-        tree = cKDTree(cloud.points[shuffled(len(cloud))[: 50 * _PLACING_POINTS]])
-        rigs, corner = [], None
-        for folder in self._captures.values():
-            calibration, matches = read_calibration_of(folder), read_matches(folder)
-            found = measured_corner(matches, calibration)
-            if found is not None:
-                _, points = triangulated(matches, calibration, _PLACING_POINTS)
-                rotation, position = _place(points, found.corner, tree)
-                picture = _picture(folder, read_cloud(folder / CLOUD_FILE), calibration)
-                rigs.append(PlacedRig(calibration, rotation, position, picture))
-                corner = corner or found
+        rigs, corner = list[PlacedRig](), None
+        for folder, known in zip(self._captures.values(), self._poses(), strict=True):
+            scan = read_finished_scan(folder)
+            found = measured_corner(scan) if known is None or not rigs else None
+            pose = known
+            if pose is None and found is not None:
+                some, of_many = (shuffled(len(of))[:_PLACING_POINTS] for of in (scan, cloud))
+                pose = place_camera(scan.points[some], found.corner, cloud.points[of_many])
+            if pose is not None:
+                corner = corner if rigs else found
+                rigs.append(PlacedRig(scan.calibration, pose[:, :3], pose[:, 3], _picture(folder, scan)))
         up = np.array([0.0, 0.0, 1.0 if np.median(cloud.points[:, 2]) >= 0 else -1.0])
         return ViewedCloud(cloud.points, cloud.colours, tuple(rigs), corner, up, self.calibration.unit)
+
+    def _poses(self) -> Sequence[Floats | None]:
+        """Of the captures' cameras in the merged cloud, the newest first; None where an older result does not say."""
+        path = self.folder / POSES_FILE
+        return read_poses(path, len(self._captures))[::-1] if path.is_file() else [None] * len(self._captures)
 
 
 def _up(corner: MeasuredCorner | None) -> Floats:
@@ -186,27 +186,14 @@ def _up(corner: MeasuredCorner | None) -> Floats:
     return np.array([0.0, -1.0, 0.0]) if corner is None else corner.corner.up
 
 
-def _place(points: Floats, corner: Corner, tree: cKDTree) -> tuple[Floats, Floats]:
-    """Rotation and position of a camera in the merged cloud's frame, which is the corner's: its axes are numbered as
-    fits `points` (N, 3) of the camera's frame best.
-    """
-    turned = [np.roll(corner.axes, turn, axis=0) for turn in range(3)]
-    misses = [np.median(tree.query((points - corner.vertex) @ rotation.T)[0]) for rotation in turned]
-    rotation: Floats = turned[int(np.argmin(misses))]
-    return rotation, -rotation @ corner.vertex
-
-
-def _picture(folder: Path, cloud: CloudPoints, calibration: Calibration) -> NDArray[np.uint8]:
+def _picture(folder: Path, scan: FinishedScan) -> NDArray[np.uint8]:
     """The camera's picture of the lit scene, RGB, reduced: the recording's white one, or else the points' colours."""
     try:
         recording = open_capture(folder / CAPTURE_FOLDER)
         white = next(path for path, shown in zip(recording.files, recording.patterns, strict=True) if shown == White())
         return photograph(read_image(recording.folder / white))
     except (InputError, StopIteration):
-        camera = calibration.camera
+        camera = scan.calibration.camera
         seen = np.zeros((camera.height, camera.width, 3), np.uint8)
-        some = shuffled(len(cloud))[:_PICTURED_POINTS]
-        column, row = np.rint(camera.project(cloud.points[some])).T
-        inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-        seen[row[inside].astype(np.int64), column[inside].astype(np.int64)] = cloud.colours[some[inside], ::-1]
+        seen[scan.pixel[:, 1], scan.pixel[:, 0]] = scan.colours[:, ::-1]
         return photograph(seen)

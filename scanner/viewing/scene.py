@@ -12,6 +12,7 @@ from calib.numerics import Floats
 from scanner.quantities import shown_unit
 from scanner.rendering import BLUE, FACE_COLOURS, VERMILION, frustum_lines
 from scanner.viewing.colouring import Colouring, coloured
+from scanner.viewing.corner import MeasuredCorner
 from scanner.viewing.geometry import (
     FIELD_OF_VIEW_RAD,
     nice_step,
@@ -68,7 +69,7 @@ class Scene:
         for number, rig in enumerate(cloud.rigs, start=1):
             self._draw_rig(f"{RIGS}/{number}", rig, f" {number}" if len(cloud.rigs) > 1 else "")
         if cloud.corner is not None:
-            self._draw_corner(cloud)
+            self._draw_corner(cloud.corner, cloud.rigs[0])
         self._draw_ruler(cloud)
         self.look()
 
@@ -149,9 +150,7 @@ class Scene:
             receive_shadow=False,
         )
 
-    def _draw_corner(self, cloud: ViewedCloud) -> None:
-        assert cloud.corner is not None
-        rig, corner = cloud.rigs[0], cloud.corner
+    def _draw_corner(self, corner: MeasuredCorner, rig: PlacedRig) -> None:
         vertex = rig.to_cloud(corner.corner.vertex)
         outlines = rig.to_cloud(corner.outlines)
         for face, outline, colour in zip(corner.faces, outlines, FACE_COLOURS, strict=True):

@@ -61,7 +61,7 @@ def test_each_frame_is_of_its_own_picture_and_exposure(
 
 def test_a_camera_whose_exposure_is_fixed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
-    with pytest.raises(DeviceError, match=r"leave sequence\.exposures_us out"):
+    with pytest.raises(DeviceError, match=r"every pattern with one exposure"):
         capture(Rig(bench, bench), (White(), Black()), (1000.0, 2000.0))
     with pytest.raises(DeviceError, match="cannot be changed"):
         exposure_control(bench)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.geometry.calibration import DeviceSigmas, Sigmas
+from calib.geometry.camera import Size
 from calib.geometry.corner import Corner
 from calib.geometry.matches import Matches
 from calib.pointcloud.organised_cloud import build_cloud
@@ -16,9 +17,10 @@ from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.noise_model import NoiseModel
 from scanner.patterns.pattern import sequence_for
 from scanner.reporting.contents import ReportInput
+from scanner.results.stages import Decoded, Reconstructed, Refused, SelfCalibrated
 from tests.support.cloud_scene import Scene
 
-SIZES = ((408, 342), (854, 480))
+SIZES = (Size(408, 342), Size(854, 480))
 
 
 def decoding_of(scene: Scene) -> Decoding:
@@ -44,21 +46,13 @@ def calibrated_report(scene: Scene) -> ReportInput:
         "refined",
         ("The faces seem to be off by +0.10 degrees.",),
     )
-    return ReportInput(
-        CaptureFacts(*SIZES, sequence_for(SIZES[1]), {"camera": "Simulated"}, (33333.0, 33333.0)),
-        scene.matches,
-        "A room",
-        decoding,
-        solution,
-        calibration,
-        build_cloud(scene.matches, scene.texture, calibration),
-        None,
-        scene.calibration,
-        decoding.warnings,
-    )
+    facts = CaptureFacts(*SIZES, sequence_for(SIZES[1]), {"camera": "Simulated"}, (33333.0, 33333.0))
+    calibrated = SelfCalibrated(Decoded(facts, scene.matches, decoding), solution, calibration)
+    cloud = build_cloud(scene.matches, scene.texture, calibration)
+    return ReportInput(Reconstructed(calibrated, cloud), scene.calibration)
 
 
 def refused_report(scene: Scene) -> ReportInput:
     refusal = RefusalError("The faces are not square.", "Choose another corner.")
     matches = Matches(scene.matches.camera_px, scene.matches.projector_px)
-    return ReportInput(CaptureFacts(*SIZES), matches, "A room", decoding_of(scene), refusal=refusal)
+    return ReportInput(Refused(Decoded(CaptureFacts(*SIZES), matches, decoding_of(scene)), refusal))

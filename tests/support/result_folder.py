@@ -33,8 +33,12 @@ def write_result(
     unit: str = "m",
     noise_px: float = 0.05,
     keep: Callable[[Floats], Bools] | None = None,
+    numbered: bool = True,
 ) -> Written:
-    """What a scan of the scene would have left, with the true calibration; `keep` chooses among the camera pixels."""
+    """What a scan of the scene would have left, with the true calibration; `keep` chooses among the camera pixels.
+
+    Not `numbered`: as older versions wrote it, without the matches' numbers in the cloud.
+    """
     scene = room(camera, projector, noise_px)
     if keep:
         scene = replace(scene, matches=scene.matches[keep(scene.matches.camera_px)])
@@ -42,5 +46,6 @@ def write_result(
     folder.mkdir(parents=True)
     write_matches(folder / "matches.npz", replace(scene.matches, sigma_px=np.full(len(scene.matches), noise_px)))
     write_calibration(folder / "calibration.yaml", calibration)
-    write_ply(folder / "cloud.ply", build_cloud(scene.matches, scene.texture, calibration))
+    cloud = build_cloud(scene.matches, scene.texture, calibration)
+    write_ply(folder / "cloud.ply", cloud, match=cloud.match if numbered else None)
     return Written(folder, read_finished_scan(folder), scene)

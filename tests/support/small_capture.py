@@ -5,11 +5,12 @@ from typing import Any
 
 import yaml
 
+from calib.geometry.camera import Size
 from scanner.io.image_file import write_png
 from scanner.patterns.pattern import Pattern, draw, sequence_for
 from scanner.patterns.sequence_file import pattern_to_dict
 
-SIZE = (48, 32)
+SIZE = Size(48, 32)
 PATTERNS = sequence_for(SIZE, cell=8, shifts=3)
 
 

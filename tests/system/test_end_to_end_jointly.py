@@ -10,6 +10,7 @@ from scanner.capture.recording import open_capture
 from scanner.commands.main import main
 from scanner.io.calibration_file import read_calibration
 from scanner.io.matches_file import read_matches
+from scanner.io.ply import read_cloud
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.results.finished_scan import read_finished_scan
 
@@ -51,7 +52,7 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Scanned:
 
 def test_both_captures_are_kept_whole(scanned: Scanned) -> None:
     assert scanned.exit_code == 0
-    assert names(scanned.result) == FILES | {"captures", "merged.ply", "scan.log", "truth.yaml"}
+    assert names(scanned.result) == FILES | {"captures", "merged.ply", "poses.yaml", "scan.log", "truth.yaml"}
     assert names(scanned.result / "captures") == {"1"}
     first = scanned.result / "captures" / "1"
     assert names(first) == FILES
@@ -105,11 +106,10 @@ def test_a_replay_with_an_earlier_result_finds_the_same(scanned: Scanned, tmp_pa
     config.write_text(CONFIG + "earlier: [result/captures/1]\n")
     out = tmp_path / "replayed"
     assert run("replay", scanned.result / "capture", "--config", config, "--out", out, "--quiet") == 0
-    assert names(out) == FILES | {"captures", "merged.ply", "scan.log"}
+    assert names(out) == FILES | {"captures", "merged.ply", "poses.yaml", "scan.log"}
     assert names(out / "captures/1") == FILES - {"capture"}
     live, replayed = (read_calibration(folder / "calibration.yaml") for folder in (scanned.result, out))
     assert np.allclose(replayed.camera.focal_px, live.camera.focal_px, rtol=1e-5)
     # The earlier capture's colours come from its recording.
-    clouds = [(folder / "captures/1/cloud.ply").read_bytes() for folder in (scanned.result, out)]
-    colours = [np.frombuffer(cloud.split(b"end_header\n", 1)[1], VERTEX)["rgb"] for cloud in clouds]
+    colours = [read_cloud(folder / "captures/1/cloud.ply").colours for folder in (scanned.result, out)]
     np.testing.assert_array_equal(colours[0], colours[1])

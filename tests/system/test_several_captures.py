@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.geometry.calibration import Calibration
-from calib.geometry.camera import Intrinsics
+from calib.geometry.camera import Intrinsics, Size
 from calib.geometry.matches import NO_FACE, Matches
 from calib.synthetic.captures import PAPER_PROJECTOR, SyntheticCapture, random_captures
 from scanner.commands.main import main
@@ -24,7 +24,7 @@ camera: {width: 2448, height: 2048, principal_point: {known: [1256.3, 1054.3]}}
 projector: {width: 854, height: 480}
 corner: {squareness_deg: 0}
 """
-SIZES = (2448, 2048), (854, 480)
+SIZES = Size(2448, 2048), Size(854, 480)
 
 pytestmark = pytest.mark.xdist_group("several captures")
 

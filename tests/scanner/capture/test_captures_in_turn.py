@@ -1,6 +1,6 @@
 """`scan --captures N`: who moves the rig, who is asked, and what is kept when a device fails."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from scanner.commands.main import main
 from scanner.configuration.schema import load_config
 from scanner.errors import InputError
 from scanner.reconstruction.earlier_captures import read_captures
-from scanner.results.records import Scan
+from scanner.results.stages import Decoded
 from scanner.ui.terminal import Terminal
 from tests.support.small_capture import SIZE
 
@@ -114,14 +114,14 @@ def unmoved(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_operator_is_asked_between_captures_and_may_stop(
     tmp_path: Path, config: Path, opened: list[SimulatedRigSettings], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    taken: list[Scan] = []
-    monkeypatch.setattr(pipeline, "reconstruct", lambda scan, *_, **__: taken.append(scan))
+    taken: list[Sequence[Decoded]] = []
+    monkeypatch.setattr(pipeline, "reconstruct", lambda captures, *_, **__: taken.append(captures))
     opened.extend([SimulatedRigSettings()] * 2)  # so that none of those to come breaks
     operator = Operator("", "q")
     pipeline.scan(load_config(config), tmp_path, operator, number=4)
     assert len(operator.questions) == 2
     assert "Capture 2 of 4 is done" in operator.questions[1]
-    assert [found.name for found in taken[0].captures] == ["Capture 1", "Capture 2"]
+    assert [found.name for found in taken[0]] == ["Capture 1", "Capture 2"]
     assert (tmp_path / "capture/capture.yaml").exists()
     assert (tmp_path / "captures/1/capture/capture.yaml").exists()
     assert not (tmp_path / "captures/2").exists()
@@ -155,7 +155,7 @@ def test_a_simulated_rig_steps_aside_by_itself() -> None:
     assert at_place(settings, 0) == settings
     assert at_place(settings, 3) == settings.model_copy(update={"pose": 5})
     assert at_place(settings, 5) == settings.model_copy(update={"pose": 7})
-    with pytest.raises(DeviceError, match=r"places 0 to 7; from rig\.pose 2 it cannot step aside 6 times"):
+    with pytest.raises(DeviceError, match=r"places 0 to 7; from pose 2 it cannot step aside 6 times"):
         at_place(settings, 6)
 
 

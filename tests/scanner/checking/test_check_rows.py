@@ -23,8 +23,7 @@ from scanner.decoding.decoder import Decoding
 from scanner.patterns.presets import PRESETS
 from scanner.patterns.projector_response import ProjectorResponse
 from scanner.pipeline import decode
-from scanner.reconstruction.calibrate import self_calibration
-from scanner.results.records import Scan
+from scanner.reconstruction.calibrate import label, solve
 from scanner.ui.terminal import Terminal
 from tests.support.check_bench import PERIOD_US, PROJECTOR, changed, config, rig_in, row
 
@@ -154,8 +153,8 @@ def test_a_response_that_clips_is_said() -> None:
 def test_the_predicted_sigma_is_that_of_the_scan(room: SimulatedRoom, usual: CheckReport) -> None:
     whole = changed(room, exposure_us=PERIOD_US)
     found = decode(capture(rig_in(whole), config().sequence.patterns(PROJECTOR)), QUIET, "")
-    self_calibration(Scan([found]), config())
-    truth = view.relative_sigmas(found.solution)
+    (solution,) = solve(label([found], [found]), config())
+    truth = view.relative_sigmas(solution)
     predicted = [float(word) / 100 for word in row(usual, "view").finding.split() if word[0].isdigit()]
     for sigma, device in zip(predicted, ("camera", "projector"), strict=True):
         assert 0.5 < sigma / truth[device] < 3

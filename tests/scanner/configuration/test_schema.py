@@ -7,6 +7,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calib.geometry.camera import Size
 from hw.settings import SimulatedRigSettings
 from scanner.configuration.schema import Config, load_config
 from scanner.errors import InputError
@@ -35,14 +36,14 @@ def test_the_default_room_is_the_rig_of_the_paper_at_half_resolution() -> None:
 
 
 def test_without_a_configuration_the_principal_point_is_near_the_centre() -> None:
-    point = load_config(None).principal_point((1000, 500))
+    point = load_config(None).principal_point(Size(1000, 500))
     assert point.px == (499.5, 249.5)
     assert point.sigma_px == 30
 
 
 def test_a_prior_has_the_sigma_that_is_given(tmp_path: Path) -> None:
     config = load(tmp_path, "camera: {principal_point: {prior: centre, sigma_px: 70}}")
-    assert config.principal_point((1000, 500)).sigma_px == 70
+    assert config.principal_point(Size(1000, 500)).sigma_px == 70
 
 
 def test_keys_of_the_sequence_override_its_preset(tmp_path: Path) -> None:
@@ -212,9 +213,9 @@ def test_what_a_command_needs_is_asked_for_by_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "words"), [((1224, 1024), "640 × 480.*1224 × 1024.*does not apply"), ((640, 480), "far outside")]
+    ("size", "words"), [(Size(1224, 1024), "640 × 480.*1224 × 1024.*does not apply"), (Size(640, 480), "far outside")]
 )
-def test_a_known_principal_point_must_fit_the_images(tmp_path: Path, size: tuple[int, int], words: str) -> None:
+def test_a_known_principal_point_must_fit_the_images(tmp_path: Path, size: Size, words: str) -> None:
     config = load(tmp_path, "camera: {width: 640, height: 480, principal_point: {known: [5000, 240]}}")
     with pytest.raises(InputError, match=words):
         config.principal_point(size)

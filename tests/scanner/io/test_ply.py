@@ -10,7 +10,7 @@ from calib.pointcloud.organised_cloud import Cloud, build_cloud
 from scanner.io.ply import write_ply
 from tests.support.cloud_scene import room
 
-_TYPES = {"float": "<f4", "uchar": "u1"}
+_TYPES = {"float": "<f4", "uchar": "u1", "int": "<i4"}
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +32,10 @@ def parse_ply(path: Path) -> tuple[list[str], NDArray[np.void]]:
 
 
 def test_what_is_written_is_the_cloud(cloud: Cloud, tmp_path: Path) -> None:
-    write_ply(tmp_path / "cloud.ply", cloud)
+    write_ply(tmp_path / "cloud.ply", cloud, match=cloud.match)
     lines, vertices = parse_ply(tmp_path / "cloud.ply")
-    assert vertices.dtype.names == ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue")
+    assert vertices.dtype.names == ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "match")
+    assert np.array_equal(vertices["match"], cloud.match[cloud.there])
     for names, values in (("x y z", cloud.points), ("nx ny nz", cloud.normals), ("red green blue", cloud.colours)):
         written = np.stack([vertices[name] for name in names.split()], axis=1)
         assert np.array_equal(written, values[cloud.there])

@@ -4,12 +4,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.geometry.camera import Size
 from calib.geometry.matches import Matches
 from scanner.errors import InputError
 from scanner.io.image_file import write_png
 from scanner.reconstruction.face_masks import label_by_masks, read_masks
 
-SIZE = (40, 30)
+SIZE = Size(40, 30)
 
 
 def draw_mask(folder: Path, name: str, columns: slice, shape: tuple[int, ...] = (30, 40), value: int = 255) -> None:

@@ -12,7 +12,7 @@ from calib.pointcloud.organised_cloud import Cloud, build_cloud
 from calib.self_calibration.rig import Profile, SelfCalibration
 from scanner.capture.facts import CaptureFacts
 from scanner.reconstruction.merge_clouds import consistency, merge
-from scanner.results.records import Findings, Scan
+from scanner.results.stages import Decoded, GivenMatches, SelfCalibrated
 from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
 
 
@@ -82,7 +82,7 @@ def test_a_capture_agrees_with_itself(cloud: Cloud, view: View) -> None:
     assert 5e-4 < np.median(consistency([cloud, cloud], [view, shifted], (0, 0))) < 3e-3
 
 
-def found_in(scene: Scene, cloud: Cloud, corner: Corner, photograph: np.ndarray | None) -> Findings:
+def found_in(scene: Scene, corner: Corner, photograph: np.ndarray | None) -> SelfCalibrated:
     baseline = scene.calibration.baseline
     solution = SelfCalibration(
         replace(scene.calibration, translation=scene.calibration.translation / baseline, unit="baseline"),
@@ -92,25 +92,17 @@ def found_in(scene: Scene, cloud: Cloud, corner: Corner, photograph: np.ndarray 
         0.1,
         "refined",
     )
-    sizes = (CAMERA.width, CAMERA.height), (PROJECTOR.width, PROJECTOR.height)
-    return Findings(
-        CaptureFacts(*sizes),
-        scene.matches,
-        solution=solution,
-        calibration=scene.calibration,
-        cloud=cloud,
-        photograph=photograph,
-    )
+    decoded = Decoded(CaptureFacts(CAMERA.size, PROJECTOR.size), scene.matches, GivenMatches(photograph))
+    return SelfCalibrated(decoded, solution, scene.calibration)
 
 
 def test_captures_are_merged_whatever_the_order_of_their_faces(scene: Scene, cloud: Cloud) -> None:
     corners = scene.corner, renumbered(scene.corner, 1)
-    scan = Scan([found_in(scene, cloud, corner, scene.texture) for corner in corners])
-    merge(scan)
-    assert scan.merged is not None
-    assert len(scan.merged.points) < cloud.there.sum()
-    assert "2 clouds are merged" in scan.remarks[-1]
-    assert "agree to" in scan.remarks[-1]
+    found, (remark,) = merge([found_in(scene, corner, scene.texture) for corner in corners], [cloud, cloud])
+    assert found is not None
+    assert len(found.points) < cloud.there.sum()
+    assert "2 clouds are merged" in remark
+    assert "agree to" in remark
 
 
 def test_without_evidence_there_is_no_merged_cloud(scene: Scene, cloud: Cloud) -> None:
@@ -118,17 +110,16 @@ def test_without_evidence_there_is_no_merged_cloud(scene: Scene, cloud: Cloud) -
     column, row = scene.matches.camera_px[scene.surface < 3].astype(int).T
     on_walls[row, column] = True
     bare = replace(cloud, points=np.where(on_walls[..., None], cloud.points, np.nan))
-    scan = Scan([found_in(scene, bare, scene.corner, None) for _ in range(2)])
-    merge(scan)
-    assert scan.merged is None
-    assert "looks the same from three sides" in scan.remarks[-1]
+    found, (remark,) = merge([found_in(scene, scene.corner, None) for _ in range(2)], [bare, bare])
+    assert found is None
+    assert "looks the same from three sides" in remark
 
 
 def test_different_corners_are_not_merged(scene: Scene, cloud: Cloud) -> None:
     legs = scene.corner.legs.copy()
     legs[0] += 0.002 * legs[1]
     other = Corner(scene.corner.vertex, legs / np.linalg.norm(legs, axis=1, keepdims=True))
-    scan = Scan([found_in(scene, cloud, corner, scene.texture) for corner in (scene.corner, other)])
-    merge(scan)
-    assert scan.merged is None
-    assert "do not show the same corner" in scan.remarks[-1]
+    captures = [found_in(scene, corner, scene.texture) for corner in (scene.corner, other)]
+    found, (remark,) = merge(captures, [cloud, cloud])
+    assert found is None
+    assert "do not show the same corner" in remark

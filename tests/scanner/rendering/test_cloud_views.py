@@ -21,9 +21,9 @@ def square(depth: float, side: int, colour: tuple[int, int, int], facing: float 
 def cloud_of(*parts: list[NDArray[np.float64]]) -> Cloud:
     points, colours, normals = (np.concatenate([part[i].reshape(1, -1, 3) for part in parts], axis=1) for i in range(3))
     nothing = np.full(points.shape[:2], np.nan, dtype=np.float32)
-    return Cloud(
-        points.astype(np.float32), colours.astype(np.uint8), normals.astype(np.float32), nothing, "m", STATISTICS
-    )
+    match = np.zeros(points.shape[:2], dtype=np.int32)
+    arrays = points.astype(np.float32), colours.astype(np.uint8), normals.astype(np.float32), nothing, match
+    return Cloud(*arrays, "m", STATISTICS)
 
 
 @pytest.fixture(scope="module")

@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 
 from calib.geometry.calibration import DeviceSigmas, Sigmas
+from calib.pointcloud.organised_cloud import Cloud
 from scanner.capture.facts import CaptureFacts
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns.pattern import sequence_for
 from scanner.quantities.calibration_numbers import Quantity, device_quantities
-from scanner.reporting.contents import ReportInput
+from scanner.reporting.contents import CaptureRow, Company, ReportInput
 from scanner.reporting.page import write_report
 from scanner.reporting.sections import describe_patterns, faces, mask
 from scanner.reporting.verdict import verdict
+from scanner.results.stages import Decoded, GivenCalibration, GivenMatches, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import Scene, room
-from tests.support.reports import SIZES, calibrated_report, refused_report
+from tests.support.reports import SIZES, calibrated_report, decoding_of, refused_report
 
 VOID = {"meta", "img", "br", "hr", "input", "link"}
 
@@ -69,6 +71,17 @@ def refused(scene: Scene) -> ReportInput:
     return refused_report(scene)
 
 
+def _calibrated(report: ReportInput) -> SelfCalibrated:
+    assert isinstance(report.outcome, Reconstructed)
+    assert isinstance(report.outcome.calibrated, SelfCalibrated)
+    return report.outcome.calibrated
+
+
+def _parts(report: ReportInput) -> tuple[Decoded, Cloud]:
+    assert isinstance(report.outcome, Reconstructed)
+    return report.outcome.decoded, report.outcome.cloud
+
+
 def page_of(report: ReportInput, folder: Path) -> tuple[str, Page]:
     write_report(folder / "report.html", report)
     html = (folder / "report.html").read_text(encoding="utf-8")
@@ -88,7 +101,7 @@ def refused_html(refused: ReportInput, tmp_path_factory: pytest.TempPathFactory)
 def test_it_tells_verdict_numbers_and_facts(calibrated_html: str) -> None:
     page = Page(calibrated_html)
     for expected in (
-        "A room",
+        "Camera 408 × 342",
         "Calibrated, well enough for a first look",
         "known to ± 1.3 %",
         "0.083 projector px",
@@ -135,10 +148,8 @@ def test_a_refusal_gives_reason_and_advice_and_no_numbers(refused_html: str) -> 
 
 
 def test_a_given_calibration_has_no_sigmas_and_no_profile(calibrated: ReportInput, tmp_path: Path) -> None:
-    assert calibrated.calibration is not None
-    given = replace(
-        calibrated, cloud=None, solution=None, truth=None, calibration=replace(calibrated.calibration, sigma=Sigmas())
-    )
+    decoded, cloud, unsure = *_parts(calibrated), replace(_calibrated(calibrated).calibration, sigma=Sigmas())
+    given = ReportInput(Reconstructed(GivenCalibration(decoded, unsure), cloud))
     _, page = page_of(given, tmp_path)
     assert "Reconstructed with the calibration that was given" in page.text
     assert "standard deviation" not in page.text
@@ -146,7 +157,10 @@ def test_a_given_calibration_has_no_sigmas_and_no_profile(calibrated: ReportInpu
 
 
 def test_matches_alone_make_a_report(calibrated: ReportInput, tmp_path: Path) -> None:
-    _, page = page_of(replace(calibrated, decoding=None, cloud=None, capture=CaptureFacts(*SIZES)), tmp_path)
+    decoded, cloud = _parts(calibrated)
+    bare = Decoded(CaptureFacts(*SIZES), decoded.matches, GivenMatches())
+    found = Reconstructed(replace(_calibrated(calibrated), decoded=bare), cloud)
+    _, page = page_of(ReportInput(found), tmp_path)
     assert "face C" in page.text
     assert "mask" not in page.ids()
 
@@ -180,20 +194,23 @@ def test_no_text_is_smaller_than_12_px(calibrated_html: str) -> None:
     assert widths == {int(width) for width in re.findall(r"min-width: (\d+)px", css)} & widths  # never drawn smaller
 
 
-def test_hostile_strings_stay_text(calibrated: ReportInput, tmp_path: Path) -> None:
+def test_hostile_strings_stay_text(calibrated: ReportInput, scene: Scene, tmp_path: Path) -> None:
     hostile = "</style><script>alert(1)</script>\"'><img src=x>{{ 7 * 7 }}"
-    assert calibrated.solution is not None
-    assert calibrated.calibration is not None
-    spoiled = replace(
-        calibrated,
-        title=hostile,
-        cloud=None,
-        capture=replace(calibrated.capture, identity={hostile: hostile}),
-        calibration=replace(calibrated.calibration, unit=hostile),
-        solution=replace(calibrated.solution, notes=(hostile,)),
-        warnings=(hostile,),
-        files=(hostile,),
+    found, (decoded, cloud) = _calibrated(calibrated), _parts(calibrated)
+    outcome = Reconstructed(
+        SelfCalibrated(
+            replace(
+                decoded,
+                facts=replace(decoded.facts, identity={hostile: hostile}),
+                origin=replace(decoding_of(scene), warnings=(hostile,)),
+            ),
+            replace(found.solution, notes=(hostile,)),
+            replace(found.calibration, unit=hostile),
+        ),
+        replace(cloud, unit=hostile),
     )
+    company = Company(2, (CaptureRow(hostile, "", 1, None, None),))
+    spoiled = ReportInput(outcome, files=(hostile,), company=company)
     html, page = page_of(spoiled, tmp_path)
     assert page.text.count(hostile) >= 6
     assert "<script>alert" not in html
@@ -212,7 +229,8 @@ def test_pictures_are_what_they_say(calibrated_html: str) -> None:
 
 
 def test_the_edges_of_the_right_corner_lie_between_the_faces(calibrated: ReportInput, scene: Scene) -> None:
-    drawn = faces(replace(calibrated, calibration=scene.calibration))
+    found = replace(_calibrated(calibrated), calibration=scene.calibration)
+    drawn = faces(ReportInput(Reconstructed(found, _parts(calibrated)[1])))
     assert drawn is not None
     assert len(drawn.overlay.edges) == 3
     face = np.full(scene.texture.shape[:2], -1)
@@ -232,8 +250,7 @@ def _around(points: np.ndarray) -> list[tuple[int, int]]:
 
 
 def test_shares_of_the_mask_reasons(calibrated: ReportInput) -> None:
-    assert calibrated.decoding is not None
-    found = mask(calibrated.decoding)
+    found = mask(_parts(calibrated)[0].decoding)
     assert found is not None
     assert found.legend[0].label == "matched"
     assert sum(float(entry.share.removesuffix(" %")) for entry in found.legend) == pytest.approx(100, abs=0.2)
@@ -242,19 +259,17 @@ def test_shares_of_the_mask_reasons(calibrated: ReportInput) -> None:
 @pytest.mark.parametrize(
     ("share", "words"), [(0.0, "0.0 %"), (1e-5, "< 0.1 %"), (0.25, "25.0 %"), (0.99999, "> 99.9 %"), (1.0, "100.0 %")]
 )
-def test_rounding_hides_nothing(calibrated: ReportInput, share: float, words: str) -> None:
-    assert calibrated.decoding is not None
+def test_rounding_hides_nothing(scene: Scene, share: float, words: str) -> None:
     reasons = np.full((1, 100_000), MaskReason.DARK, dtype=np.uint8)
     reasons[0, : round(share * reasons.size)] = MaskReason.KEPT
-    found = mask(replace(calibrated.decoding, reasons=reasons))
+    found = mask(replace(decoding_of(scene), reasons=reasons))
     assert found is not None
     assert {entry.label: entry.share for entry in found.legend}.get("matched", "0.0 %") == words
 
 
-def test_every_mask_reason_has_words_and_a_colour_of_its_own(calibrated: ReportInput) -> None:
-    assert calibrated.decoding is not None
+def test_every_mask_reason_has_words_and_a_colour_of_its_own(scene: Scene) -> None:
     reasons = np.array([[int(reason) for reason in MaskReason]], dtype=np.uint8)
-    found = mask(replace(calibrated.decoding, reasons=reasons))
+    found = mask(replace(decoding_of(scene), reasons=reasons))
     assert found is not None
     assert (
         len({entry.colour for entry in found.legend}) == len({entry.label for entry in found.legend}) == len(MaskReason)
@@ -271,22 +286,16 @@ def test_every_mask_reason_has_words_and_a_colour_of_its_own(calibrated: ReportI
     ],
 )
 def test_the_grade_follows_the_sigmas(calibrated: ReportInput, sigma: Sigmas, grade: str) -> None:
-    assert calibrated.calibration is not None
-    assert verdict(replace(calibrated, calibration=replace(calibrated.calibration, sigma=sigma))).grade == grade
+    found = _calibrated(calibrated)
+    changed = replace(found, calibration=replace(found.calibration, sigma=sigma))
+    assert verdict(ReportInput(Reconstructed(changed, _parts(calibrated)[1]))).grade == grade
 
 
 def test_rays_that_miss_in_a_pattern_are_pointed_out(calibrated: ReportInput) -> None:
-    assert calibrated.cloud is not None
-    statistics = replace(calibrated.cloud.statistics, calibration_px=1.5)
-    found = verdict(replace(calibrated, cloud=replace(calibrated.cloud, statistics=statistics)))
+    _, cloud = _parts(calibrated)
+    missing = replace(cloud, statistics=replace(cloud.statistics, calibration_px=1.5))
+    found = verdict(ReportInput(Reconstructed(_calibrated(calibrated), missing)))
     assert (found.grade, "errors that show" in found.headline) == ("fair", True)
-
-
-def test_a_report_is_of_a_calibration_or_of_a_refusal(calibrated: ReportInput, refused: ReportInput) -> None:
-    with pytest.raises(ValueError, match="not both"):
-        replace(calibrated, refusal=refused.refusal)
-    with pytest.raises(ValueError, match="not both"):
-        replace(refused, refusal=None)
 
 
 @pytest.mark.parametrize(
@@ -306,8 +315,7 @@ def test_numbers_show_two_digits_of_their_sigma(quantity: Quantity, value: str, 
 
 
 def test_quantities_against_the_truth(calibrated: ReportInput, scene: Scene) -> None:
-    assert calibrated.calibration is not None
-    focal = device_quantities("camera", calibrated.calibration, scene.calibration)[0]
+    focal = device_quantities("camera", _calibrated(calibrated).calibration, scene.calibration)[0]
     assert focal.error == pytest.approx(0.5)
     assert focal.error_sigmas == pytest.approx(0.125)
     assert focal.error_percent == pytest.approx(100 * 0.5 / 299)

@@ -1,7 +1,6 @@
 """The report as a person sees it: in Chromium, in light, in dark, on paper, with and without JavaScript."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +8,7 @@ import pytest
 
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.page import write_report
+from scanner.results.stages import Refused
 from tests.support.cloud_scene import room
 from tests.support.reports import calibrated_report, refused_report
 
@@ -68,7 +68,10 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     scene = room()
     folder = tmp_path_factory.mktemp("reports")
     kinds: dict[str, ReportInput] = {"calibrated": calibrated_report(scene), "refused": refused_report(scene)}
-    kinds["refused-with-faces"] = replace(kinds["refused"], matches=scene.matches)
+    refused = kinds["refused"].outcome
+    assert isinstance(refused, Refused)
+    with_faces = Refused(refused.decoded.with_matches(scene.matches, None), refused.refusal)
+    kinds["refused-with-faces"] = ReportInput(with_faces)
     for kind, report in kinds.items():
         write_report(folder / f"{kind}.html", report)
     return {kind: folder / f"{kind}.html" for kind in kinds}
@@ -180,7 +183,7 @@ def test_a_script_that_is_not_the_reports_does_not_run(
     page.on("console", lambda message: said.append(message.text))
     page.goto(spoiled.as_uri())
     page.locator(".viewer.live").wait_for()
-    assert page.title() == "A room"
+    assert page.title() == "Scan"
     assert any("Content Security Policy" in text for text in said)
     page.close()
 

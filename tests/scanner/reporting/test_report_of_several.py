@@ -18,11 +18,12 @@ from calib.pointcloud.organised_cloud import build_cloud
 from calib.refinement.parameters import SHARED, State
 from calib.self_calibration.rig import Profile, SelfCalibration
 from scanner.capture.facts import CaptureFacts
-from scanner.reporting.contents import CaptureRow, ReportInput
+from scanner.reporting.contents import CaptureRow, Company, ReportInput
 from scanner.reporting.focal import focal_length
 from scanner.reporting.page import write_report
 from scanner.reporting.uncertainty import point_sigmas, price_of_principal_point
 from scanner.reporting.verdict import verdict
+from scanner.results.stages import Decoded, GivenMatches, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
 
 SIGMA_F = 0.01
@@ -63,22 +64,13 @@ def report(scene: Scene) -> ReportInput:
     )
     cloud = build_cloud(scene.matches, scene.texture, calibration)
     view = View(cloud.points, None, CAMERA, solution.corner)
-    sizes = (CAMERA.width, CAMERA.height), (PROJECTOR.width, PROJECTOR.height)
-    return ReportInput(
-        CaptureFacts(*sizes),
-        scene.matches,
-        solution=solution,
-        calibration=calibration,
-        cloud=cloud,
-        photograph=scene.texture,
-        together=2,
-        captures=(
-            CaptureRow("capture 1", "captures/1/report.html", 1234, 0.0712, 0.05, 1200),
-            CaptureRow("capture <2>", "", 5678, None, None, None),
-        ),
-        merged=merged([cloud], [view], (0,)),
-        remarks=("The 2 clouds are merged.",),
+    decoded = Decoded(CaptureFacts(CAMERA.size, PROJECTOR.size), scene.matches, GivenMatches(scene.texture))
+    rows = (
+        CaptureRow("capture 1", "captures/1/report.html", 1234, 0.0712, cloud.statistics),
+        CaptureRow("capture <2>", "", 5678, None, None),
     )
+    company = Company(2, rows, merged([cloud], [view], (0,)), ("The 2 clouds are merged.",))
+    return ReportInput(Reconstructed(SelfCalibrated(decoded, solution, calibration), cloud), company=company)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +107,7 @@ def test_it_lists_the_captures_and_shows_their_cloud(page: str) -> None:
 
 
 def test_a_capture_alone_has_no_list(report: ReportInput, tmp_path: Path) -> None:
-    write_report(tmp_path / "report.html", replace(report, together=1, captures=(), merged=None, remarks=()))
+    write_report(tmp_path / "report.html", replace(report, company=Company()))
     alone = (tmp_path / "report.html").read_text()
     assert 'id="captures"' not in alone
     assert "captures together" not in alone
@@ -154,8 +146,11 @@ def test_the_price_of_the_principal_point(report: ReportInput) -> None:
 
 
 def test_a_method_without_sigmas_has_no_map(report: ReportInput) -> None:
-    assert report.solution is not None
-    assert point_sigmas(replace(report, solution=replace(report.solution, uncertainty=None))) is None
+    assert isinstance(report.outcome, Reconstructed)
+    assert isinstance(report.outcome.calibrated, SelfCalibrated)
+    unsure = replace(report.outcome.calibrated.solution, uncertainty=None)
+    calibrated = replace(report.outcome.calibrated, solution=unsure)
+    assert point_sigmas(replace(report, outcome=replace(report.outcome, calibrated=calibrated))) is None
 
 
 def test_the_papers_objective_is_lowest_near_the_truth_once_the_lenses_are_straight(report: ReportInput) -> None:
@@ -169,4 +164,4 @@ def test_the_papers_objective_is_lowest_near_the_truth_once_the_lenses_are_strai
 
 def test_the_advice_knows_how_many_captures_there_were(report: ReportInput) -> None:
     assert "A further capture" in verdict(report).advice
-    assert "three times" in verdict(replace(report, together=1)).advice
+    assert "three times" in verdict(replace(report, company=Company())).advice

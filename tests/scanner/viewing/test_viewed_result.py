@@ -17,7 +17,8 @@ from calib.refinement.parameters import SHARED, State
 from scanner.errors import InputError
 from scanner.io.calibration_file import read_calibration, write_calibration
 from scanner.io.ply import write_merged_ply
-from scanner.rendering import frustum_lines
+from scanner.io.poses_file import write_poses
+from scanner.rendering.cloud_views import frustum_lines
 from scanner.results.stated_uncertainty import confidence_entries
 from scanner.results.verdict import Verdict
 from scanner.viewing.colouring import Colouring, coloured, possible_colourings
@@ -28,7 +29,7 @@ from scanner.viewing.geometry import (
     ruler_lines,
     viewpoint,
 )
-from scanner.viewing.result import ALL_CAPTURES, ViewedCloud, ViewedResult
+from scanner.viewing.result import ALL_CAPTURES, CaptureCloud, ViewedResult
 from tests.support.cloud_scene import room
 from tests.support.result_folder import Written, write_result
 from tests.support.states import device_of
@@ -40,13 +41,15 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 
 @pytest.fixture(scope="module")
-def cloud(written: Written) -> ViewedCloud:
+def cloud(written: Written) -> CaptureCloud:
     result = ViewedResult(written.folder)
     assert result.names == ("The capture",)
-    return result.cloud("The capture")
+    shown = result.cloud("The capture")
+    assert isinstance(shown, CaptureCloud)
+    return shown
 
 
-def test_the_corner_is_where_it_is(written: Written, cloud: ViewedCloud) -> None:
+def test_the_corner_is_where_it_is(written: Written, cloud: CaptureCloud) -> None:
     assert cloud.corner is not None
     found, true = cloud.corner.corner, written.scene.corner
     assert 1e-7 < np.linalg.norm(found.vertex - true.vertex) < 0.001
@@ -55,22 +58,22 @@ def test_the_corner_is_where_it_is(written: Written, cloud: ViewedCloud) -> None
         assert 1e-6 < abs(angle.angle_deg - 90) < 0.05
 
 
-def test_outlines_begin_at_the_vertex_and_hold_their_points(written: Written, cloud: ViewedCloud) -> None:
+def test_outlines_begin_at_the_vertex_and_hold_their_points(written: Written, cloud: CaptureCloud) -> None:
     assert cloud.corner is not None
     for face, outline in enumerate(cloud.corner.outlines):
         origin, first, _, second = outline
         assert np.allclose(origin, cloud.corner.corner.vertex)
         edges = np.stack([first - origin, second - origin], axis=1)
-        points = cloud.points[cloud.scan.matches.face == face] - origin
+        points = cloud.points[cloud.matches.face == face] - origin
         share = np.linalg.lstsq(edges, points.T, rcond=None)[0]
         assert 0.98 < np.mean(np.all((share > -0.02) & (share <= 1), axis=0)) < 1
 
 
-def test_up_is_up(written: Written, cloud: ViewedCloud) -> None:
+def test_up_is_up(written: Written, cloud: CaptureCloud) -> None:
     assert cloud.up @ written.scene.corner.legs[2] > 0.9999  # the scene's z axis, and its camera is upright
 
 
-def test_the_first_view_shows_cloud_and_devices_from_behind_the_camera(cloud: ViewedCloud) -> None:
+def test_the_first_view_shows_cloud_and_devices_from_behind_the_camera(cloud: CaptureCloud) -> None:
     view = viewpoint(cloud)
     (rig,) = cloud.rigs
     forward = (view.target - view.position) / np.linalg.norm(view.target - view.position)
@@ -85,7 +88,7 @@ def test_the_first_view_shows_cloud_and_devices_from_behind_the_camera(cloud: Vi
     assert (view.position - rig.position) @ view.up > 0, "above it"
 
 
-def test_points_can_be_coloured_by_what_is_known(written: Written, cloud: ViewedCloud) -> None:
+def test_points_can_be_coloured_by_what_is_known(written: Written, cloud: CaptureCloud) -> None:
     assert possible_colourings(cloud) == tuple(Colouring)
     chosen = cloud.order[:1000]
     for colouring in Colouring:
@@ -93,18 +96,18 @@ def test_points_can_be_coloured_by_what_is_known(written: Written, cloud: Viewed
         assert told.colours.shape == (1000, 3)
         assert told.colours.dtype == np.uint8
         assert told.legend
-    face = cloud.scan.matches.face[chosen]
+    face = cloud.matches.face[chosen]
     colours = coloured(cloud, chosen, Colouring.FACES).colours
     assert len({tuple(colour) for colour in colours[face == 1]}) == 1
     assert len({tuple(colour) for colour in colours}) == len(np.unique(face))
 
 
-def test_the_sigma_of_depth_is_that_of_the_errors(written: Written, cloud: ViewedCloud) -> None:
+def test_the_sigma_of_depth_is_that_of_the_errors(written: Written, cloud: CaptureCloud) -> None:
     chosen = cloud.order[:5000]
     true = {
         tuple(pixel): point for pixel, point in zip(written.scene.matches.camera_px, written.scene.points, strict=True)
     }
-    depth = np.array([true[tuple(pixel)][2] for pixel in cloud.scan.matches.camera_px[chosen]])
+    depth = np.array([true[tuple(pixel)][2] for pixel in cloud.matches.camera_px[chosen]])
     errors = (cloud.points[chosen, 2] - depth) / cloud.depth_sigma(chosen)
     # Of the two coordinates' noise, the part along the epipolar line moves the point.
     assert 0.9 < np.sqrt(np.mean(errors**2)) < 1.1
@@ -130,10 +133,11 @@ def test_the_sigma_of_depth_contains_the_calibrations(tmp_path: Path) -> None:
     result = ViewedResult(written.folder)
     assert result.verdict == Verdict("good", "Well", ("so",))
     cloud = result.cloud("The capture")
+    assert isinstance(cloud, CaptureCloud)
     chosen = cloud.order[:2000]
-    noise = np.sqrt(point_covariances(cloud.scan.matches[chosen], calibration)[:, 2, 2])
+    noise = np.sqrt(point_covariances(cloud.matches[chosen], calibration)[:, 2, 2])
     camera = replace(calibration.camera, focal_px=(1.001 * calibration.camera.focal_px[0],) * 2)
-    moved = intersect(cloud.scan.matches[chosen], replace(calibration, camera=camera)).points[:, 2]
+    moved = intersect(cloud.matches[chosen], replace(calibration, camera=camera)).points[:, 2]
     expected = np.hypot(noise, moved - cloud.points[chosen, 2])
     assert np.median(expected / noise) > 2
     ratio = cloud.depth_sigma(chosen) / expected
@@ -162,19 +166,26 @@ def edit_matches() -> Callable[..., None]:
     return edit
 
 
-@pytest.mark.parametrize("turn", [0, 1, 2])
-def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path, turn: int) -> None:
+@pytest.mark.parametrize(("turn", "known"), [(0, True), (1, True), (2, False)])
+def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path, turn: int, known: bool) -> None:
+    """By their poses, which older results did not hold."""
     written = write_result(tmp_path / "room")
     scene = room()
     calibration = replace(scene.calibration, unit="m")
     cloud = build_cloud(scene.matches, scene.texture, calibration)
     view = View(cloud.points, None, calibration.camera, scene.corner)
-    write_merged_ply(tmp_path / "room" / "merged.ply", merged([cloud], [view], (turn,)))
+    in_corner = merged([cloud], [view], (turn,))
+    write_merged_ply(written.folder / "merged.ply", in_corner)
+    if known:
+        write_poses(written.folder / "poses.yaml", in_corner.from_cameras)
     result = ViewedResult(written.folder)
     assert result.names == (ALL_CAPTURES, "The capture")
     found = result.cloud(ALL_CAPTURES)
     (rig,) = found.rigs
-    assert np.linalg.norm(rig.position - view.in_corner(np.zeros((1, 3)), turn)[0]) < 0.002
+    off = np.linalg.norm(rig.position - view.in_corner(np.zeros((1, 3)), turn)[0])
+    assert off == 0 if known else 0 < off < 0.002
+    assert found.corner is not None
+    assert np.abs(rig.to_cloud(found.corner.corner.vertex)).max() < 0.002  # the origin of the merged cloud
     assert abs(found.up[2]) == 1
     assert possible_colourings(found) == (Colouring.CAMERA,)
     with pytest.raises(ValueError, match="cannot be coloured"):

@@ -1,0 +1,38 @@
+"""Results of versions that wrote less: what their files do not say is found again."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calib.geometry import Calibration, Corner, Matches, intersect
+from calib.numerics import Bools, Floats, Ints
+
+# Coordinates in the cloud are rounded to 24 bits; relative to a point's distance this is far more than that.
+_SAME_POINT = 1e-5
+
+
+def same_points(points: Floats, others: Floats) -> Bools:
+    """Which points (N, 3) of a file are those others, (N,), but for the file's rounding."""
+    apart = np.linalg.norm(others - points, axis=1)
+    same: Bools = apart <= _SAME_POINT * np.linalg.norm(points, axis=1)
+    return same
+
+
+def find_matches(points: Floats, matches: Matches, calibration: Calibration) -> Ints | None:
+    """Which match each point (N, 3) was triangulated from, (N,), or None if there is a point that none gives."""
+    met = intersect(matches, calibration)
+    usable = np.flatnonzero(met.in_front)
+    if not len(usable):
+        return None
+    nearest = usable[cKDTree(met.points[usable]).query(points)[1]]
+    return nearest if np.all(same_points(points, met.points[nearest])) else None
+
+
+def place_camera(points: Floats, corner: Corner, merged: Floats) -> Floats:
+    """The pose (3, 4) of a camera in the merged cloud's frame, which is the corner's: its axes are numbered as fits
+    `points` (N, 3) of the camera's frame to the points of the `merged` cloud (M, 3) best.
+    """
+    turned = [np.roll(corner.axes, turn, axis=0) for turn in range(3)]
+    tree = cKDTree(merged)
+    misses = [np.median(tree.query((points - corner.vertex) @ rotation.T)[0]) for rotation in turned]
+    rotation: Floats = turned[int(np.argmin(misses))]
+    return np.column_stack([rotation, -rotation @ corner.vertex])

@@ -1,0 +1,183 @@
+"""How far a capture has come: decoded → calibrated → reconstructed, or refused on the way. Nothing here changes.
+
+What is captured is `scanner.capture.Stream`; its frames are gone once they are decoded, and `CaptureFacts` stay. Each
+stage holds the one before it. What all captures of a scan have in common is in `Scan`.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+from calib.geometry import Calibration, Corner, Matches
+from calib.numerics import Image, Ints
+from calib.pointcloud import Cloud, MergedCloud
+from calib.refusal import RefusalError
+from calib.self_calibration import SelfCalibration
+from scanner.capture import CaptureFacts
+from scanner.decoding import Decoding
+
+
+@dataclass(frozen=True)
+class GivenMatches:
+    """Matches that were not decoded here: `photograph` is the lit scene, None where there is no picture of it."""
+
+    photograph: Image | None = None
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """A capture as matches, which carry face labels as soon as these are known; `origin` says where they come from.
+
+    `plane` (N,) is which plane each match is on, as of `Faces`, where the faces were found and not given. `name` says
+    in messages which of several captures it is.
+    """
+
+    facts: CaptureFacts
+    matches: Matches
+    origin: Decoding | GivenMatches
+    name: str = ""
+    plane: Ints | None = None
+
+    @property
+    def decoding(self) -> Decoding | None:
+        """What the decoder found; None where the matches were given."""
+        return self.origin if isinstance(self.origin, Decoding) else None
+
+    @property
+    def texture(self) -> Image | None:
+        """The camera's image of the lit scene."""
+        match self.origin:
+            case Decoding(texture=texture):
+                return texture
+            case GivenMatches(photograph=photograph):
+                return photograph
+
+    def with_matches(self, matches: Matches, plane: Ints | None) -> "Decoded":
+        """The same capture, of whose matches more is known."""
+        return replace(self, matches=matches, plane=plane)
+
+
+@dataclass(frozen=True)
+class SelfCalibrated:
+    """`solution` is in baselines; `calibration` is the same with its scale."""
+
+    decoded: Decoded
+    solution: SelfCalibration
+    calibration: Calibration
+
+    @property
+    def corner(self) -> Corner:
+        """The corner in the camera's frame and the calibration's unit."""
+        corner = self.solution.corner
+        return Corner(corner.vertex * self.calibration.baseline, corner.legs)
+
+
+@dataclass(frozen=True)
+class GivenCalibration:
+    """The operator gave the calibration: no face was looked for."""
+
+    decoded: Decoded
+    calibration: Calibration
+
+
+Calibrated = SelfCalibrated | GivenCalibration
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """The last stage."""
+
+    calibrated: Calibrated
+    cloud: Cloud
+
+    @property
+    def decoded(self) -> Decoded:
+        """The capture as matches."""
+        return self.calibrated.decoded
+
+    @property
+    def calibration(self) -> Calibration:
+        """The one in use, with its scale."""
+        return self.calibrated.calibration
+
+    @property
+    def solution(self) -> SelfCalibration | None:
+        """What calibrated it; None where the calibration was given."""
+        return solution_of(self)
+
+
+Stage = Decoded | SelfCalibrated | GivenCalibration | Reconstructed
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A capture that got as far as `reached`, of a scan that was refused."""
+
+    reached: Stage
+    refusal: RefusalError
+
+    @property
+    def decoded(self) -> Decoded:
+        """The capture as matches."""
+        return decoded_of(self.reached)
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Captures of one unchanged rig, oldest first; mostly it is only one."""
+
+    captures: tuple[Reconstructed, ...]
+    merged: MergedCloud | None = None
+    remarks_on_merging: tuple[str, ...] = ()
+
+    @property
+    def newest(self) -> Reconstructed:
+        """The capture that the result is about; the others help to calibrate it."""
+        return self.captures[-1]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a person should know about it, in sentences."""
+        return (*remarks_on(self.newest), *self.remarks_on_merging)
+
+
+def decoded_of(stage: Stage) -> Decoded:
+    """The capture as matches, whatever else is known of it."""
+    return stage if isinstance(stage, Decoded) else stage.decoded
+
+
+def solution_of(stage: Stage) -> SelfCalibration | None:
+    """What calibrated the capture; None where nothing has, or the calibration was given."""
+    match stage:
+        case SelfCalibrated(solution=solution) | Reconstructed(SelfCalibrated(solution=solution)):
+            return solution
+        case _:
+            return None
+
+
+def remarks_on(stage: Stage) -> tuple[str, ...]:
+    """What a person should know about the decoding and the calibration, in sentences."""
+    decoding, solution = decoded_of(stage).decoding, solution_of(stage)
+    return (*(decoding.warnings if decoding else ()), *(solution.notes if solution else ()))
+
+
+def titles_of(captures: Sequence[Decoded]) -> tuple[str, ...]:
+    """The captures' numbers, as notes have them, and where they come from if they were not taken just now."""
+    if captures[-1].facts.photos:
+        return tuple(capture.name for capture in captures)
+    numbers = [f"Capture {number}" for number in range(1, len(captures) + 1)]
+    return tuple(
+        number if capture.name in ("", number) else f"{number}: {capture.name}"
+        for number, capture in zip(numbers, captures, strict=True)
+    )
+
+
+@contextmanager
+def naming(capture: Decoded, *, among: int) -> Iterator[None]:
+    """A RefusalError in the block says which of several captures it is about."""
+    try:
+        yield
+    except RefusalError as refusal:
+        if among == 1:
+            raise
+        raise RefusalError(f"{capture.name}: {refusal.reason}", refusal.advice) from refusal
