@@ -2,21 +2,15 @@
 
 from argparse import Namespace
 
-from scanner import pipeline
+from scanner import jobs
 from scanner.commands.outcome import show_outcome
 from scanner.configuration import load_config
-from scanner.reconstruction import read_captures, refuse_impossible
-from scanner.results import new_result
 from scanner.ui import Terminal
 
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError, RefusalError."""
-    config = load_config(args.config, args.set)
-    config.principal_point(config.camera_size)
-    captures = read_captures(args.matches, config.camera_size, config.projector_size)
-    refuse_impossible(config, len(captures))
     terminal = Terminal(quiet=args.quiet)
-    with new_result(args.out, config, overwrite=args.overwrite) as folder:
-        scan = pipeline.reconstruct(captures, config, folder, terminal)
-    show_outcome(scan, args.out, terminal)
+    config = load_config(args.config, args.set)
+    found = jobs.calibrate(args.matches, config, args.out, overwrite=args.overwrite, terminal=terminal)
+    show_outcome(found, args.out, terminal)

@@ -1,0 +1,113 @@
+"""The program's jobs as functions: what the commands do, and what other programs can call.
+
+    from scanner import load_config, scan
+    found = scan(load_config(Path("configs/room-sim.yaml")), Path("scans/room"))
+    found.newest.calibration.camera.focal_px
+
+A result is left in `out`, whole or not at all; also after RefusalError, with the reason in its report.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from calib.geometry import Calibration
+from scanner import pipeline
+from scanner.capture import Recording, check_places, open_capture
+from scanner.configuration import Config
+from scanner.errors import InputError
+from scanner.io import read_calibration
+from scanner.reconstruction import read_captures, read_masks, refuse_impossible
+from scanner.results import Scan, new_result
+from scanner.ui import Terminal
+
+_SILENT = Terminal(quiet=True)
+
+
+def scan(
+    config: Config,
+    out: Path,
+    *,
+    captures: int = 1,
+    masks: Path | None = None,
+    overwrite: bool = False,
+    terminal: Terminal = _SILENT,
+) -> Scan:
+    """Scan with the configured rig: capture, calibrate, reconstruct.
+
+    `captures` of the corner, between which the rig is moved as a whole. Raises InputError, DeviceError, RefusalError.
+    """
+    # Whatever could be refused after the capture is asked before it.
+    config.principal_point(config.camera_size)
+    if captures < 1:
+        raise InputError(f"--captures: expected 1 or more, found {captures}")
+    if masks and captures > 1:
+        raise InputError("--masks are of one view of the corner, and --captures takes several: give one of them")
+    drawn = read_masks(masks, config.camera_size) if masks else None
+    check_places(config.required_rig, captures, terminal)
+    earlier = read_captures(config.earlier, config.camera_size, config.projector_size)
+    refuse_impossible(config, len(earlier) + captures)
+    with new_result(out, config, overwrite=overwrite, keep_capture=True) as folder:
+        return pipeline.scan(config, folder, terminal, number=captures, masks=drawn, earlier=earlier)
+
+
+def replay(
+    capture: Path,
+    out: Path,
+    *,
+    config: Config | None = None,
+    calibration: Path | None = None,
+    masks: Path | None = None,
+    overwrite: bool = False,
+    terminal: Terminal = _SILENT,
+) -> Scan:
+    """Reconstruct from a recorded capture, whoever made it; with a `calibration` nothing is calibrated.
+
+    Raises InputError, RefusalError.
+    """
+    if masks and calibration:
+        raise InputError("--masks says where to calibrate and --calibration that there is no need to: give one of them")
+    settings = config or Config()
+    recording = open_capture(capture)
+    settings.principal_point(recording.camera_size)
+    drawn = read_masks(masks, recording.camera_size) if masks else None
+    known = _calibration_for(recording, calibration, settings) if calibration else None
+    earlier = read_captures(settings.earlier, recording.camera_size, recording.projector_size)
+    refuse_impossible(settings, len(earlier) + 1)
+    with new_result(out, settings, overwrite=overwrite) as folder:
+        if known:
+            return pipeline.replay_calibrated(recording, known, settings, folder, terminal)
+        return pipeline.replay(recording, settings, folder, terminal, masks=drawn, earlier=earlier)
+
+
+def calibrate(
+    matches: Sequence[Path], config: Config, out: Path, *, overwrite: bool = False, terminal: Terminal = _SILENT
+) -> Scan:
+    """Calibrate from matches files or result folders of one unchanged rig, the newest last, and reconstruct.
+
+    Raises InputError, RefusalError.
+    """
+    config.principal_point(config.camera_size)
+    captures = read_captures(matches, config.camera_size, config.projector_size)
+    refuse_impossible(config, len(captures))
+    with new_result(out, config, overwrite=overwrite) as folder:
+        return pipeline.reconstruct(captures, config, folder, terminal)
+
+
+def _calibration_for(recording: Recording, path: Path, config: Config) -> Calibration:
+    """A calibration that was given for a recording. Raises InputError if it is of another rig."""
+    calibration = read_calibration(path)
+    for name, device, expected in (
+        ("camera", calibration.camera, recording.camera_size),
+        ("projector", calibration.projector, recording.projector_size),
+    ):
+        if device.size != expected:
+            raise InputError(
+                f"{path}: its {name} is {device.size}, but the capture's is {expected}: this calibration belongs to "
+                "another rig"
+            )
+    if config.earlier:
+        raise InputError(
+            "'earlier' says what to calibrate together with, and --calibration that there is no need to: give one "
+            "of them, as with --set earlier=[]"
+        )
+    return calibration
