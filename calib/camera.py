@@ -136,7 +136,7 @@ class Intrinsics:
         normalised = distorted.copy("K")
         for _ in range(_NEWTON_STEPS):
             error = self.distort(normalised) - distorted
-            (a, b), (c, d) = self._distortion_jacobian(normalised)
+            (a, b), (c, d) = self.distortion_jacobian(normalised)
             determinant = a * d - b * c
             with np.errstate(divide="ignore", invalid="ignore"):
                 step = np.stack(
@@ -154,11 +154,17 @@ class Intrinsics:
     def _inverted(self, normalised: Floats, distorted: Floats) -> Bools:
         with np.errstate(invalid="ignore"):
             residual = np.abs(self.distort(normalised) - distorted).max(axis=-1)
-            (a, b), (c, d) = self._distortion_jacobian(normalised)
-            inverted: Bools = (residual < 1e-9) & (a * d - b * c > 0) & (a + d > 0)
+            inverted: Bools = (residual < 1e-9) & self.is_invertible(normalised)
         return inverted
 
-    def _distortion_jacobian(self, normalised: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    def is_invertible(self, normalised: Floats) -> Bools:
+        """Whether ideal coordinates (..., 2) are within the lens's monotonic range, (...)."""
+        (a, b), (c, d) = self.distortion_jacobian(normalised)
+        invertible: Bools = (a * d - b * c > 0) & (a + d > 0)
+        return invertible
+
+    def distortion_jacobian(self, normalised: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        """Rows of the derivative of `distort` by ideal coordinates (..., 2), each number (...)."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = normalised[..., 0], normalised[..., 1]
         r2 = x * x + y * y

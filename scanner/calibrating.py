@@ -12,6 +12,7 @@ from calib.refusal import RefusalError
 from calib.selfcalibration import SelfCalibration, self_calibrate, self_calibrate_jointly
 from scanner.cloud import CloudStatistics
 from scanner.config import Config
+from scanner.decode import Decoding, MaskReason
 from scanner.errors import InputError
 from scanner.findings import Findings, Scan
 from scanner.masks import label_by_masks
@@ -22,6 +23,10 @@ _LARGEST_MISS_OF_WIDTH = 0.01
 _LARGEST_MISFIT_PX = 0.5
 _LARGEST_MISFIT_OF_NOISE = 2.0
 _FEWEST_FOR_A_HOMOGRAPHY = 4
+_OF_ANOTHER_RIG = "Check that it belongs to this rig, and that nothing has moved since it was made."
+# Wrong stripes and reflections are fewer; a calibration of another rig, or stripes along the baseline, concern most.
+_MOST_UNCROSSED = 0.5
+_OF_CROSSINGS = (MaskReason.KEPT, MaskReason.ALONG_EPIPOLAR_LINE, MaskReason.OUTSIDE)
 
 
 def refuse_impossible(config: Config, count: int) -> None:
@@ -103,13 +108,33 @@ def refuse_few(matches: Matches, advice: str) -> None:
 
 def refuse_foreign(statistics: CloudStatistics, projector_size: tuple[int, int]) -> None:
     """Raise RefusalError if, by a given calibration, no rays meet, or all miss by more than lenses explain."""
-    advice = "Check that it belongs to this rig, and that nothing has moved since it was made."
     if statistics.kept == 0:
-        raise RefusalError("The calibration puts no point in front of both camera and projector.", advice)
+        raise RefusalError("The calibration puts no point in front of both camera and projector.", _OF_ANOTHER_RIG)
     if statistics.calibration_px > _LARGEST_MISS_OF_WIDTH * projector_size[0]:
         raise RefusalError(
             f"With this calibration, rays that should meet miss by {statistics.calibration_px:.0f} projector pixels.",
-            advice,
+            _OF_ANOTHER_RIG,
+        )
+
+
+def refuse_uncrossed(decoding: Decoding) -> None:
+    """Raise RefusalError if only one axis was measured, and most epipolar lines do not cross the stripes seen."""
+    axis = decoding.only_axis
+    if axis is None:
+        return
+    counts = {reason: int(np.count_nonzero(decoding.reasons == reason)) for reason in _OF_CROSSINGS}
+    seen = sum(counts.values())
+    if counts[MaskReason.ALONG_EPIPOLAR_LINE] > _MOST_UNCROSSED * seen:
+        raise RefusalError(
+            f"Patterns vary along {axis} only, and their stripes run along the epipolar lines of this calibration at "
+            f"{counts[MaskReason.ALONG_EPIPOLAR_LINE] / seen:.0%} of the pixels, so that they tell no distance.",
+            f"Project patterns along {'y' if axis == 'x' else 'x'} instead, or along both.",
+        )
+    if counts[MaskReason.OUTSIDE] > _MOST_UNCROSSED * seen:
+        raise RefusalError(
+            f"With this calibration, {counts[MaskReason.OUTSIDE] / seen:.0%} of the pixels cannot see the stripe that "
+            "they see: their epipolar lines cross it outside of the projector's image, or behind a device.",
+            _OF_ANOTHER_RIG,
         )
 
 

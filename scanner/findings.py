@@ -19,6 +19,7 @@ from scanner.confidence import confidence_entries
 from scanner.decode import Decoding
 from scanner.matches_file import MATCHES_FILE, write_matches
 from scanner.merged_cloud import MergedCloud
+from scanner.patterns import Axis
 from scanner.ply import write_merged_ply, write_ply
 from scanner.report import CaptureFacts, CaptureRow, ReportInput, write_report
 from scanner.reporting.verdict import verdict
@@ -62,6 +63,11 @@ class Findings:
     def remarks(self) -> tuple[str, ...]:
         """What a person should know about the decoding and the calibration, in sentences."""
         return (*(self.decoding.warnings if self.decoding else ()), *(self.solution.notes if self.solution else ()))
+
+    @property
+    def only_axis(self) -> Axis | None:
+        """The only axis along which the projector's coordinate was measured, if so."""
+        return self.decoding.only_axis if self.decoding else None
 
 
 @dataclass
@@ -127,7 +133,9 @@ def save(scan: Scan, folder: Path, refusal: RefusalError | None = None) -> None:
         written = []
         for place, found in zip(places, scan.captures, strict=True):
             place.mkdir(parents=True, exist_ok=True)
-            written.append(pool.submit(write_matches, place / MATCHES_FILE, found.matches, found.plane))
+            written.append(
+                pool.submit(write_matches, place / MATCHES_FILE, found.matches, found.plane, found.only_axis)
+            )
             if refusal is None and found.calibration and found.cloud:
                 written.append(pool.submit(write_ply, place / CLOUD_FILE, found.cloud))
         if scan.merged is not None and refusal is None:

@@ -12,7 +12,7 @@ from scanner.calibration_file import read_calibration
 from scanner.errors import InputError
 from scanner.findings import Findings
 from scanner.images import read_image
-from scanner.matches_file import MATCHES_FILE, read_matches, read_planes
+from scanner.matches_file import MATCHES_FILE, read_matches, read_planes, refuse_one_axis
 from scanner.patterns import White
 from scanner.recording import CAPTURE_FILE, Recording, open_capture
 from scanner.report import CaptureFacts
@@ -56,6 +56,7 @@ def _places(path: Path) -> Iterator[Path]:
 
 def _read(place: Path, camera_size: Size, projector_size: Size) -> Findings:
     matches = read_matches(place)
+    refuse_one_axis(place)
     texture = None
     if place.is_dir():
         texture = _check_result(place, camera_size, projector_size)

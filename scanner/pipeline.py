@@ -13,7 +13,7 @@ from calib.calibration import Calibration
 from calib.refusal import RefusalError
 from hw.open_rig import open_rig
 from hw.settings import RigSettings
-from scanner.calibrating import refuse_foreign, refuse_misfit, self_calibration
+from scanner.calibrating import refuse_foreign, refuse_misfit, refuse_uncrossed, self_calibration
 from scanner.calibration_file import write_calibration
 from scanner.capture import Stream, capture
 from scanner.cloud import build_cloud
@@ -78,7 +78,7 @@ def replay(
 ) -> Scan:
     """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
     recording.copy_to(folder / CAPTURE_FOLDER)
-    found = decode(recording.stream(), terminal, "Decoding")
+    found = decode(recording.stream(), terminal, "Decoding", calibration)
     found.name = str(recording.folder)
     return reconstruct(Scan([*earlier, found]), config, folder, terminal, masks=masks, calibration=calibration)
 
@@ -88,9 +88,9 @@ def calibrate(captures: Sequence[Findings], config: Config, folder: Path, termin
     return reconstruct(Scan(captures), config, folder, terminal)
 
 
-def decode(stream: Stream, progress: Progress, what: str) -> Findings:
-    """Frames as they come → matches; no frame is kept."""
-    decoder = Decoder(stream.patterns, stream.projector_size)
+def decode(stream: Stream, progress: Progress, what: str, calibration: Calibration | None = None) -> Findings:
+    """Frames as they come → matches; no frame is kept. With a calibration one axis is enough."""
+    decoder = Decoder(stream.patterns, stream.projector_size, calibration)
     exposures_us = []
     for _, frame in progress.track(stream.frames, len(stream.patterns), what):
         decoder.add(frame.image, frame.exposure_us)
@@ -143,6 +143,8 @@ def triangulate(found: Findings, calibration: Calibration) -> None:
     found.calibration = calibration
     found.cloud = build_cloud(found.matches, found.texture, calibration)
     if not found.solution:
+        if found.decoding:
+            refuse_uncrossed(found.decoding)
         refuse_foreign(found.cloud.statistics, found.facts.projector_size)
     elif found.solution.method == "refined":  # the paper's method leaves out lenses, so a misfit is to be expected
         refuse_misfit(found.cloud.statistics)

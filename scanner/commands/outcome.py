@@ -16,6 +16,8 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
     terminal.show(calibration_table(newest.calibration, newest.truth))
     if newest.truth:
         terminal.show(truth_line(newest.calibration, newest.truth))
+    if newest.only_axis:
+        terminal.show(f"Note: only {newest.only_axis} was measured; nothing checks whether the calibration fits.")
     for remark in scan.remarks:
         terminal.show(f"Note: {remark}")
     for title, found in zip(scan.titles, scan.captures, strict=True):

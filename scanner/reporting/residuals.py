@@ -87,9 +87,9 @@ def _off_the_corner(matches: Matches, calibration: Calibration, corner: Corner) 
 
 
 def misses(report: ReportInput) -> Misses | None:
-    """Where and how far the rays of the matches miss each other."""
+    """Where and how far the rays of the matches miss each other; None where nothing was measured that could miss."""
     cloud = report.cloud
-    if cloud is None or not np.isfinite(cloud.residual_px).any():
+    if cloud is None or not np.isfinite(cloud.residual_px).any() or _meet_by_construction(report):
         return None
     statistics = cloud.statistics
     limit = _shown_range(report, cloud)
@@ -107,6 +107,11 @@ def misses(report: ReportInput) -> Misses | None:
         found is not None and found.structured,
     )
     return Misses(residuals, statistics, _fates(statistics))
+
+
+def _meet_by_construction(report: ReportInput) -> bool:
+    """Whether one coordinate was put on the epipolar line instead of being measured."""
+    return report.decoding is not None and report.decoding.only_axis is not None
 
 
 def statement(found: SpatialCorrelation | None) -> str:

@@ -37,6 +37,7 @@ _REASONS = {
     MaskReason.OUTSIDE: ("a code that no projector pixel has", maps.SKY_BLUE),
     MaskReason.ISOLATED: ("at an occlusion edge, or alone", maps.ORANGE),
     MaskReason.INDIRECT: ("lit more by other surfaces than by the projector", maps.BLUE),
+    MaskReason.ALONG_EPIPOLAR_LINE: ("stripes along the epipolar line, which tell no distance", maps.ORANGE),
 }
 
 

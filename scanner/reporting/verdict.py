@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.calibration import Calibration
 from scanner.cloud import CloudStatistics
+from scanner.patterns import Axis
 from scanner.quantities import intrinsic_errors_percent, percent
 from scanner.reporting.contents import ReportInput
 
@@ -34,6 +35,7 @@ _LOOK_AT_THE_MISSES = (
     "The rays miss each other in a pattern, see “Do the rays meet?”. Use 'method: refined', which knows lens "
     "distortion, or capture the corner again from another place."
 )
+_BOTH_AXES = "To see whether the calibration still fits, project patterns along the other axis as well."
 _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and that nothing has moved since it was made."
 
 
@@ -59,6 +61,9 @@ def verdict(report: ReportInput) -> Verdict:
 
 
 def _of_given(report: ReportInput) -> Verdict:
+    axis = report.decoding.only_axis if report.decoding else None
+    if axis is not None:
+        return _of_one_axis(report, axis)
     reasons = ["The calibration was taken as it is; only its agreement with the matches was checked."]
     if report.cloud is not None:
         reasons += _about_cloud(report.cloud.statistics, report.capture.pixels)
@@ -66,6 +71,17 @@ def _of_given(report: ReportInput) -> Verdict:
         headline = "Reconstructed with a calibration that does not quite fit"
         return Verdict("fair", headline, tuple(reasons), _CHECK_THE_CALIBRATION)
     return Verdict("good", "Reconstructed with the calibration that was given", tuple(reasons))
+
+
+def _of_one_axis(report: ReportInput, axis: Axis) -> Verdict:
+    other = "y" if axis == "x" else "x"
+    reasons = [
+        f"Only {axis} was measured. {other} is where the calibration's epipolar line crosses the stripe that a pixel "
+        "sees, so that the rays of every match meet: that says nothing about the calibration, which was taken as it is."
+    ]
+    if report.cloud is not None and report.cloud.statistics.matched:
+        reasons.append(_about_points(report.cloud.statistics))
+    return Verdict("fair", "Reconstructed with a calibration that nothing checks", tuple(reasons), _BOTH_AXES)
 
 
 def _misses_systematically(report: ReportInput) -> bool:
@@ -113,9 +129,13 @@ def _about_cloud(statistics: CloudStatistics, pixels: str) -> Iterator[str]:
     source = "the decoder" if pixels == "projector px" else "the features"
     if not statistics.matched:
         return
-    kept = percent(statistics.kept / statistics.matched)
-    yield f"{statistics.kept:,} of {statistics.matched:,} matches ({kept}) became points of the cloud."
+    yield _about_points(statistics)
     yield (
         f"The two rays of a match miss each other by {statistics.decoder_px:.2g} {pixels} at random ({source}) "
         f"and by {statistics.calibration_px:.2g} px in a smooth pattern (the calibration)."
     )
+
+
+def _about_points(statistics: CloudStatistics) -> str:
+    kept = percent(statistics.kept / statistics.matched)
+    return f"{statistics.kept:,} of {statistics.matched:,} matches ({kept}) became points of the cloud."
