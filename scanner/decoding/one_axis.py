@@ -8,14 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Bools, Image
-from calib.calibration import Calibration
-from calib.epipolar_line import cross_epipolar_lines
-from calib.parallel import in_slices
-from scanner.decoding.cells import CellMatches, average_cells
-from scanner.decoding.maps import Maps
-from scanner.decoding.plan import AxisPlan, SequencePlan
-from scanner.decoding.reasons import MaskReason
+from calib.geometry import Calibration, cross_epipolar_lines
+from calib.numerics import Bools, Image, in_slices
+from scanner.decoding.code_cells import CellMatches, average_cells
+from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
 _STRIP_ROWS = 16
 # Where the epipolar line is at 6° to the stripe, errors of the calibration count ten times.
