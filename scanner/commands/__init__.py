@@ -7,7 +7,20 @@
 from argparse import ArgumentParser, Namespace
 from typing import Protocol
 
-from scanner.commands import calibrate, check, console, devices, export, measure, patterns, photos, replay, scan, view
+from scanner.commands import (
+    calibrate,
+    check,
+    console,
+    devices,
+    export,
+    import_,
+    measure,
+    patterns,
+    photos,
+    replay,
+    scan,
+    view,
+)
 
 
 class Command(Protocol):
@@ -25,6 +38,7 @@ class Command(Protocol):
 MAIN: Command = scan
 NAMED: dict[str, Command] = {
     "replay": replay,
+    "import": import_,
     "calibrate": calibrate,
     "patterns": patterns,
     "devices": devices,
