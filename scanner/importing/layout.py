@@ -37,8 +37,8 @@ SequenceOf = Callable[[Size, int, int], tuple[Pattern, ...]]
 class Layout:
     """Whose order of frames it is (`name`, `title`), where that can be read (`source`), and the order itself.
 
-    `sequences`: of each variant. `needs`: which fields of `Given` the frames cannot tell. `settings`: what a file beside
-    the frames says. `names`: the patterns, where the frames' names tell them.
+    `sequences`: of each variant. `needs`: which fields of `Given` the frames cannot tell. `settings`: what a file
+    beside the frames says. `names`: the patterns, where the frames' names tell them.
     """
 
     name: str
@@ -118,5 +118,6 @@ def _paths(files: FrameFiles) -> tuple[Path, ...]:
 
 
 def _sizes(cell: int) -> list[Size]:
-    """Powers of two: for each number of bits the largest projector that they suffice for."""
-    return [(cell << x, cell << y) for x, y in product(_BITS, _BITS) if abs(x - y) <= _MOST_APART]
+    """Powers of two: for each number of bits the largest projector that they suffice for; squares first."""
+    bits = sorted(product(_BITS, _BITS), key=lambda xy: (abs(xy[0] - xy[1]), xy))
+    return [(cell << x, cell << y) for x, y in bits if abs(x - y) <= _MOST_APART]

@@ -26,7 +26,6 @@ _FEWEST_IN_STRIPE = 5
 _MOST_STRAY = 0.0005
 _LEAST_STRAIGHT = 0.6
 _BORDER = 0.02  # of the camera's image
-_BOTH_FAR_SIDES = 2
 _SLACK = 2  # cells at the rim that are seen in part are dropped
 
 
@@ -43,31 +42,35 @@ class Extent:
         return first - _SLACK <= self.low and self.high <= last + _SLACK
 
     def reaches(self, first: int, last: int) -> int:
-        """How many of both ends were seen."""
-        return int(self.low - first <= _SLACK) + int(last - self.high <= _SLACK)
+        """How many ends were seen that depend on the projector's size."""
+        return int(first > 0 and self.low - first <= _SLACK) + int(last - self.high <= _SLACK)
 
 
 @dataclass(frozen=True)
 class SizeFound:
-    """`size` is possible; `reached`: at how many of its picture's four sides codes were seen; `usual`: it is sold."""
+    """`size` is possible; `reached`: how many ends of its codes in x and in y were seen; `usual`: it is sold."""
 
     size: Size
-    reached: int
+    reached: tuple[int, int]
     usual: bool = True
+
+    @property
+    def total(self) -> int:
+        """How many ends in all."""
+        return sum(self.reached)
 
 
 def find_sizes(candidate: Candidate, matches: Matches, camera_size: Size, given: Given) -> list[SizeFound]:
     """Sizes that the projector may have by a candidate's matches: the most likely, or all that are equally so."""
     extents = extents_of(candidate, matches, camera_size)
     possible = [found for size in _COMMON if (found := _fit(candidate, size, extents, given))]
-    if not possible and all(each.ends for each in extents):
+    if not possible and all(each.ends for each in extents) and not _shows_any_scale(candidate):
         found = _fit(candidate, _measured(candidate, extents), extents, given)
         possible = [replace(found, usual=False)] if found else []
-    most = max((found.reached for found in possible), default=0)
-    best = [found for found in possible if found.reached == most]
-    # An engine with half as many pixels shows the same; measured in its pixels, everything is right.
-    both = [found for found in best if found.reached >= _BOTH_FAR_SIDES]
-    return both[:1] or best
+    most = max((found.total for found in possible), default=0)
+    best = [found for found in possible if found.total == most]
+    # One with half as many pixels may show the same; measured in its pixels, everything is right.
+    return best[:1] if best and all(best[0].reached) else best
 
 
 def extents_of(candidate: Candidate, matches: Matches, camera_size: Size) -> list[Extent]:
@@ -104,7 +107,7 @@ def _numbers(patterns: Sequence[Pattern], axis: int, projector_px: Floats) -> Fl
 
 def _fit(candidate: Candidate, size: Size, extents: Sequence[Extent], given: Given) -> SizeFound | None:
     """Whether the codes may be those of a projector of this size."""
-    patterns, reached = candidate.for_size(size), 0
+    patterns, reached = candidate.for_size(size), [0, 0]
     if len(patterns) != len(candidate.files):
         return None
     for axis, (length, seen) in enumerate(zip(size, extents, strict=True)):
@@ -113,8 +116,14 @@ def _fit(candidate: Candidate, size: Size, extents: Sequence[Extent], given: Giv
         told = given.codes is None or last - first + 1 == given.codes[axis]
         if code.bits != provisional.bits or not seen.allows(first, last) or not told:
             return None
-        reached += seen.reaches(first, last)
-    return SizeFound(size, reached)
+        reached[axis] = seen.reaches(first, last)
+    return SizeFound(size, (reached[0], reached[1]))
+
+
+def _shows_any_scale(candidate: Candidate) -> bool:
+    """Whether a projector of twice the size would be shown as many patterns, with cells of twice the length."""
+    width, height = candidate.projector_size
+    return len(candidate.for_size((2 * width, 2 * height))) == len(candidate.files)
 
 
 def _measured(candidate: Candidate, extents: Sequence[Extent]) -> Size:

@@ -8,13 +8,16 @@ from calib.geometry import Matches
 from scanner.decoding import Decoder
 from scanner.errors import InputError
 from scanner.importing.frame_files import FrameFiles
-from scanner.importing.glance import Samples, objection, share_on_epipolar_lines
+from scanner.importing.glance import objection, share_on_epipolar_lines
 from scanner.importing.layout import Candidate, Given, Layout, Size, candidates
 from scanner.importing.projector_size import extents_of, find_sizes
+from scanner.importing.samples import Samples
 from scanner.io import read_image
 from scanner.patterns import Pattern
 from scanner.ui import Progress
 
+# Fringes of few steps may err by more than a line is wide; in a wrong order a few hundredths are on lines by chance.
+_LEAST_ON_LINES = 0.3
 _OPTIONS = {"projector_size": "--projector", "cell": "--cell"}
 
 
@@ -22,7 +25,7 @@ _OPTIONS = {"projector_size": "--projector", "cell": "--cell"}
 class Recognised:
     """A layout that fits: which pattern each of the `files` shows, on a projector of (width, height). `how`: why so.
 
-    `likely`: whether such projectors are usual, and at how many of the picture's sides codes were seen.
+    `likely`: whether such projectors are usual, and how many ends of their codes were seen.
     """
 
     layout: Layout
@@ -74,7 +77,7 @@ def _why_not(layout: Layout, given: Given, files: FrameFiles, objections: Sequen
 
 def _progress_of(objection: str) -> int:
     """How far a look at the frames came before this was in the way."""
-    stages = ("hardly differ", "not brighter", "never changes", "neither bright", "unrelated", "mirrored", "obey")
+    stages = ("hardly", "not brighter", "fringes", "never changes", "neither bright", "unrelated", "mirrored", "obey")
     return next((number for number, words in enumerate(stages) if words in objection), len(stages))
 
 
@@ -95,6 +98,8 @@ def _judge(
     if isinstance(decoded, str):
         return Rejected(layout, decoded)
     share = share_on_epipolar_lines(decoded.camera_px, decoded.projector_px)
+    if share < _LEAST_ON_LINES:
+        return Rejected(layout, f"decodes, but only {share:.0%} of the matches obey one epipolar geometry")
     how = f"{len(decoded):,} matches, {share:.0%} of them on the lines of one epipolar geometry"
     if candidate.size_known:
         return _recognised(layout, candidate, candidate.projector_size, how)
@@ -107,7 +112,7 @@ def _judge(
             layout, f"decodes, but the projector's size is not clear, {possible} ({seen}): give --projector", True
         )
     found = _recognised(layout, candidate, sizes[0].size, f"{how}; {seen}")
-    return replace(found, likely=(sizes[0].usual, sizes[0].reached))
+    return replace(found, likely=(sizes[0].usual, sizes[0].total))
 
 
 def _recognised(layout: Layout, candidate: Candidate, size: Size, how: str) -> Recognised:

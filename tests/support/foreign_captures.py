@@ -1,7 +1,8 @@
 """A simulated room photographed under any patterns, written as other programs name and order their frames."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 
 import cv2
@@ -11,9 +12,7 @@ from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
-from scanner.patterns.pattern import Black, Gray, Pattern, Phase, White, draw
-
-Axes = tuple[tuple[str, int], ...]
+from scanner.patterns.pattern import Axis, Black, Gray, Pattern, Phase, White, draw
 
 
 @dataclass
@@ -51,21 +50,17 @@ def photographer(camera: tuple[int, int], projector: tuple[int, int]) -> Photogr
     return Photographer(SimulatedRoom(settings, camera, projector), projector)
 
 
-def pairs(axis: str, length: int, bits: int, *, cell: int = 1, offset: int = 0, inverses: bool = True) -> list[Pattern]:
-    """The bits of a Gray code, each followed by its inverse, written out from the sources' descriptions."""
-    signs = (False, True) if inverses else (False,)
-    return [Gray(axis, bit, bits, cell, offset, inverted) for bit in range(bits) for inverted in signs]  # type: ignore
-
-
 ENDS: list[Pattern] = [White(), Black()]
 
 
-def opencv(width: int, height: int, x_bits: int, y_bits: int) -> list[Pattern]:
-    return [*pairs("x", width, x_bits), *pairs("y", height, y_bits)]
+def bits(axis: Axis, number: int, cell: int = 1, offset: int = 0, *, inverses: bool = True) -> list[Pattern]:
+    """The bits of a Gray code, most significant first, each followed by its inverse, as all the sources have them."""
+    signs = (False, True) if inverses else (False,)
+    return [Gray(axis, bit, number, cell, offset, inverted) for bit in range(number) for inverted in signs]
 
 
-def steps(axis: str, period: float, shifts: Iterable[float]) -> list[Pattern]:
-    return [Phase(axis, period, shift) for shift in shifts]  # type: ignore
+def steps(axis: Axis, period: float, shifts: Iterable[float]) -> list[Pattern]:
+    return [Phase(axis, period, shift) for shift in shifts]
 
 
 def in_colour(image: Image) -> Image:
@@ -76,8 +71,6 @@ def deep(image: Image) -> Image:
     return image.astype(np.uint16) * 250 + 77
 
 
-def numbered(form: str, start: int = 0) -> Iterable[str]:
-    number = start
-    while True:
-        yield form.format(number)
-        number += 1
+def named(form: str, start: int = 0) -> Iterator[str]:
+    """Names with a number in them, from `start` on."""
+    return (form.format(number) for number in count(start))
