@@ -11,25 +11,27 @@ from calib.numerics import Bools, Floats
 from scanner.importing.samples import Samples
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
 
-# Of a pixel's own range of brightness: what decides a bit; how much fringes may differ from each other and from cosines.
+# Of a pixel's own range of brightness: what decides a bit; how far fringes may be from each other and from cosines.
 _DECIDED, _MOST_MISFIT = 0.05, 0.15
 _FEWEST = 200
 _FEWEST_CERTAIN = 0.3
 _FINEST = 2  # bits that a camera may not resolve
 _LEAST_OF_EACH = 0.02
 _SMOOTHED = (5, 5)
+_STEPS_OF_CYCLE = 128  # a projector's gamma bends fringes of three steps by hundredths of a cycle
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """`values` (H, W) along an axis, cells or pixels, and at which pixels they are `certain`, but for the finest bits."""
+    """`values` (H, W) along an axis, in cells or pixels, good to a few `steps`; where they are `certain`."""
 
     values: Floats
     certain: Bools
+    steps: float = 1.0
 
 
 def coordinates(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Coordinates | str | None:
-    """From the Gray code of an axis, else from its longest fringe; None if it has neither; or what is wrong with them."""
+    """From the Gray code of an axis, else its longest fringe; None if it has neither; or what is wrong with them."""
     fringes: dict[float, list[tuple[float, int]]] = defaultdict(list)
     for index, pattern in enumerate(patterns):
         if isinstance(pattern, Phase) and pattern.axis == axis:
@@ -43,7 +45,7 @@ def coordinates(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Co
 
 
 class _Wave:
-    """Of one period: the mean level (H, W), cosine and sine of the phase times the amplitude, and what is not a wave."""
+    """Of a period: mean level (H, W), cosine and sine of the phase times the amplitude, and what is left of frames."""
 
     def __init__(self, samples: Samples, shown: Sequence[tuple[float, int]]) -> None:
         angles = 2 * np.pi * np.array([shift for shift, _ in shown])
@@ -71,10 +73,10 @@ def _phases(samples: Samples, waves: dict[float, _Wave], axis: Axis) -> Coordina
     certain = samples.lit & (np.hypot(cosine, sine) > _DECIDED * samples.swing)
     if np.count_nonzero(certain) < _FEWEST:
         return f"the fringes of {axis} are hardly seen"
-    return Coordinates(np.mod(np.arctan2(sine, cosine) / (2 * np.pi), 1) * period, certain)
+    return Coordinates(np.mod(np.arctan2(sine, cosine) / (2 * np.pi), 1) * period, certain, period / _STEPS_OF_CYCLE)
 
 
-def _codes(samples: Samples, patterns: Sequence[Pattern], axis: Axis, known: dict[type, Floats]) -> Codes | str | None:
+def _codes(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Coordinates | str | None:
     """The codes of an axis, None if it has none, or what is wrong with them."""
     shown = {(p.bit, p.inverted): index for index, p in enumerate(patterns) if isinstance(p, Gray) and p.axis == axis}
     if not shown:

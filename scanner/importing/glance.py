@@ -69,7 +69,8 @@ def _nonsense(samples: Samples, found: dict[Axis, Coordinates]) -> str | None:
     upright = _upright(x.values, y.values, both)
     if upright < _LEAST_UPRIGHT:
         return f"the codes are mirrored at {1 - upright:.0%} of the pixels"
-    on_lines = share_on_epipolar_lines(samples.camera_px[both], np.stack([x.values[both], y.values[both]], axis=1))
+    projector_px = np.stack([x.values[both] / x.steps, y.values[both] / y.steps], axis=1)
+    on_lines = share_on_epipolar_lines(samples.camera_px[both], projector_px)
     if on_lines < _LEAST_ON_LINES:
         return f"only {on_lines:.0%} of the pixels obey one epipolar geometry"
     return None
@@ -89,9 +90,12 @@ def _upright(x: Floats, y: Floats, there: Bools) -> float:
     return float(np.mean(turning > 0)) if len(turning) else 0.0
 
 
-def share_on_epipolar_lines(camera_px: Floats, projector_px: Floats, within_px: float = 4.0) -> float:
-    """The share of matches (N, 2) that are near the epipolar lines of one fundamental matrix, lenses left aside."""
+def share_on_epipolar_lines(camera_px: Floats, projector_px: Floats, within: float = 4.0) -> float:
+    """The share of matches (N, 2) near the epipolar lines of one fundamental matrix, lenses left aside.
+
+    `within` is in the units of both devices' coordinates, which need not be pixels.
+    """
     chosen = np.random.default_rng(0).permutation(len(camera_px))[:_MOST_FITTED]
     cv2.setRNGSeed(0)
-    _, near = cv2.findFundamentalMat(camera_px[chosen], projector_px[chosen], cv2.USAC_MAGSAC, within_px, 0.999, 2000)
+    _, near = cv2.findFundamentalMat(camera_px[chosen], projector_px[chosen], cv2.USAC_MAGSAC, within, 0.999, 2000)
     return 0.0 if near is None else float(np.mean(near > 0))

@@ -162,11 +162,11 @@ def test_missing_numbers_and_sub_folders_do_not_matter(folder: Callable[[str], P
 
 
 @pytest.mark.parametrize(
-    ("codes", "size"),
-    [("320 360\n\n# width height\n", (640, 360)), ("not ours", (640, 360))],
-    ids=["told", "no numbers"],
+    ("codes", "code"),
+    [("320 360\n\n# width height\n", 0), ("300 360\n", 2), ("not ours", 0)],
+    ids=["told", "contradicted", "no numbers"],
 )
-def test_projector_info_is_read(folder: Callable[[str], Path], tmp_path: Path, codes: str, size: tuple) -> None:
+def test_projector_info_is_read(folder: Callable[[str], Path], tmp_path: Path, codes: str, code: int) -> None:
     source = folder("moreno-taubin")
     (source / "projector_info.txt").write_text(codes)
     assert imported(source, "--from", "moreno-taubin", "--out", tmp_path / "capture", "--quiet") == code
