@@ -93,10 +93,16 @@ def _codes(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Coordin
         one, decided = bright > dark, np.abs(bright - dark) > _DECIDED * samples.swing
         if bit < bits - _FINEST:
             certain &= decided
-        elif bit == bits - 1 and min(np.mean(one[lit & decided]), np.mean(~one[lit & decided])) < _LEAST_OF_EACH:
+        elif bit == bits - 1 and _is_constant(one[lit & decided]):
             return f"the finest bit of {axis} never changes"
         before ^= one
         number = 2 * number + before
     if np.count_nonzero(certain) < max(_FEWEST, _FEWEST_CERTAIN * np.count_nonzero(lit)):
         return f"the bits of {axis} are neither bright nor dark at {1 - certain.sum() / lit.sum():.0%} of the pixels"
     return Coordinates(number, certain)
+
+
+def _is_constant(bits: Bools) -> bool:
+    """Whether nearly all of them are alike, where there are enough to say."""
+    share = float(np.mean(bits)) if len(bits) >= _FEWEST else 0.5
+    return min(share, 1 - share) < _LEAST_OF_EACH

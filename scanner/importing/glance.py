@@ -5,6 +5,8 @@ map from camera to projector is not mirrored, and all of it obeys one epipolar g
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
 
 import cv2
 import numpy as np
@@ -23,56 +25,73 @@ _LEAST_ON_LINES = 0.6
 _MOST_FITTED = 3000
 
 
-def objection(samples: Samples, patterns: Sequence[Pattern]) -> str | None:
-    """Why the frames cannot be these patterns, in a few words; None if they may be."""
+class Stage(IntEnum):
+    """How far a look at the frames came."""
+
+    LIGHT = 0
+    SIGNALS = 1
+    NEIGHBOURS = 2
+    GEOMETRY = 3
+
+
+@dataclass(frozen=True)
+class Objection:
+    """Why frames cannot be some patterns, in a few words."""
+
+    stage: Stage
+    words: str
+
+
+def objection(samples: Samples, patterns: Sequence[Pattern]) -> Objection | None:
+    """Why the frames cannot be these patterns; None if they may be."""
     if np.count_nonzero(samples.lit) < _FEWEST:
-        return "the frames hardly differ"
+        return Objection(Stage.LIGHT, "the frames hardly differ")
     known = {type(p): samples.levels[index] for index, p in enumerate(patterns) if isinstance(p, White | Black)}
     if White in known and Black in known:
         contrast = (known[White] - known[Black])[samples.lit] / samples.swing[samples.lit]
         if np.median(contrast) < _LEAST_CONTRAST:
-            return "the white frame is not brighter than the black one"
+            return Objection(Stage.LIGHT, "the white frame is not brighter than the black one")
     found: dict[Axis, Coordinates] = {}
     axes: tuple[Axis, ...] = ("x", "y")
     for axis in axes:
         seen = coordinates(samples, patterns, axis)
         if isinstance(seen, str):
-            return seen
+            return Objection(Stage.SIGNALS, seen)
         if seen is not None:
             found[axis] = seen
     return _scattered(found) or (_along_the_other(found) if len(found) == 1 else _nonsense(samples, found))
 
 
-def _along_the_other(found: dict[Axis, Coordinates]) -> str | None:
+def _along_the_other(found: dict[Axis, Coordinates]) -> Objection | None:
     """Devices stand roughly upright: x grows along the camera's rows, y along its columns."""
     ((axis, seen),) = found.items()
     across, down = (float(np.median(np.abs(after - before))) for before, after in _beside(seen.values, seen.certain))
     if (across < down) == (axis == "x"):
-        return f"the stripes run the other way than those of {axis}"
+        return Objection(Stage.GEOMETRY, f"the stripes run the other way than those of {axis}")
     return None
 
 
-def _scattered(found: dict[Axis, Coordinates]) -> str | None:
+def _scattered(found: dict[Axis, Coordinates]) -> Objection | None:
     for axis, seen in found.items():
         spread = float(np.ptp(np.percentile(seen.values[seen.certain], (5, 95))))
         steps = np.concatenate([np.abs(after - before) for before, after in _beside(seen.values, seen.certain)])
         if not len(steps) or np.median(steps) > max(_MOST_APART * spread, 1.0):
-            return f"neighbouring pixels have unrelated codes in {axis}"
+            return Objection(Stage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
     return None
 
 
-def _nonsense(samples: Samples, found: dict[Axis, Coordinates]) -> str | None:
+def _nonsense(samples: Samples, found: dict[Axis, Coordinates]) -> Objection | None:
     x, y = found["x"], found["y"]
     both = x.certain & y.certain
     if np.count_nonzero(both) < _FEWEST:
-        return "too few pixels have both codes"
+        return Objection(Stage.SIGNALS, "too few pixels have both codes")
     upright = _upright(x.values, y.values, both)
     if upright < _LEAST_UPRIGHT:
-        return f"the codes are mirrored at {1 - upright:.0%} of the pixels"
+        return Objection(Stage.GEOMETRY, f"the codes are mirrored at {1 - upright:.0%} of the pixels")
     projector_px = np.stack([x.values[both] / x.steps, y.values[both] / y.steps], axis=1)
     on_lines = share_on_epipolar_lines(samples.camera_px[both], projector_px)
     if on_lines < _LEAST_ON_LINES:
-        return f"only {on_lines:.0%} of the pixels obey one epipolar geometry"
+        return Objection(Stage.GEOMETRY, f"only {on_lines:.0%} of the pixels obey one epipolar geometry")
     return None
 
 

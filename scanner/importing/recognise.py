@@ -1,6 +1,6 @@
 """Whose order of frames is it? Every order that is long enough is tried on the images."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -46,73 +46,99 @@ class Rejected:
 
 
 def recognise(
-    files: FrameFiles, layouts: Iterable[Layout], given: Given, samples: Samples, progress: Progress
+    files: FrameFiles, layouts: Sequence[Layout], given: Given, samples: Samples, progress: Progress
 ) -> tuple[list[Recognised], list[Rejected]]:
-    """Which of the layouts the frames have, and why not the others. Raises InputError for a file beside the frames."""
-    decoder, found, rejected = _OnceDecoded(progress), list[Recognised](), list[Rejected]()
+    """Which of the layouts the frames have, and why not the others. Raises InputError for a file beside the frames.
+
+    Of a single layout, on a projector that is given, the frames need not decode if they look right.
+    """
+    found, rejected = list[Recognised](), list[Rejected]()
+    judge = _Judge(samples.camera_size, progress, lenient=len(layouts) == 1)
     for layout in layouts:
         known = given.or_else(layout.settings(files.folder))
         possible = list(candidates(layout, files, known))
         objections = [objection(samples, candidate.patterns) for candidate in possible]
         fitting = [candidate for candidate, against in zip(possible, objections, strict=True) if against is None]
-        results = [_judge(layout, candidate, known, samples.camera_size, decoder) for candidate in fitting]
+        results = [judge.judge(layout, candidate, known) for candidate in fitting]
         good = [result for result in results if isinstance(result, Recognised)]
+        bad = [result for result in results if isinstance(result, Rejected)]
         if good:
             found += good
-        elif results:
-            bad = [result for result in results if isinstance(result, Rejected)]
+        elif bad:
             rejected.append(max(bad, key=lambda each: each.lacking))
+        elif possible:
+            # Of several variants that one came nearest which met the last of the objections.
+            nearest = max((against for against in objections if against), key=lambda against: against.stage)
+            rejected.append(Rejected(layout, nearest.words))
         else:
-            rejected.append(_why_not(layout, known, files, [against for against in objections if against]))
+            size = "" if known.projector_size is None else f" for a projector of {_shown(known.projector_size)}"
+            rejected.append(Rejected(layout, f"it has no sequence of {len(files.numbered)} frames{size}"))
     return found, rejected
 
 
-def _why_not(layout: Layout, given: Given, files: FrameFiles, objections: Sequence[str]) -> Rejected:
-    if objections:
-        # Of several variants the last objection comes from the one that got farthest.
-        return Rejected(layout, max(objections, key=_progress_of))
-    size = "" if given.projector_size is None else f" for a projector of {_shown(given.projector_size)}"
-    return Rejected(layout, f"it has no sequence of {len(files.numbered)} frames{size}")
+class _Judge:
+    """Decodes all frames in the orders that look right; those that several layouts share only once."""
 
+    def __init__(self, camera_size: Size, progress: Progress, *, lenient: bool) -> None:
+        self._camera_size = camera_size
+        self._progress = progress
+        self._lenient = lenient
+        self._found: dict[tuple[tuple[Pattern, ...], Size], Matches | str] = {}
 
-def _progress_of(objection: str) -> int:
-    """How far a look at the frames came before this was in the way."""
-    stages = ("hardly", "not brighter", "fringes", "never changes", "neither bright", "unrelated", "mirrored", "obey")
-    return next((number for number, words in enumerate(stages) if words in objection), len(stages))
+    def judge(self, layout: Layout, candidate: Candidate, given: Given) -> Recognised | Rejected:
+        """Whether the frames decode in this order, and of which projector they are."""
+        if layout.lacks(given):
+            options = " and ".join(_OPTIONS[name] for name in layout.needs)
+            return Rejected(layout, f"may be, but its frames do not tell the projector: give {options}", lacking=True)
+        if len({p.axis for p in candidate.patterns if hasattr(p, "axis")}) < 2:
+            if not candidate.size_known:
+                return Rejected(layout, "one axis does not tell the projector's size: give --projector", lacking=True)
+            return _recognised(layout, candidate, candidate.projector_size, "one axis, no second one to check it by")
+        decoded = self._decoded(candidate)
+        if isinstance(decoded, str):
+            if self._lenient and candidate.size_known:
+                return _recognised(layout, candidate, candidate.projector_size, f"not checked: {decoded}")
+            return Rejected(layout, decoded)
+        share = share_on_epipolar_lines(decoded.camera_px, decoded.projector_px)
+        how = f"{len(decoded):,} matches, {share:.0%} of them on the lines of one epipolar geometry"
+        if candidate.size_known:
+            return _recognised(layout, candidate, candidate.projector_size, how)
+        return self._with_size(layout, candidate, decoded, given, how)
 
+    def _with_size(
+        self, layout: Layout, candidate: Candidate, matches: Matches, given: Given, how: str
+    ) -> Recognised | Rejected:
+        x, y = extents_of(candidate, matches, self._camera_size)
+        seen = f"codes from {x.low} to {x.high} in x, from {y.low} to {y.high} in y"
+        sizes = find_sizes(candidate, matches, self._camera_size, given)
+        if len(sizes) != 1:
+            possible = ", or ".join(_shown(found.size) for found in sizes) or "none that is usual"
+            why = f"decodes, but the projector's size is not clear, {possible} ({seen}): give --projector"
+            return Rejected(layout, why, lacking=True)
+        found = _recognised(layout, candidate, sizes[0].size, f"{how}; {seen}")
+        return replace(found, likely=(sizes[0].usual, sizes[0].total))
 
-def _judge(
-    layout: Layout, candidate: Candidate, given: Given, camera_size: Size, decoder: "_OnceDecoded"
-) -> Recognised | Rejected:
-    if layout.lacks(given):
-        options = " and ".join(_OPTIONS[name] for name in layout.needs)
-        return Rejected(layout, f"may be, but its frames do not tell the projector: give {options}", lacking=True)
-    axes = {p.axis for p in candidate.patterns if hasattr(p, "axis")}
-    if len(axes) < 2:
-        if not candidate.size_known:
-            return Rejected(layout, "one axis alone does not tell the projector's size: give --projector", lacking=True)
-        return _recognised(
-            layout, candidate, candidate.projector_size, "one axis only, so there is no second to check by"
-        )
-    decoded = decoder.decode(candidate)
-    if isinstance(decoded, str):
-        return Rejected(layout, decoded)
-    share = share_on_epipolar_lines(decoded.camera_px, decoded.projector_px)
-    if share < _LEAST_ON_LINES:
-        return Rejected(layout, f"decodes, but only {share:.0%} of the matches obey one epipolar geometry")
-    how = f"{len(decoded):,} matches, {share:.0%} of them on the lines of one epipolar geometry"
-    if candidate.size_known:
-        return _recognised(layout, candidate, candidate.projector_size, how)
-    x, y = extents_of(candidate, decoded, camera_size)
-    seen = f"codes from {x.low} to {x.high} in x, from {y.low} to {y.high} in y"
-    sizes = find_sizes(candidate, decoded, camera_size, given)
-    if len(sizes) != 1:
-        possible = ", or ".join(_shown(found.size) for found in sizes) or "none that is usual"
-        return Rejected(
-            layout, f"decodes, but the projector's size is not clear, {possible} ({seen}): give --projector", True
-        )
-    found = _recognised(layout, candidate, sizes[0].size, f"{how}; {seen}")
-    return replace(found, likely=(sizes[0].usual, sizes[0].total))
+    def _decoded(self, candidate: Candidate) -> Matches | str:
+        """The matches, or why there are none that make sense."""
+        key = candidate.patterns, candidate.projector_size
+        if key not in self._found:
+            try:
+                self._found[key] = self._decode(candidate)
+            except InputError as error:
+                self._found[key] = f"does not decode: {error}"
+        return self._found[key]
+
+    def _decode(self, candidate: Candidate) -> Matches | str:
+        decoder = Decoder(candidate.patterns, candidate.projector_size)
+        for path in self._progress.track(candidate.files, len(candidate.files), "Decoding"):
+            decoder.add(read_image(path))
+        matches = decoder.finish().matches
+        if not len(matches):
+            return "decodes to no match at all"
+        share = share_on_epipolar_lines(matches.camera_px, matches.projector_px)
+        if share < _LEAST_ON_LINES:
+            return f"decodes, but only {share:.0%} of the matches obey one epipolar geometry"
+        return matches
 
 
 def _recognised(layout: Layout, candidate: Candidate, size: Size, how: str) -> Recognised:
@@ -121,31 +147,3 @@ def _recognised(layout: Layout, candidate: Candidate, size: Size, how: str) -> R
 
 def _shown(size: Size) -> str:
     return f"{size[0]} × {size[1]}"
-
-
-class _OnceDecoded:
-    """Decodes the frames in an order; orders that several layouts share only once."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self._found: dict[tuple[tuple[Pattern, ...], Size], Matches | str] = {}
-
-    def decode(self, candidate: Candidate) -> Matches | str:
-        """The matches, or why there are none."""
-        key = candidate.patterns, candidate.projector_size
-        if key not in self._found:
-            self._found[key] = self._decode(candidate)
-        return self._found[key]
-
-    def _decode(self, candidate: Candidate) -> Matches | str:
-        try:
-            decoder = Decoder(candidate.patterns, candidate.projector_size)
-        except InputError as error:
-            return str(error)
-        for path in self._progress.track(candidate.files, len(candidate.files), "Decoding"):
-            decoder.add(read_image(path))
-        try:
-            matches = decoder.finish().matches
-        except InputError as error:
-            return f"does not decode: {error}"
-        return matches if len(matches) else "decodes to no match at all"

@@ -1,4 +1,4 @@
-"""A grid of pixels of every frame: enough to see what the frames are."""
+"""Some rows and columns of every frame: enough to see what the frames are."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,13 +14,17 @@ from scanner.importing.layout import Size
 from scanner.io import read_image
 
 _ACROSS = 160
-# Of the brightness range of well lit pixels: less is not lit.
-_LIT = 0.2
+# Of the swing of well lit pixels, a percentile: less is not lit.
+_LIT, _WELL_LIT = 0.2, 99.0
+_SEED = 1
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Grey levels (frames, H, W) at a grid of pixels, `camera_px` (H, W, 2); `camera_size` is (width, height)."""
+    """Grey levels (frames, H, W) where some rows and columns cross, at `camera_px` (H, W, 2).
+
+    `camera_size` is (width, height).
+    """
 
     levels: Floats
     camera_px: Floats
@@ -35,29 +39,32 @@ class Samples:
     @cached_property
     def lit(self) -> Bools:
         """(H, W): pixels that the frames light differently."""
-        lit: Bools = self.swing > max(_LIT * float(np.percentile(self.swing, 98)), 1.0)
+        lit: Bools = self.swing > max(_LIT * float(np.percentile(self.swing, _WELL_LIT)), 1.0)
         return lit
 
 
 def take_samples(files: Sequence[Path]) -> Samples:
     """Read all frames. Raises InputError if one is no image, or of another size or kind than the first."""
-    levels, first = [], None
+    first = read_image(files[0])
+    height, width = first.shape[:2]
+    # Not regular: a grid would beat with the stripes.
+    rng = np.random.default_rng(_SEED)
+    step = max(1, width // _ACROSS)
+    rows, columns = (
+        np.arange(0, size - step + 1, step) + rng.integers(0, step, (size - step) // step + 1)
+        for size in (height, width)
+    )
+    levels = []
     for path in files:
         image = read_image(path)
-        if first is not None and (image.shape, image.dtype) != (first.shape, first.dtype):
+        if (image.shape, image.dtype) != (first.shape, first.dtype):
             raise InputError(
                 f"{path}: expected an image of the kind of {files[0].name}, {_kind(first)}, found {_kind(image)}"
             )
-        first = image if first is None else first
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-        step = max(1, image.shape[1] // _ACROSS)
-        levels.append(grey[step // 2 :: step, step // 2 :: step].astype(np.float64))
-    if first is None:
-        raise InputError("no frames")
-    height, width = levels[0].shape
-    row, column = np.mgrid[:height, :width]
-    camera_px = np.stack([column, row], axis=-1) * float(step) + step // 2
-    return Samples(np.stack(levels), camera_px, (first.shape[1], first.shape[0]))
+        levels.append(grey[np.ix_(rows, columns)].astype(np.float64))
+    camera_px = np.stack(np.meshgrid(columns, rows), axis=-1).astype(np.float64)
+    return Samples(np.stack(levels), camera_px, (width, height))
 
 
 def _kind(image: Image) -> str:

@@ -78,7 +78,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
 
 
 def photograph_codes(folder: Path) -> None:
-    """What another program leaves of the smallest projector that is sold, and of a camera that sees just its picture."""
+    """What another program leaves of the smallest projector that is sold, and a camera that sees just its picture."""
     folder.mkdir()
     width, height = 640, 360
     codes = [*gray_sequence("x", width, 1), *gray_sequence("y", height, 1), White(), Black()]

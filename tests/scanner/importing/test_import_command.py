@@ -224,6 +224,33 @@ def test_what_frames_cannot_tell_is_asked_for(
     assert "give --projector" in refused(capsys, folder("slstudio-gray, x"))
 
 
+def middle(image: Image) -> Image:
+    return np.ascontiguousarray(image[150:230, 190:290])
+
+
+def test_a_size_that_was_not_seen_is_asked_for(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where the camera sees the middle of the picture only, several projectors may have shown it."""
+    source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("graycode_{:02d}.png"), middle)
+    error = refused(capsys, source)
+    assert "the projector's size is not clear, 640 × 360, or 640 × 480" in error
+    assert "give --projector" in error
+    assert imported(source, *KNOWN, "--out", tmp_path / "capture", "--quiet") == 0
+    assert open_capture(tmp_path / "capture").projector_size == PROJECTOR
+
+
+def test_what_looks_right_and_does_not_decode_is_taken_at_ones_word(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two exchanged frames in the finest bits: `scan replay` says which, if it is sure that the sequence is right."""
+    shown = [*PAIRS, *ENDS]
+    shown[14], shown[18] = shown[18], shown[14]
+    source = camera.write(tmp_path / "frames", shown, named("graycode_{:02d}.png"))
+    assert imported(source, "--from", "opencv", *KNOWN, "--out", tmp_path / "capture") == 0
+    assert open_capture(tmp_path / "capture").patterns == (*PAIRS, *ENDS)
+
+
 def test_a_wrong_projector_is_not_believed(folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
     error = refused(capsys, folder("opencv"), "--projector", "1920x1080")
     assert "no sequence of 40 frames for a projector of 1920 × 1080" in error
