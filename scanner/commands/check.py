@@ -1,15 +1,7 @@
-"""Look at the rig before a scan: devices, exposure, light, focus, and how well this view will calibrate.
-
-Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
-projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
-these lines change, and the file as it was is kept beside it as FILE.bak.
-
-Exit codes: 0 if a scan would work, be it poorly; 3 if a device fails; 4 if a scan of this view would be refused. What
-is known is shown in any case.
-"""
+"""Look at the rig before a scan, and put what was found into the configuration if wanted."""
 
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from pathlib import Path
 
 from rich.markup import escape
@@ -18,25 +10,12 @@ from scanner.checking.check import check
 from scanner.checking.document import write_check
 from scanner.checking.report import CheckReport
 from scanner.checking.table import table_of
-from scanner.commands import options
 from scanner.configuration import load_config, set_keys
 from scanner.results import refuse_occupied
 from scanner.ui import Terminal, keep_off_the_terminal
 
 # Of a microsecond no camera knows more, and of the light no average.
 _EXPOSURE_DIGITS, _LIGHT_DIGITS = 1, 5
-
-
-def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments."""
-    options.add_config(parser, required=True)
-    parser.add_argument(
-        "--write", action="store_true", help="put the exposure and the projector's response into the configuration file"
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder to make, for check.yaml and pictures (default: nothing is kept)"
-    )
-    options.add_quiet(parser)
 
 
 def run(args: Namespace) -> None:

@@ -1,16 +1,9 @@
 """Check, scan and look at results on a page in the browser."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 
-from scanner.commands import options
 from scanner.ui import Terminal
-from scanner.viewing.opening import add_address, require_viser
-
-
-def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments."""
-    options.add_config(parser, required=True)
-    add_address(parser)
+from scanner.viewing.opening import require_viser
 
 
 def run(args: Namespace) -> None:

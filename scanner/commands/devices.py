@@ -1,6 +1,6 @@
 """List cameras and screens, with the lines to paste into a configuration."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 
 from rich.markup import escape
 
@@ -9,15 +9,9 @@ from hw.errors import DeviceError
 from hw.open_rig import import_aravis
 from hw.projector_process import list_screens
 from hw.screens import Screen
-from scanner.commands import options
 from scanner.ui import Terminal
 
 _PREFERRED_FORMATS = ("Mono8", "BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8")
-
-
-def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments."""
-    options.add_quiet(parser)
 
 
 def run(args: Namespace) -> None:

@@ -1,13 +1,11 @@
 """Make a capture folder of frames that another program took: their order is recognised, and checked by decoding."""
 
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import Namespace
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich import box
 from rich.table import Table
 
-from scanner.commands import options
 from scanner.errors import InputError
 from scanner.importing import (
     LAYOUTS,
@@ -27,28 +25,15 @@ from scanner.ui import Terminal
 _NAMED = {layout.name: layout for layout in LAYOUTS}
 
 
-def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument("folder", type=Path, metavar="DIR", help="folder with the frames")
-    parser.add_argument(
-        "--from", dest="layout", metavar="FORMAT", help=f"whose order it is, one of {', '.join(_NAMED)} (default: all)"
-    )
-    parser.add_argument("--projector", type=_size, metavar="WxH", help="the projector's size, as in 1024x768")
-    parser.add_argument("--cell", type=_cell, metavar="PX", help="projector pixels to a cell of the Gray code")
-    parser.add_argument("--frames", metavar="GLOB", help="take only files of such a name, as in 'cam1_*.png'")
-    parser.add_argument("--out", type=Path, metavar="CAPTURE", help="folder to make (default: only say what it is)")
-    options.add_quiet(parser)
-
-
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
     layouts = LAYOUTS if args.layout is None else (_layout(args.layout),)
+    given = Given(_size(args.projector), _cell(args.cell))
     terminal = Terminal(quiet=args.quiet)
     output = OutputFolder(args.out) if args.out else None
     files = find_frames(args.folder, args.frames)
     with terminal.step("Looking at the frames"):
         samples = take_samples([*files.numbered, *(path for path in (files.white, files.black) if path)])
-    given = Given(args.projector, args.cell)
     found, rejected = recognise(files, layouts, given, samples, terminal)
     chosen = _only_one(files, found, rejected)
     if args.layout is None:
@@ -100,14 +85,18 @@ def _table(chosen: Recognised, found: Sequence[Recognised], rejected: Sequence[R
     return table
 
 
-def _size(text: str) -> tuple[int, int]:
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
     width, _, height = text.lower().replace("×", "x").partition("x")
-    if not (width.isdecimal() and height.isdecimal() and 2 <= int(width) <= 65535 and 2 <= int(height) <= 65535):
-        raise ArgumentTypeError(f"expected a size like 1024x768, found '{text}'")
+    if not all(side.isdecimal() and 2 <= int(side) <= 65535 for side in (width, height)):
+        raise InputError(f"--projector {text}: expected a size like 1024x768")
     return int(width), int(height)
 
 
-def _cell(text: str) -> int:
+def _cell(text: str | None) -> int | None:
+    if text is None:
+        return None
     if not (text.isdecimal() and 1 <= int(text) <= 4096):
-        raise ArgumentTypeError(f"expected a number of pixels from 1 on, found '{text}'")
+        raise InputError(f"--cell {text}: expected a number of pixels from 1 to 4096")
     return int(text)

@@ -1,17 +1,56 @@
 """Arguments in, exit codes out."""
 
+import os
 import sys
-from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from argparse import Action, ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
-from importlib.metadata import version
 from io import TextIOWrapper
 from typing import NoReturn
 
-import cv2
-
-from scanner.commands import MAIN, NAMED, Command
+from scanner.commands.arguments import MAIN, NAMED, Command
 from scanner.errors import InputError
-from scanner.ui import failure_of
+
+# The matrices here are small and many: handing each to a pool of threads costs several times what it gains. What is
+# worth several cores is cut into pieces where it is computed. This has to be said before NumPy is loaded.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# And before OpenCV is: our own messages say what matters.
+os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+
+_OTHER_COMMANDS = "other commands:\n" + "\n".join(
+    f"  scan {name:<10} {command.about}" for name, command in NAMED.items()
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line (default: the process's own) and return its exit code; errors are one message on stderr."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that has no × or ± is no reason to fail
+    try:
+        name, rest = _choose(sys.argv[1:] if arguments is None else list(arguments))
+        _command(name).run(parser_of(name).parse_args(rest))
+    except (Exception, KeyboardInterrupt) as error:
+        from scanner.ui import failure_of  # with what it takes to show progress, which help does without
+
+        failure = failure_of(error)
+        print(f"scan: {failure.message}", file=sys.stderr)
+        return failure.exit_code
+    return 0
+
+
+def parser_of(name: str) -> ArgumentParser:
+    """The parser of a command's arguments; '' for the main job."""
+    command = _command(name)
+    parser = _Parser(
+        prog=f"scan {name}".rstrip(),
+        description=f"{command.about}\n{command.more}",
+        epilog=None if name else _OTHER_COMMANDS,
+        formatter_class=RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
+    command.add_arguments(parser)
+    return parser
 
 
 class _Parser(ArgumentParser):
@@ -19,47 +58,25 @@ class _Parser(ArgumentParser):
         raise InputError(f"{message} (see '{self.prog} --help')")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line (default: the process's own) and return its exit code; errors are one message on stderr."""
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # our own messages say what matters
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that has no × or ± is no reason to fail
-    try:
-        command, rest = _choose(sys.argv[1:] if arguments is None else list(arguments))
-        command.run(_parser(command).parse_args(rest))
-    except (Exception, KeyboardInterrupt) as error:
-        failure = failure_of(error)
-        print(f"scan: {failure.message}", file=sys.stderr)
-        return failure.exit_code
-    return 0
+class _Version(Action):
+    def __call__(self, parser: ArgumentParser, *_: object, **__: object) -> NoReturn:
+        from importlib.metadata import version  # slow to load, for so rare a wish
+
+        print(f"scan {version('roomscan')}")
+        parser.exit()
 
 
-def _choose(arguments: list[str]) -> tuple[Command, list[str]]:
+def _command(name: str) -> Command:
+    return NAMED[name] if name else MAIN
+
+
+def _choose(arguments: list[str]) -> tuple[str, list[str]]:
+    """The command's name, '' for the main job, and its arguments."""
     if not arguments:
-        raise InputError(f"nothing to do\n\n{_parser(MAIN).format_help().rstrip()}")
+        raise InputError(f"nothing to do\n\n{parser_of('').format_help().rstrip()}")
     first, *rest = arguments
     if first in NAMED:
-        return NAMED[first], rest
+        return first, rest
     if not first.startswith("-"):
         raise InputError(f"unknown command '{first}'; expected --config FILE, or one of: {', '.join(NAMED)}")
-    return MAIN, arguments
-
-
-def _parser(command: Command) -> ArgumentParser:
-    name = next((f" {name}" for name, other in NAMED.items() if other is command), "")
-    parser = _Parser(
-        prog=f"scan{name}",
-        description=command.__doc__,
-        epilog=_OTHER_COMMANDS if command is MAIN else None,
-        formatter_class=RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.add_argument("--version", action="version", version=f"scan {version('roomscan')}")
-    command.add_arguments(parser)
-    return parser
-
-
-_OTHER_COMMANDS = "other commands:\n" + "\n".join(
-    f"  scan {name:<10} {(command.__doc__ or '').splitlines()[0]}" for name, command in NAMED.items()
-)
+    return "", arguments

@@ -1,19 +1,12 @@
-"""Measure in a result: how round a ball and how flat the faces came out, and how far two points are apart.
+"""Measure in a result: balls, faces, distances."""
 
-The faces are always measured. --sphere finds a ball of known diameter anywhere in the cloud; given twice, it finds two,
-and the distance of their centres is told, too.
-"""
+from argparse import Namespace
 
-from argparse import ArgumentParser, Namespace
-from pathlib import Path
-
-from scanner.commands import options
-from scanner.commands.options import default_path
 from scanner.errors import InputError
 from scanner.io import new_file, refuse_existing
 from scanner.measuring import FIGURE_FILE, MEASURE_FILE, measure, tables, write_document, write_figure
 from scanner.quantities import parse_length
-from scanner.results import read_finished_scan
+from scanner.results import beside, read_finished_scan
 from scanner.ui import Terminal
 
 _ASSUMED_ANGLES = (
@@ -22,36 +15,10 @@ _ASSUMED_ANGLES = (
 )
 
 
-def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
-    parser.add_argument(
-        "--sphere",
-        action="append",
-        default=[],
-        metavar="DIAMETER",
-        help="find and fit a ball, as in 50.8mm; without a unit, in the result's",
-    )
-    parser.add_argument(
-        "--distance",
-        nargs=4,
-        type=float,
-        action="append",
-        default=[],
-        metavar=("X1", "Y1", "X2", "Y2"),
-        help="between the points at two camera pixels",
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for measure.json and measure.png (default: beside the result)"
-    )
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier measurement there")
-    options.add_quiet(parser)
-
-
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError, NoMeasurementError."""
     terminal = Terminal(quiet=args.quiet)
-    out = args.out or default_path(args.result, "-measured")
+    out = args.out or beside(args.result, "-measured")
     with terminal.step("Measuring"):
         scan = read_finished_scan(args.result)
         diameters = [parse_length(text, scan.unit) for text in args.sphere]

@@ -1,19 +1,11 @@
 """Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 
-from scanner.commands import options
 from scanner.configuration import load_config
 from scanner.patterns import write_sequence
 from scanner.results import OutputFolder
 from scanner.ui import Terminal
-
-
-def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments."""
-    options.add_config(parser, required=True)
-    options.add_out(parser)
-    options.add_quiet(parser)
 
 
 def run(args: Namespace) -> None:

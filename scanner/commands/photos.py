@@ -1,15 +1,10 @@
-"""Calibrate an ordinary camera from two or more photos of a corner, and reconstruct what they share.
+"""Calibrate an ordinary camera from photos of a corner."""
 
-The photos may be cropped, if all of them are in the same way: the principal point is found, too. The zoom must not
-change between them. The second photo is the one that the result is about.
-"""
-
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
 from calib.geometry import Matches
-from scanner.commands import options
 from scanner.commands.outcome import show_outcome
 from scanner.configuration import load_config
 from scanner.errors import InputError
@@ -17,28 +12,6 @@ from scanner.photos import Photo, PhotoOptions, principal_point, read_photos, re
 from scanner.reconstruction import read_captures, read_masks
 from scanner.results import new_result
 from scanner.ui import Terminal
-
-
-def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument(
-        "photos", type=Path, nargs="+", metavar="PHOTO", help="photos of one corner by one camera at one zoom"
-    )
-    parser.add_argument(
-        "--matches",
-        type=Path,
-        metavar="FILE",
-        help="matches.npz of the two photos: camera_px in the first, projector_px in the second",
-    )
-    options.add_masks(parser)
-    parser.add_argument(
-        "--exif-prior", action="store_true", help="use the EXIF focal length (± 5 %%), which is otherwise only shown"
-    )
-    parser.add_argument("--dense", action="store_true", help="match every pixel of the first two photos: dense.ply")
-    options.add_config(parser, required=False)
-    options.add_out(parser)
-    options.add_overwrite(parser)
-    options.add_quiet(parser)
 
 
 def run(args: Namespace) -> None:

@@ -1,12 +1,11 @@
 """Reconstruct from a recorded capture, whoever made it."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from pathlib import Path
 
 from calib.geometry import Calibration
 from scanner import pipeline
 from scanner.capture import Recording, open_capture
-from scanner.commands import options
 from scanner.commands.outcome import show_outcome
 from scanner.configuration import load_config
 from scanner.errors import InputError
@@ -14,19 +13,6 @@ from scanner.io import read_calibration
 from scanner.reconstruction import read_captures, read_masks, refuse_impossible
 from scanner.results import CAPTURE_FOLDER, default_out, new_result
 from scanner.ui import Terminal
-
-
-def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with a capture.yaml and its frames")
-    options.add_config(parser, required=False)
-    parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
-    )
-    options.add_masks(parser)
-    options.add_out(parser, default="scans/<name of the capture>")
-    options.add_overwrite(parser)
-    options.add_quiet(parser)
 
 
 def run(args: Namespace) -> None:

@@ -1,32 +1,15 @@
 """Scan with the configured rig: capture, calibrate, reconstruct."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 
 from scanner import pipeline
 from scanner.capture import check_places
-from scanner.commands import options
 from scanner.commands.outcome import show_outcome
 from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.reconstruction import read_captures, read_masks, refuse_impossible
 from scanner.results import default_out, new_result
 from scanner.ui import Terminal
-
-
-def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments."""
-    options.add_config(parser, required=True)
-    parser.add_argument(
-        "--captures",
-        type=int,
-        default=1,
-        metavar="N",
-        help="capture the corner N times, moving the rig as a whole in between, and calibrate from all (default: 1)",
-    )
-    options.add_out(parser, default="scans/<name of the configuration>")
-    options.add_overwrite(parser)
-    options.add_masks(parser)
-    options.add_quiet(parser)
 
 
 def run(args: Namespace) -> None:

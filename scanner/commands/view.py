@@ -1,16 +1,9 @@
 """Look at a result in 3-D, in the browser."""
 
-from argparse import ArgumentParser, Namespace
-from pathlib import Path
+from argparse import Namespace
 
 from scanner.ui import Terminal
-from scanner.viewing.opening import add_address, require_viser
-
-
-def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
-    add_address(parser)
+from scanner.viewing.opening import require_viser
 
 
 def run(args: Namespace) -> None:

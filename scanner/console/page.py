@@ -141,8 +141,10 @@ class ConsolePage:
             self._camera.set_exposure(self._exposure_us)
 
     def _open_earlier(self) -> None:
-        if self._earlier.value != _NONE_YET:
-            self._opened.content = _or_message(lambda: self._open(Path(self._earlier.value)))
+        # The page says which; only what was offered to it is opened.
+        offered = {str(path): path for path in earlier_results()}
+        if (chosen := offered.get(self._earlier.value)) is not None:
+            self._opened.content = _or_message(lambda: self._open(chosen))
 
     def _open(self, folder: Path) -> None:
         self._result.open(ViewedResult(folder))

@@ -18,11 +18,11 @@ def console(settings: Settings, host: str, port: int | None, terminal: Terminal,
     config = settings.load()
     required = (config.required_rig, config.camera_size, config.projector_size)  # said in the terminal if missing
     log.info("console for %s", required)
-    with serving(f"Console: {settings.config.stem}", host, port) as server:
+    with serving(f"Console: {settings.config.stem}", host, port) as (server, where):
         page = ConsolePage(server, settings)
         try:
             page.start()
-            invite(server, host, terminal, browser=browser)
+            invite(where, host, terminal, browser=browser)
             wait()
         finally:
             ended = page.close()

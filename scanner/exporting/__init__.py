@@ -1,4 +1,6 @@
-"""Results in the formats of other programs, in the conventions of each."""
+"""Results in the formats of other programs, in the conventions of each.
 
-from scanner.exporting.colmap import DEFAULT_POINTS
-from scanner.exporting.formats import FORMATS, Request
+A format is a row of `FORMATS` and a module with `export(request)`.
+"""
+
+from scanner.exporting.formats import DEFAULT_POINTS, FORMATS, Request

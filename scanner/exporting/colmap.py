@@ -13,13 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Intrinsics
 from calib.numerics import Floats, Ints
+from scanner.exporting.formats import Request
 from scanner.io import new_file, refuse_existing
-from scanner.results import FinishedScan
+from scanner.quantities import unit_name
+from scanner.results import FinishedScan, read_finished_scan
 
 COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 CAMERA_ID, PROJECTOR_ID = 1, 2
 CAMERA_IMAGE, PROJECTOR_IMAGE = "camera.png", "projector.png"
-DEFAULT_POINTS = 20_000
 
 _HALF_PIXEL = 0.5
 
@@ -32,7 +33,15 @@ class ModelSize:
     step: int
 
 
-def write_colmap(folder: Path, scan: FinishedScan, *, most_points: int = DEFAULT_POINTS, overwrite: bool) -> ModelSize:
+def export(request: Request) -> list[str]:
+    """Write the model. Raises InputError and OSError."""
+    scan = read_finished_scan(request.result)
+    model = write_colmap(request.out, scan, most_points=request.most_points, overwrite=request.overwrite)
+    chosen = "all of them" if model.step == 1 else f"one for each {model.step} × {model.step} camera pixels"
+    return [f"{model.points:,} of {len(scan):,} points with their tracks ({chosen}), in {unit_name(scan.unit)}"]
+
+
+def write_colmap(folder: Path, scan: FinishedScan, *, most_points: int, overwrite: bool) -> ModelSize:
     """Write a model with at most so many points, chosen evenly over the camera's image.
 
     Raises InputError if one of the files exists already and may not be replaced.

@@ -10,9 +10,22 @@ import numpy as np
 
 from calib.numerics import Floats
 from scanner.errors import InputError
-from scanner.results import FinishedScan
+from scanner.exporting.formats import Request
+from scanner.exporting.units import in_metres
+from scanner.io import new_file
+from scanner.results import FinishedScan, read_finished_scan
 
 _Z_UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def export(request: Request) -> list[str]:
+    """Write the cloud. Raises InputError and OSError."""
+    refuse_without_pye57()
+    scan = read_finished_scan(request.result)
+    metres, remarks = in_metres(scan.unit)
+    with new_file(request.out, overwrite=request.overwrite) as path:
+        write_e57(path, scan, metres)
+    return [f"{len(scan):,} points in metres", *remarks]
 
 
 def refuse_without_pye57() -> None:

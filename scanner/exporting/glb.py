@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scanner.exporting.mesh import Y_UP_FROM_CAMERA, Mesh
+from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh
 
 # Numbers of the glTF 2.0 specification.
 _MAGIC, _VERSION = 0x46546C67, 2

@@ -1,49 +1,36 @@
-"""The surface as triangles, written as PLY, OBJ or GLB."""
+"""The surface as triangles, written as PLY, OBJ or GLB, by the name's ending."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.numerics import Floats, Ints
-from calib.pointcloud import SeenPoints, image_triangles
-from scanner.errors import InputError
-from scanner.results import FinishedScan
+from scanner.exporting.formats import Request
+from scanner.exporting.glb import write_glb
+from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh, build_mesh
+from scanner.exporting.units import in_metres
+from scanner.io import new_file
+from scanner.quantities import unit_name
+from scanner.results import read_finished_scan
 
-# The camera's axes (x right, y down, z forward) turned to x right, y up, z backward, as glTF's cameras look.
-Y_UP_FROM_CAMERA = np.array([1.0, -1.0, -1.0])
 _OBJ_LINES = 100_000
 
 
-@dataclass(frozen=True)
-class Mesh:
-    """`points` and `normals` (N, 3) in the camera's frame and `unit`, `colours` (N, 3) RGB, `triangles` (T, 3).
-
-    Triangles are counter-clockwise as seen by the camera.
-    """
-
-    points: Floats
-    normals: Floats
-    colours: NDArray[np.uint8]
-    triangles: Ints
-    unit: str
-
-
-def build_mesh(scan: FinishedScan) -> Mesh:
-    """Join neighbouring pixels; points in no triangle are left out. Raises InputError if there is no triangle."""
-    focal_px = float(np.mean(scan.calibration.camera.focal_px))
-    seen = SeenPoints(scan.matches.camera_px, scan.points, scan.normals, focal_px)
-    triangles = image_triangles(seen, scan.index_grid)
-    if len(triangles) == 0:
-        raise InputError(
-            "no three points are neighbours on a surface, so there is nothing to make a mesh of: export the cloud as "
-            "ply instead"
-        )
-    used = np.zeros(len(scan.points), dtype=np.bool_)
-    used[triangles.ravel()] = True
-    corners = (np.cumsum(used, dtype=np.int32) - np.int32(1))[triangles]
-    return Mesh(scan.points[used], scan.normals[used], scan.colours[used], corners, scan.unit)
+def export(request: Request) -> list[str]:
+    """Write the triangles. Raises InputError and OSError."""
+    scan = read_finished_scan(request.result)
+    mesh = build_mesh(scan)
+    unit, remarks = unit_name(scan.unit), list[str]()
+    with new_file(request.out, overwrite=request.overwrite) as path:
+        match path.suffix.lower():
+            case ".glb":
+                metres, remarks = in_metres(scan.unit)
+                unit = "metres"
+                write_glb(path, mesh, metres)
+            case ".ply":
+                write_mesh_ply(path, mesh)
+            case _:
+                write_mesh_obj(path, mesh)
+    return [f"{len(mesh.triangles):,} triangles between {len(mesh.points):,} points, in {unit}", *remarks]
 
 
 def write_mesh_ply(path: Path, mesh: Mesh) -> None:

@@ -6,10 +6,22 @@ import cv2
 import numpy as np
 
 from calib.geometry import Calibration
+from scanner.exporting.formats import Request
+from scanner.io import new_file
+from scanner.quantities import unit_name
+from scanner.results import read_calibration_of
 
 _EXPLANATION = """Pixel centres are at integer coordinates; x right, y down, z forward.
 X_projector = R X_camera + T: camera and projector are the first and the second camera of stereoRectify.
 Distortion: k1 k2 p1 p2 k3. T, and all that is computed with it, is in the unit that 'unit' names."""
+
+
+def export(request: Request) -> list[str]:
+    """Write both devices. Raises InputError and OSError."""
+    calibration = read_calibration_of(request.result)
+    with new_file(request.out, overwrite=request.overwrite) as path:
+        write_opencv(path, calibration)
+    return [f"Both devices' matrices and distortion, R, and T in {unit_name(calibration.unit)}"]
 
 
 def write_opencv(path: Path, calibration: Calibration) -> None:

@@ -13,6 +13,7 @@ from scanner.results.result_folder import (
     REPORT_FILE,
     TRUTH_FILE,
     OutputFolder,
+    beside,
     default_out,
     folder_of,
     new_result,

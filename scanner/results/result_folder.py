@@ -53,6 +53,13 @@ def default_out(stem: str, *, overwrite: bool) -> Path:
     return out if overwrite else _unused(out)
 
 
+def beside(result: Path, ending: str) -> Path:
+    """A name beside a result, made of its own: a result folder itself stays as the scan left it."""
+    folder = result.resolve()
+    name = f"{folder.name}{ending}"
+    return folder.parent / name if result.name in ("", ".", "..") else result.parent / name
+
+
 def _unused(path: Path) -> Path:
     candidate, number = path, 1
     while candidate.exists():

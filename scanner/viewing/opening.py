@@ -77,8 +77,8 @@ def warning(host: str) -> str:
     if is_local(host):
         return ""
     return (
-        f"Warning: everyone who can reach this computer at {host} can see this page and press its buttons; there is no "
-        f"password. Leave --host out to keep it to yourself."
+        f"Warning: this page is offered to the network at {host}, unencrypted: whoever learns the address below, with "
+        "its token, can press its buttons. Leave --host out to keep it to yourself."
     )
 
 

@@ -9,6 +9,7 @@ from threading import Event
 import viser
 
 from scanner.ui import Terminal
+from scanner.viewing.doorkeeper import Doorkeeper
 from scanner.viewing.opening import address, free_port, warning
 
 # Some of the client's own texts are smaller than 12 px or too pale; its units follow the root's font.
@@ -21,14 +22,18 @@ _BRAND = (0, 90, 150)
 
 
 @contextmanager
-def serving(title: str, host: str, wanted_port: int | None) -> Iterator[viser.ViserServer]:
-    """A server for as long as the context lasts. Raises InputError if it cannot be had at that address."""
+def serving(title: str, host: str, wanted_port: int | None) -> Iterator[tuple[viser.ViserServer, str]]:
+    """A server for as long as the context lasts, and its address with the token that opens it.
+
+    Raises InputError if it cannot be had at that address.
+    """
     port = free_port(host, wanted_port)
-    with redirect_stdout(StringIO()):  # viser prints a banner; the address is ours to say
+    doorkeeper = Doorkeeper(host)
+    with doorkeeper.watching(), redirect_stdout(StringIO()):  # viser prints a banner; the address is ours to say
         server = viser.ViserServer(host, port, label=title, verbose=False)
     try:
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=_BRAND)
-        yield server
+        yield server, f"{address(host, server.get_port())}/?token={doorkeeper.token}"
     finally:
         server.stop()
 
@@ -38,9 +43,8 @@ def add_readable_fonts(gui: viser.GuiApi) -> None:
     gui.add_html(_READABLE)
 
 
-def invite(server: viser.ViserServer, host: str, terminal: Terminal, *, browser: bool) -> None:
+def invite(where: str, host: str, terminal: Terminal, *, browser: bool) -> None:
     """Say where the page is, and open it if asked to."""
-    where = address(host, server.get_port())
     if text := warning(host):
         terminal.show(text)
     terminal.show(f"Open {where} in a browser; Ctrl-C ends it.")

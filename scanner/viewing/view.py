@@ -13,11 +13,11 @@ def view(folder: Path, host: str, port: int | None, terminal: Terminal, *, brows
     with terminal.step("Reading the result"):
         result = ViewedResult(folder)
         result.cloud(result.names[0])
-    with serving(f"Result {folder.resolve().name}", host, port) as server:
+    with serving(f"Result {folder.resolve().name}", host, port) as (server, where):
         server.gui.main_panel.dock_right()
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Result") as tab:
             add_readable_fonts(server.gui)
         ResultPanel(server, tab).open(result)
-        invite(server, host, terminal, browser=browser)
+        invite(where, host, terminal, browser=browser)
         wait()

@@ -132,7 +132,7 @@ def test_a_wrong_command_would_be_found(line: str, run: Run) -> None:
 def test_comments_variables_and_folders_are_not_part_of_a_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("documented.ROOT", tmp_path)
+    monkeypatch.setattr("tests.support.documented.ROOT", tmp_path)
     page = tmp_path / "page.md"
     page.write_text("```sh\nA=b .venv/bin/scan replay \\\n  x   # why\n# only words\n```\n```yaml\nscan: no\n```\n")
     assert [(command.line, command.text) for command in commands_in(page)] == [(2, "scan replay x")]

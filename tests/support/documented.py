@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from scanner.commands.main import _choose, _parser
+from scanner.commands.main import _choose, parser_of
 from scanner.configuration.schema import load_config
 from tests.support.places import ROOT
 
@@ -101,7 +101,7 @@ def parse(command: Documented) -> None:
         _parse_script(rest)
     else:
         chosen, arguments = _choose(rest)
-        options = _parser(chosen).parse_args(arguments)
+        options = parser_of(chosen).parse_args(arguments)
         configuration = getattr(options, "config", None)
         if configuration is not None and (ROOT / configuration).exists():
             load_config(ROOT / configuration, getattr(options, "set", None) or ())

@@ -17,6 +17,7 @@ from scanner.commands.main import main
 from scanner.io.calibration_file import write_calibration
 from scanner.patterns.pattern import sequence_for
 from scanner.patterns.sequence_file import write_sequence
+from tests.support.places import ROOT
 from tests.support.small_capture import SIZE, read_listing, write_listing
 
 CONFIG = "camera: {width: 48, height: 32}\nprojector: {width: 48, height: 32}\nrig: {backend: simulated}\n"
@@ -270,3 +271,17 @@ def test_the_module_is_the_command() -> None:
     assert done.stdout == ""
     assert done.stderr.startswith("scan: unknown command 'device'")
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["replay", "--help"], ["--confg", "room.yaml"], ["replay", "--bogus"]]
+)
+def test_help_and_slips_of_the_pen_load_nothing_heavy(arguments: list[str]) -> None:
+    """They answer at once (benchmarks/bench_startup.py measures it)."""
+    program = (
+        "import sys; from scanner.commands.main import main\n"
+        f"try: main({arguments!r})\nexcept SystemExit: pass\n"
+        "print(*sorted({'numpy', 'cv2', 'numba', 'scipy', 'pydantic'} & set(sys.modules)), file=sys.stderr)"
+    )
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert told.stderr.splitlines()[-1] == ""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib.pointcloud.image_mesh import SeenPoints, image_triangles
 from scanner.commands.main import main
-from scanner.exporting.mesh import Mesh, build_mesh
+from scanner.exporting.triangles import Mesh, build_mesh
 from tests.support.cloud_scene import SPHERE_RADIUS_M
 from tests.support.result_folder import Written, write_result
 

@@ -280,8 +280,8 @@ def test_photographs_of_anything(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ("arguments", "said"),
     [
         (("--from", "opencv4"), "expected one of opencv, procam-calibration"),
-        (("--projector", "1024"), "expected a size like 1024x768, found '1024'"),
-        (("--cell", "0"), "expected a number of pixels from 1 on, found '0'"),
+        (("--projector", "1024"), "--projector 1024: expected a size like 1024x768"),
+        (("--cell", "0"), "--cell 0: expected a number of pixels from 1 to 4096"),
     ],
 )
 def test_wrong_arguments(

@@ -62,7 +62,7 @@ def test_only_strangers_are_warned_of() -> None:
         assert warning(host) == ""
     for host in ("0.0.0.0", "192.168.1.5", "rig.local", "::"):
         assert not is_local(host)
-        assert "no password" in warning(host)
+        assert "token" in warning(host)
 
 
 def test_what_to_open() -> None:

@@ -1,0 +1,242 @@
+"""What can be typed: every command with its arguments. Knows nothing of what they do, so that help comes at once."""
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from scanner.exporting import DEFAULT_POINTS, FORMATS
+from scanner.viewing.opening import add_address
+
+
+@dataclass(frozen=True)
+class Command:
+    """What it is for, in one line and in more; `add_arguments` declares them; `module` has `run(args)`, which obeys."""
+
+    about: str
+    add_arguments: Callable[[ArgumentParser], None]
+    module: str
+    more: str = ""
+
+    def run(self, args: Namespace) -> None:
+        """Do the work. Raises InputError, DeviceError, RefusalError."""
+        import_module(f"scanner.commands.{self.module}").run(args)
+
+
+def _scan(parser: ArgumentParser) -> None:
+    _config(parser, required=True)
+    parser.add_argument(
+        "--captures",
+        type=int,
+        default=1,
+        metavar="N",
+        help="capture the corner N times, moving the rig as a whole in between, and calibrate from all (default: 1)",
+    )
+    _out(parser, default="scans/<name of the configuration>")
+    _overwrite(parser)
+    _masks(parser)
+    _quiet(parser)
+
+
+def _replay(parser: ArgumentParser) -> None:
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with a capture.yaml and its frames")
+    _config(parser, required=False)
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
+    )
+    _masks(parser)
+    _out(parser, default="scans/<name of the capture>")
+    _overwrite(parser)
+    _quiet(parser)
+
+
+def _import(parser: ArgumentParser) -> None:
+    parser.add_argument("folder", type=Path, metavar="DIR", help="folder with the frames")
+    parser.add_argument("--from", dest="layout", metavar="FORMAT", help="whose order of frames it is (default: any)")
+    parser.add_argument("--projector", metavar="WxH", help="the projector's size, as in 1024x768")
+    parser.add_argument("--cell", metavar="PX", help="projector pixels to a cell of the Gray code (default: 1)")
+    parser.add_argument("--frames", metavar="GLOB", help="take only files of such a name, as in 'cam1_*.png'")
+    parser.add_argument("--out", type=Path, metavar="CAPTURE", help="folder to make (default: only say what it is)")
+    _quiet(parser)
+
+
+def _calibrate(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "matches",
+        type=Path,
+        nargs="+",
+        metavar="MATCHES",
+        help="matches.npz, or a result folder; several of one unchanged rig are calibrated together, the newest last",
+    )
+    _config(parser, required=True)
+    _out(parser)
+    _overwrite(parser)
+    _quiet(parser)
+
+
+def _patterns(parser: ArgumentParser) -> None:
+    _config(parser, required=True)
+    _out(parser)
+    _quiet(parser)
+
+
+def _check(parser: ArgumentParser) -> None:
+    _config(parser, required=True)
+    parser.add_argument(
+        "--write", action="store_true", help="put the exposure and the projector's response into the configuration file"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder to make, for check.yaml and pictures (default: nothing is kept)"
+    )
+    _quiet(parser)
+
+
+def _export(parser: ArgumentParser) -> None:
+    _result(parser)
+    formats = "; ".join(f"{name}: {target.about}" for name, target in FORMATS.items())
+    parser.add_argument("--to", required=True, choices=list(FORMATS), metavar="FORMAT", help=formats)
+    parser.add_argument(
+        "--out", type=Path, metavar="PATH", help="file to write, a folder for colmap (default: beside the result)"
+    )
+    parser.add_argument(
+        "--points", type=int, metavar="N", help=f"colmap: at most so many points (default: {DEFAULT_POINTS:,})"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier file of that name")
+    _quiet(parser)
+
+
+def _measure(parser: ArgumentParser) -> None:
+    _result(parser)
+    parser.add_argument(
+        "--sphere",
+        action="append",
+        default=[],
+        metavar="DIAMETER",
+        help="find and fit a ball, as in 50.8mm; without a unit, in the result's",
+    )
+    parser.add_argument(
+        "--distance",
+        nargs=4,
+        type=float,
+        action="append",
+        default=[],
+        metavar=("X1", "Y1", "X2", "Y2"),
+        help="between the points at two camera pixels",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for measure.json and measure.png (default: beside the result)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier measurement there")
+    _quiet(parser)
+
+
+def _view(parser: ArgumentParser) -> None:
+    _result(parser)
+    add_address(parser)
+
+
+def _console(parser: ArgumentParser) -> None:
+    _config(parser, required=True)
+    add_address(parser)
+
+
+def _photos(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "photos", type=Path, nargs="+", metavar="PHOTO", help="photos of one corner by one camera at one zoom"
+    )
+    parser.add_argument(
+        "--matches",
+        type=Path,
+        metavar="FILE",
+        help="matches.npz of the two photos: camera_px in the first, projector_px in the second",
+    )
+    _masks(parser)
+    parser.add_argument(
+        "--exif-prior", action="store_true", help="use the EXIF focal length (± 5 %%), which is otherwise only shown"
+    )
+    parser.add_argument("--dense", action="store_true", help="match every pixel of the first two photos: dense.ply")
+    _config(parser, required=False)
+    _out(parser)
+    _overwrite(parser)
+    _quiet(parser)
+
+
+def _result(parser: ArgumentParser) -> None:
+    parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
+
+
+def _config(parser: ArgumentParser, *, required: bool) -> None:
+    parser.add_argument("--config", type=Path, metavar="FILE", required=required, help="configuration (YAML)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override a key, as in camera.width=640"
+    )
+
+
+def _out(parser: ArgumentParser, *, default: str | None = None) -> None:
+    text = "folder to make" if default is None else f"folder to make (default: {default})"
+    parser.add_argument("--out", type=Path, metavar="DIR", required=default is None, help=text)
+
+
+def _overwrite(parser: ArgumentParser) -> None:
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier result of that name")
+
+
+def _masks(parser: ArgumentParser) -> None:
+    parser.add_argument("--masks", type=Path, metavar="DIR", help="three PNG of the camera's size, nonzero on a face")
+
+
+def _quiet(parser: ArgumentParser) -> None:
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+MAIN = Command("Scan with the configured rig: capture, calibrate, reconstruct.", _scan, "scan")
+NAMED = {
+    "replay": Command("Reconstruct from a recorded capture, whoever made it.", _replay, "replay"),
+    "import": Command("Make a capture of another program's frames, whose order is recognised.", _import, "import_"),
+    "calibrate": Command(
+        "Calibrate from matches of another decoder or of earlier results: one capture, or several of one rig at once.",
+        _calibrate,
+        "calibrate",
+    ),
+    "patterns": Command(
+        "Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means.",
+        _patterns,
+        "patterns",
+    ),
+    "devices": Command("List cameras and screens, with the lines to paste into a configuration.", _quiet, "devices"),
+    "check": Command(
+        "Look at the rig before a scan: devices, exposure, light, focus, and how well this view will calibrate.",
+        _check,
+        "check",
+        """
+Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
+projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
+these lines change, and the file as it was is kept beside it as FILE.bak.
+
+Exit codes: 0 if a scan would work, be it poorly; 3 if a device fails; 4 if a scan of this view would be refused. What
+is known is shown in any case.
+""",
+    ),
+    "export": Command("Write a result in another program's format and conventions.", _export, "export"),
+    "measure": Command(
+        "Measure in a result: how round a ball and how flat the faces came out, and how far two points are apart.",
+        _measure,
+        "measure",
+        """
+The faces are always measured. --sphere finds a ball of known diameter anywhere in the cloud; given twice, it finds two,
+and the distance of their centres is told, too.
+""",
+    ),
+    "view": Command("Look at a result in 3-D, in the browser.", _view, "view"),
+    "console": Command("Check, scan and look at results on a page in the browser.", _console, "console"),
+    "photos": Command(
+        "Calibrate an ordinary camera from two or more photos of a corner, and reconstruct what they share.",
+        _photos,
+        "photos",
+        """
+The photos may be cropped, if all of them are in the same way: the principal point is found, too. The zoom must not
+change between them. The second photo is the one that the result is about.
+""",
+    ),
+}

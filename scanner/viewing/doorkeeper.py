@@ -1,0 +1,101 @@
+"""Who may talk to the page: whoever has its address, from the page itself.
+
+A browser lets any website open a websocket to this computer. So the `Origin` of a request has to be the page's own, its
+`Host` no name that a stranger's DNS could give to this computer (DNS rebinding), and a token from the printed address
+has to come with it: in the query of the first request, which is answered with a cookie, and from then on in that.
+"""
+
+import http
+import secrets
+import socket
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from http.cookies import CookieError, SimpleCookie
+from ipaddress import ip_address
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+_TOKEN = "token"
+_FOREIGN = "This page answers to its own address only.\n"
+_NO_TOKEN = "Open the address that the program has printed, with its token.\n"
+
+
+class Doorkeeper:
+    """Of one server; `host` is the address that it serves at, `token` what the printed address has."""
+
+    def __init__(self, host: str) -> None:
+        own = socket.gethostname()
+        self.token = secrets.token_urlsafe(16)
+        self._names = {name.lower() for name in ("localhost", host, own, f"{own}.local")}
+        self._cookie = f"roomscan-{secrets.token_hex(4)}"  # pages at other ports of this computer share its cookies
+
+    def answer(self, path: str, headers: Mapping[str, str]) -> Response | None:
+        """What to answer instead of the page; None to let a request through."""
+        asked = headers.get("Host", "")
+        origin = headers.get("Origin")
+        if not self._is_ours(asked) or (origin is not None and origin.partition("//")[2] != asked):
+            return _response(http.HTTPStatus.FORBIDDEN, _FOREIGN)
+        query = parse_qs(path.partition("?")[2])
+        if self._knows(query.get(_TOKEN, [""])[0]):
+            cookie = f"{self._cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+            return _response(http.HTTPStatus.FOUND, "", {"Location": "/", "Set-Cookie": cookie})
+        if self._knows(self._of_cookie(headers.get("Cookie", ""))):
+            return None
+        return _response(http.HTTPStatus.FORBIDDEN, _NO_TOKEN)
+
+    def _is_ours(self, asked: str) -> bool:
+        """Whether a `Host` is an address, or a name that this computer gives itself."""
+        try:
+            name = urlsplit(f"//{asked}").hostname or ""
+            return name in self._names or bool(ip_address(name))
+        except ValueError:
+            return False
+
+    def _knows(self, token: str) -> bool:
+        return secrets.compare_digest(token.encode(), self.token.encode())
+
+    def _of_cookie(self, text: str) -> str:
+        try:
+            cookie = SimpleCookie(text).get(self._cookie)
+        except CookieError:
+            return ""
+        return cookie.value if cookie else ""
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """Servers that are started within ask this doorkeeper first.
+
+        viser has no hook for it, but starts its server by this function of websockets.
+        """
+        serve = websockets.asyncio.server.serve
+        setattr(websockets.asyncio.server, "serve", partial(_serve, serve, self))  # noqa: B010
+        try:
+            yield
+        finally:
+            setattr(websockets.asyncio.server, "serve", serve)  # noqa: B010
+
+
+def _serve(
+    serve: Callable[..., Any],
+    doorkeeper: Doorkeeper,
+    *arguments: Any,
+    process_request: Callable[[ServerConnection, Request], Any],
+    **options: Any,
+) -> Any:
+    def asked(connection: ServerConnection, request: Request) -> Any:
+        refused = doorkeeper.answer(request.path, request.headers)
+        return process_request(connection, request) if refused is None else refused
+
+    return serve(*arguments, process_request=asked, **options)
+
+
+def _response(status: http.HTTPStatus, body: str, headers: Mapping[str, str] | None = None) -> Response:
+    data = body.encode()
+    told = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(data)), **(headers or {})}
+    return Response(status, status.phrase, Headers(**told), data)

@@ -1,0 +1,87 @@
+"""Who may talk to the page: over real sockets, with what a browser would send from elsewhere."""
+
+import http.client
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
+import pytest
+
+pytest.importorskip("viser", reason="the page needs the extra 'console'")
+
+import websockets.sync.client
+from hypothesis import given
+from hypothesis import strategies as st
+from websockets.exceptions import InvalidStatus
+
+from scanner.viewing.doorkeeper import Doorkeeper
+from scanner.viewing.server import serving
+
+
+@pytest.fixture(scope="module")
+def where() -> Iterator[str]:
+    """The printed address of a page."""
+    with serving("a page", "127.0.0.1", None) as (_, address):
+        yield address
+
+
+def ask(where: str, path: str = "/", **headers: str) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection(urlsplit(where).netloc, timeout=20)
+    connection.putrequest("GET", path, skip_host="Host" in headers)
+    for name, value in headers.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    return connection.getresponse()
+
+
+def cookie(where: str) -> str:
+    """What the printed address gives to a browser."""
+    parts = urlsplit(where)
+    response = ask(where, f"{parts.path}?{parts.query}")
+    assert response.status == 302
+    assert response.headers["Location"] == "/"
+    told = response.headers["Set-Cookie"]
+    assert "HttpOnly" in told
+    assert "SameSite=Strict" in told
+    return told.split(";")[0]
+
+
+def test_the_printed_address_opens_the_page(where: str) -> None:
+    response = ask(where, Cookie=cookie(where))
+    assert response.status == 200
+    assert "<html" in response.read().decode()
+
+
+@pytest.mark.parametrize("path", ["/", "/?token=", "/?token=guessed", "/index.html"])
+def test_without_the_token_there_is_no_page(where: str, path: str) -> None:
+    response = ask(where, path)
+    assert response.status == 403
+    assert "token" in response.read().decode()
+
+
+def test_a_name_from_a_strangers_dns_is_refused(where: str) -> None:
+    assert ask(where, Host="evil.example:8080", Cookie=cookie(where)).status == 403
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_a_websocket_has_to_come_from_the_page_itself(where: str, own: bool) -> None:
+    netloc = urlsplit(where).netloc
+    origin = f"http://{netloc}" if own else "https://evil.example"
+    headers = {"Cookie": cookie(where)}
+    if own:
+        with websockets.sync.client.connect(f"ws://{netloc}/", origin=origin, additional_headers=headers):  # type: ignore[arg-type]
+            pass
+    else:
+        with (
+            pytest.raises(InvalidStatus) as caught,
+            websockets.sync.client.connect(f"ws://{netloc}/", origin=origin, additional_headers=headers),  # type: ignore[arg-type]
+        ):
+            pass
+        assert caught.value.response.status_code == 403
+
+
+@given(st.text(max_size=40), st.text(max_size=40), st.text(max_size=40))
+def test_nothing_that_is_sent_breaks_it_or_guesses_the_token(asked: str, query: str, cookies: str) -> None:
+    doorkeeper = Doorkeeper("127.0.0.1")
+    refused = doorkeeper.answer(f"/?token={query}", {"Host": asked, "Cookie": cookies})
+    assert refused is not None
+    assert refused.status_code == 403
