@@ -193,7 +193,6 @@ def _quiet(parser: ArgumentParser) -> None:
 MAIN = Command("Scan with the configured rig: capture, calibrate, reconstruct.", _scan, "scan")
 NAMED = {
     "replay": Command("Reconstruct from a recorded capture, whoever made it.", _replay, "replay"),
-    "import": Command("Make a capture of another program's frames, whose order is recognised.", _import, "import_"),
     "calibrate": Command(
         "Calibrate from matches of another decoder or of earlier results: one capture, or several of one rig at once.",
         _calibrate,
@@ -239,4 +238,5 @@ The photos may be cropped, if all of them are in the same way: the principal poi
 change between them. The second photo is the one that the result is about.
 """,
     ),
+    "import": Command("Make a capture of another program's frames, whose order is recognised.", _import, "import_"),
 }
