@@ -2,6 +2,7 @@
 
 from argparse import Namespace
 from collections.abc import Sequence
+from functools import cache
 
 from rich import box
 from rich.table import Table
@@ -14,6 +15,7 @@ from scanner.importing import (
     Layout,
     Recognised,
     Rejected,
+    Samples,
     find_frames,
     recognise,
     take_samples,
@@ -32,9 +34,13 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     output = OutputFolder(args.out) if args.out else None
     files = find_frames(args.folder, args.frames)
-    with terminal.step("Looking at the frames"):
-        samples = take_samples([*files.numbered, *(path for path in (files.white, files.black) if path)])
-    found, rejected = recognise(files, layouts, given, samples, terminal)
+
+    @cache
+    def look() -> Samples:
+        with terminal.step("Looking at the frames"):
+            return take_samples([*files.numbered, *(path for path in (files.white, files.black) if path)])
+
+    found, rejected = recognise(files, layouts, given, look, terminal)
     chosen = _only_one(files, found, rejected)
     if args.layout is None:
         terminal.show(_table(chosen, found, rejected))
@@ -43,7 +49,7 @@ def run(args: Namespace) -> None:
     if output is None:
         return
     with output:
-        write_capture(output.folder, chosen, samples.camera_size)
+        write_capture(output.folder, chosen, look().camera_size)
     terminal.show(f"{len(chosen.files)} frames and capture.yaml are in {args.out}")
 
 

@@ -4,5 +4,5 @@ from scanner.importing.frame_files import FrameFiles, find_frames
 from scanner.importing.layout import Given, Layout
 from scanner.importing.layouts import LAYOUTS
 from scanner.importing.recognise import Recognised, Rejected, recognise
-from scanner.importing.samples import take_samples
+from scanner.importing.samples import Samples, take_samples
 from scanner.importing.write_capture import write_capture

@@ -4,6 +4,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
 from scanner.errors import InputError
@@ -75,8 +76,10 @@ def _place_of_images(folder: Path, pattern: str) -> tuple[Path, list[Path]]:
 
 
 def _images_in(folder: Path, pattern: str) -> list[Path]:
-    found = [path for path in folder.glob(pattern) if path.is_file() and path.suffix.lower() in SUFFIXES]
-    return sorted((path for path in found if not path.name.startswith(".")), key=_natural)
+    found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
+    return sorted(
+        (path for path in found if fnmatch(path.name, pattern) and not path.name.startswith(".")), key=_natural
+    )
 
 
 def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:

@@ -60,9 +60,8 @@ class SizeFound:
         return sum(self.reached)
 
 
-def find_sizes(candidate: Candidate, matches: Matches, camera_size: Size, given: Given) -> list[SizeFound]:
-    """Sizes that the projector may have by a candidate's matches: the most likely, or all that are equally so."""
-    extents = extents_of(candidate, matches, camera_size)
+def find_sizes(candidate: Candidate, extents: Sequence[Extent], given: Given) -> list[SizeFound]:
+    """Sizes that the projector may have by the codes in x and y: the most likely, or all that are equally so."""
     possible = [found for size in _COMMON if (found := _fit(candidate, size, extents, given))]
     if not possible and all(each.ends for each in extents) and not _shows_any_scale(candidate):
         found = _fit(candidate, _measured(candidate, extents), extents, given)
@@ -73,11 +72,12 @@ def find_sizes(candidate: Candidate, matches: Matches, camera_size: Size, given:
     return best[:1] if best and all(best[0].reached) else best
 
 
-def extents_of(candidate: Candidate, matches: Matches, camera_size: Size) -> list[Extent]:
-    """Of x and of y."""
+def extents_of(candidate: Candidate, matches: Matches, camera_size: Size) -> tuple[Extent, Extent]:
+    """Of x and of y, by a candidate's matches."""
     numbers = np.stack([_numbers(candidate.patterns, axis, matches.projector_px) for axis in (0, 1)], axis=1)
     inside = np.all(np.abs(matches.camera_px / camera_size - 0.5) < 0.5 - _BORDER, axis=1)
-    return [_extent(numbers[:, axis], numbers[:, 1 - axis], inside) for axis in (0, 1)]
+    x, y = (_extent(numbers[:, axis], numbers[:, 1 - axis], inside) for axis in (0, 1))
+    return x, y
 
 
 def _extent(values: Floats, across: Floats, inside: Bools) -> Extent:

@@ -1,6 +1,6 @@
 """Whose order of frames is it? Every order that is long enough is tried on the images."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -46,20 +46,21 @@ class Rejected:
 
 
 def recognise(
-    files: FrameFiles, layouts: Sequence[Layout], given: Given, samples: Samples, progress: Progress
+    files: FrameFiles, layouts: Sequence[Layout], given: Given, look: Callable[[], Samples], progress: Progress
 ) -> tuple[list[Recognised], list[Rejected]]:
     """Which of the layouts the frames have, and why not the others. Raises InputError for a file beside the frames.
 
-    Of a single layout, on a projector that is given, the frames need not decode if they look right.
+    `look` reads the frames, if any layout has as many. Of a single layout, on a projector that is given, they need not
+    decode if they look right.
     """
     found, rejected = list[Recognised](), list[Rejected]()
-    judge = _Judge(samples.camera_size, progress, lenient=len(layouts) == 1)
+    judge = _Judge(progress, lenient=len(layouts) == 1)
     for layout in layouts:
         known = given.or_else(layout.settings(files.folder))
         possible = list(candidates(layout, files, known))
-        objections = [objection(samples, candidate.patterns) for candidate in possible]
+        objections = [objection(look(), candidate.patterns) for candidate in possible]
         fitting = [candidate for candidate, against in zip(possible, objections, strict=True) if against is None]
-        results = [judge.judge(layout, candidate, known) for candidate in fitting]
+        results = [judge.judge(layout, candidate, known, look().camera_size) for candidate in fitting]
         good = [result for result in results if isinstance(result, Recognised)]
         bad = [result for result in results if isinstance(result, Rejected)]
         if good:
@@ -79,13 +80,12 @@ def recognise(
 class _Judge:
     """Decodes all frames in the orders that look right; those that several layouts share only once."""
 
-    def __init__(self, camera_size: Size, progress: Progress, *, lenient: bool) -> None:
-        self._camera_size = camera_size
+    def __init__(self, progress: Progress, *, lenient: bool) -> None:
         self._progress = progress
         self._lenient = lenient
         self._found: dict[tuple[tuple[Pattern, ...], Size], Matches | str] = {}
 
-    def judge(self, layout: Layout, candidate: Candidate, given: Given) -> Recognised | Rejected:
+    def judge(self, layout: Layout, candidate: Candidate, given: Given, camera_size: Size) -> Recognised | Rejected:
         """Whether the frames decode in this order, and of which projector they are."""
         if layout.lacks(given):
             options = " and ".join(_OPTIONS[name] for name in layout.needs)
@@ -103,14 +103,9 @@ class _Judge:
         how = f"{len(decoded):,} matches, {share:.0%} of them on the lines of one epipolar geometry"
         if candidate.size_known:
             return _recognised(layout, candidate, candidate.projector_size, how)
-        return self._with_size(layout, candidate, decoded, given, how)
-
-    def _with_size(
-        self, layout: Layout, candidate: Candidate, matches: Matches, given: Given, how: str
-    ) -> Recognised | Rejected:
-        x, y = extents_of(candidate, matches, self._camera_size)
+        extents = x, y = extents_of(candidate, decoded, camera_size)
         seen = f"codes from {x.low} to {x.high} in x, from {y.low} to {y.high} in y"
-        sizes = find_sizes(candidate, matches, self._camera_size, given)
+        sizes = find_sizes(candidate, extents, given)
         if len(sizes) != 1:
             possible = ", or ".join(_shown(found.size) for found in sizes) or "none that is usual"
             why = f"decodes, but the projector's size is not clear, {possible} ({seen}): give --projector"

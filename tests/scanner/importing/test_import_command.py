@@ -217,6 +217,13 @@ def test_a_missing_frame_is_a_wrong_number(folder: Callable[[str], Path], capsys
     assert "no sequence of 39 frames" in error
 
 
+def test_what_is_too_many_is_not_even_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "film").mkdir()
+    for number in range(300):
+        (tmp_path / "film" / f"{number}.png").write_bytes(b"no image")
+    assert "no sequence of 300 frames" in refused(capsys, tmp_path / "film")
+
+
 def test_what_frames_cannot_tell_is_asked_for(
     folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
