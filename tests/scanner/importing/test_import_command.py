@@ -12,6 +12,7 @@ from calib.numerics import Image
 from scanner.capture.recording import open_capture
 from scanner.commands.main import main
 from scanner.decoding.decoder import Decoder
+from scanner.errors import InputError
 from scanner.io.image_file import read_image, write_png
 from scanner.patterns.pattern import Axis, Black, Gray, Pattern, Phase, White
 from tests.support.foreign_captures import ENDS, Photographer, bits, deep, in_colour, named, photographer, steps
@@ -248,13 +249,20 @@ def test_a_size_that_was_not_seen_is_asked_for(
 
 
 def test_what_looks_right_and_does_not_decode_is_taken_at_ones_word(
-    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two exchanged frames in the finest bits: `scan replay` says which, if it is sure that the sequence is right."""
-    shown = [*PAIRS, *ENDS]
-    shown[14], shown[18] = shown[18], shown[14]
-    source = camera.write(tmp_path / "frames", shown, named("graycode_{:02d}.png"))
-    assert imported(source, "--from", "opencv", *KNOWN, "--out", tmp_path / "capture") == 0
+    """`scan replay` will say what is wrong with them; but whose they are is clear."""
+
+    class Decoder:
+        def __init__(self, *_: object) -> None:
+            raise InputError("something is odd about frame 3")
+
+    monkeypatch.setattr("scanner.importing.recognition.Decoder", Decoder)
+    source, word = folder("opencv"), ("--from", "opencv", *KNOWN)
+    assert "looks right, but does not decode: something is odd about frame 3" in refused(capsys, source)
+    assert "something is odd" in refused(capsys, source, *word[:2])
+    assert imported(source, *word, "--out", tmp_path / "capture") == 0
+    assert "not checked: does not decode: something is odd" in capsys.readouterr().out
     assert open_capture(tmp_path / "capture").patterns == (*PAIRS, *ENDS)
 
 

@@ -98,7 +98,8 @@ class _Judge:
         if isinstance(decoded, str):
             if self._lenient and candidate.size_known:
                 return _recognised(layout, candidate, candidate.projector_size, f"not checked: {decoded}")
-            return Rejected(layout, decoded)
+            all_the_same = f"--from {layout.name} and --projector take it at its word"
+            return Rejected(layout, f"looks right, but {decoded}; {all_the_same}", lacking=True)
         share = share_on_epipolar_lines(decoded.camera_px, decoded.projector_px)
         how = f"{len(decoded):,} matches, {share:.0%} of them on the lines of one epipolar geometry"
         if candidate.size_known:

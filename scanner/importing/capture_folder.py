@@ -5,7 +5,7 @@ from pathlib import Path
 
 from scanner.capture import CAPTURE_FILE
 from scanner.importing.layout import Size
-from scanner.importing.recognise import Recognised
+from scanner.importing.recognition import Recognised
 from scanner.io import flow_yaml
 from scanner.patterns import FORMAT, frame_line, size_to_dict
 
