@@ -94,7 +94,7 @@ def outcome(case: Case, seed: int, number: int) -> Outcome:
     if not sigma:
         return Outcome(seconds, error / truth)
     sigmas = np.array(
-        [sigma["camera_focal_px"], sigma["projector_focal_px"], *sigma["projector_principal_point_px"]], np.float64
+        [sigma.camera.focal_px[0], sigma.projector.focal_px[0], *sigma.projector.principal_point_px], np.float64
     )
     over_bound = None
     if case.captures == 1 or not case.same:

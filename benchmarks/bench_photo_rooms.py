@@ -46,12 +46,12 @@ def answer(folder: Path, count: int, squareness_deg: float, camera: Intrinsics) 
     if code:
         return f"refused (exit code {code}), {seconds:.0f} s"
     found = read_calibration(out / "calibration.yaml")
-    focal, sigma = camera.focal_px[0], found.sigma["camera_focal_px"]
+    focal, sigma = camera.focal_px[0], found.sigma.camera.focal_px[0]
     off = np.subtract(found.camera.principal_point_px, camera.principal_point_px)
     return (
         f"f {100 * (found.camera.focal_px[0] / focal - 1):+.2f} % (σ {100 * sigma / focal:.2f} %), "
-        f"PP {off[0]:+.1f}, {off[1]:+.1f} px (σ {found.sigma['camera_principal_point_px'][0]:.1f}, "
-        f"{found.sigma['camera_principal_point_px'][1]:.1f}), {seconds:.0f} s"
+        f"PP {off[0]:+.1f}, {off[1]:+.1f} px (σ {found.sigma.camera.principal_point_px[0]:.1f}, "
+        f"{found.sigma.camera.principal_point_px[1]:.1f}), {seconds:.0f} s"
     )
 
 

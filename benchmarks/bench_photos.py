@@ -109,7 +109,7 @@ def outcome(case: Case, seed: int, number: int) -> Outcome:
         return Outcome(time.perf_counter() - start)
     seconds = time.perf_counter() - start
     error = np.array([calibration.camera.focal_px[0], *calibration.camera.principal_point_px]) - truth
-    sigma = np.array([calibration.sigma["camera_focal_px"], *calibration.sigma["camera_principal_point_px"]])
+    sigma = np.array([calibration.sigma.camera.focal_px[0], *calibration.sigma.camera.principal_point_px])
     bound = None
     if len(pairs) == 1:
         noise = NOISE_PX if case.options.first_noise else 0.0

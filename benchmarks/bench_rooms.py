@@ -101,8 +101,8 @@ def run(seed: int, camera_size: tuple[int, int], projector_size: tuple[int, int]
             continue
         errors = intrinsic_errors_percent(found.calibration, calibration)
         means[name] = float(np.abs(errors).mean())
-        sigma = found.calibration.sigma.get("camera_focal_px")
-        stated = f", σ(f_c) {100 * sigma / 895.55:.2f} %" if isinstance(sigma, float) else ""
+        sigma = found.calibration.sigma.camera.focal_px
+        stated = f", σ(f_c) {100 * sigma[0] / 895.55:.2f} %" if sigma else ""
         print(
             f"  calibration, {name}: {means[name]:.3f} % ({', '.join(f'{error:+.2f}' for error in errors)}{stated}); "
             f"points {100 * cloud_error(matches, found, truth, calibration.baseline):.3f} % of their distance off"

@@ -147,7 +147,7 @@ def deviations(found: Calibration, truth: Calibration) -> np.ndarray:
     values = [found.camera.focal_px[0], found.projector.focal_px[0], *found.projector.principal_point_px]
     true = [truth.camera.focal_px[0], truth.projector.focal_px[0], *truth.projector.principal_point_px]
     sigma = found.sigma
-    sigmas = [sigma["camera_focal_px"], sigma["projector_focal_px"], *sigma["projector_principal_point_px"]]
+    sigmas = [sigma.camera.focal_px[0], sigma.projector.focal_px[0], *sigma.projector.principal_point_px]
     return (np.array(values) - true) / np.array(sigmas)
 
 

@@ -88,7 +88,7 @@ def answer(place: Place, squareness_deg: float) -> str:
         found = self_calibrate(matches, *sizes, principal_point=known, squareness_deg=squareness_deg).calibration
     except RefusalError as refusal:
         return f"refused: {refusal.reason}"
-    sigma = found.sigma["camera_focal_px"]
+    sigma = found.sigma.camera.focal_px[0]
     assert isinstance(sigma, float)
     return f"± {100 * sigma / found.camera.focal_px[0]:.2g} %"
 

@@ -1,4 +1,4 @@
-"""Black and white pictures that tell how late a projector's light follows its orders."""
+"""Latency of a projector, measured with flashes: black and white pictures that tell how late its light follows."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator

@@ -1,4 +1,4 @@
-"""When to show and when to expose: a camera and a projector that know nothing of each other, made to take turns.
+"""Synchronisation without a trigger line: a camera and a projector that know nothing of each other take turns.
 
 A picture is on the wall some tens of milliseconds after the graphics card has swapped it in; how many nobody says, so
 flashes measure it. Per picture the order is then: flip, wait for the light, expose, flip to the next picture, which

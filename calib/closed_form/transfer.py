@@ -5,11 +5,12 @@ B_S = [K⁻¹; nᵀK⁻¹/d], so the normal matrix of the projector's DLT is Σ_
 matrix G_S of the face's homography.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from calib.geometry import CornerImage, FaceGrams, corner_image, corner_planes
+from calib.geometry import CornerImage, FaceGrams, corner_image, corner_planes, inverse_depths
 from calib.numerics import Floats, compiled
 
 
@@ -19,7 +20,8 @@ class Transfer:
 
     `matrix` (n, 3, 3): K with skew and unequal focals, as the DLT gives it; `rotation` (n, 3, 3), `translation` (n, 3):
     X_second = R X_first + t, with the vertex at distance 1 from the first device; `normals` (n, 3, 3), `vertex` (n, 3):
-    the corner in the first device's frame.
+    the corner in the first device's frame. `inverse_depths` (n, 3, 3) as of the function, `second_depths` (n, 3, 3) the
+    same of what a point's depth in the second device is times its inverse depth in the first.
     """
 
     matrix: Floats
@@ -27,6 +29,22 @@ class Transfer:
     translation: Floats
     normals: Floats
     vertex: Floats
+    inverse_depths: Floats
+    second_depths: Floats
+
+    def __getitem__(self, chosen: slice) -> "Transfer":
+        return Transfer(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    def in_front(self, points: Sequence[Floats]) -> Floats:
+        """The share (n,) of image points (N, 3) of each face, homogeneous, whose corner is in front of both devices."""
+        return share_in_front(self.inverse_depths, self.second_depths, points)
+
+
+def share_in_front(inverse_depths: Floats, second_depths: Floats, points: Sequence[Floats]) -> Floats:
+    """As of `Transfer.in_front`, for rows (n, 3, 3) whose products with an image point need only the right sign."""
+    seen = [(inverse_depths[:, face] @ x.T > 0) & (second_depths[:, face] @ x.T > 0) for face, x in enumerate(points)]
+    share: Floats = np.concatenate(seen, axis=1).mean(axis=1)
+    return share
 
 
 def image_of_corner(grams: FaceGrams) -> CornerImage:
@@ -51,8 +69,7 @@ def transfer(grams: FaceGrams, image: CornerImage, matrices: Floats, *, nearest:
     normals = normals.reshape(count, 3, 3)
     rays, inverses = np.concatenate([rays, rays]), np.concatenate([inverses, inverses])
     with np.errstate(invalid="ignore", divide="ignore"):
-        heights = np.einsum("nsi,ni->ns", normals, rays)
-        weights = np.einsum("nsi,nij->nsj", normals, inverses) / heights[..., None]
+        weights = inverse_depths(normals, rays, inverses)
     embed = np.concatenate([np.broadcast_to(inverses[:, None], (count, 3, 3, 3)), weights[:, :, None, :]], axis=2)
     embed = embed @ np.linalg.inv(grams.camera_scale)
 
@@ -62,7 +79,9 @@ def transfer(grams: FaceGrams, image: CornerImage, matrices: Floats, *, nearest:
     motion = np.full((count, 3, 4), np.nan)
     motion[solved] = np.linalg.eigh(normal_matrix[solved])[1][:, :, 0].reshape(-1, 3, 4)
     matrix, rotation, translation = decompose(np.linalg.inv(grams.projector_scale) @ motion)
-    return Transfer(matrix, rotation, translation, normals, rays)
+    ahead = np.einsum("ni,nij->nj", rotation[:, 2], inverses)
+    in_second = ahead[:, None] + translation[:, 2, None, None] * weights
+    return Transfer(matrix, rotation, translation, normals, rays, weights, in_second)
 
 
 @compiled

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from calib.closed_form.transfer import Transfer, image_of_corner, intrinsic_matrices, transfer
-from calib.geometry import CornerImage, FaceGrams, Matches, face_grams
-from calib.numerics import Bools, Floats, Ints, compiled
+from calib.geometry import FACES, CornerImage, FaceGrams, Matches, face_grams, homogeneous
+from calib.numerics import Bools, Floats
 
 _POINTS_IN_FRONT = 0.99
 _SAMPLE_PER_FACE = 200
@@ -22,14 +22,14 @@ _BRACKETS, _PROMISING = 3, 2.0
 class Objective:
     """E(f_c): equations 13 and 14, evaluated for many focals at once.
 
-    `sample`: matches, some of each face, that have to lie in front of both devices.
+    `sample`: some camera points (N, 3) of each face, homogeneous, that have to lie in front of both devices.
     """
 
     grams: FaceGrams
     camera_image: CornerImage
     projector_image: CornerImage
     principal_point_px: tuple[float, float]
-    sample: Matches
+    sample: tuple[Floats, ...]
 
     def evaluate(self, focal_px: Floats) -> tuple[Floats, Transfer]:
         """Focals (n,) → E (2, n) in pixels, for both solutions of the corner, and the 2n transfers.
@@ -49,7 +49,8 @@ class Objective:
         """
         matrices = intrinsic_matrices(focal_px, self.principal_point_px)
         forward = transfer(self.grams, self.camera_image, matrices, nearest=nearest)
-        return forward, self.in_front(forward, focal_px)
+        in_front: Bools = forward.in_front(self.sample) >= _POINTS_IN_FRONT
+        return forward, in_front
 
     def terms(self, focal_px: Floats, forward: Transfer) -> Floats:
         """The seven terms E_1 … E_7 (7, 2n) of equation 14."""
@@ -78,48 +79,6 @@ class Objective:
             ]
         )
 
-    def in_front(self, forward: Transfer, focal_px: Floats) -> Bools:
-        """Which of 2n transfers put the sample in front of both devices, (2n,)."""
-        focal = np.concatenate([focal_px, focal_px])
-        face = self.sample.face
-        assert face is not None
-        count = np.zeros(len(focal), np.int32)
-        _count_in_front(
-            np.ascontiguousarray(self.sample.camera_px - np.array(self.principal_point_px)),
-            np.ascontiguousarray(face, np.int32),
-            focal,
-            forward.normals,
-            forward.vertex,
-            forward.rotation,
-            forward.translation,
-            count,
-        )
-        front: Bools = count >= _POINTS_IN_FRONT * len(face)
-        return front
-
-
-@compiled
-def _count_in_front(
-    centred_px: Floats,
-    face: Ints,
-    focal_px: Floats,
-    normals: Floats,
-    vertex: Floats,
-    rotation: Floats,
-    translation: Floats,
-    count: Ints,
-) -> None:
-    """For each trial, the number of camera pixels whose points on their faces are in front of both devices."""
-    for trial in range(len(focal_px)):
-        ahead = rotation[trial, 2]
-        for i in range(len(face)):
-            normal = normals[trial, face[i]]
-            x, y = centred_px[i, 0] / focal_px[trial], centred_px[i, 1] / focal_px[trial]
-            height = normal[0] * vertex[trial, 0] + normal[1] * vertex[trial, 1] + normal[2] * vertex[trial, 2]
-            depth = height / (normal[0] * x + normal[1] * y + normal[2])
-            second = depth * (ahead[0] * x + ahead[1] * y + ahead[2]) + translation[trial, 2]
-            count[trial] += depth > 0 and second > 0
-
 
 @dataclass(frozen=True)
 class PaperSolution:
@@ -133,18 +92,13 @@ class PaperSolution:
 
 def objective_for(matches: Matches, principal_point_px: tuple[float, float]) -> Objective:
     """Prepare the search from matches with face labels. Raises TooFewMatchesError below four on a face."""
-    grams = face_grams(matches)
-    assert matches.face is not None
-    sample = []
-    for label in range(3):
-        members = np.flatnonzero(matches.face == label)
-        sample.append(members[np.linspace(0, len(members) - 1, min(_SAMPLE_PER_FACE, len(members))).astype(np.intp)])
+    grams, sample = face_grams(matches), []
+    for label in FACES:
+        members = np.flatnonzero(matches.labels == label)
+        chosen = members[np.linspace(0, len(members) - 1, min(_SAMPLE_PER_FACE, len(members))).astype(np.intp)]
+        sample.append(homogeneous(matches.camera_px[chosen].astype(np.float64)))
     return Objective(
-        grams,
-        image_of_corner(grams),
-        image_of_corner(grams.reversed()),
-        principal_point_px,
-        matches[np.concatenate(sample).astype(np.int32)],
+        grams, image_of_corner(grams), image_of_corner(grams.reversed()), principal_point_px, tuple(sample)
     )
 
 
@@ -181,12 +135,6 @@ def search(objective: Objective, focal_px: Floats) -> PaperSolution | None:
         return None
     focal = bounded_search(objective, focal_px, values)
     totals, transfers = objective.evaluate(np.array([focal]))
-    which = slice(int(np.argmin(totals[:, 0])), int(np.argmin(totals[:, 0])) + 1)
-    best = Transfer(
-        transfers.matrix[which],
-        transfers.rotation[which],
-        transfers.translation[which],
-        transfers.normals[which],
-        transfers.vertex[which],
-    )
+    which = int(np.argmin(totals[:, 0]))
+    best = transfers[which : which + 1]
     return PaperSolution(focal_px, values, focal, best)

@@ -2,4 +2,4 @@
 
 from calib.diagnostics.acceptance import USEFUL_SIGMA, no_corner, refuse_degenerate, refuse_untrustworthy
 from calib.diagnostics.notes import FURTHER_CAPTURE, notes_on
-from calib.diagnostics.uncertainty import Uncertainty, calibration_of, sigmas_by_name, uncertainty_of
+from calib.diagnostics.uncertainty import Uncertainty, calibration_of, sigmas_of, uncertainty_of

@@ -1,4 +1,4 @@
-"""Whether a refined solution deserves to be used; what does not is refused with its reason."""
+"""Acceptance tests: whether a refined solution deserves to be used; what does not is refused with its reason."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Why a view of a corner calibrates badly: each kind of degenerate geometry, recognised and named.
+"""Degenerate configurations: why a view of a corner calibrates badly, each kind recognised and named.
 
 Nothing here decides whether an answer can be trusted; the covariance and the residuals do. Once it cannot, this says
 what a person should change.
@@ -76,8 +76,7 @@ def reasons_in_space(state: State, capture: int, words: Wording) -> list[str]:
 
 def _off_one_plane(matches: Matches, i: int, j: int) -> float:
     """Median deviation in projector px from one homography for two faces."""
-    assert matches.face is not None
-    chosen = (matches.face == i) | (matches.face == j)
+    chosen = np.isin(matches.labels, (i, j))
     camera_px, projector_px = matches.camera_px[chosen], matches.projector_px[chosen]
     homography = homography_between(camera_px, projector_px)
     return float(np.median(np.linalg.norm(mapped(homography, camera_px) - projector_px, axis=1)))

@@ -1,4 +1,4 @@
-"""What one more capture of the same corner would gain, and from where it should be taken.
+"""The next best view: from where one more capture of the same corner should be taken, and what it would gain.
 
 The rig is moved around the corner in thought; what it would see there, with the noise of the captures at hand, adds to
 what they say (the information matrices add up), and the covariance of the sum is what the capture would leave.
@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import FACES, unproject
+from calib.geometry import FACES, depths_on_planes, unproject
 from calib.numerics import Floats
 from calib.refinement import (
     CAMERA,
@@ -99,7 +99,7 @@ def _seen(state: State, knowledge: Knowledge) -> Cells | None:
     rays, _ = unproject(state.camera, pixels)
     normals = state.normals(capture)
     with np.errstate(divide="ignore", invalid="ignore"):
-        depths = (normals @ state.poses[capture].vertex) / (rays @ normals.T)
+        depths = depths_on_planes(rays[:, None], normals, state.poses[capture].vertex)
     slants = _slants(state, capture)
     if np.any(slants * np.sign(_slants(state, capture - 1)) < _LEAST_SLANT):
         return None  # the rig would stand in a wall, or see a face of the box from within

@@ -4,11 +4,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Calibration, Intrinsics, Matches, cross, nearest_depths, tangent_basis, unproject
+from calib.geometry import (
+    Calibration,
+    DeviceSigmas,
+    Intrinsics,
+    Matches,
+    Sigmas,
+    cross,
+    nearest_depths,
+    tangent_basis,
+    unproject,
+)
 from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, Prior, State
-
-Sigmas = dict[str, float | tuple[float, ...]]
 
 
 @dataclass(frozen=True)
@@ -78,20 +86,22 @@ def calibration_of(
     )
 
 
-def sigmas_by_name(state: State, covariance: Floats) -> Sigmas:
-    """Standard deviations by their names in a calibration file; angles in degrees, those of the first corner."""
+def sigmas_of(state: State, covariance: Floats) -> Sigmas:
+    """Standard deviations from a covariance of the state's columns; the corner's angles are those of the first."""
     sigma = np.sqrt(np.diag(covariance))
-    sigmas: Sigmas = {}
-    for name, device, columns in (("camera", state.camera, CAMERA), ("projector", state.projector, PROJECTOR)):
-        focal, x0, y0, k1, k2 = (float(value) for value in sigma[columns])
-        sigmas[f"{name}_focal_px"] = float(device[0]) * focal
-        sigmas[f"{name}_principal_point_px"] = (x0, y0)
-        sigmas[f"{name}_distortion"] = (k1, k2)
-    sigmas["rotation_deg"] = tuple(float(value) for value in np.degrees(sigma[ROTATION]))
-    sigmas["translation_direction_deg"] = float(np.degrees(np.hypot(*sigma[TRANSLATION])))
-    angles = state.angle_columns(0)
-    sigmas["corner_angles_deg"] = tuple(float(value) for value in np.degrees(sigma[angles]))
-    return sigmas
+    rotation, angles = (np.degrees(sigma[columns]) for columns in (ROTATION, state.angle_columns(0)))
+    return Sigmas(
+        _device_sigmas(state.camera, sigma[CAMERA]),
+        _device_sigmas(state.projector, sigma[PROJECTOR]),
+        (float(rotation[0]), float(rotation[1]), float(rotation[2])),
+        float(np.degrees(np.hypot(*sigma[TRANSLATION]))),
+        (float(angles[0]), float(angles[1]), float(angles[2])),
+    )
+
+
+def _device_sigmas(device: Floats, sigma: Floats) -> DeviceSigmas:
+    log_focal, x0, y0, k1, k2 = (float(value) for value in sigma)
+    return DeviceSigmas((float(device[0]) * log_focal,) * 2, (x0, y0), (k1, k2))
 
 
 def _intrinsics(size: tuple[int, int], device: Floats) -> Intrinsics:

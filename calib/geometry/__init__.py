@@ -1,8 +1,17 @@
 """Cameras, lenses, poses, homographies, the cuboid corner, triangulation: formulas, and nothing that is estimated."""
 
-from calib.geometry.calibration import Calibration
+from calib.geometry.calibration import Calibration, DeviceSigmas, Sigmas
 from calib.geometry.camera import Intrinsics
-from calib.geometry.corner import Corner, CornerImage, corner_image, corner_planes, leg_signs
+from calib.geometry.corner import (
+    Corner,
+    CornerImage,
+    corner_image,
+    corner_planes,
+    depths_on_planes,
+    inverse_depths,
+    leg_signs,
+    polar,
+)
 from calib.geometry.epipolar_line import cross_epipolar_lines
 from calib.geometry.homography import (
     FACES,
@@ -19,4 +28,4 @@ from calib.geometry.matches import NO_FACE, Matches
 from calib.geometry.radial_distortion import project, unproject
 from calib.geometry.relative_pose import Motion, cross, rotation_about, tangent_basis
 from calib.geometry.reprojection_error import before_the_matches
-from calib.geometry.triangulation import intersect, intersect_rays, nearest_depths
+from calib.geometry.triangulation import Intersections, intersect, intersect_rays, nearest_depths

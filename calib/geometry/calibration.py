@@ -1,7 +1,6 @@
 """What a calibration is: two devices, the motion between them, and how sure of each we are."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,11 +9,35 @@ from calib.numerics import Floats
 
 
 @dataclass(frozen=True)
+class DeviceSigmas:
+    """Standard deviations of `Intrinsics`, field by field; None where unknown. `distortion`: of its first terms."""
+
+    focal_px: tuple[float, float] | None = None
+    principal_point_px: tuple[float, float] | None = None
+    distortion: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Sigmas:
+    """Standard deviations of a calibration, None where unknown; 0 is a number that was held fixed.
+
+    `rotation_deg`: about x, y, z; `translation_direction_deg`: of both directions across it, together;
+    `corner_angles_deg`: between the faces (B, C), (C, A), (A, B).
+    """
+
+    camera: DeviceSigmas = DeviceSigmas()
+    projector: DeviceSigmas = DeviceSigmas()
+    rotation_deg: tuple[float, float, float] | None = None
+    translation_direction_deg: float | None = None
+    corner_angles_deg: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Intrinsics of both devices and X_projector = R X_camera + t.
 
-    `rotation` (3, 3), `translation` (3,) in `unit` ('baseline' where no length is known: |t| = 1). `sigma` maps
-    `camera_focal_px`, `projector_focal_px`, `projector_principal_point_px` … to standard deviations; empty if unknown.
+    `rotation` (3, 3), `translation` (3,) in `unit` ('baseline' where no length is known: |t| = 1). `sigma`: how sure of
+    these numbers one is.
     """
 
     camera: Intrinsics
@@ -22,7 +45,7 @@ class Calibration:
     rotation: Floats
     translation: Floats
     unit: str = "baseline"
-    sigma: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)
+    sigma: Sigmas = Sigmas()
 
     def __post_init__(self) -> None:
         if self.rotation.shape != (3, 3) or self.translation.shape != (3,):

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.polynomial.polynomial import polyval
 
-from calib.numerics import Bools, Floats
+from calib.geometry import radial_distortion as lens
+from calib.numerics import Floats
 
-_NEWTON_STEPS = 30
-_NEWTON_TOLERANCE = 1e-12
 _WORTH_A_POLYNOMIAL = 1000
 _DEGREES = (6, 10, 14, 18)
 _CHECKED = 64
@@ -68,44 +67,17 @@ class Intrinsics:
 
     def distort(self, normalised: Floats) -> Floats:
         """Brown (1971), as in OpenCV: ideal (..., 2) → distorted (..., 2), both in normalised coordinates."""
-        if not any(self.distortion):
-            return normalised.copy("K")
-        k1, k2, p1, p2, k3 = self.distortion
-        x, y = normalised[..., 0], normalised[..., 1]
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        # In the memory layout of the argument: where columns lie together, arithmetic is several times as fast.
-        distorted = np.empty_like(normalised)
-        np.multiply(x, radial, out=distorted[..., 0])
-        np.multiply(y, radial, out=distorted[..., 1])
-        if p1 or p2:
-            distorted[..., 0] += 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-            distorted[..., 1] += p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        return distorted
+        return lens.distort(normalised, self.distortion) if any(self.distortion) else normalised.copy("K")
 
     def undistort(self, distorted: Floats) -> Floats:
         """Inverse of `distort`; NaN where it has none within the lens's monotonic range."""
         if not any(self.distortion):
             return distorted.copy("K")
-        inverse = self.inverse_for(distorted.size // 2)
-        if inverse is None:
-            return self._undistort_by_newton(distorted)
-        polynomial, largest = inverse
-        r2 = distorted[..., 0] * distorted[..., 0] + distorted[..., 1] * distorted[..., 1]
-        if not np.max(r2) <= largest:
-            return self._undistort_by_newton(distorted)
-        normalised: Floats = distorted * polyval(r2, polynomial)[..., None]
-        return normalised
-
-    def inverse_for(self, count: int) -> tuple[Floats, float] | None:
-        """The inverse of `distort` as a polynomial: ideal over distorted radius by the distorted radius squared.
-
-        Its coefficients from the constant upwards, and the radius squared up to which it holds. None where there is
-        none as good as Newton's method, or where it is not worth finding it for so few points.
-        """
-        if not any(self.distortion):
-            return np.ones(1), np.inf
-        return self._radial_inverse if count >= _WORTH_A_POLYNOMIAL else None
+        if distorted.size >= 2 * _WORTH_A_POLYNOMIAL and self._radial_inverse is not None:
+            ideal = lens.undistort_by(*self._radial_inverse, distorted)
+            if ideal is not None:
+                return ideal
+        return lens.undistort(distorted, self.distortion)
 
     @cached_property
     def _radial_inverse(self) -> tuple[Floats, float] | None:
@@ -120,7 +92,7 @@ class Intrinsics:
 
         def ratio(r2: Floats) -> Floats:
             along = np.stack([np.sqrt(r2), np.zeros_like(r2)], axis=-1)
-            ideal: Floats = self._undistort_by_newton(along)[..., 0] / along[..., 0]
+            ideal: Floats = lens.undistort(along, self.distortion)[..., 0] / along[..., 0]
             return ideal
 
         between = np.linspace(1e-6, 1, _CHECKED) * largest
@@ -131,47 +103,3 @@ class Intrinsics:
             if np.max(np.abs(polyval(between, fitted.coef) - exact)) < _POLYNOMIAL_TOLERANCE:
                 return np.asarray(fitted.coef, np.float64), largest
         return None
-
-    def _undistort_by_newton(self, distorted: Floats) -> Floats:
-        normalised = distorted.copy("K")
-        for _ in range(_NEWTON_STEPS):
-            error = self.distort(normalised) - distorted
-            (a, b), (c, d) = self.distortion_jacobian(normalised)
-            determinant = a * d - b * c
-            with np.errstate(divide="ignore", invalid="ignore"):
-                step = np.stack(
-                    [
-                        (d * error[..., 0] - b * error[..., 1]) / determinant,
-                        (a * error[..., 1] - c * error[..., 0]) / determinant,
-                    ],
-                    axis=-1,
-                )
-            normalised = normalised - step
-            if not np.nanmax(np.abs(step), initial=0.0) > _NEWTON_TOLERANCE:
-                break
-        return np.where(self._inverted(normalised, distorted)[..., None], normalised, np.nan)
-
-    def _inverted(self, normalised: Floats, distorted: Floats) -> Bools:
-        with np.errstate(invalid="ignore"):
-            residual = np.abs(self.distort(normalised) - distorted).max(axis=-1)
-            inverted: Bools = (residual < 1e-9) & self.is_invertible(normalised)
-        return inverted
-
-    def is_invertible(self, normalised: Floats) -> Bools:
-        """Whether ideal coordinates (..., 2) are within the lens's monotonic range, (...)."""
-        (a, b), (c, d) = self.distortion_jacobian(normalised)
-        invertible: Bools = (a * d - b * c > 0) & (a + d > 0)
-        return invertible
-
-    def distortion_jacobian(self, normalised: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-        """Rows of the derivative of `distort` by ideal coordinates (..., 2), each number (...)."""
-        k1, k2, p1, p2, k3 = self.distortion
-        x, y = normalised[..., 0], normalised[..., 1]
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
-        cross = slope * x * y + 2 * p1 * x + 2 * p2 * y
-        return (
-            (radial + slope * x * x + 2 * p1 * y + 6 * p2 * x, cross),
-            (cross, radial + slope * y * y + 6 * p1 * y + 2 * p2 * x),
-        )

@@ -24,10 +24,25 @@ class Corner:
     @property
     def normals(self) -> Floats:
         """Unit normals of the faces, (3, 3) rows, each on the side of its own leg."""
-        normals = np.cross(np.roll(self.legs, -1, axis=0), np.roll(self.legs, -2, axis=0))
-        normals *= np.sign(np.sum(normals * self.legs, axis=1))[:, None]
-        unit: Floats = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        return unit
+        return polar(self.legs)
+
+    @property
+    def axes(self) -> Floats:
+        """Right-handed orthonormal rows (3, 3) nearest to the legs: the corner's frame.
+
+        The nearest rotation (Schönemann 1966); legs that are numbered the left-handed way round change places first.
+        """
+        u, _, vt = np.linalg.svd(self.legs if np.linalg.det(self.legs) > 0 else self.legs[[0, 2, 1]])
+        nearest: Floats = u @ vt
+        return nearest
+
+    @property
+    def up(self) -> Floats:
+        """The leg that is most upright in the camera's image, or its opposite, pointing up there, (3,)."""
+        above = np.array([0.0, -1.0, 0.0])
+        steepest: Floats = self.legs[np.argmax(np.abs(self.legs @ above))]
+        up: Floats = steepest * np.sign(steepest @ above)
+        return up
 
     @property
     def angles_deg(self) -> Floats:
@@ -102,6 +117,33 @@ def corner_planes(image: CornerImage, inverse_matrices: Floats, *, nearest: bool
         u, _, v = np.linalg.svd(normals[:, ~real])
         normals[:, ~real] = u @ v
     return normals, rays
+
+
+def depths_on_planes(rays: Floats, normals: Floats, vertex: Floats) -> Floats:
+    """z at which rays (..., 3) through z = 1 meet the planes normal · X = normal · vertex; `normals` (..., 3)."""
+    depths: Floats = (normals @ vertex) / np.sum(normals * rays, axis=-1)
+    return depths
+
+
+def inverse_depths(normals: Floats, rays: Floats, inverse_matrices: Floats) -> Floats:
+    """w (n, 3, 3), rows: the inverse depth of face S at the homogeneous image point x is w_S · x.
+
+    For corners as of `corner_planes` with vertices along `rays` (n, 3), and K⁻¹ (n, 3, 3).
+    """
+    heights = np.einsum("nsi,ni->ns", normals, rays)
+    inverse: Floats = np.einsum("nsi,nij->nsj", normals, inverse_matrices) / heights[..., None]
+    return inverse
+
+
+def polar(rows: Floats) -> Floats:
+    """Unit rows (3, 3), each perpendicular to the two others' namesakes in `rows` and on the side of its own.
+
+    Of legs they are the faces' normals, of normals the legs.
+    """
+    across = np.cross(np.roll(rows, -1, axis=0), np.roll(rows, -2, axis=0))
+    across *= np.sign(np.sum(across * rows, axis=1))[:, None]
+    unit: Floats = across / np.linalg.norm(across, axis=1, keepdims=True)
+    return unit
 
 
 def leg_signs(legs: Floats, vertex: Floats, points: Floats) -> Floats:

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry.calibration import Calibration
-from calib.geometry.camera import Intrinsics
+from calib.geometry.radial_distortion import distort_steps
 from calib.numerics import Bools, Floats
 
 _STEPS = 20
 _CONVERGED_PX = 1e-9
+_SAME_POINT = 1e-6  # in normalised coordinates
 
 
 @dataclass(frozen=True)
@@ -36,45 +37,40 @@ def cross_epipolar_lines(camera_px: Floats, known_px: Floats, axis: int, calibra
 
     The line of a ray u is t × u (Hartley & Zisserman, 2nd ed., section 9.2), u in the projector's frame.
     """
-    projector, rays = calibration.projector, calibration.camera.unproject(camera_px) @ calibration.rotation.T
-    lines = np.cross(calibration.translation, rays)
+    projector, rays = calibration.projector, (calibration.camera.unproject(camera_px) @ calibration.rotation.T).T
+    x, y, w = np.cross(calibration.translation, rays, axisb=0).T
     other = 1 - axis
-    focal, centre = np.array(projector.focal_px), np.array(projector.principal_point_px)
+    focal, centre = np.array([projector.focal_px]).T, np.array([projector.principal_point_px]).T
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        along = np.stack([-lines[:, 1], lines[:, 0]], axis=1) / np.hypot(*lines[:, :2].T)[:, None]
-        ideal = np.empty((len(camera_px), 2))
-        ideal[:, axis] = (known_px - centre[axis]) / focal[axis]
-        ideal[:, other] = -(lines[:, axis] * ideal[:, axis] + lines[:, 2]) / lines[:, other]
-        straight = np.abs(focal[axis] * along[:, axis]) / np.hypot(*(focal * along).T)
+        along = np.stack([-y, x]) / np.hypot(x, y)
+        straight = np.abs(focal[axis] * along[axis]) / np.hypot(*(focal * along))
+        ideal = np.empty((2, len(camera_px)))
+        ideal[axis] = (known_px - centre[axis]) / focal[axis]
+        ideal[other] = -((x, y)[axis] * ideal[axis] + w) / (x, y)[other]
         for _ in range(_STEPS):
-            pixel, tangent = projector.distort(ideal) * focal + centre, _tangents(projector, ideal, along)
-            step = (known_px - pixel[:, axis]) / tangent[:, axis]
-            step_px = np.abs(step) * np.hypot(*tangent.T)
+            distorted, moved = distort_steps(ideal, along, projector.distortion)
+            pixel, tangent = focal * distorted + centre, focal * moved
+            step = (known_px - pixel[axis]) / tangent[axis]
+            step_px = np.abs(step) * np.hypot(*tangent)
             if not np.nanmax(step_px, initial=0.0) > _CONVERGED_PX:
                 break
-            ideal += step[:, None] * along
-        sine = np.abs(tangent[:, axis]) / np.hypot(*tangent.T)
-        there = (step_px <= _CONVERGED_PX) & projector.is_invertible(ideal)
-        there &= _in_front(ideal, rays, along, calibration.translation)
-    pixel[:, axis] = known_px
-    return Crossings(pixel, np.where(there, sine, straight), there)
-
-
-def _tangents(projector: Intrinsics, ideal: Floats, along: Floats) -> Floats:
-    """How pixels move per step `along` (N, 2) the ideal epipolar line, (N, 2)."""
-    (a, b), (c, d) = projector.distortion_jacobian(ideal)
-    moved = np.stack([a * along[:, 0] + b * along[:, 1], c * along[:, 0] + d * along[:, 1]], axis=1)
-    moved *= np.array(projector.focal_px)
-    return moved
+            ideal = ideal + step * along
+        sine = np.abs(tangent[axis]) / np.hypot(*tangent)
+        # Beyond the lens's monotonic range another point is seen at the same pixel.
+        same = np.abs(projector.undistort(distorted.T).T - ideal).max(axis=0) < _SAME_POINT
+        there = (step_px <= _CONVERGED_PX) & same & _in_front(ideal, rays, along, calibration.translation)
+    projector_px = pixel.T.copy()
+    projector_px[:, axis] = known_px
+    return Crossings(projector_px, np.where(there, sine, straight), there)
 
 
 def _in_front(ideal: Floats, rays: Floats, along: Floats, translation: Floats) -> Bools:
-    """Whether the point of each ray (N, 3), in the projector's frame, that is seen at `ideal` (N, 2) has z > 0 twice.
+    """Whether the point of each ray (3, N), in the projector's frame, that is seen at `ideal` (2, N) has z > 0 twice.
 
     With ρ one over its depth before the camera, the point is in proportion to ray + ρ translation.
     """
-    offset = rays[:, :2] - ideal * rays[:, 2:]
-    moved = ideal * translation[2] - translation[:2]
-    inverse_depth = np.sum(offset * along, axis=1) / np.sum(moved * along, axis=1)
-    in_front: Bools = (inverse_depth > 0) & (rays[:, 2] + inverse_depth * translation[2] > 0)
+    offset = rays[:2] - ideal * rays[2]
+    moved = ideal * translation[2] - translation[:2, None]
+    inverse_depth = np.sum(offset * along, axis=0) / np.sum(moved * along, axis=0)
+    in_front: Bools = (inverse_depth > 0) & (rays[2] + inverse_depth * translation[2] > 0)
     return in_front

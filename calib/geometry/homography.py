@@ -109,13 +109,12 @@ class FaceGrams:
 
 def face_grams(matches: Matches) -> FaceGrams:
     """Accumulate the Gram matrices of the faces 0, 1, 2. Raises TooFewMatchesError below four each."""
-    if matches.face is None:
-        raise ValueError("these matches have no face labels")
-    counts, camera_scale, projector_scale = _normalisations(matches, matches.face)
+    face = matches.labels
+    counts, camera_scale, projector_scale = _normalisations(matches, face)
     for label in FACES:
         if counts[label] < 4:
             raise TooFewMatchesError(f"face {label} has {counts[label]} matches; a homography needs at least four")
-    moments = _moments(matches.camera_px, matches.projector_px, matches.face, camera_scale, projector_scale, len(FACES))
+    moments = _moments(matches.camera_px, matches.projector_px, face, camera_scale, projector_scale, len(FACES))
     return FaceGrams(
         np.stack([_gram_of_moments(each) for each in moments]),
         np.stack([_gram_of_moments(each.transpose(1, 0, 3, 2)) for each in moments]),

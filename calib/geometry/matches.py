@@ -58,15 +58,20 @@ class Matches:
             None if self.sigma_px is None else self.sigma_px[chosen].astype(np.float64, copy=False),
         )
 
+    @property
+    def labels(self) -> Ints:
+        """`face` (N,) of matches that have face labels. Raises ValueError where they have none."""
+        if self.face is None:
+            raise ValueError("these matches have no face labels")
+        return self.face
+
     def with_faces(self, face: Ints) -> "Matches":
         """The same matches with other face labels (N,)."""
         return replace(self, face=face)
 
     def on_face(self, label: int) -> "Matches":
         """The matches with one face label."""
-        if self.face is None:
-            raise ValueError("these matches have no face labels")
-        return self[self.face == label]
+        return self[self.labels == label]
 
 
 def _is_finite(values: Floats | Ints) -> bool:

@@ -1,15 +1,54 @@
-"""What a lens with two radial terms does to pixels and to points, with the exact derivatives that the model needs.
+"""Lens distortion: Brown's model with its inverse and exact derivatives. The formula stands here and nowhere else.
 
-A device is (5,): f, x_0, y_0, k1, k2. A lens moves the ideal image point x, in units of the focal length, to
-x (1 + k1 r² + k2 r⁴) with r = |x|.
+A lens moves the ideal image point x, in units of the focal length, to x (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms
+in p1, p2, with r = |x| (Brown 1971; signs and order k1, k2, p1, p2, k3 as in OpenCV).
+
+The refinement's devices are (5,): f, x_0, y_0, k1, k2, with two radial terms and none else.
 """
 
 import numpy as np
 
-from calib.numerics import Floats, compiled
+from calib.numerics import Floats, by_columns, compiled
 
-_UNDISTORT_STEPS = 12
-_UNDISTORTED = 1e-13
+_NEWTON_STEPS = 30
+_CONVERGED, _INVERTED = 1e-13, 1e-9  # of a step, and of what a point that was found may be off
+
+Distortion = tuple[float, float, float, float, float]
+
+
+def distort(ideal: Floats, distortion: Distortion) -> Floats:
+    """Ideal (..., 2) → distorted (..., 2), both in normalised coordinates."""
+    columns = by_columns(ideal.reshape(-1, 2)).T
+    distorted = np.empty_like(columns)
+    _distort(columns, distortion, distorted)
+    return distorted.T.reshape(ideal.shape)
+
+
+def undistort(distorted: Floats, distortion: Distortion) -> Floats:
+    """Inverse of `distort` by Newton's method; NaN where it has none within the lens's monotonic range."""
+    columns = by_columns(distorted.reshape(-1, 2)).T
+    ideal = np.empty_like(columns)
+    _undistort(columns, distortion, ideal)
+    return ideal.T.reshape(distorted.shape)
+
+
+def undistort_by(polynomial: Floats, largest: float, distorted: Floats) -> Floats | None:
+    """Inverse of `distort` by a polynomial, (..., 2): ideal over distorted radius by the distorted radius squared.
+
+    Coefficients from the constant upwards; None if a squared radius is beyond the `largest` for which it holds.
+    """
+    columns = by_columns(distorted.reshape(-1, 2)).T
+    ideal = np.empty_like(columns)
+    return ideal.T.reshape(distorted.shape) if _scale(columns, polynomial, largest, ideal) else None
+
+
+def distort_steps(ideal: Floats, steps: Floats, distortion: Distortion) -> tuple[Floats, Floats]:
+    """Distorted points (2, N), and where they move for `steps` (2, N) of the ideal points (2, N)."""
+    if not any(distortion):
+        return ideal, steps
+    distorted, moved = np.empty_like(ideal), np.empty_like(ideal)
+    _distort_steps(ideal, steps, distortion, distorted, moved)
+    return distorted, moved
 
 
 def unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
@@ -27,18 +66,110 @@ def project(device: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
     return pixels, by_point, by_device
 
 
+def rescaled(pixels: Floats, origin_px: tuple[float, float], per_px: float, lens: Floats) -> Floats:
+    """c + q (1 + k1 |q|² + k2 |q|⁴) with q = (pixel − origin) per_px − c, (..., 2); `lens`: k1, k2, c (4,)."""
+    moved = np.empty(pixels.shape)
+    _rescale(np.ascontiguousarray(pixels).reshape(-1, 2), *origin_px, per_px, lens, moved.reshape(-1, 2))
+    return moved
+
+
+def rescaled_by_lens(pixels: Floats, origin_px: tuple[float, float], per_px: float, lens: Floats) -> Floats:
+    """Derivatives of `rescaled` by the lens, (N, 2) → (N, 2, 4)."""
+    jacobian = np.empty((len(pixels), 2, 4))
+    _rescale_by_lens(pixels, *origin_px, per_px, lens, jacobian)
+    return jacobian
+
+
+@compiled
+def _radial(r2: float, k1: float, k2: float, k3: float) -> tuple[float, float]:
+    """Distorted over ideal radius, and twice its derivative by r²."""
+    return 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+
+
+@compiled
+def _distorted(x: float, y: float, distortion: Distortion) -> tuple[float, float, float, float, float]:
+    """The distorted point, and its Jacobian [[a, b], [b, d]] by the ideal one."""
+    k1, k2, p1, p2, k3 = distortion
+    r2 = x * x + y * y
+    radial, slope = _radial(r2, k1, k2, k3)
+    u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    v = y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)
+    a = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+    d = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+    return u, v, a, slope * x * y + 2.0 * (p1 * x + p2 * y), d
+
+
+@compiled
+def _ideal(u: float, v: float, distortion: Distortion) -> tuple[float, float]:
+    """Newton's method from the distorted point; where it does not converge, anything."""
+    x, y = u, v
+    for _ in range(_NEWTON_STEPS):
+        bent_x, bent_y, a, b, d = _distorted(x, y, distortion)
+        off_x, off_y, determinant = bent_x - u, bent_y - v, a * d - b * b
+        step_x, step_y = (d * off_x - b * off_y) / determinant, (a * off_y - b * off_x) / determinant
+        x, y = x - step_x, y - step_y
+        if not abs(step_x) + abs(step_y) > _CONVERGED:
+            break
+    return x, y
+
+
+@compiled
+def _distort(ideal: Floats, distortion: Distortion, distorted: Floats) -> None:
+    for i in range(ideal.shape[1]):
+        distorted[0, i], distorted[1, i], _, _, _ = _distorted(ideal[0, i], ideal[1, i], distortion)
+
+
+@compiled
+def _undistort(distorted: Floats, distortion: Distortion, ideal: Floats) -> None:
+    for i in range(ideal.shape[1]):
+        x, y = _ideal(distorted[0, i], distorted[1, i], distortion)
+        u, v, a, b, d = _distorted(x, y, distortion)
+        off = max(abs(u - distorted[0, i]), abs(v - distorted[1, i]))
+        found = off < _INVERTED and a * d - b * b > 0.0 and a + d > 0.0
+        ideal[0, i], ideal[1, i] = (x, y) if found else (np.nan, np.nan)
+
+
+@compiled
+def _scale(distorted: Floats, polynomial: Floats, largest: float, ideal: Floats) -> bool:
+    ratio, r2 = ideal[0], ideal[1]  # until the last loop overwrites them with the result
+    # Rows are taken out of the arrays before the loop: columns indexed inside it kept the compiler from vectorising.
+    x, y, beyond = distorted[0], distorted[1], 0
+    for i in range(len(ratio)):
+        r2[i] = x[i] * x[i] + y[i] * y[i]
+        beyond += not r2[i] <= largest
+        ratio[i] = polynomial[-1]
+    # Coefficient by coefficient: only a loop with none inside is vectorised.
+    for k in range(len(polynomial) - 2, -1, -1):
+        for i in range(len(ratio)):
+            ratio[i] = ratio[i] * r2[i] + polynomial[k]
+    for i in range(len(ratio)):
+        r2[i] = ratio[i] * y[i]
+        ratio[i] = ratio[i] * x[i]
+    return beyond == 0
+
+
+@compiled
+def _distort_steps(ideal: Floats, steps: Floats, distortion: Distortion, distorted: Floats, moved: Floats) -> None:
+    x, y, step_x, step_y = ideal[0], ideal[1], steps[0], steps[1]
+    distorted_x, distorted_y, moved_x, moved_y = distorted[0], distorted[1], moved[0], moved[1]
+    for i in range(len(x)):
+        u, v, a, b, d = _distorted(x[i], y[i], distortion)
+        distorted_x[i], distorted_y[i] = u, v
+        moved_x[i], moved_y[i] = a * step_x[i] + b * step_y[i], b * step_x[i] + d * step_y[i]
+
+
 @compiled
 def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) -> None:
     focal, x_0, y_0, k1, k2 = device
     for i in range(len(pixels)):
         # Distorted, in units of the focal length: u = (pixel − centre) / f.
         u, v = (pixels[i, 0] - x_0) / focal, (pixels[i, 1] - y_0) / focal
-        ratio = _ideal_over_distorted(np.sqrt(u * u + v * v), k1, k2)
-        x, y = ratio * u, ratio * v
+        x, y = _ideal(u, v, (k1, k2, 0.0, 0.0, 0.0))
         rays[i, 0], rays[i, 1], rays[i, 2] = x, y, 1.0
 
         # J dx = du − (∂ distorted / ∂k) dk
-        r2, _, a, b, d = _distortion(x, y, k1, k2)
+        r2 = x * x + y * y
+        _, _, a, b, d = _distorted(x, y, (k1, k2, 0.0, 0.0, 0.0))
         determinant = a * d - b * b
         for column, du, dv in (
             (0, -u, -v),
@@ -57,8 +188,8 @@ def _project(device: Floats, points: Floats, pixels: Floats, by_point: Floats, b
     for i in range(len(points)):
         z = points[i, 2]
         x, y = points[i, 0] / z, points[i, 1] / z
-        r2, factor, a, b, d = _distortion(x, y, k1, k2)
-        u, v = factor * x, factor * y
+        r2 = x * x + y * y
+        u, v, a, b, d = _distorted(x, y, (k1, k2, 0.0, 0.0, 0.0))
         pixels[i, 0], pixels[i, 1] = focal * u + x_0, focal * v + y_0
         # dx = (dX − x dZ) / Z
         scale = focal / z
@@ -71,22 +202,22 @@ def _project(device: Floats, points: Floats, pixels: Floats, by_point: Floats, b
 
 
 @compiled
-def _distortion(x: float, y: float, k1: float, k2: float) -> tuple[float, float, float, float, float]:
-    """r², distorted over ideal radius, and the Jacobian [[a, b], [b, d]] of the distorted point by the ideal one."""
-    r2 = x * x + y * y
-    factor = 1 + r2 * (k1 + r2 * k2)
-    slope = 2 * (k1 + 2 * k2 * r2)
-    return r2, factor, factor + slope * x * x, slope * x * y, factor + slope * y * y
+def _rescale(pixels: Floats, x0: float, y0: float, per_px: float, lens: Floats, moved: Floats) -> None:
+    k1, k2, x_c, y_c = lens[0], lens[1], lens[2], lens[3]
+    for i in range(len(pixels)):
+        x, y = (pixels[i, 0] - x0) * per_px - x_c, (pixels[i, 1] - y0) * per_px - y_c
+        ratio, _ = _radial(x * x + y * y, k1, k2, 0.0)
+        moved[i, 0], moved[i, 1] = x * ratio + x_c, y * ratio + y_c
 
 
 @compiled
-def _ideal_over_distorted(distorted: float, k1: float, k2: float) -> float:
-    """r / r_d by Newton's method on r (1 + k1 r² + k2 r⁴) = r_d."""
-    ideal = distorted
-    for _ in range(_UNDISTORT_STEPS):
-        r2 = ideal * ideal
-        step = (ideal * (1 + r2 * (k1 + r2 * k2)) - distorted) / (1 + r2 * (3 * k1 + 5 * r2 * k2))
-        ideal -= step
-        if abs(step) < _UNDISTORTED:
-            break
-    return ideal / distorted if distorted > 0 else 1.0
+def _rescale_by_lens(pixels: Floats, x0: float, y0: float, per_px: float, lens: Floats, jacobian: Floats) -> None:
+    k1, k2, x_c, y_c = lens[0], lens[1], lens[2], lens[3]
+    for i in range(len(pixels)):
+        x, y = (pixels[i, 0] - x0) * per_px - x_c, (pixels[i, 1] - y0) * per_px - y_c
+        r2 = x * x + y * y
+        ratio, slope = _radial(r2, k1, k2, 0.0)
+        jacobian[i, 0, 0], jacobian[i, 0, 1] = x * r2, x * r2 * r2
+        jacobian[i, 1, 0], jacobian[i, 1, 1] = y * r2, y * r2 * r2
+        jacobian[i, 0, 2], jacobian[i, 0, 3] = 1.0 - ratio - slope * x * x, -slope * x * y
+        jacobian[i, 1, 2], jacobian[i, 1, 3] = -slope * x * y, 1.0 - ratio - slope * y * y

@@ -1,4 +1,4 @@
-"""How two devices stand to each other, and the steps by which that changes."""
+"""The relative pose of two devices, and steps in its tangent space."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,10 +1,9 @@
-"""A solution held against the matches that it came from."""
+"""The reprojection error of a solution on the matches that it came from, and the signs of its legs."""
 
 import numpy as np
 
 from calib.geometry.calibration import Calibration
-from calib.geometry.camera import Intrinsics
-from calib.geometry.corner import Corner, leg_signs
+from calib.geometry.corner import Corner, depths_on_planes, leg_signs
 from calib.geometry.matches import Matches
 from calib.numerics import MEDIAN_LENGTH, Floats, evenly
 
@@ -16,20 +15,11 @@ def before_the_matches(corner: Corner, calibration: Calibration, matches: Matche
 
     The error is in projector pixels; a sample of the matches tells both.
     """
-    assert matches.face is not None
-    chosen = evenly(matches.face >= 0, _SAMPLE)
-    labelled = matches[chosen]
-    points = _on_faces(corner, calibration.camera, labelled)
+    labelled = matches[evenly(matches.labels >= 0, _SAMPLE)]
+    rays = calibration.camera.unproject(labelled.camera_px)
+    points = depths_on_planes(rays, corner.normals[labelled.labels], corner.vertex)[:, None] * rays
     signs = leg_signs(corner.legs, corner.vertex, points)
     return Corner(corner.vertex, corner.legs * signs[:, None]), _reprojection_error(calibration, points, labelled)
-
-
-def _on_faces(corner: Corner, camera: Intrinsics, labelled: Matches) -> Floats:
-    """Where the camera's rays of labelled matches meet their faces, (N, 3) in the camera's frame."""
-    normals = corner.normals[labelled.face]
-    rays = camera.unproject(labelled.camera_px)
-    points: Floats = (normals @ corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
-    return points
 
 
 def _reprojection_error(calibration: Calibration, points: Floats, labelled: Matches) -> float:

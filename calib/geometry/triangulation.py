@@ -1,4 +1,4 @@
-"""Matches and a calibration → points."""
+"""Triangulation: matches and a calibration → points."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,7 @@ import numpy as np
 from calib.geometry.calibration import Calibration
 from calib.geometry.camera import Intrinsics
 from calib.geometry.matches import Matches
+from calib.geometry.radial_distortion import distort_steps
 from calib.numerics import Bools, Floats, by_columns, compiled, in_pieces
 
 # Square of the sine of an angle that is nothing but rounding.
@@ -50,55 +51,28 @@ def intersect_rays(camera_px: Floats, projector_px: Floats, calibration: Calibra
     """
     camera, projector, count = calibration.camera, calibration.projector, len(camera_px)
     # Coordinate by coordinate, (2, N) and (3, N), which is what can be vectorised.
-    camera_px, projector_px = by_columns(camera_px).T, by_columns(projector_px).T
-    points, foot_px = np.empty((3, count)), np.empty((2, count))
-    depth, residual_px = np.empty(count), np.empty(count)
-    camera_ideal, pose = _ideal(camera, camera_px), _pose(calibration)
-    _meet(camera_ideal, _ideal(projector, projector_px), pose, points, depth)
-    _miss(camera_ideal, depth, projector_px, _lens(projector), pose, foot_px, residual_px)
+    camera_ideal, projector_ideal = _ideal(camera, camera_px), _ideal(projector, projector_px)
+    points, depth, foot, step = np.empty((3, count)), np.empty(count), np.empty((2, count)), np.empty((2, count))
+    _meet(camera_ideal, projector_ideal, _pose(calibration), points, depth)
+    _seen(camera_ideal, depth, _pose(calibration), foot, step)
+    foot_px, tangent = distort_steps(foot, step, projector.distortion)
+    residual_px = np.empty(count)
+    _miss(
+        foot_px, tangent, (*projector.focal_px, *projector.principal_point_px), by_columns(projector_px).T, residual_px
+    )
     return Intersections(points.T, foot_px.T, residual_px, np.isfinite(residual_px))
 
 
-def _lens(device: Intrinsics) -> tuple[float, ...]:
-    """Focal lengths, principal point and distortion."""
-    return tuple(map(float, (*device.focal_px, *device.principal_point_px, *device.distortion)))
+def _ideal(device: Intrinsics, pixels: Floats) -> Floats:
+    """Where the rays of pixels (N, 2) meet z = 1, (2, N)."""
+    distorted = np.subtract(pixels, device.principal_point_px, out=np.empty(pixels.shape, order="F"))
+    distorted /= np.array(device.focal_px)
+    return by_columns(device.undistort(distorted)).T
 
 
 def _pose(calibration: Calibration) -> tuple[float, ...]:
     """Rows of the rotation, and the translation."""
     return (*calibration.rotation.ravel().tolist(), *calibration.translation.tolist())
-
-
-def _ideal(device: Intrinsics, pixels: Floats) -> Floats:
-    """Where the rays of pixels (2, N) meet z = 1, (2, N)."""
-    inverse = device.inverse_for(pixels.shape[1])
-    if inverse is not None:
-        ideal = np.empty_like(pixels)
-        if _undistort(pixels, _lens(device), *inverse, ideal):
-            return ideal
-    return by_columns(device.unproject(pixels.T)[:, :2]).T
-
-
-@compiled
-def _undistort(pixels: Floats, lens: tuple[float, ...], polynomial: Floats, largest: float, ideal: Floats) -> bool:
-    """Fill in where rays meet z = 1, with a polynomial of `Intrinsics.inverse_for`; does it hold for all of them?"""
-    per_fx, per_fy, x0, y0 = 1.0 / lens[0], 1.0 / lens[1], lens[2], lens[3]
-    column, row = pixels[0], pixels[1]
-    ratio, r2 = ideal[0], ideal[1]  # until the last loop overwrites them with the result
-    beyond = 0
-    for i in range(len(ratio)):
-        x, y = (column[i] - x0) * per_fx, (row[i] - y0) * per_fy
-        r2[i] = x * x + y * y
-        beyond += r2[i] > largest
-        ratio[i] = polynomial[-1]
-    # Coefficient by coefficient: only a loop with none inside is vectorised.
-    for k in range(len(polynomial) - 2, -1, -1):
-        for i in range(len(ratio)):
-            ratio[i] = ratio[i] * r2[i] + polynomial[k]
-    for i in range(len(ratio)):
-        ideal[1, i] = ratio[i] * (row[i] - y0) * per_fy
-        ideal[0, i] = ratio[i] * (column[i] - x0) * per_fx
-    return beyond == 0
 
 
 @compiled
@@ -135,39 +109,40 @@ def _meet(
 
 
 @compiled
-def _miss(
-    camera_ideal: Floats,
-    depth: Floats,
-    projector_px: Floats,
-    lens: tuple[float, ...],
-    pose: tuple[float, ...],
-    foot_px: Floats,
-    residual_px: Floats,
-) -> None:
-    """Fill in `foot_px` and `residual_px` of points of a `depth` (N,) on the camera's rays; NaN behind a device."""
-    fx, fy, x0, y0, k1, k2, p1, p2, k3 = lens
+def _seen(camera_ideal: Floats, depth: Floats, pose: tuple[float, ...], ideal: Floats, step: Floats) -> None:
+    """Fill in where the projector sees points of a `depth` (N,) on the camera's rays, (2, N) at z = 1, and where these
+    images move as the points go along their rays; NaN for points behind the projector.
+    """
     r00, r01, r02, r10, r11, r12, r20, r21, r22, tx, ty, tz = pose
-    camera_x, camera_y, seen_x, seen_y = camera_ideal[0], camera_ideal[1], projector_px[0], projector_px[1]
-    foot_x, foot_y = foot_px[0], foot_px[1]
+    camera_x, camera_y = camera_ideal[0], camera_ideal[1]
+    ideal_x, ideal_y, step_x, step_y = ideal[0], ideal[1], step[0], step[1]
     for i in range(len(depth)):
         x, y = camera_x[i], camera_y[i]
         ux, uy, uz = r00 * x + r01 * y + r02, r10 * x + r11 * y + r12, r20 * x + r21 * y + r22
         z = depth[i] * uz + tz
-        x, y = (depth[i] * ux + tx) / z, (depth[i] * uy + ty) / z
-        # Through the lens, as in `Intrinsics.distort`.
-        r2 = x * x + y * y
-        radial, slope = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-        column = fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + x0
-        row = fy * (y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)) + y0
-        # The tangent of the epipolar line, which the lens bends: where a step along the camera's ray moves the foot.
-        step_x, step_y = ux - x * uz, uy - y * uz
-        cross = slope * x * y + 2.0 * (p1 * x + p2 * y)
-        along_x = fx * ((radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x) * step_x + cross * step_y)
-        along_y = fy * (cross * step_x + (radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x) * step_y)
+        inverse = 1.0 / z if z > 0.0 else np.nan
+        x, y = (depth[i] * ux + tx) * inverse, (depth[i] * uy + ty) * inverse
+        ideal_x[i], ideal_y[i] = x, y
+        step_x[i], step_y[i] = ux - x * uz, uy - y * uz
+
+
+@compiled
+def _miss(
+    foot: Floats, tangent: Floats, device: tuple[float, float, float, float], seen: Floats, residual_px: Floats
+) -> None:
+    """Fill in the distance of what was `seen` (2, N) from the epipolar line, and turn `foot` (2, N) into pixels.
+
+    `device`: focal lengths, principal point. The line has a `tangent` (2, N) at its foot, for the lens bends it: where
+    the foot moves for a step along the camera's ray.
+    """
+    fx, fy, x0, y0 = device
+    foot_x, foot_y, tangent_x, tangent_y, seen_x, seen_y = foot[0], foot[1], tangent[0], tangent[1], seen[0], seen[1]
+    for i in range(len(residual_px)):
+        column, row = fx * foot_x[i] + x0, fy * foot_y[i] + y0
+        along_x, along_y = fx * tangent_x[i], fy * tangent_y[i]
         length = np.sqrt(along_x * along_x + along_y * along_y)
-        residual = (along_x * (seen_y[i] - row) - along_y * (seen_x[i] - column)) / length
         foot_x[i], foot_y[i] = column, row
-        residual_px[i] = residual if z > 0.0 else np.nan
+        residual_px[i] = (along_x * (seen_y[i] - row) - along_y * (seen_x[i] - column)) / length
 
 
 def nearest_depths(turned: Floats, directions: Floats, translation: Floats) -> tuple[Floats, Floats, Floats, Floats]:

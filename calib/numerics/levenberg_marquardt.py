@@ -1,77 +1,157 @@
-"""Nonlinear least squares that stray residuals do not sway."""
+"""Nonlinear least squares: Levenberg and Marquardt's method, the one loop for every fit, plain or robust."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
-from calib.numerics.array_types import Floats
+from calib.numerics.array_types import Floats, Ints
 from calib.numerics.jit import compiled
 
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-9, 1e6
-_FIRST_GROWTH, _MOST_RELIEF = 4.0, 0.1
 _BLOCK = 128
-_LEAST_GAIN = 1e-5
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """Where a descent is: the `cost`, −2 log likelihood, and half its `gradient` (P,) and Gauss–Newton Hessian (P, P),
+    `information`. The cost is infinite where the parameters mean nothing.
+    """
+
+    cost: float
+    gradient: Floats
+    information: Floats
+
+
+Place = TypeVar("Place", bound=Quadratic)
+
+
+@dataclass(frozen=True)
+class Damping:
+    """How the damping, a share of a Hessian scaled to unit diagonal, follows what steps gain.
+
+    It begins with `first` and stays above `least`; a step that fails multiplies it by `growth`, which itself grows by
+    `acceleration` with each failure in a row, and beyond `most` the descent ends. A step that succeeds multiplies it by
+    `relief`; or, if `by_gain`, by 1 − (2 ρ − 1)³ but no less than `relief`, ρ being the gain over the promised one
+    (Nielsen; Madsen, Nielsen and Tingleff, Methods for non-linear least squares problems, 2004, algorithm 3.16).
+    """
+
+    first: float
+    least: float
+    most: float
+    growth: float
+    relief: float
+    acceleration: float = 1.0
+    by_gain: bool = False
+
+
+NIELSEN = Damping(1e-4, 1e-9, 1e6, growth=4.0, relief=0.1, acceleration=2.0, by_gain=True)
+
+
+def newton(at: Quadratic, free: Ints, damping: float) -> tuple[Floats, float, float]:
+    """The damped Gauss–Newton step (P,) over the `free` columns.
+
+    With it Newton's decrement, the gain that a full step promises, and what the damping adds to that promise.
+    """
+    normal = at.information[free[:, None], free]
+    scale = np.sqrt(normal.diagonal()) + _TINY
+    damped = normal / (scale[:, None] * scale)
+    damped.ravel()[:: len(free) + 1] += damping
+    slope = at.gradient[free] / scale
+    downhill = np.linalg.solve(damped, slope)
+    step = np.zeros(len(at.gradient))
+    step[free] = -downhill / scale
+    return step, float(slope @ downhill), damping * float(downhill @ downhill)
+
+
+def descend(
+    at: Place,
+    moved: Callable[[Place, Floats], Place],
+    enough: Callable[[float, float], bool],
+    damping: Damping,
+    steps: int,
+    *,
+    free: Ints | None = None,
+    least_gain: float = 0.0,
+) -> Place:
+    """Down to the nearest minimum over the `free` columns (all by default), in at most so many `steps`.
+
+    `moved`: the place after a step (P,). Ends where `enough` of cost and decrement says so, or after a step that gains
+    less than `least_gain` of the cost. Directions that change nothing (a gauge) are no harm.
+    """
+    columns = np.arange(len(at.gradient)) if free is None else free
+    level, growth = damping.first, damping.growth
+    for _ in range(steps):
+        step, decrement, damped = newton(at, columns, level)
+        if not np.isfinite(at.cost) or enough(at.cost, decrement):
+            break
+        trial = moved(at, step)
+        if trial.cost <= at.cost:
+            gained = at.cost - trial.cost
+            relief = 1 - (2 * gained / (decrement + damped) - 1) ** 3 if damping.by_gain else 0.0
+            at, level, growth = trial, max(level * max(damping.relief, relief), damping.least), damping.growth
+            if gained < least_gain * at.cost:
+                break
+        elif level > damping.most:
+            break
+        else:
+            level, growth = level * growth, growth * damping.acceleration
+    return at
+
+
+@dataclass(frozen=True)
+class Minimum(Quadratic):
+    """With its `parameters` (P,)."""
+
+    parameters: Floats
 
 
 def minimise(
-    evaluate: Callable[[Floats], tuple[Floats, Floats]], start: Floats, prior_sigma: Floats, steps: int = 30
-) -> tuple[Floats, float]:
-    """Minimise Σ log(1 + |r|²) + ½ Σ (parameter / `prior_sigma`)² from `start` (P,): the parameters and that sum.
+    evaluate: Callable[[Floats], tuple[Floats, Floats]],
+    start: Floats,
+    prior_sigma: Floats,
+    *,
+    robust: bool = True,
+    damping: Damping = NIELSEN,
+    converged: float = 0.0,
+    least_gain: float = 1e-5,
+    steps: int = 30,
+) -> Minimum:
+    """Minimise Σ ρ(r) + Σ (parameter / `prior_sigma`)² from `start` (P,).
 
     `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), best in Fortran's order, if
-    it likes in the same arrays every time. The first sum is Cauchy's robust loss of each match's D residuals.
-    `prior_sigma` is infinite for a parameter that has no prior. Levenberg and Marquardt's method, so directions that
-    change nothing (a gauge) are no harm; how the damping follows the gain is Nielsen's (Madsen, Nielsen and Tingleff,
-    Methods for non-linear least squares problems, 2004, algorithm 3.16).
+    it likes in the same arrays every time. ρ is |r|² of each match's D residuals, or if `robust` 2 log(1 + |r|²),
+    Cauchy's loss. `prior_sigma` is infinite for a parameter that has no prior. Ends with a decrement below `converged`
+    of the cost, or a gain below `least_gain` of it.
     """
     precision = prior_sigma**-2.0
-    current, damping = start, _FIRST_DAMPING
-    residual, jacobian = evaluate(current)
-    cost = _cost(residual, current, precision)
-    for _ in range(steps):
-        hessian, gradient = _normal_equations(residual, jacobian)
-        hessian += np.diag(precision)
-        gradient += precision * current
-        scale = np.sqrt(np.diag(hessian) + 1e-12)
-        hessian /= scale[:, None] * scale
-        gradient /= scale
-        gained, growth = 0.0, _FIRST_GROWTH
-        while damping < _MOST_DAMPING:
-            step = np.linalg.solve(hessian + damping * np.eye(len(current)), gradient)
-            trial = current - step / scale
-            residual, jacobian = evaluate(trial)
-            trial_cost = _cost(residual, trial, precision)
-            if trial_cost < cost:
-                gained = cost - trial_cost
-                ratio = gained / float(gradient @ step - 0.5 * step @ hessian @ step)  # to what the step foresaw
-                current, cost = trial, trial_cost
-                damping = max(damping * max(_MOST_RELIEF, 1 - (2 * ratio - 1) ** 3), _LEAST_DAMPING)
-                break
-            damping *= growth
-            growth *= 2
-        if gained < _LEAST_GAIN * cost:
-            break
-    return current, cost
 
+    def at(parameters: Floats) -> Minimum:
+        residual, jacobian = evaluate(parameters)
+        square = np.sum(residual * residual, axis=1)
+        loss = float(np.sum(2 * np.log(1 + square) if robust else square))
+        loss += float(np.sum(precision * parameters**2))
+        hessian, gradient = np.diag(precision), precision * parameters
+        if not np.isfinite(loss):
+            return Minimum(np.inf, gradient, hessian, parameters)
+        weight = 2 / (1 + square) if robust else np.ones(len(square))
+        _add_up(np.ascontiguousarray(jacobian.T), np.ascontiguousarray(residual.T), weight, hessian, gradient)
+        return Minimum(loss, gradient, hessian, parameters)
 
-def _cost(residual: Floats, parameters: Floats, precision: Floats) -> float:
-    loss = float(np.sum(np.log(1 + np.sum(residual * residual, axis=1))))
-    return loss + 0.5 * float(np.sum(precision * parameters**2)) if np.isfinite(loss) else np.inf
-
-
-def _normal_equations(residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
-    """The Gauss–Newton Hessian (P, P) and the gradient (P,) of Cauchy's loss."""
-    size = jacobian.shape[2]
-    hessian, gradient = np.zeros((size, size)), np.zeros(size)
-    # Half the gradient's and half the Hessian's factor two cancel in the step.
-    weight = 2 / (1 + np.sum(residual * residual, axis=1))
-    _add_up(np.ascontiguousarray(jacobian.T), np.ascontiguousarray(residual.T), weight, hessian, gradient)
-    return hessian, gradient
+    return descend(
+        at(start),
+        lambda place, step: at(place.parameters + step),
+        lambda cost, decrement: decrement < converged * cost,
+        damping,
+        steps,
+        least_gain=least_gain,
+    )
 
 
 @compiled
 def _add_up(jacobian: Floats, residual: Floats, weight: Floats, hessian: Floats, gradient: Floats) -> None:
-    """Σ weight row rowᵀ and Σ weight row residual, of (P, D, N), (D, N) and (N,)."""
+    """Add Σ weight row rowᵀ and Σ weight row residual, of (P, D, N), (D, N) and (N,): the normal equations."""
     size, dimensions, matches = jacobian.shape
     weighted = np.empty(_BLOCK)
     for d in range(dimensions):

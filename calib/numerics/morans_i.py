@@ -64,13 +64,13 @@ def spatial_correlation(pixel: Floats, residual_px: Floats, cell_px: float) -> S
     size = shape[0] * shape[1]
     count = np.bincount(cell, minlength=size)
     filled = (count >= _FEWEST_IN_CELL).reshape(shape)
-    pairs = int((filled[:, 1:] & filled[:, :-1]).sum() + (filled[1:] & filled[:-1]).sum())
+    pairs = int(_products(filled))
     if pairs < _FEWEST_PAIRS:
         return None
     means = [(np.bincount(cell, column, size) / np.maximum(count, 1)).reshape(shape) for column in columns.T]
     expected, sigma = _moments(filled, pairs)
     correlations = [_moran(mean, filled, pairs) for mean in means]
-    shared = sum(max(0.0, _mean_product(mean, filled)) for mean in means)
+    shared = sum(max(0.0, _mean_product(mean, filled, pairs)) for mean in means)
     return SpatialCorrelation(
         cell_px,
         float(np.mean(correlations)),
@@ -81,20 +81,21 @@ def spatial_correlation(pixel: Floats, residual_px: Floats, cell_px: float) -> S
     )
 
 
-def _mean_product(mean: Floats, filled: Bools) -> float:
+def _mean_product(mean: Floats, filled: Bools, pairs: int) -> float:
     """Of neighbouring cells' means, around zero: a shift that all of them share is structure as well."""
-    value = np.where(filled, mean, 0.0)
-    products = (value[:, 1:] * value[:, :-1]).sum() + (value[1:] * value[:-1]).sum()
-    pairs = (filled[:, 1:] & filled[:, :-1]).sum() + (filled[1:] & filled[:-1]).sum()
-    return float(products / pairs)
+    return _products(np.where(filled, mean, 0.0)) / pairs
+
+
+def _products(value: Floats | Bools) -> float:
+    """Sum over pairs of neighbouring cells, each pair once."""
+    return float((value[:, 1:] * value[:, :-1]).sum() + (value[1:] * value[:-1]).sum())
 
 
 def _moran(mean: Floats, filled: Bools, pairs: int) -> float:
     """I = (n / W) Σ w z z' / Σ z², z from the mean of all cells; every pair of neighbours counts both ways."""
     value = np.where(filled, mean - mean[filled].mean(), 0.0)
-    products = (value[:, 1:] * value[:, :-1]).sum() + (value[1:] * value[:-1]).sum()
     squares = float((value**2).sum())
-    return float(filled.sum() / pairs * products / squares) if squares > 0 else 0.0
+    return float(filled.sum() / pairs * _products(value) / squares) if squares > 0 else 0.0
 
 
 def _moments(filled: Bools, pairs: int) -> tuple[float, float]:

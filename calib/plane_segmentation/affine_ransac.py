@@ -1,14 +1,13 @@
-"""An affine map from camera to projector for each of many small cells of the image, that stray matches do not sway."""
+"""Random sample consensus in many small cells of the image: an affine map from camera to projector for each."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from calib.numerics import Floats, Ints, compiled, in_pieces
+from calib.numerics import MEDIAN_LENGTH, Floats, Ints, compiled, in_pieces
 
 MOST_PER_CELL = 64
-# The length of a 2-D normal error has the median 1.177 σ; 3.5 σ is passed by 1 in 450.
-_GATE_OF_MEDIAN = 3.5 / 1.177
+_GATE_SIGMAS = 3.5  # passed by one in 450 of the lengths of 2-D normal errors
 _SINGULAR = 1e-15
 
 
@@ -33,31 +32,15 @@ def fit_cells(camera_px: Floats, projector_px: Floats, order: Ints, start: Ints,
     The map through three matches is tried first, for each of some `picks` (T, 3, C) among them; then twice the least
     squares of what the map before explains.
     """
-    cells = len(start)
+    cells, gate = len(start), (_GATE_SIGMAS / MEDIAN_LENGTH) ** 2
+    two, four = (cells, 2), (cells, 2, 2)
     fits = CellFits(
-        np.empty((cells, 2)),
-        np.empty((cells, 2)),
-        np.empty((cells, 2, 2)),
-        np.empty((cells, 2, 2)),
-        np.empty(cells),
-        np.empty(cells, np.int32),
+        np.empty(two), np.empty(two), np.empty(four), np.empty(four), np.empty(cells), np.empty(cells, np.int32)
     )
 
     def fit(at: slice) -> None:
-        _fit_cells(
-            camera_px,
-            projector_px,
-            order,
-            start[at],
-            there[at],
-            picks[:, :, at],
-            fits.mean[at],
-            fits.value[at],
-            fits.jacobian[at],
-            fits.spread[at],
-            fits.square[at],
-            fits.count[at],
-        )
+        found = (getattr(fits, field.name)[at] for field in fields(fits))
+        _fit_cells(camera_px, projector_px, order, start[at], there[at], picks[:, :, at], gate, *found)
 
     in_pieces(cells, fit, width=MOST_PER_CELL)
     return fits
@@ -71,6 +54,7 @@ def _fit_cells(
     start: Ints,
     there: Ints,
     picks: Ints,
+    gate: float,
     mean: Floats,
     value: Floats,
     jacobian: Floats,
@@ -78,7 +62,10 @@ def _fit_cells(
     square: Floats,
     count: Ints,
 ) -> None:
-    """One cell after the other: `there` matches from `start` in `order` → the map of its inliers, as in `CellFits`."""
+    """One cell after the other: `there` matches from `start` in `order` → the map of its inliers, as in `CellFits`.
+
+    `gate`: an inlier's squared error in medians, at most.
+    """
     matches, error2 = np.empty((4, MOST_PER_CELL)), np.empty((2, MOST_PER_CELL))
     for c in range(len(start)):
         size = there[c]
@@ -90,9 +77,9 @@ def _fit_cells(
         best, trial = error2[0, :size], error2[1, :size]
         _best_trial(x, y, u, v, picks[:, :, c], best, trial)
         for _ in range(2):
-            gate = _GATE_OF_MEDIAN**2 * _upper_median(best)
+            limit = gate * _upper_median(best)
             for k in range(size):
-                trial[k] = 1.0 if best[k] <= gate else 0.0
+                trial[k] = 1.0 if best[k] <= limit else 0.0
             _fit_affine(x, y, u, v, trial, mean[c], value[c], jacobian[c], spread[c])
             _off_affine(x, y, u, v, mean[c], value[c], jacobian[c], best)
         inliers = total = 0.0

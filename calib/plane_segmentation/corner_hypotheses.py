@@ -10,8 +10,8 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.closed_form import decompose
-from calib.geometry import CornerImage, corner_planes, homogeneous
+from calib.closed_form import decompose, share_in_front
+from calib.geometry import CornerImage, corner_planes, homogeneous, inverse_depths
 from calib.numerics import Floats, Ints
 from calib.plane_segmentation.plane_parallax import TwoView
 from calib.plane_segmentation.segmentation import Segments
@@ -132,8 +132,7 @@ def _best_fit(view: TwoView, planes: Floats, x: list[Floats], others: Floats) ->
     focal, matrices, inverses = (of[real % len(_FOCALS)] for of in (_FOCALS, _MATRICES, _INVERSES))
     normals, rays = normals[real], rays[real]
     with np.errstate(all="ignore"):
-        # Inverse depth of face S at image point x is weights_S · x.
-        weights = np.einsum("nsi,nij->nsj", normals, inverses) / np.einsum("nsi,ni->ns", normals, rays)[..., None]
+        weights = inverse_depths(normals, rays, inverses)
         at_infinity, projector, positive = _transfer(view, planes, weights, matrices, x)
         off_square = np.hypot(np.log(projector[:, 0, 0] / projector[:, 1, 1]), projector[:, 0, 1] / projector[:, 0, 0])
         cost = (off_square / _SQUARE_SIGMA) ** 2 + np.sum((projector[:, :2, 2] / _CENTRE_SIGMA) ** 2, axis=1)
@@ -189,10 +188,6 @@ def _transfer(
     motion = np.concatenate([homography @ matrices, (scale[:, None] * view.epipole)[..., None]], axis=2)
     projector, _, _ = decompose(motion)
     # With det(K R) > 0 the third coordinate of H x is depth in the projector over depth in the camera.
-    orientation = np.sign(np.linalg.det(motion[:, :, :3]))
-    seen = []
-    for face in range(3):
-        inverse_depth = weights[:, face] @ x[face].T
-        third_row = homography[:, 2] + (scale * view.epipole[2])[:, None] * weights[:, face]
-        seen.append((inverse_depth > 0) & (orientation[:, None] * (third_row @ x[face].T) > 0))
-    return at_infinity, projector, np.concatenate(seen, axis=1).mean(axis=1)
+    orientation = np.sign(np.linalg.det(motion[:, :, :3]))[:, None, None]
+    third_rows = orientation * (homography[:, 2, None] + (scale * view.epipole[2])[:, None, None] * weights)
+    return at_infinity, projector, share_in_front(weights, third_rows, x)

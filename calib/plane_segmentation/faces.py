@@ -1,4 +1,4 @@
-"""Dense matches → planar faces, and which three of them form the corner. No calibration, no masks."""
+"""Multi-plane segmentation of dense matches, and which three planes form the corner. No calibration, no masks."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 from calib.geometry import NO_FACE, Matches
 from calib.numerics import Floats, Ints
 from calib.plane_segmentation.corner_hypotheses import Triple, corner_triples, outermost
-from calib.plane_segmentation.labelling import label_matches, looked_up
+from calib.plane_segmentation.labelling import label_matches
 from calib.plane_segmentation.plane_extraction import NO_PLANE
 from calib.plane_segmentation.segmentation import Segments, segment
 from calib.plane_segmentation.surfels import make_surfels
@@ -125,8 +125,7 @@ def _faces(matches: Matches, segments: Segments, plane: Ints, counts: Ints, corn
         listed.append(
             Plane(homography / np.linalg.norm(homography), int(counts[index]), None if face == NO_FACE else face)
         )
-    ranks, faces = looked_up(plane, rank, face_of)
-    return Faces(matches.with_faces(faces), tuple(listed), ranks)
+    return Faces(matches.with_faces(face_of.take(plane)), tuple(listed), rank.take(plane))
 
 
 def _pixel_scale(size_px: tuple[int, int]) -> Floats:

@@ -6,16 +6,17 @@ from functools import partial
 import numpy as np
 
 from calib.geometry import homogeneous
-from calib.numerics import Floats, Ints, compiled, minimise
+from calib.numerics import Floats, Ints, compiled, minimise, reweighted
 from calib.plane_segmentation.plane_parallax import CAMERA_SIGMA, LENS_TERMS, PROJECTOR_SIGMA, Lens, TwoView
 from calib.plane_segmentation.surfels import Surfels
 
 _SAMPLES = 400
 _SURFELS = 1500
+_BALANCING_ROUNDS = 10
 _BLOCK = 100  # surfels after which a candidate may be given up
 # Surfels that are off by more lose influence: first in a fit that may still be far out, then in the final one.
 _TOLERANCES_PX = (3.0, 0.3)
-_PRIOR_SIGMA = np.array([np.inf] * 9 + [*CAMERA_SIGMA, *PROJECTOR_SIGMA])
+_PRIOR_SIGMA = np.array([*CAMERA_SIGMA, *PROJECTOR_SIGMA] + [np.inf] * 9)
 
 
 @dataclass(frozen=True)
@@ -70,13 +71,13 @@ def largest_plane(
     """Fit one homography and both lenses to as many surfels as possible."""
     chosen = rng.permutation(len(surfels))[:_SURFELS]
     pairs = _Pairs(surfels.camera_px[chosen], surfels.projector_px[chosen], Lens(camera_size), Lens(projector_size))
-    start = np.concatenate([_sampled_homography(pairs, rng).ravel(), pairs.lens_parameters])
+    start = np.concatenate([pairs.lens_parameters, _sampled_homography(pairs, rng).ravel()])
     for tolerance in _TOLERANCES_PX:
-        start, _ = minimise(partial(_plane_residuals, pairs, tolerance), start, _PRIOR_SIGMA)
+        start = minimise(partial(_plane_residuals, pairs, tolerance), start, _PRIOR_SIGMA).parameters
     everywhere = _Pairs(surfels.camera_px, surfels.projector_px, pairs.camera, pairs.projector)
     residual, _ = _plane_residuals(everywhere, 1.0, start)
-    fitted = pairs.with_lenses(start[9:])
-    return LargestPlane(fitted.camera, fitted.projector, start[:9].reshape(3, 3), np.linalg.norm(residual, axis=1))
+    fitted = pairs.with_lenses(start[:8])
+    return LargestPlane(fitted.camera, fitted.projector, start[8:].reshape(3, 3), np.linalg.norm(residual, axis=1))
 
 
 def first_geometry(surfels: Surfels, plane: LargestPlane, rng: np.random.Generator) -> TwoView:
@@ -96,31 +97,32 @@ def first_geometry(surfels: Surfels, plane: LargestPlane, rng: np.random.Generat
         starts.append((corrected, _parallax_candidates(corrected, plane.homography, off_plane, rng)))
     fits = []
     for pairs, candidates in starts:
-        best = candidates[_best_fundamental(candidates, *pairs.ideal())]
-        start = np.concatenate([best.ravel(), pairs.lens_parameters])
+        best = candidates[_best_candidate(candidates, *pairs.ideal(), True)]
+        start = np.concatenate([pairs.lens_parameters, best.ravel()])
         fits.append(minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[0]), start, _PRIOR_SIGMA))
-    nearest = min(fits, key=lambda fit: fit[1])[0]
-    found, _ = minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[1]), nearest, _PRIOR_SIGMA)
-    left, values, right = np.linalg.svd(found[:9].reshape(3, 3))
+    nearest = min(fits, key=lambda fit: fit.cost).parameters
+    found = minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[1]), nearest, _PRIOR_SIGMA).parameters
+    left, values, right = np.linalg.svd(found[8:].reshape(3, 3))
     epipole = left[:, 2]
     base = np.cross(np.eye(3), epipole) @ (left * [values[0], values[1], 0.0]) @ right
-    fitted = plain.with_lenses(found[9:])
+    fitted = plain.with_lenses(found[:8])
     return _balanced(TwoView(fitted.camera, fitted.projector, base, epipole), camera_px, projector_px)
 
 
 def _plane_residuals(pairs: _Pairs, tolerance_px: float, parameters: Floats) -> tuple[Floats, Floats]:
-    """Residuals (N, 2) of a homography (9) and lenses (8), and their Jacobian (N, 2, 17)."""
+    """Residuals (N, 2) of lenses (8) and a homography (9), and their Jacobian (N, 2, 17)."""
     residual, jacobian = np.empty((2, len(pairs))).T, np.empty((9 + 2 * LENS_TERMS, 2, len(pairs))).T
     scale = pairs.projector.unit_px / tolerance_px
-    _off_homography(*pairs.bent(parameters[9:]), parameters[:9].reshape(3, 3), scale, residual, jacobian)
+    one, label = parameters[8:].reshape(1, 3, 3), np.zeros(len(pairs), np.int32)
+    off_homographies(*pairs.bent(parameters[:8]), one, label, scale, residual, jacobian)
     return residual, jacobian
 
 
 def _epipolar_residuals(pairs: _Pairs, tolerance_px: float, parameters: Floats) -> tuple[Floats, Floats]:
-    """Distances (N, 1) from the epipolar lines of F (9) with lenses (8), and their Jacobian (N, 1, 17)."""
+    """Distances (N, 1) from the epipolar lines of F (9) with lenses (8) before it, and their Jacobian (N, 1, 17)."""
     residual, jacobian = np.empty((1, len(pairs))).T, np.empty((9 + 2 * LENS_TERMS, 1, len(pairs))).T
     scale = pairs.projector.unit_px / tolerance_px
-    _off_epipolar_line(*pairs.bent(parameters[9:]), parameters[:9].reshape(3, 3), scale, residual, jacobian)
+    _off_epipolar_line(*pairs.bent(parameters[:8]), parameters[8:].reshape(3, 3), scale, residual, jacobian)
     return residual, jacobian
 
 
@@ -137,7 +139,7 @@ def _sampled_homography(pairs: _Pairs, rng: np.random.Generator) -> Floats:
         axis=1,
     )
     candidates = _null_vectors(rows)
-    best: Floats = candidates[_best_homography(candidates, x, u)]
+    best: Floats = candidates[_best_candidate(candidates, x, u, False)]
     return best
 
 
@@ -169,29 +171,42 @@ def _parallax_candidates(pairs: _Pairs, homography: Floats, off_plane: Ints, rng
 
 
 def _balanced(view: TwoView, camera_px: Floats, projector_px: Floats) -> TwoView:
-    """The same geometry with A such that the plane nearest to all matches has v = 0: parallaxes are small then."""
+    """The same geometry in the gauge in which the plane nearest to all matches has v = 0: parallaxes are small then."""
     parallax = view.parallax(camera_px, projector_px)
-    weight = 1 / parallax.per_px
-    for _ in range(10):
-        plane = np.asarray(np.linalg.lstsq(parallax.x * weight[:, None], parallax.value * weight)[0], np.float64)
-        off = np.abs(parallax.value - parallax.x @ plane) / parallax.per_px
-        weight = 1 / (parallax.per_px * np.sqrt(1 + off / (np.median(off) + 1e-12)))
+
+    def weigh(off_px: Floats) -> Floats:
+        weight: Floats = 1 / (1 + np.abs(off_px) / (np.median(np.abs(off_px)) + 1e-12))
+        return weight
+
+    in_px = parallax.x.T / parallax.per_px
+    plane = reweighted(in_px, parallax.value / parallax.per_px, weigh, np.ones(len(parallax.value)), _BALANCING_ROUNDS)
     base = view.homography(plane)
     return TwoView(view.camera, view.projector, base / np.linalg.norm(base), view.epipole)
 
 
 @compiled
-def _best_homography(candidates: Floats, x: Floats, u: Floats) -> int:
-    """Which of the candidates (S, 3, 3) has the least Σ √distance over points x, u (N, 2): robust without a scale."""
+def _distance(m: Floats, x0: float, x1: float, u0: float, u1: float, to_line: bool) -> float:
+    """Of u from the point m x, or from the line."""
+    a = m[0, 0] * x0 + m[0, 1] * x1 + m[0, 2]
+    b = m[1, 0] * x0 + m[1, 1] * x1 + m[1, 2]
+    c = m[2, 0] * x0 + m[2, 1] * x1 + m[2, 2]
+    distance: float = np.abs(a * u0 + b * u1 + c) / np.sqrt(a * a + b * b)
+    if not to_line:
+        distance = np.sqrt((a / c - u0) ** 2 + (b / c - u1) ** 2)
+    return distance
+
+
+@compiled
+def _best_candidate(candidates: Floats, x: Floats, u: Floats, to_lines: bool) -> int:
+    """Consensus without a scale: which of the homographies (S, 3, 3), or if `to_lines` of the fundamental matrices, has
+    the least Σ √distance over points x, u (N, 2).
+    """
     best, lowest = 0, np.inf
     for s in range(len(candidates)):
-        h, total = candidates[s], 0.0
+        candidate, total = candidates[s], 0.0
         for first in range(0, len(x), _BLOCK):
             for i in range(first, min(first + _BLOCK, len(x))):
-                third = h[2, 0] * x[i, 0] + h[2, 1] * x[i, 1] + h[2, 2]
-                off0 = (h[0, 0] * x[i, 0] + h[0, 1] * x[i, 1] + h[0, 2]) / third - u[i, 0]
-                off1 = (h[1, 0] * x[i, 0] + h[1, 1] * x[i, 1] + h[1, 2]) / third - u[i, 1]
-                total += np.sqrt(np.sqrt(off0 * off0 + off1 * off1))
+                total += np.sqrt(_distance(candidate, x[i, 0], x[i, 1], u[i, 0], u[i, 1], to_lines))
             if not total < lowest:
                 break
         if total < lowest:
@@ -200,50 +215,35 @@ def _best_homography(candidates: Floats, x: Floats, u: Floats) -> int:
 
 
 @compiled
-def _best_fundamental(candidates: Floats, x: Floats, u: Floats) -> int:
-    """Which of the candidates (S, 3, 3) has the least Σ √distance of points u from the epipolar lines of x (N, 2)."""
-    best, lowest = 0, np.inf
-    for s in range(len(candidates)):
-        f, total = candidates[s], 0.0
-        for first in range(0, len(x), _BLOCK):
-            for i in range(first, min(first + _BLOCK, len(x))):
-                a = f[0, 0] * x[i, 0] + f[0, 1] * x[i, 1] + f[0, 2]
-                b = f[1, 0] * x[i, 0] + f[1, 1] * x[i, 1] + f[1, 2]
-                c = f[2, 0] * x[i, 0] + f[2, 1] * x[i, 1] + f[2, 2]
-                total += np.sqrt(np.abs(a * u[i, 0] + b * u[i, 1] + c) / np.sqrt(a * a + b * b))
-            if not total < lowest:
-                break
-        if total < lowest:
-            best, lowest = s, total
-    return best
-
-
-@compiled
-def _off_homography(
+def off_homographies(
     x: Floats,
     u: Floats,
     x_by_lens: Floats,
     u_by_lens: Floats,
-    h: Floats,
+    homographies: Floats,
+    label: Ints,
     scale: float,
     residual: Floats,
     jacobian: Floats,
 ) -> None:
-    """`residual` (N, 2), `jacobian` (N, 2, 17) of u = H x in units of 1 / `scale`: by H and by both lenses."""
+    """Fill in the `residual` (N, 2) of u = H x in units of 1 / `scale`, H being the homography (n, 3, 3) of the label,
+    and the first columns of its `jacobian` (N, 2, 17 or more): by both lenses (8), then by H (9), row by row.
+    """
     for i in range(len(x)):
+        h = homographies[label[i]]
         third = h[2, 0] * x[i, 0] + h[2, 1] * x[i, 1] + h[2, 2]
         per_third = scale / third
         for d in range(2):
             point = (h[d, 0] * x[i, 0] + h[d, 1] * x[i, 1] + h[d, 2]) / third
             residual[i, d] = (point - u[i, d]) * scale
             row = jacobian[i, d]
-            for k in range(3):
-                by_third = x[i, k] * per_third if k < 2 else per_third
-                row[3 * d + k], row[3 - 3 * d + k], row[6 + k] = by_third, 0.0, -point * by_third
             by_x0, by_x1 = (h[d, 0] - point * h[2, 0]) * per_third, (h[d, 1] - point * h[2, 1]) * per_third
             for k in range(4):
-                row[9 + k] = by_x0 * x_by_lens[i, 0, k] + by_x1 * x_by_lens[i, 1, k]
-                row[13 + k] = -u_by_lens[i, d, k] * scale
+                row[k] = by_x0 * x_by_lens[i, 0, k] + by_x1 * x_by_lens[i, 1, k]
+                row[4 + k] = -u_by_lens[i, d, k] * scale
+            for k in range(3):
+                by_third = x[i, k] * per_third if k < 2 else per_third
+                row[8 + 3 * d + k], row[11 - 3 * d + k], row[14 + k] = by_third, 0.0, -point * by_third
 
 
 @compiled
@@ -257,7 +257,7 @@ def _off_epipolar_line(
     residual: Floats,
     jacobian: Floats,
 ) -> None:
-    """`residual` (N, 1), `jacobian` (N, 1, 17) of u on the line F x in units of 1 / `scale`: by F and both lenses."""
+    """`residual` (N, 1), `jacobian` (N, 1, 17) of u on the line F x in units of 1 / `scale`: by both lenses and F."""
     for i in range(len(x)):
         x0, x1, u0, u1 = x[i, 0], x[i, 1], u[i, 0], u[i, 1]
         a = f[0, 0] * x0 + f[0, 1] * x1 + f[0, 2]
@@ -270,11 +270,14 @@ def _off_epipolar_line(
         # By the line's three numbers; a distance does not depend on their length.
         by_a, by_b, by_c = (u0 - distance * a) * per_length, (u1 - distance * b) * per_length, per_length
         row = jacobian[i, 0]
-        row[0], row[1], row[2] = by_a * x0 * scale, by_a * x1 * scale, by_a * scale
-        row[3], row[4], row[5] = by_b * x0 * scale, by_b * x1 * scale, by_b * scale
-        row[6], row[7], row[8] = by_c * x0 * scale, by_c * x1 * scale, by_c * scale
+        for k, by_line in enumerate((by_a, by_b, by_c)):
+            row[8 + 3 * k], row[9 + 3 * k], row[10 + 3 * k] = (
+                by_line * x0 * scale,
+                by_line * x1 * scale,
+                by_line * scale,
+            )
         by_x0 = (by_a * f[0, 0] + by_b * f[1, 0] + by_c * f[2, 0]) * scale
         by_x1 = (by_a * f[0, 1] + by_b * f[1, 1] + by_c * f[2, 1]) * scale
         for k in range(4):
-            row[9 + k] = by_x0 * x_by_lens[i, 0, k] + by_x1 * x_by_lens[i, 1, k]
-            row[13 + k] = (a * u_by_lens[i, 0, k] + b * u_by_lens[i, 1, k]) * scale
+            row[k] = by_x0 * x_by_lens[i, 0, k] + by_x1 * x_by_lens[i, 1, k]
+            row[4 + k] = (a * u_by_lens[i, 0, k] + b * u_by_lens[i, 1, k]) * scale

@@ -45,13 +45,6 @@ def label_matches(
     return plane, counts
 
 
-def looked_up(plane: Ints, first: Ints, second: Ints) -> tuple[Ints, Ints]:
-    """What two tables (n + 1,) have for each match's plane (N,)."""
-    found = np.empty((2, len(plane)), np.int32)
-    in_pieces(len(plane), lambda at: _look_up(plane[at], first, second, found[0, at], found[1, at]))
-    return found[0], found[1]
-
-
 def _near(surfels: Surfels, label: Ints, planes: int) -> Ints:
     """The planes in or beside each cell, (cells, n), filled up with n."""
     grid = surfels.grid
@@ -116,9 +109,3 @@ def _label(
         if best > _GATE * _GATE or second < best + _CLEARER_BY:
             found = none
         plane[i] = found
-
-
-@compiled
-def _look_up(plane: Ints, first: Ints, second: Ints, of_first: Ints, of_second: Ints) -> None:
-    for i in range(len(plane)):
-        of_first[i], of_second[i] = first[plane[i]], second[plane[i]]

@@ -1,10 +1,11 @@
-"""All planes at once: one epipolar geometry and two lenses that explain the surfels on every plane."""
+"""Planar bundle adjustment: one epipolar geometry and two lenses for the surfels on all planes at once."""
 
 from collections.abc import Callable
 
 import numpy as np
 
 from calib.numerics import Floats, Ints, compiled, minimise
+from calib.plane_segmentation.fundamental_matrix import off_homographies
 from calib.plane_segmentation.plane_parallax import CAMERA_SIGMA, LENS_TERMS, PROJECTOR_SIGMA, TwoView
 from calib.plane_segmentation.surfels import Surfels
 
@@ -25,7 +26,7 @@ def refine(
         surfels.camera_px[chosen], surfels.projector_px[chosen], label[chosen], view, planes, tolerance_px
     )
     sigma = np.array([*CAMERA_SIGMA, *PROJECTOR_SIGMA] + [np.inf] * (len(start) - 2 * LENS_TERMS))
-    return _unpack(minimise(evaluate, start, sigma)[0], view)
+    return _unpack(minimise(evaluate, start, sigma).parameters, view)
 
 
 def residuals_of_planes(
@@ -42,19 +43,10 @@ def residuals_of_planes(
 
     def evaluate(parameters: Floats) -> tuple[Floats, Floats]:
         trial, v = _unpack(parameters, view)
-        _off_planes(
-            trial.camera.ideal(camera_px),
-            trial.projector.ideal(projector_px),
-            trial.camera.jacobian(camera_px),
-            trial.projector.jacobian(projector_px),
-            label,
-            trial.homography(v),
-            trial.epipole,
-            v,
-            scale,
-            residual,
-            jacobian,
-        )
+        x, u = trial.camera.ideal(camera_px), trial.projector.ideal(projector_px)
+        by_lenses = trial.camera.jacobian(camera_px), trial.projector.jacobian(projector_px)
+        off_homographies(x, u, *by_lenses, trial.homography(v), label, scale, residual, jacobian)
+        _by_planes(jacobian, label, trial.epipole, v)
         return residual, jacobian
 
     return evaluate, start
@@ -71,38 +63,15 @@ def _unpack(parameters: Floats, view: TwoView) -> tuple[TwoView, Floats]:
 
 
 @compiled
-def _off_planes(
-    x: Floats,
-    u: Floats,
-    x_by_lens: Floats,
-    u_by_lens: Floats,
-    label: Ints,
-    homographies: Floats,
-    epipole: Floats,
-    planes: Floats,
-    scale: float,
-    residual: Floats,
-    jacobian: Floats,
-) -> None:
-    """`residual` (N, 2), `jacobian` (N, 2, 20 + 3 n) of u = (A + e vᵀ) x in units of 1 / `scale`: by both lenses, A, e
-    and the planes v. What a match has with other planes than its own is left as it is, zero.
+def _by_planes(jacobian: Floats, label: Ints, epipole: Floats, planes: Floats) -> None:
+    """Fill in derivatives by e and the planes v from those by H = A + e vᵀ, in whose columns they are by A.
+
+    What a match has with other planes than its own is left as it is, zero.
     """
-    for i in range(len(x)):
-        h, v, own = homographies[label[i]], planes[label[i]], 20 + 3 * label[i]
-        parallax = v[0] * x[i, 0] + v[1] * x[i, 1] + v[2]
-        third = h[2, 0] * x[i, 0] + h[2, 1] * x[i, 1] + h[2, 2]
-        per_third = scale / third
+    for i in range(len(label)):
+        v, own = planes[label[i]], 20 + 3 * label[i]
         for d in range(2):
-            point = (h[d, 0] * x[i, 0] + h[d, 1] * x[i, 1] + h[d, 2]) / third
-            residual[i, d] = (point - u[i, d]) * scale
             row = jacobian[i, d]
-            by_x0, by_x1 = (h[d, 0] - point * h[2, 0]) * per_third, (h[d, 1] - point * h[2, 1]) * per_third
-            for k in range(4):
-                row[k] = by_x0 * x_by_lens[i, 0, k] + by_x1 * x_by_lens[i, 1, k]
-                row[4 + k] = -u_by_lens[i, d, k] * scale
-            first = 8 + 3 * d
-            row[first], row[first + 1], row[first + 2] = x[i, 0] * per_third, x[i, 1] * per_third, per_third
-            row[14], row[15], row[16] = -point * row[first], -point * row[first + 1], -point * per_third
-            row[17 + d], row[19] = parallax * per_third, -point * parallax * per_third
-            by_parallax = (epipole[d] - point * epipole[2]) * per_third
-            row[own], row[own + 1], row[own + 2] = by_parallax * x[i, 0], by_parallax * x[i, 1], by_parallax
+            for k in range(3):
+                row[17 + k] = row[8 + 3 * k] * v[0] + row[9 + 3 * k] * v[1] + row[10 + 3 * k] * v[2]
+                row[own + k] = row[8 + k] * epipole[0] + row[11 + k] * epipole[1] + row[14 + k] * epipole[2]

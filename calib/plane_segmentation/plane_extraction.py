@@ -1,4 +1,4 @@
-"""Surfels → planes: which of them have a parallax that is one affine function of the image."""
+"""Plane extraction: surfels → planes, one after the other, the parallax of each an affine function of the image."""
 
 import cv2
 import numpy as np
@@ -112,7 +112,7 @@ def _errors(evidence: Evidence, planes: Floats) -> Floats:
 
 
 def _without_islands(surfels: Surfels, label: Ints, planes: int) -> Ints:
-    """Take away labels of pieces of fewer than four connected cells: chance agreements, as along a crease."""
+    """Take away labels of connected components of fewer than four cells: chance agreements, as along a crease."""
     grid = surfels.grid
     kept = label.copy()
     for plane in range(planes):

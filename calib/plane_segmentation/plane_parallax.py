@@ -1,4 +1,4 @@
-"""What all planes of a still scene share, seen by two uncalibrated devices: lens distortion and epipolar geometry.
+"""Plane plus parallax: the lens distortion and epipolar geometry that all planes of a static scene share.
 
 In ideal (undistorted) coordinates the homography of every plane is A + e vᵀ, with one 3 × 3 matrix A and the epipole e
 for all planes and three numbers v for each (Hartley & Zisserman, 2nd ed., result 13.1). A single match on its own
@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.geometry import homogeneous
+from calib.geometry.radial_distortion import rescaled, rescaled_by_lens
 from calib.numerics import Floats, compiled
 
 LENS_TERMS = 4
@@ -44,21 +45,11 @@ class Lens:
 
     def ideal(self, pixels: Floats) -> Floats:
         """(..., 2) → (..., 2)."""
-        ideal = np.empty(pixels.shape)
-        _ideal(
-            np.ascontiguousarray(pixels).reshape(-1, 2),
-            *self.centre_px,
-            1 / self.unit_px,
-            self.parameters,
-            ideal.reshape(-1, 2),
-        )
-        return ideal
+        return rescaled(pixels, self.centre_px, 1 / self.unit_px, self.parameters)
 
     def jacobian(self, pixels: Floats) -> Floats:
         """Derivative of `ideal` with respect to `parameters`, (N, 2) → (N, 2, 4)."""
-        jacobian = np.empty((len(pixels), 2, LENS_TERMS))
-        _ideal_jacobian(pixels, *self.centre_px, 1 / self.unit_px, self.parameters, jacobian)
-        return jacobian
+        return rescaled_by_lens(pixels, self.centre_px, 1 / self.unit_px, self.parameters)
 
     @property
     def parameters(self) -> Floats:
@@ -111,31 +102,6 @@ class TwoView:
             across_px,
         )
         return Parallax(x, value, per_px, across_px)
-
-
-@compiled
-def _ideal(pixels: Floats, x0: float, y0: float, per_px: float, lens: Floats, ideal: Floats) -> None:
-    """The formula of `Lens`, (N, 2) → (N, 2); (x0, y0) is the image's centre."""
-    k1, k2, x_c, y_c = lens[0], lens[1], lens[2], lens[3]
-    for i in range(len(pixels)):
-        x, y = (pixels[i, 0] - x0) * per_px - x_c, (pixels[i, 1] - y0) * per_px - y_c
-        r2 = x * x + y * y
-        ratio = 1.0 + r2 * (k1 + r2 * k2)
-        ideal[i, 0], ideal[i, 1] = x * ratio + x_c, y * ratio + y_c
-
-
-@compiled
-def _ideal_jacobian(pixels: Floats, x0: float, y0: float, per_px: float, lens: Floats, jacobian: Floats) -> None:
-    """Derivative of `_ideal` with respect to the lens, (N, 2) → (N, 2, 4)."""
-    k1, k2, x_c, y_c = lens[0], lens[1], lens[2], lens[3]
-    for i in range(len(pixels)):
-        x, y = (pixels[i, 0] - x0) * per_px - x_c, (pixels[i, 1] - y0) * per_px - y_c
-        r2 = x * x + y * y
-        bent, slope = r2 * (k1 + r2 * k2), 2.0 * (k1 + 2.0 * r2 * k2)
-        jacobian[i, 0, 0], jacobian[i, 0, 1] = x * r2, x * r2 * r2
-        jacobian[i, 1, 0], jacobian[i, 1, 1] = y * r2, y * r2 * r2
-        jacobian[i, 0, 2], jacobian[i, 0, 3] = -bent - slope * x * x, -slope * x * y
-        jacobian[i, 1, 2], jacobian[i, 1, 3] = -slope * x * y, -bent - slope * y * y
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""A plane through the patch around each surfel, and how it grows over all surfels that it explains.
+"""Region growing: from a plane through the patch around each surfel to all surfels that are its inliers.
 
 A surfel is a column of `Evidence.rows` (surfel_observations.py). A symmetric matrix (3, 3) is its six numbers 00, 01,
 02, 11, 12, 22.
@@ -28,8 +28,8 @@ def local_planes(surfels: Surfels, rows: Floats, gate: float) -> tuple[Floats, F
 
 
 def grow(rows: Floats, seeds: Floats, covariance: Floats, gate: float) -> tuple[Floats, Bools]:
-    """Refit each seed (S, 3), with covariance (S, 6), to all surfels that it explains, as far as its uncertainty
-    reaches: the plane (3,) that explains most in the end, and which surfels those are (M,).
+    """Refit each seed (S, 3), with covariance (S, 6), to its inliers, as far as its uncertainty reaches: the plane (3,)
+    with the most inliers in the end, and which surfels those are (M,).
     """
     planes, covariance, explained = seeds.copy(), covariance.copy(), np.empty(len(seeds))
     in_pieces(
@@ -85,14 +85,14 @@ def _fit_patches(
 
 @compiled
 def _grow(rows: Floats, planes: Floats, covariance: Floats, gate2: float, explained: Floats) -> None:
-    """Every seed's plane and covariance, in place, and how many surfels it explains in the end."""
+    """Every seed's plane and covariance, in place, and how many inliers it has in the end."""
     weight, moments = np.empty(rows.shape[1]), np.empty(9)
     for s in range(len(planes)):
         before = np.nan
         for _ in range(_GROWTH_STEPS):
             _weigh(rows, planes[s], covariance[s], gate2, _REACH, weight)
             if _add_up(rows, weight, moments) < _FEWEST_IN_PATCH:
-                planes[s, 0] = np.nan  # explains nothing
+                planes[s, 0] = np.nan  # no inliers
                 break
             if moments[6] == before:  # the same surfels again
                 break

@@ -59,8 +59,7 @@ def find_alike(labelled: Matches, matches: Matches, size: tuple[int, int]) -> Sp
     not found again.
     """
     plane, count = find_sparse_planes(matches, size)
-    assert labelled.face is not None
-    nearest = labelled.face[cKDTree(labelled.camera_px).query(matches.camera_px)[1]]
+    nearest = labelled.labels[cKDTree(labelled.camera_px).query(matches.camera_px)[1]]
     face_of = np.full(count + 1, NO_FACE, np.int32)
     for i in range(count):
         around = nearest[plane == i]
@@ -115,10 +114,7 @@ def _in_competition(matches: Matches, planes: list[Floats], limit_px: float) -> 
     for _ in range(_ROUNDS):
         if not planes:
             break
-        off = np.stack([_off(each, matches) for each in planes])
-        together = np.minimum(off, limit_px)[:, around].mean(axis=2)
-        best = np.argmin(together, axis=0).astype(np.int32)
-        own = off[best, np.arange(len(matches))]
+        off, best, own = _contest(matches, planes, around, limit_px)
         plane = np.where(own <= limit_px, best, NO_PLANE).astype(np.int32)
         planes = _fitted_again(matches, plane, _without_doubles(planes, off, plane, limit_px), limit_px)
     if not planes:
@@ -126,10 +122,15 @@ def _in_competition(matches: Matches, planes: list[Floats], limit_px: float) -> 
     return _final(matches, planes, around, limit_px)
 
 
-def _final(matches: Matches, planes: list[Floats], around: Ints, limit_px: float) -> tuple[Ints, list[Floats]]:
+def _contest(matches: Matches, planes: list[Floats], around: Ints, limit_px: float) -> tuple[Floats, Ints, Floats]:
+    """Transfer errors (n, N) of all planes, the one (N,) that suits a match and its neighbours best, its errors."""
     off = np.stack([_off(each, matches) for each in planes])
-    best = np.argmin(np.minimum(off, limit_px)[:, around].mean(axis=2), axis=0)
-    own = off[best, np.arange(len(matches))]
+    best = np.argmin(np.minimum(off, limit_px)[:, around].mean(axis=2), axis=0).astype(np.int32)
+    return off, best, off[best, np.arange(len(matches))]
+
+
+def _final(matches: Matches, planes: list[Floats], around: Ints, limit_px: float) -> tuple[Ints, list[Floats]]:
+    _, best, own = _contest(matches, planes, around, limit_px)
     sigma = float(np.median(own[own <= limit_px])) / MEDIAN_LENGTH if np.any(own <= limit_px) else 0.0
     on = own <= min(limit_px, max(_GATE_SIGMAS * sigma, 0.2 * limit_px))
     order = np.argsort(-np.bincount(best[on], minlength=len(planes)), kind="stable")
@@ -168,7 +169,7 @@ def _homography(matches: Matches, limit_px: float) -> Floats | None:
 
 
 def _off(homography: Floats, matches: Matches) -> Floats:
-    """How far (N,) the matches are from a homography, in px of the second photo; infinite behind its horizon."""
+    """Transfer error (N,) of a homography, in px of the second photo; infinite behind its horizon."""
     mapped = homogeneous(matches.camera_px) @ homography.T
     ahead: Bools = mapped[:, 2] * np.median(mapped[:, 2]) > 0
     with np.errstate(divide="ignore", invalid="ignore"):

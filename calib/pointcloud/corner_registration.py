@@ -1,4 +1,4 @@
-"""Several views of one corner: which of its three legs is which.
+"""Registration of several views of one corner: which of its three legs is which.
 
 A corner's faces are numbered alike up to a cyclic order, which angles of exactly 90 degrees do not tell: turned by a
 third about its diagonal, a square corner is the same. What else the views saw tells the orders apart: where one view

@@ -26,14 +26,8 @@ class View:
 
     @cached_property
     def axes(self) -> Floats:
-        """Right-handed orthonormal rows (3, 3) nearest to the corner's legs, in the camera's frame.
-
-        The nearest rotation (Schönemann 1966); legs that are numbered the left-handed way round change places first.
-        """
-        legs = self.corner.legs
-        u, _, vt = np.linalg.svd(legs if np.linalg.det(legs) > 0 else legs[[0, 2, 1]])
-        nearest: Floats = u @ vt
-        return nearest
+        """The corner's axes, (3, 3) rows in the camera's frame; as of `Corner.axes`."""
+        return self.corner.axes
 
     @cached_property
     def there(self) -> Bools:

@@ -1,4 +1,4 @@
-"""Points seen by a camera → triangles between neighbours in its image, cut where one surface hides another.
+"""Meshing of an organised cloud: triangles between neighbours in the image, cut where one surface hides another.
 
 Neighbouring pixels see neighbouring points of one surface unless an occlusion edge runs between them. There, the point
 of the one pixel lies far off the tangent plane at the other's; on a smooth surface it lies in it, however obliquely the
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, compiled, in_slices
+from calib.numerics import Floats, Ints, compiled, in_slices, robust_sigma
 
 # Off the tangent plane by more than this many footprints per pixel between the two, or so many sigmas of the usual.
 _LARGEST_STEP, _LARGEST_STEP_SIGMAS = 6.0, 6.0
@@ -66,9 +66,7 @@ class _Surface(NamedTuple):
 
 def _limit(steps: Floats32) -> float:
     """How large a step may be, given many, of which few are across occlusion edges."""
-    there = steps[np.isfinite(steps)]
-    usual = SIGMA_PER_MEDIAN * float(np.median(there)) if len(there) else 0.0
-    return max(_LARGEST_STEP, _LARGEST_STEP_SIGMAS * usual)
+    return max(_LARGEST_STEP, _LARGEST_STEP_SIGMAS * robust_sigma(steps[np.isfinite(steps)].astype(np.float64)))
 
 
 def _grid_triangles(surface: _Surface, index: Ints) -> Ints:

@@ -1,4 +1,4 @@
-"""The surface through a grid of points: normals, and the points that lie on no surface at all.
+"""Normals of an organised cloud by local plane fits, and its isolated points, which lie on no surface at all.
 
 Almost everywhere a plane is fitted through a pixel's window, in inverse depth. Where the window crosses an occlusion
 edge, or holds too few points, the nearest neighbours in space are used instead: they lie on the pixel's own side of the

@@ -1,4 +1,4 @@
-"""Do the two rays of a match meet? Which misses are disagreements, and which are the calibration's.
+"""Residuals of triangulation: do the two rays of a match meet, and is it the decoder's or the calibration's error?
 
 A miss has two causes. What the calibration leaves unexplained (mostly its lens model) varies smoothly over both
 images; what the decoder got wrong does not. Only the second is a reason to drop a point, so the smooth part is
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Calibration
-from calib.numerics import Floats, by_columns, compiled, robust_sigma
+from calib.numerics import Floats, by_columns, compiled, reweighted, robust_sigma
 
 _TREND_TERMS = 19
 _TREND_SAMPLE = 5_000
@@ -54,25 +54,21 @@ def expected_misses(camera_px: Floats, foot_px: Floats, residual_px: Floats, cal
 
 def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> Floats:
     """A cubic in the camera's plus a cubic in the projector's coordinates, fitted robustly (Huber's weights)."""
-    solution: Floats = np.zeros(_TREND_TERMS)
     count = len(residual_px)
-    if not count:
-        return solution
-    solution[0] = np.median(residual_px)
     if count < 20 * _TREND_TERMS:
-        return solution
+        return np.append(np.median(residual_px) if count else 0.0, np.zeros(_TREND_TERMS - 1))
     sample = np.random.default_rng(0).permutation(count)[:_TREND_SAMPLE]
     camera_px, foot_px, observed = camera_px[sample], foot_px[sample], residual_px[sample]
     one_term_each = np.eye(_TREND_TERMS)
     basis = np.stack([_trend(term, camera_px, foot_px, calibration) for term in one_term_each])
-    solution[0] = np.median(observed)
-    for _ in range(_TREND_ITERATIONS):
-        error = np.abs(observed - solution @ basis)
-        huber = 1.5 * robust_sigma(error) + 1e-12
-        weighted = basis * (huber / np.maximum(huber, error))
-        # On a single plane the two images are one homography apart and the terms nearly dependent: least norm then.
-        solution = np.asarray(np.linalg.lstsq(weighted @ basis.T, weighted @ observed, rcond=1e-10)[0])
-    return solution
+    # On a single plane the two images are one homography apart and the terms nearly dependent: minimum norm then.
+    return reweighted(basis, observed, _huber, _huber(observed - np.median(observed)), _TREND_ITERATIONS)
+
+
+def _huber(error: Floats) -> Floats:
+    """Huber's weights (N,), 1 up to one and a half robust sigmas."""
+    limit = 1.5 * robust_sigma(error) + 1e-12
+    return limit / np.maximum(limit, np.abs(error))
 
 
 def _trend(coefficients: Floats, camera_px: Floats, foot_px: Floats, calibration: Calibration) -> Floats:

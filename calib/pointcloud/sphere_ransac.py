@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Intrinsics
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints, robust_sigma
 from calib.pointcloud.pixel_index import NONE, without_gaps
 
 # A smaller image has too few points for a shape.
@@ -69,7 +69,7 @@ def _depth_noise(cloud: OrganisedPoints) -> float:
     there = (left != NONE) & (middle != NONE) & (right != NONE)
     z = cloud.points[:, 2]
     bend = (z[left[there]] - 2 * z[middle[there]] + z[right[there]]) / z[middle[there]] ** 2
-    return SIGMA_PER_MEDIAN * float(np.median(np.abs(bend))) / np.sqrt(6) if len(bend) else 0.0
+    return robust_sigma(bend) / float(np.sqrt(6))
 
 
 def _seeds(cloud: OrganisedPoints, radius: float) -> Ints:

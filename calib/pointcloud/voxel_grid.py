@@ -1,4 +1,4 @@
-"""Points thinned out: of those in one cube of a grid, a single one."""
+"""Downsampling by a voxel grid: of the points in one cube a single one."""
 
 import numpy as np
 

@@ -7,8 +7,9 @@ import numpy as np
 
 from calib.geometry import Matches, mapped
 from calib.numerics import Floats, Ints, compiled, in_pieces
+from calib.refinement.image_polynomial import monomials
 
-_DEGREE = 4  # `polynomial.DEGREE`, told to the compiler: twice as fast as a number that it does not know
+_DEGREE = 4  # `image_polynomial.DEGREE`, told to the compiler: twice as fast as a number that it does not know
 
 
 @dataclass(frozen=True)
@@ -57,14 +58,7 @@ class Reference:
 
     def curved(self, camera_px: Floats) -> Floats:
         """The polynomial's part, (N, 2)."""
-        return polynomial_at(self.coefficients, self.scale, camera_px)
-
-
-def polynomial_at(coefficients: Floats, scale: Floats, camera_px: Floats) -> Floats:
-    """Two polynomials (N, 2) by their coefficients (TERMS, 2), at pixels (N, 2) that `scale` (3, 3) normalises."""
-    values = np.empty((len(camera_px), 2))
-    _evaluate(coefficients, scale, np.ascontiguousarray(camera_px, np.float64), values)
-    return values
+        return monomials(camera_px, self.scale) @ self.coefficients
 
 
 def slots(labels: Sequence[int]) -> Ints:
@@ -210,14 +204,6 @@ def _add_up(
                 cell[4] += weight * offset_x
                 cell[5] += weight * offset_y
                 cell[6] += square
-
-
-@compiled
-def _evaluate(coefficients: Floats, scale: Floats, camera_px: Floats, values: Floats) -> None:
-    along = np.empty((_DEGREE + 1, 2))
-    for i in range(len(camera_px)):
-        _polynomials_in_x(coefficients, scale[1, 1] * camera_px[i, 1] + scale[1, 2], along)
-        values[i, 0], values[i, 1] = _at(along, scale[0, 0] * camera_px[i, 0] + scale[0, 2])
 
 
 @compiled

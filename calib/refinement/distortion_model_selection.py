@@ -1,4 +1,4 @@
-"""How many radial terms each lens has: none, k1, or k1 and k2, by the evidence for each.
+"""Bayesian model selection: how many radial terms each lens has (none, k1, or k1 and k2), by the evidence for each.
 
 With all terms free the posterior is close to a Gaussian. The evidence for leaving some out, against keeping them, is
 the Savage–Dickey ratio: the posterior density of zero over its prior density (Dickey 1971, Ann. Math. Stat. 42, 204).

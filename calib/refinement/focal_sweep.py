@@ -1,4 +1,4 @@
-"""The camera's focal length swept over its whole range: at each trial the best fit of everything else.
+"""The profile likelihood of the camera's focal length over its whole range: at each trial everything else at its best.
 
 Seen along the focal length the likelihood has several minima: a twin whose focals are a quarter too long can fit almost
 as well. At each trial the paper's transfer gives a start, so that no minimum depends on a guess.
@@ -6,6 +6,7 @@ as well. At each trial the paper's transfer gives a start, so that no minimum de
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Protocol
 
 import numpy as np
@@ -125,7 +126,7 @@ def minima(sweep: Sequence[Fit | None]) -> list[Fit]:
     fits = [fit for fit in sweep if fit]
     costs = np.array([np.inf, *(fit.cost for fit in fits), np.inf])
     low = [fit for i, fit in enumerate(fits) if costs[i + 1] <= costs[i] and costs[i + 1] <= costs[i + 2]]
-    low.sort(key=_cost)
+    low.sort(key=attrgetter("cost"))
     count = sum(len(residual) for residual in low[0].residuals) if low else 0
     return [fit for fit in low if fit.cost <= HOPELESS * (low[0].cost + count)]
 
@@ -167,10 +168,6 @@ def _most_promising(captures: Sequence[Cells], starts: list[State], knowledge: K
     prior = knowledge.prior(starts[0])
     variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
     return sorted(starts, key=lambda state: evaluate(captures, state, prior, variances).cost)[:1]
-
-
-def _cost(fit: Fit) -> float:
-    return fit.cost
 
 
 def _combined(shared: State, alone: Sequence[State]) -> State:

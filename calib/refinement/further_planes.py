@@ -68,9 +68,8 @@ def without(captures: Sequence[Cells], state: State, planes: list[tuple[int, int
 
 def _candidates(matches: Matches, plane: Ints) -> list[int]:
     """Planes with enough matches, none of which is on a face."""
-    assert matches.face is not None
     counts = np.zeros((max(int(plane.max(initial=-1)), 0) + 1, 2), np.int64)
-    _count(np.ascontiguousarray(plane, np.int32), np.ascontiguousarray(matches.face, np.int32), counts)
+    _count(np.ascontiguousarray(plane, np.int32), np.ascontiguousarray(matches.labels, np.int32), counts)
     return [int(label) for label in np.flatnonzero((counts[:, 0] >= _LEAST_MATCHES) & (counts[:, 1] == 0))]
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.geometry import normalisation
-from calib.numerics import Floats, compiled
+from calib.numerics import Floats
 
 DEGREE = 4
 TERMS = (DEGREE + 1) * (DEGREE + 2) // 2
@@ -30,25 +30,11 @@ def monomials(pixels: Floats, scale: Floats | None = None) -> Floats:
 
 
 def coefficients_of(terms: Floats, values: Floats, weight: Floats) -> Floats:
-    """Of the weighted least-squares fit: terms (TERMS, N), values (N, 2), weights (N,) → (TERMS, 2); the shortest."""
-    normal, right = np.empty((len(terms), len(terms))), np.empty((len(terms), 2))
-    _normal_equations(np.ascontiguousarray(terms), values, weight, normal, right)
-    coefficients: Floats = np.linalg.pinv(normal, rcond=_SINGULAR, hermitian=True) @ right
+    """Weighted least squares by the normal equations, of minimum norm where these are singular.
+
+    Terms (TERMS, N), values (N, 2), weights (N,) → coefficients (TERMS, 2).
+    """
+    weighted = terms * weight
+    normal = weighted @ terms.T
+    coefficients: Floats = np.linalg.pinv(normal, rcond=_SINGULAR, hermitian=True) @ (weighted @ values)
     return coefficients
-
-
-@compiled
-def _normal_equations(terms: Floats, values: Floats, weight: Floats, normal: Floats, right: Floats) -> None:
-    weighted = np.empty(len(weight))
-    for a in range(len(terms)):
-        u = v = 0.0
-        for i in range(len(weight)):
-            weighted[i] = weight[i] * terms[a, i]
-            u += weighted[i] * values[i, 0]
-            v += weighted[i] * values[i, 1]
-        right[a, 0], right[a, 1] = u, v
-        for b in range(a + 1):
-            product = 0.0
-            for i in range(len(weight)):
-                product += weighted[i] * terms[b, i]
-            normal[a, b] = normal[b, a] = product

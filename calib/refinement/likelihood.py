@@ -1,4 +1,4 @@
-"""How well a state explains all captures, with derivatives; and what is known before the matches are seen.
+"""The likelihood of all captures for a state, with derivatives; and the prior: what is known before any match is seen.
 
 The cost is Σ |r_i|² / v_i + Σ ((p − prior) / σ_prior)², r_i being the deviation of a cell of matches in projector
 pixels and v_i the variance of each of its coordinates; Huber's loss beyond three sigmas.
@@ -10,11 +10,12 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints, compiled
+from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
 from calib.refusal import PHOTOS, RIG, Wording
 
+SQUARENESS_DEG = 0.3  # how far walls of ordinary rooms are from square: standard deviation of each angle
 ROBUST_SIGMAS = 3.0
 _LEAST_IN_FRONT = 0.98
 _BEHIND = 100.0  # the cost of a cell behind a device, like one ten sigmas off
@@ -49,10 +50,6 @@ class Prior:
         """1 / σ of the columns that are not known, 0 elsewhere, (size,)."""
         unknown = self.sigma > 0
         return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0), 0.0)
-
-    def precision(self) -> Floats:
-        """1 / σ² of the columns that are not known, 0 elsewhere, (size,)."""
-        return self.root_precision**2
 
     def deviation(self, state: State) -> Floats:
         """(value − mean) / σ of each column, (size,); zero where the prior says nothing."""
@@ -122,14 +119,11 @@ class Knowledge:
 
 
 @dataclass(frozen=True)
-class Fit:
-    """A state, its `cost`, the captures' `residuals` (M, 2) in projector px, half the cost's `gradient` and Hessian."""
+class Fit(Quadratic):
+    """A state with its cost, and the captures' `residuals` (M, 2) in projector px."""
 
     state: State
-    cost: float
     residuals: tuple[Floats, ...]
-    gradient: Floats
-    information: Floats
 
 
 def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: Sequence[Floats]) -> Fit:
@@ -139,7 +133,7 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
     """
     deviation = prior.deviation(state)
     cost = float(deviation @ deviation)
-    gradient, information = deviation * prior.root_precision, np.diag(prior.precision())
+    gradient, information = deviation * prior.root_precision, np.diag(prior.root_precision**2)
     residuals = []
     for i, (cells, variance) in enumerate(zip(captures, variances, strict=True)):
         predicted, jacobian, depths = predict(state, cells.camera_px, cells.plane, i)
@@ -156,7 +150,7 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
             information,
         )
         residuals.append(residual)
-    return Fit(state, cost, tuple(residuals), gradient, information)
+    return Fit(cost, gradient, information, state, tuple(residuals))
 
 
 @compiled

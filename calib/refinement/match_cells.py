@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.geometry import FACES, Matches, TooFewMatchesError, homography_between, mapped, normalisation
 from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, evenly, in_parallel
-from calib.refinement.cell_sums import Extent, Raster, Reference, extents, polynomial_at, slots, sums_over_cells
+from calib.refinement.cell_sums import Extent, Raster, Reference, extents, slots, sums_over_cells
 from calib.refinement.image_polynomial import CONIC, TERMS, coefficients_of, monomials
 
 _CELLS_PER_PLANE = 200
@@ -76,13 +76,11 @@ def joined(a: Cells, b: Cells) -> Cells:
 
 
 def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | None = None) -> Cells:
-    """Average the matches with each label over cells, without those that deviate from the others around them.
+    """Average the matches with each label over cells, without outliers from the others around them.
 
     `plane` (N,): other labels than those of the faces. Raises TooFewMatchesError if a label has fewer than four.
     """
-    label = matches.face if plane is None else plane
-    if label is None:
-        raise ValueError("these matches have no face labels")
+    label = matches.labels if plane is None else plane
     slot = slots(labels)
     reach = extents(matches.camera_px, label, slot)
     for name, extent in zip(labels, reach, strict=True):
@@ -162,7 +160,7 @@ def _bias(sample: Matches, reference: Reference, raster: Raster) -> Floats:
 
 
 def _reference(sample: Matches, typical_sigma_px: float) -> Reference:
-    """Homography and polynomial through a plane's matches, whatever a minority of them says."""
+    """Homography and polynomial through the inliers among a plane's matches."""
     weight = np.ones(len(sample)) if sample.sigma_px is None else (typical_sigma_px / sample.sigma_px) ** 2
     inside = _near_a_homography(sample)
     homography = homography_between(sample.camera_px[inside], sample.projector_px[inside])
@@ -173,7 +171,7 @@ def _reference(sample: Matches, typical_sigma_px: float) -> Reference:
         terms[CONIC:] = 0.0  # too few matches for more
     for _ in range(_CUTS):
         coefficients = coefficients_of(terms, offset, weight * inside)
-        deviation = offset - polynomial_at(coefficients, scale, sample.camera_px)
+        deviation = offset - terms.T @ coefficients
         size = np.sqrt(weight * (deviation[:, 0] ** 2 + deviation[:, 1] ** 2))
         # A polynomial through few matches follows them; its freedom is given back.
         freedom = max(1.0 - np.count_nonzero(terms.any(axis=1)) / max(inside.sum(), 1), 0.1)
@@ -183,7 +181,7 @@ def _reference(sample: Matches, typical_sigma_px: float) -> Reference:
 
 
 def _near_a_homography(sample: Matches) -> Bools:
-    """Matches (N,) that one homography explains as well as it does most (least median of squares)."""
+    """Inliers (N,) of one homography, by the least median of squares."""
     every = np.ones(len(sample), bool)
     few = sample[:: max(1, len(sample) // _SMALL_SAMPLE)]
     homography, _ = cv2.findHomography(few.camera_px, few.projector_px, cv2.LMEDS) if len(few) > 4 else (None, None)

@@ -1,4 +1,4 @@
-"""What the residuals themselves say of their noise: beyond what independent matches would leave, and at long waves."""
+"""Variance components of the residuals: independent noise, what stays in the mean of a cell, and long waves."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ _LEAST_CELLS = 3 * CUBIC  # on a plane, for its long waves to be told from its s
 @dataclass(frozen=True)
 class Noise:
     """Of one capture: the scatter of a match; τ, what stays unexplained in the mean of a cell; the root mean square of
-    the residuals' long waves; κ, by how much their variance exceeds what cells that err independently would leave.
+    the residuals' long waves; κ, their overdispersion: variance over what cells that err independently would leave.
 
     Parameters are moved by long waves only, so κ is the factor by which their variances are larger.
     """

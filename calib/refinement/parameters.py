@@ -1,4 +1,4 @@
-"""The true parameters of a rig before corners, what they predict of each match, and the exact derivatives.
+"""Minimal parameters of a rig before corners, what they predict of each match, and the exact derivatives.
 
 A camera pixel is unprojected, its ray meets the plane that it is on, and the point is projected into the projector.
 Lengths are in baselines: |translation| = 1. Both lenses have two radial terms.
@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import FACES, Motion, rotation_about, tangent_basis
+from calib.geometry import FACES, Motion, depths_on_planes, polar, rotation_about, tangent_basis
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Floats, Ints
 from calib.refinement.reprojection_jacobians import chain, face_normals, meet, move
@@ -193,11 +193,12 @@ class State:
 
     def legs(self, capture: int = 0) -> Floats:
         """Unit directions of the edges in the camera's frame, (3, 3) rows."""
-        normals = self.normals(capture)
-        legs = np.cross(np.roll(normals, -1, axis=0), np.roll(normals, -2, axis=0))
-        legs *= np.sign(np.sum(legs * normals, axis=1))[:, None]
-        unit: Floats = legs / np.linalg.norm(legs, axis=1, keepdims=True)
-        return unit
+        return polar(self.normals(capture))
+
+    def points(self, camera_px: Floats, plane: Ints, capture: int = 0) -> Floats:
+        """Where the rays of camera pixels (N, 2) meet the faces (N,) that they are on, (N, 3) in the camera's frame."""
+        rays, _ = lens.unproject(self.camera, camera_px)
+        return depths_on_planes(rays, self.normals(capture)[plane], self.pose(capture).vertex)[:, None] * rays
 
 
 def intrinsic_distance(a: State, b: State) -> Floats:

@@ -8,11 +8,12 @@ costs.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from operator import attrgetter
 
 import numpy as np
 from scipy.stats import chi2
 
-from calib.geometry import FACES, leg_signs, unproject
+from calib.geometry import FACES, leg_signs
 from calib.numerics import Floats
 from calib.refinement.likelihood import Fit, Knowledge
 from calib.refinement.match_cells import Cells
@@ -66,14 +67,15 @@ def tie(
         for fit in fits
         for shifts in _promising(fit, knowledge)
     ]
-    trials.sort(key=_cost)
+    trials.sort(key=attrgetter("fit.cost"))
     apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), _variances(thinned, levels))
     raised = trials[0].fit.cost - apart.cost
     limit = float(chi2.ppf(_SIGNIFICANT, PER_CORNER * (len(captures) - 1)))
     # All cells tell orders apart that a part of them does not.
     close = [trial for trial in trials if trial.fit.cost < trials[0].fit.cost + _CLOSE]
     whole = sorted(
-        (_in_order(captures, trial.fit.state, trial.shifts, knowledge, levels) for trial in close), key=_cost
+        (_in_order(captures, trial.fit.state, trial.shifts, knowledge, levels) for trial in close),
+        key=attrgetter("fit.cost"),
     )
     shifts = whole[0].shifts
     lead = min(
@@ -106,10 +108,6 @@ def _in_order(
 
 def _variances(captures: Sequence[Cells], levels: Sequence[float]) -> list[Floats]:
     return [np.full(len(cells), level) for cells, level in zip(captures, levels, strict=True)]
-
-
-def _cost(trial: _Trial) -> float:
-    return trial.fit.cost
 
 
 def _spread(trials: Sequence[_Trial]) -> Floats:
@@ -147,9 +145,7 @@ def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
     off_square, poses = state.off_square.copy(), []
     for i, (cells, pose) in enumerate(zip(captures, state.poses, strict=True)):
         on_faces = cells.plane < len(FACES)
-        normals = state.normals(i)[cells.plane[on_faces]]
-        rays, _ = unproject(state.camera, cells.camera_px[on_faces])
-        points = (normals @ pose.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
+        points = state.points(cells.camera_px[on_faces], cells.plane[on_faces], i)
         signs = leg_signs(state.legs(i), pose.vertex, points)
         # Turning one leg round turns the signs of both angles that its face has with the others.
         turned = np.prod(signs) * signs

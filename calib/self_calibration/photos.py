@@ -17,7 +17,7 @@ from calib.diagnostics import (
     notes_on,
     refuse_degenerate,
     refuse_untrustworthy,
-    sigmas_by_name,
+    sigmas_of,
     uncertainty_of,
 )
 from calib.geometry import Corner, Matches, Motion, TooFewMatchesError, before_the_matches, unproject
@@ -26,6 +26,7 @@ from calib.refinement import (
     PER_CORNER,
     PER_POSE,
     SHARED,
+    SQUARENESS_DEG,
     Cells,
     Fit,
     Knowledge,
@@ -61,7 +62,7 @@ def calibrate_photos(
     size: tuple[int, int],
     *,
     principal_point: PrincipalPoint | None = None,
-    squareness_deg: float = 0.3,
+    squareness_deg: float = SQUARENESS_DEG,
     focal_px: tuple[float, float] | None = None,
 ) -> tuple[SelfCalibration, ...]:
     """Calibrate the camera of photos of (width, height) from the matches of the first with each of the others.
@@ -104,7 +105,7 @@ def _solutions(refinement: Refinement, knowledge: Knowledge, pairs: Sequence[Mat
     solutions = []
     for i, matches in enumerate(pairs):
         alone, covariance = _one_pair(refinement, i)
-        sigmas = sigmas_by_name(alone, covariance)
+        sigmas = sigmas_of(alone, covariance)
         calibration = calibration_of(alone, knowledge.camera_size, knowledge.camera_size, sigmas)
         corner, residual_px = before_the_matches(Corner(alone.poses[0].vertex, alone.legs(0)), calibration, matches)
         columns = _columns_of_pair(state, i)
@@ -145,9 +146,7 @@ def _with_all(pairs: Sequence[Cells], fit: Fit, knowledge: Knowledge, variance: 
 
 def _placed(cells: Cells, state: State) -> Motion:
     """Where a further photo was taken from, by its matches with the first and the planes that those are on."""
-    normals = state.normals()[cells.plane]
-    rays, _ = unproject(state.camera, cells.camera_px)
-    points = (normals @ state.poses[0].vertex / np.sum(normals * rays, axis=1))[:, None] * rays
+    points = state.points(cells.camera_px, cells.plane)
     seen, _ = unproject(state.camera, cells.projector_px)
     placed, rotation, translation = cv2.solvePnP(
         points, np.ascontiguousarray(seen[:, :2]), np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP

@@ -14,12 +14,21 @@ from calib.diagnostics import (
     notes_on,
     refuse_degenerate,
     refuse_untrustworthy,
-    sigmas_by_name,
+    sigmas_of,
     uncertainty_of,
 )
 from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
 from calib.numerics import Floats, Ints
-from calib.refinement import Knowledge, family_of, into_cells, is_anticlockwise, refine, reflected, with_further_planes
+from calib.refinement import (
+    SQUARENESS_DEG,
+    Knowledge,
+    family_of,
+    into_cells,
+    is_anticlockwise,
+    refine,
+    reflected,
+    with_further_planes,
+)
 from calib.refusal import RIG, RefusalError
 
 Method = Literal["refined", "paper"]
@@ -76,7 +85,7 @@ def self_calibrate(
     *,
     principal_point: PrincipalPoint,
     method: Method = "refined",
-    squareness_deg: float = 0.3,
+    squareness_deg: float = SQUARENESS_DEG,
     plane: Ints | None = None,
 ) -> SelfCalibration:
     """Calibrate both devices from matches labelled with the corner's faces 0, 1, 2.
@@ -110,7 +119,7 @@ def self_calibrate_jointly(
     projector_size: tuple[int, int],
     *,
     principal_point: PrincipalPoint,
-    squareness_deg: float = 0.3,
+    squareness_deg: float = SQUARENESS_DEG,
     same: bool = True,
     planes: Sequence[Ints] | None = None,
 ) -> tuple[SelfCalibration, ...]:
@@ -219,7 +228,7 @@ def _by_refinement(
         fit.state,
         knowledge.camera_size,
         knowledge.projector_size,
-        sigmas_by_name(fit.state, refinement.covariance),
+        sigmas_of(fit.state, refinement.covariance),
     )
     notes = notes_on(refinement, knowledge)
     profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
@@ -244,8 +253,7 @@ def _by_refinement(
 
 def _renumbered(matches: Matches, *, reflect: bool, shift: int) -> Matches:
     """Face labels as the refinement numbered them on."""
-    face = matches.face
-    assert face is not None
+    face = matches.labels
     if reflect:
         face = np.where(face > 0, 3 - face, face)
     return matches.with_faces(np.where(face >= 0, (face + shift) % 3, face).astype(np.int32))

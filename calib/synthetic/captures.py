@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, Corner, Intrinsics, Matches
-from calib.numerics import Floats, Ints
+from calib.numerics import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def random_captures(
 ) -> list[SyntheticCapture]:
     """Captures by one rig of one corner from random places, or of different corners; faces in a random order each."""
     options = replace(options or CaptureOptions(), **changes)
-    legs, rig = _random_legs(rng, options.walls_off_deg), None
+    legs, rig = random_legs(rng, options.walls_off_deg), None
     captures: list[SyntheticCapture] = []
     while len(captures) < number:
         attempts -= 1
@@ -98,11 +98,19 @@ def random_captures(
             continue
         rig = capture.calibration
         captures.append(capture if number == 1 else _in_another_order(capture, rng.permutation(3)))
-        legs = legs if same else _random_legs(rng, options.walls_off_deg)
+        legs = legs if same else random_legs(rng, options.walls_off_deg)
     return captures
 
 
-def _random_legs(rng: np.random.Generator, walls_off_deg: float) -> Floats:
+def inside(pixels: Floats, device: Intrinsics) -> Bools:
+    """Which pixels (N, 2) are in a device's image, (N,)."""
+    with np.errstate(invalid="ignore"):
+        seen: Bools = np.all((pixels >= 0) & (pixels <= (device.width - 1, device.height - 1)), axis=1)
+    return seen
+
+
+def random_legs(rng: np.random.Generator, walls_off_deg: float) -> Floats:
+    """Unit rows (3, 3) along the axes, each turned by a normal angle."""
     legs = np.eye(3) + np.radians(walls_off_deg) * np.array(
         [[0, rng.normal(), 0], [0, 0, rng.normal()], [rng.normal(), 0, 0]]
     )
@@ -112,8 +120,7 @@ def _random_legs(rng: np.random.Generator, walls_off_deg: float) -> Floats:
 
 def _in_another_order(capture: SyntheticCapture, order: Ints) -> SyntheticCapture:
     """The same capture, face s numbered order[s]."""
-    face = capture.matches.face
-    assert face is not None
+    face = capture.matches.labels
     legs = np.empty((3, 3))
     legs[order] = capture.corner.legs
     renumbered = np.where(face >= 0, order[face], face).astype(np.int32)
@@ -152,10 +159,9 @@ def _one_capture(
     normals, heights = corner.normals, corner.normals @ corner.vertex
     if options.parallel_m is not None:
         normals, heights = normals[[0, 1, 0]], heights[[0, 1, 0]] + np.array([0.0, 0.0, options.parallel_m])
-    points, face = _cast_rays(projector.unproject(pixels) @ rotation, -rotation.T @ translation, normals, heights)
+    points, face = cast_rays(projector.unproject(pixels) @ rotation, -rotation.T @ translation, normals, heights)
     camera_px = camera.project(points)
-    with np.errstate(invalid="ignore"):
-        seen = np.all((camera_px >= 0) & (camera_px <= (camera.width - 1, camera.height - 1)), axis=1)
+    seen = inside(camera_px, camera)
     camera_px, pixels, face = camera_px[seen], pixels[seen], face[seen]
     if np.bincount(face, minlength=3).min() < max(options.least_share * count, 4):
         return None
@@ -178,7 +184,7 @@ def _jittered_grid(rng: np.random.Generator, device: Intrinsics, count: int) -> 
     return np.clip(grid + rng.uniform(0, step, grid.shape), 0, (device.width - 1, device.height - 1))
 
 
-def _cast_rays(directions: Floats, origin: Floats, normals: Floats, heights: Floats) -> tuple[Floats, Ints]:
+def cast_rays(directions: Floats, origin: Floats, normals: Floats, heights: Floats) -> tuple[Floats, Ints]:
     """First wall n · X = height hit by each ray (N, 3) from `origin`: points (N, 3) and wall labels (N,)."""
     with np.errstate(divide="ignore"):
         lengths = (heights - normals @ origin) / (directions @ normals.T)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from calib.geometry import Calibration, Corner, Intrinsics, Matches
-from calib.numerics import Bools, Floats, Ints
-from calib.synthetic.captures import look_at
+from calib.numerics import Floats
+from calib.synthetic.captures import cast_rays, inside, look_at, random_legs
 
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -74,10 +74,7 @@ def random_photos(
 
 def _draw(rng: np.random.Generator, options: PhotoOptions) -> SyntheticPhotos | None:
     camera = _camera(rng, options)
-    legs = np.eye(3) + np.radians(options.walls_off_deg) * np.array(
-        [[0, rng.normal(), 0], [0, 0, rng.normal()], [rng.normal(), 0, 0]]
-    )
-    legs /= np.linalg.norm(legs, axis=1, keepdims=True)
+    legs = random_legs(rng, options.walls_off_deg)
     first = rng.uniform(*options.slants, 3)
     first /= np.linalg.norm(first)
     eyes = [first]
@@ -116,9 +113,9 @@ def _matches(
 ) -> Matches | None:
     """Random points of the first photo that the other sees, too; None if a wall has too few of them."""
     pixels = rng.uniform((0, 0), (camera.width - 1, camera.height - 1), (4 * options.count, 2))
-    points, face = _cast(camera.unproject(pixels), corner)
+    points, face = cast_rays(camera.unproject(pixels), np.zeros(3), corner.normals, corner.normals @ corner.vertex)
     second = camera.project(points @ rotation.T + translation)
-    seen = np.flatnonzero(_inside(second, camera))[: options.count]
+    seen = np.flatnonzero(inside(second, camera))[: options.count]
     face = face[seen]
     if len(seen) < options.count or np.bincount(face, minlength=3).min() < options.least_share * options.count:
         return None
@@ -126,19 +123,3 @@ def _matches(
     if options.first_noise:
         first = first + rng.normal(0, options.noise_px, first.shape)
     return Matches(first, second + rng.normal(0, options.noise_px, second.shape), face)
-
-
-def _cast(rays: Floats, corner: Corner) -> tuple[Floats, Ints]:
-    """The nearest wall that each ray (N, 3) meets: points (N, 3) and labels (N,)."""
-    with np.errstate(divide="ignore"):
-        depth = (corner.normals @ corner.vertex) / (rays @ corner.normals.T)
-    depth[~(depth > 0)] = np.inf
-    face = np.argmin(depth, axis=1)
-    points: Floats = depth[np.arange(len(rays)), face, None] * rays
-    return points, face.astype(np.int32)
-
-
-def _inside(pixels: Floats, camera: Intrinsics) -> Bools:
-    with np.errstate(invalid="ignore"):
-        inside: Bools = np.all((pixels >= 0) & (pixels <= (camera.width - 1, camera.height - 1)), axis=1)
-    return inside

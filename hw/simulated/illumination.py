@@ -1,4 +1,4 @@
-"""The projector's light on its way from the lens to a surface."""
+"""Direct illumination: the projector's light on its way from the lens to a surface."""
 
 from dataclasses import dataclass
 

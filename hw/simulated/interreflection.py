@@ -1,4 +1,4 @@
-"""Light that surfaces send each other: the radiosity of a scene, solved once for all pictures.
+"""Interreflection: the radiosity of a scene, the light that its surfaces send each other, solved once for all pictures.
 
 With e the irradiance of the solving nodes by indirect light, p a picture's pyramid, D and G what `gather` finds:
 e = D p + G e, all orders of reflection. I − G is factored once; a picture then costs one substitution.

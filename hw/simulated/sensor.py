@@ -1,4 +1,4 @@
-"""The camera behind its lens: exposure, noise, digits."""
+"""The camera's sensor: exposure, shot and read noise, quantisation."""
 
 from dataclasses import dataclass
 

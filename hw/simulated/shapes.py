@@ -1,4 +1,4 @@
-"""The two solids that rooms are made of, and where rays meet them.
+"""Ray casting: the two solids that rooms are made of, and where rays meet them.
 
 Rays are origin + t · direction; directions need not be unit vectors, so t is in units of the direction's length. Both
 `origins` and `directions` are (3, n), and `origins` may be (3, 1) for rays from one point.

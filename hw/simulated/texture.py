@@ -1,4 +1,4 @@
-"""How much light each spot of each surface reflects."""
+"""Albedo: how much light each spot of each surface reflects."""
 
 from dataclasses import dataclass
 from itertools import pairwise

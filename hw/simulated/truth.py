@@ -1,4 +1,4 @@
-"""What is true of a simulated room, for tests and for the summary; the devices do not tell."""
+"""Ground truth of a simulated room, for tests and for the summary; the devices do not tell."""
 
 from dataclasses import dataclass
 

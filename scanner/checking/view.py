@@ -218,11 +218,8 @@ def refusal_of(row: CheckRow) -> RefusalError:
 
 def relative_sigmas(solution: SelfCalibration) -> dict[str, float]:
     """Of both focal lengths, by device."""
-    calibration = solution.calibration
-    focals = {"camera": calibration.camera.focal_px[0], "projector": calibration.projector.focal_px[0]}
-    sigmas = {}
-    for device, focal_px in focals.items():
-        sigma = calibration.sigma[f"{device}_focal_px"]
-        assert isinstance(sigma, float)
-        sigmas[device] = sigma / focal_px
-    return sigmas
+    found, sigma = solution.calibration, solution.calibration.sigma
+    devices = {"camera": (found.camera, sigma.camera), "projector": (found.projector, sigma.projector)}
+    return {
+        name: sigmas.focal_px[0] / device.focal_px[0] for name, (device, sigmas) in devices.items() if sigmas.focal_px
+    }

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from calib.refinement import SQUARENESS_DEG
 from calib.self_calibration import PrincipalPoint
 from hw.settings import RigSettings
 from scanner.errors import InputError
@@ -143,7 +144,10 @@ class CornerSettings(Section):
     """Prior knowledge of the corner."""
 
     squareness_deg: Number = Field(
-        default=0.3, ge=0, le=10, description="Standard deviation of the faces' angles around 90°; 0 if exact."
+        default=SQUARENESS_DEG,
+        ge=0,
+        le=10,
+        description="Standard deviation of the faces' angles around 90°; 0 if exact.",
     )
     same: Flag = Field(default=True, description="Whether several captures show the same corner.")
 

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Floats, compiled
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.medians import SIGMA_PER_MEDIAN
 
 # Central differences at the sharpest edges, and what the first order leaves: share of the shift that stays uncertain.
 _UNCERTAIN_SHARE2 = np.float32(0.35**2)

@@ -2,10 +2,8 @@
 
 import numpy as np
 
+from calib.numerics import SIGMA_PER_MEDIAN
 from scanner.decoding.arrays import Floats32
-
-# The median absolute deviation of normal deviates is their standard deviation over this.
-SIGMA_PER_MEDIAN = 1.4826
 
 
 def medians(values: Floats32, axis: int) -> Floats32:

@@ -15,7 +15,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import Bools, compiled
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.gray_code import Interval
 from scanner.decoding.sequence_plan import AxisPlan
@@ -26,8 +26,6 @@ _LIMIT2 = np.float32(_LIMIT**2)
 # An order is unique if the next best is this much worse: 9 is a likelihood ratio of about 100.
 _CLEAR_MARGIN = np.float32(9)
 _INFINITE, _ZERO, _HALF = np.float32(np.inf), np.float32(0), np.float32(0.5)
-# The median of |x| for a normal distribution of standard deviation 1.
-GAUSSIAN_MEDIAN = 0.6745
 _FEWEST = 50
 
 
@@ -100,13 +98,13 @@ def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats3
     outside = found.outside_px[found.outside_px > 0]
     if plan.codes and len(outside) >= _FEWEST:
         floor = max(0.1, 0.005 * plan.cell)
-        interval = min(interval, max(floor, float(np.median(outside)) / GAUSSIAN_MEDIAN))
+        interval = min(interval, max(floor, SIGMA_PER_MEDIAN * float(np.median(outside))))
     between = []
     noises = [np.median(a + b) if len(a) else 0.0 for a, b in pairwise(variances)]
     for most, distance, noise in zip(widest.fringe_px, found.between_px, noises, strict=True):
         sigma = most
         if len(distance) >= _FEWEST:
-            total = float(np.median(distance)) / GAUSSIAN_MEDIAN
+            total = SIGMA_PER_MEDIAN * float(np.median(distance))
             sigma = min(most, sqrt(max(total**2 - float(noise), 0.1 * total**2)))
         between.append(max(sigma, 1e-3))
     return Tolerances(interval, tuple(between))

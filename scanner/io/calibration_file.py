@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from calib.geometry import Calibration, Intrinsics
+from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas
 from scanner.errors import InputError
 from scanner.io.validation import Entry, Number, Pair, Whole, validate
 from scanner.io.yaml_text import flow_yaml, read_yaml
@@ -17,6 +17,16 @@ from scanner.io.yaml_text import flow_yaml, read_yaml
 _Positive = Annotated[Number, Field(gt=0)]
 _Vector = tuple[Number, Number, Number]
 _Sigma = Annotated[Number, Field(ge=0)]
+
+
+def _repeated(count: int) -> BeforeValidator:
+    """One number in place of `count` of them stands for each."""
+    return BeforeValidator(lambda found: found if isinstance(found, list) else [found] * count)
+
+
+_Two = Annotated[tuple[_Sigma, _Sigma], _repeated(2)]
+_Three = Annotated[tuple[_Sigma, _Sigma, _Sigma], _repeated(3)]
+_Terms = Annotated[tuple[_Sigma, ...], Field(max_length=5), _repeated(1)]
 
 
 class _DeviceEntry(Entry):
@@ -31,13 +41,34 @@ class _DeviceEntry(Entry):
         return Intrinsics(self.width, self.height, self.focal_px, self.principal_point_px, (k1, k2, p1, p2, k3))
 
 
+class _SigmaEntry(Entry):
+    camera_focal_px: _Two | None = None
+    camera_principal_point_px: _Two | None = None
+    camera_distortion: _Terms | None = None
+    projector_focal_px: _Two | None = None
+    projector_principal_point_px: _Two | None = None
+    projector_distortion: _Terms | None = None
+    rotation_deg: _Three | None = None
+    translation_direction_deg: _Sigma | None = None
+    corner_angles_deg: _Three | None = None
+
+    def sigmas(self) -> Sigmas:
+        return Sigmas(
+            DeviceSigmas(self.camera_focal_px, self.camera_principal_point_px, self.camera_distortion),
+            DeviceSigmas(self.projector_focal_px, self.projector_principal_point_px, self.projector_distortion),
+            self.rotation_deg,
+            self.translation_direction_deg,
+            self.corner_angles_deg,
+        )
+
+
 class _CalibrationEntry(Entry):
     camera: _DeviceEntry
     projector: _DeviceEntry
     rotation: tuple[_Vector, _Vector, _Vector]
     translation: _Vector
     unit: str = Field(min_length=1, max_length=20)
-    sigma: dict[str, _Sigma | tuple[_Sigma, ...]] = Field(default={})
+    sigma: _SigmaEntry = Field(default_factory=_SigmaEntry)
 
     def calibration(self) -> Calibration:
         return Calibration(
@@ -46,7 +77,7 @@ class _CalibrationEntry(Entry):
             np.array(self.rotation),
             np.array(self.translation),
             self.unit,
-            self.sigma,
+            self.sigma.sigmas(),
         )
 
 
@@ -72,8 +103,8 @@ def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, A
         f"translation: {flow_yaml(calibration.translation.tolist())}",
         f"unit: {flow_yaml(calibration.unit)}",
     ]
-    if calibration.sigma:
-        lines.append(f"sigma: {flow_yaml(_sigma_to_dict(calibration.sigma))}")
+    if sigma := _sigma_to_dict(calibration.sigma):
+        lines.append(f"sigma: {flow_yaml(sigma)}")
     if more:
         lines.append(
             # Lists of plain values on one line each, the rest in blocks.
@@ -92,8 +123,17 @@ def _device_to_dict(device: Intrinsics) -> dict[str, object]:
     }
 
 
-def _sigma_to_dict(sigma: Mapping[str, float | tuple[float, ...]]) -> dict[str, object]:
-    return {
-        key: [float(number) for number in value] if isinstance(value, tuple) else float(value)
-        for key, value in sigma.items()
-    }
+def _sigma_to_dict(sigma: Sigmas) -> dict[str, object]:
+    """By the keys of `_SigmaEntry`, in its order; what is unknown has none."""
+    camera, projector = sigma.camera, sigma.projector
+    values = [
+        *(_one_if_alike(camera.focal_px), camera.principal_point_px, camera.distortion),
+        *(_one_if_alike(projector.focal_px), projector.principal_point_px, projector.distortion),
+        *(sigma.rotation_deg, sigma.translation_direction_deg, sigma.corner_angles_deg),
+    ]
+    shown = [list(value) if isinstance(value, tuple) else value for value in values]
+    return {key: value for key, value in zip(_SigmaEntry.model_fields, shown, strict=True) if value is not None}
+
+
+def _one_if_alike(pair: tuple[float, float] | None) -> float | tuple[float, float] | None:
+    return pair[0] if pair and pair[0] == pair[1] else pair

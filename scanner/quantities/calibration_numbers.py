@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Corner, Intrinsics
+from calib.geometry import Calibration, Corner, DeviceSigmas, Intrinsics
 from calib.numerics import Floats
 
 _DISTORTION_NAMES = ("k₁", "k₂", "p₁", "p₂", "k₃")
@@ -75,16 +75,17 @@ def device_quantities(
 ) -> list[Quantity]:
     """Intrinsics of one device."""
     device = calibration.camera if name == "camera" else calibration.projector
+    sigmas = calibration.sigma.camera if name == "camera" else calibration.sigma.projector
     true = None if truth is None else truth.camera if name == "camera" else truth.projector
     return [
-        *_focal_lengths(name, device, true, calibration),
-        *_principal_point(name, device, true, calibration),
-        *_distortion(name, device, true, calibration),
+        *_focal_lengths(device, true, sigmas, throws=name == "projector"),
+        *_principal_point(device, true, sigmas),
+        *_distortion(device, true, sigmas),
     ]
 
 
 def _focal_lengths(
-    name: str, device: Intrinsics, true: Intrinsics | None, calibration: Calibration
+    device: Intrinsics, true: Intrinsics | None, sigmas: DeviceSigmas, *, throws: bool
 ) -> Iterator[Quantity]:
     square = device.focal_px[0] == device.focal_px[1]
     for axis, label in enumerate(("",) if square else (", x", ", y")):
@@ -93,34 +94,31 @@ def _focal_lengths(
             f"focal length{label}",
             length,
             "px",
-            _sigma(calibration, f"{name}_focal_px", axis),
+            _at(sigmas.focal_px, axis),
             true.focal_px[axis] if true else None,
             f"field of view {2 * degrees(atan2(side / 2, length)):.0f}°"
-            + (f", throw ratio {length / side:.2f}" if name == "projector" and axis == 0 else ""),
+            + (f", throw ratio {length / side:.2f}" if throws and axis == 0 else ""),
         )
 
 
-def _principal_point(
-    name: str, device: Intrinsics, true: Intrinsics | None, calibration: Calibration
-) -> Iterator[Quantity]:
+def _principal_point(device: Intrinsics, true: Intrinsics | None, sigmas: DeviceSigmas) -> Iterator[Quantity]:
     for axis, label in enumerate(("x₀", "y₀")):
         yield Quantity(
             f"principal point {label}",
             device.principal_point_px[axis],
             "px",
-            _sigma(calibration, f"{name}_principal_point_px", axis),
+            _at(sigmas.principal_point_px, axis),
             true.principal_point_px[axis] if true else None,
             f"image centre {((device.width, device.height)[axis] - 1) / 2:g}",
         )
 
 
-def _distortion(name: str, device: Intrinsics, true: Intrinsics | None, calibration: Calibration) -> Iterator[Quantity]:
+def _distortion(device: Intrinsics, true: Intrinsics | None, sigmas: DeviceSigmas) -> Iterator[Quantity]:
     for index, label in enumerate(_DISTORTION_NAMES):
         value, true_value = device.distortion[index], true.distortion[index] if true else None
         if value or true_value:
-            sigma = _sigma(calibration, f"{name}_distortion", index)
             meaning = "radial lens distortion, OpenCV's model" if index == 0 else ""
-            yield Quantity(f"distortion {label}", value, "", sigma, true_value, meaning)
+            yield Quantity(f"distortion {label}", value, "", _at(sigmas.distortion, index), true_value, meaning)
 
 
 def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list[Quantity]:
@@ -157,7 +155,7 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
 def corner_quantities(corner: Corner, calibration: Calibration) -> list[Quantity]:
     """The angles between the faces."""
     return [
-        Quantity(f"angle {pair}", float(angle), "°", _sigma(calibration, "corner_angles_deg", index))
+        Quantity(f"angle {pair}", float(angle), "°", _at(calibration.sigma.corner_angles_deg, index))
         for index, (pair, angle) in enumerate(zip(("B–C", "C–A", "A–B"), corner.angles_deg, strict=True))
     ]
 
@@ -172,8 +170,5 @@ def intrinsic_errors_percent(calibration: Calibration, truth: Calibration) -> Fl
     return percent
 
 
-def _sigma(calibration: Calibration, key: str, index: int) -> float | None:
-    value = calibration.sigma.get(key)
-    if isinstance(value, tuple):
-        return value[index] if index < len(value) else None
-    return value
+def _at(sigmas: tuple[float, ...] | None, index: int) -> float | None:
+    return sigmas[index] if sigmas and index < len(sigmas) else None

@@ -65,9 +65,13 @@ def frustum(device: Intrinsics, length: float) -> Floats:
     right, bottom = device.width - 1, device.height - 1
     corners = device.unproject(np.array([[0, 0], [right, 0], [right, bottom], [0, bottom]], dtype=np.float64))
     corners *= length / np.linalg.norm(corners, axis=1, keepdims=True)
+    return frustum_lines(corners)
+
+
+def frustum_lines(corners: Floats) -> Floats:
+    """The eight edges (8, 2, 3) of the pyramid from the origin to `corners` (4, 3)."""
     edges = np.stack([np.zeros_like(corners), corners], axis=1)
-    rim = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-    return np.concatenate([edges, rim])
+    return np.concatenate([edges, np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)])
 
 
 def rig_frusta(calibration: Calibration, length: float, camera_colour: RGB, projector_colour: RGB) -> list[Wireframe]:

@@ -2,6 +2,7 @@
 
 from math import ceil, sqrt
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,29 +38,10 @@ def averaged(values: Map, size: tuple[int, int]) -> Map:
     return reduced
 
 
-@compiled
 def extent(values: Map) -> tuple[int, int, int, int]:
     """First and last row, first and last column of a map (H, W) in which something is finite; 0, −1, 0, −1 for none."""
-    height, width = values.shape
-    top, bottom = 0, height - 1
-    while top < height and not np.isfinite(values[top]).any():
-        top += 1
-    if top == height:
-        return 0, -1, 0, -1
-    while not np.isfinite(values[bottom]).any():
-        bottom -= 1
-    left, right = width - 1, 0
-    for row in range(top, bottom + 1):
-        # Only what lies beyond the columns found so far can change them.
-        for column in range(left):
-            if np.isfinite(values[row, column]):
-                left = column
-                break
-        for column in range(width - 1, right, -1):
-            if np.isfinite(values[row, column]):
-                right = column
-                break
-    return top, bottom, left, right
+    left, top, width, height = cv2.boundingRect(np.isfinite(values).view(np.uint8))
+    return top, top + height - 1, left, left + width - 1
 
 
 @compiled

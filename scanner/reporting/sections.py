@@ -187,13 +187,7 @@ def _caption(view: str, capture: CaptureFacts) -> str:
 
 def upright(report: ReportInput) -> Floats:
     """The vertical (3,) in the camera's frame: the corner's steepest edge in the image, or the camera's own up."""
-    camera_up = np.array([0.0, -1.0, 0.0])
-    if report.solution is None:
-        return camera_up
-    legs = report.solution.corner.legs
-    steepest = legs[np.argmax(np.abs(legs @ camera_up))]
-    upright: Floats = steepest * np.sign(steepest @ camera_up)
-    return upright
+    return np.array([0.0, -1.0, 0.0]) if report.solution is None else report.solution.corner.up
 
 
 def typical_depth(report: ReportInput) -> float:

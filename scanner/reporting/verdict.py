@@ -104,11 +104,13 @@ def _of_self_calibration(report: ReportInput, calibration: Calibration) -> Verdi
 def _worst_focal_sigma(calibration: Calibration) -> float | None:
     """The larger relative sigma of the two focal lengths; None unless both are known."""
     relative = []
-    for device, key in ((calibration.camera, "camera_focal_px"), (calibration.projector, "projector_focal_px")):
-        sigma = calibration.sigma.get(key)
-        if sigma is None:
+    for device, sigmas in (
+        (calibration.camera, calibration.sigma.camera),
+        (calibration.projector, calibration.sigma.projector),
+    ):
+        if sigmas.focal_px is None:
             return None
-        relative.append(float(np.max(sigma)) / device.focal_px[0])
+        relative.append(max(sigmas.focal_px) / device.focal_px[0])
     return max(relative)
 
 

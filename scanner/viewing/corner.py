@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Calibration, Corner, Matches, intersect
+from calib.geometry import Calibration, Corner, Matches, intersect, polar
 from calib.numerics import Floats
 from scanner.measuring import AngleMeasurement, FaceMeasurement, measure_faces
 from scanner.viewing.decimation import shuffled
@@ -38,8 +38,7 @@ def measured_corner(matches: Matches, calibration: Calibration) -> MeasuredCorne
         return None
     normals = np.stack([face.normal for face in faces])
     vertex = np.linalg.solve(normals, np.array([face.offset for face in faces]))
-    legs = np.cross(np.roll(normals, -1, axis=0), np.roll(normals, -2, axis=0))
-    legs /= np.linalg.norm(legs, axis=1, keepdims=True)
+    legs = polar(normals)
     from_vertex = points - vertex
     for leg in range(3):
         beside = from_vertex[(label >= 0) & (label < 3) & (label != leg)]

@@ -76,12 +76,6 @@ def picture_corners(device: Intrinsics, depth: float) -> Floats:
     return depth * np.column_stack([rays, np.ones(4)])
 
 
-def frustum_lines(corners: Floats) -> Floats:
-    """The eight edges (8, 2, 3) of the pyramid from the origin to `corners` (4, 3)."""
-    from_apex = np.stack([np.zeros_like(corners), corners], axis=1)
-    return np.concatenate([from_apex, np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)])
-
-
 def nice_step(length: float) -> float:
     """1, 2 or 5 times a power of ten, about four of which make `length` > 0."""
     wanted = length / _TICKS_WANTED

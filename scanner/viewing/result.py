@@ -183,21 +183,14 @@ class ViewedResult:
 
 def _up(corner: MeasuredCorner | None) -> Floats:
     """Upwards in the camera's frame: the most upright edge of the corner, or the camera's own."""
-    above = np.array([0.0, -1.0, 0.0])
-    if corner is None:
-        return above
-    legs = corner.corner.legs
-    steepest: Floats = legs[np.argmax(np.abs(legs @ above))]
-    return steepest if steepest @ above > 0 else -steepest
+    return np.array([0.0, -1.0, 0.0]) if corner is None else corner.corner.up
 
 
 def _place(points: Floats, corner: Corner, tree: cKDTree) -> tuple[Floats, Floats]:
     """Rotation and position of a camera in the merged cloud's frame, which is the corner's: its axes are numbered as
     fits `points` (N, 3) of the camera's frame best.
     """
-    legs = corner.legs
-    u, _, vt = np.linalg.svd(legs if np.linalg.det(legs) > 0 else legs[[0, 2, 1]])
-    turned = [np.roll(u @ vt, turn, axis=0) for turn in range(3)]
+    turned = [np.roll(corner.axes, turn, axis=0) for turn in range(3)]
     misses = [np.median(tree.query((points - corner.vertex) @ rotation.T)[0]) for rotation in turned]
     rotation: Floats = turned[int(np.argmin(misses))]
     return rotation, -rotation @ corner.vertex

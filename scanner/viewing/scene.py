@@ -10,11 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.numerics import Floats
 from scanner.quantities import shown_unit
-from scanner.rendering import BLUE, FACE_COLOURS, VERMILION
+from scanner.rendering import BLUE, FACE_COLOURS, VERMILION, frustum_lines
 from scanner.viewing.colouring import Colouring, coloured
 from scanner.viewing.geometry import (
     FIELD_OF_VIEW_RAD,
-    frustum_lines,
     nice_step,
     picture_corners,
     ruler_lines,

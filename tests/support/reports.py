@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.geometry.calibration import DeviceSigmas, Sigmas
 from calib.geometry.corner import Corner
 from calib.geometry.matches import Matches
 from calib.pointcloud.organised_cloud import build_cloud
@@ -30,12 +31,7 @@ def decoding_of(scene: Scene) -> Decoding:
 
 def calibrated_report(scene: Scene) -> ReportInput:
     camera = replace(scene.calibration.camera, focal_px=(299.5, 299.5))
-    sigma: dict[str, float | tuple[float, ...]] = {
-        "camera_focal_px": 4.0,
-        "camera_principal_point_px": (0.0, 0.0),
-        "projector_focal_px": 11.0,
-        "projector_principal_point_px": (2.0, 3.0),
-    }
+    sigma = Sigmas(DeviceSigmas((4.0, 4.0), (0.0, 0.0)), DeviceSigmas((11.0, 11.0), (2.0, 3.0)))
     calibration = replace(scene.calibration, camera=camera, sigma=sigma)
     focal_px = np.geomspace(120, 1600, 60)
     decoding = decoding_of(scene)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from calib.geometry.calibration import Sigmas
 from calib.geometry.matches import NO_FACE
 from calib.pointcloud.pixel_index import NONE
 from scanner.capture.recording import open_capture
@@ -196,7 +197,7 @@ def test_the_method_of_the_paper(scanned: Scanned, tmp_path: Path) -> None:
     out = tmp_path / "paper"
     arguments = ("--config", scanned.config, "--set", "method=paper", "--out", out, "--quiet")
     assert run("calibrate", scanned.result, *arguments) == 0
-    assert read_calibration(out / "calibration.yaml").sigma == {}
+    assert read_calibration(out / "calibration.yaml").sigma == Sigmas()
 
 
 def test_a_refused_capture_keeps_its_matches(

@@ -109,7 +109,7 @@ def test_the_calibration_file_says_how_far_it_can_be_trusted(together: tuple[int
     uncertainty = read_uncertainty(path, calibration)
     assert uncertainty is not None
     sigma_px = np.sqrt(uncertainty.covariance[0, 0]) * calibration.camera.focal_px[0]
-    assert sigma_px == pytest.approx(calibration.sigma["camera_focal_px"])
+    assert sigma_px == pytest.approx(calibration.sigma.camera.focal_px[0])
 
 
 def test_faces_are_numbered_alike(given: Given, together: tuple[int, Path]) -> None:

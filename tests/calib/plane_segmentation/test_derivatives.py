@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.numerics.array_types import Floats
-from calib.numerics.levenberg_marquardt import _normal_equations
+from calib.numerics.levenberg_marquardt import minimise
 from calib.plane_segmentation.fundamental_matrix import _epipolar_residuals, _Pairs, _plane_residuals
 from calib.plane_segmentation.planar_bundle_adjustment import residuals_of_planes
 from calib.plane_segmentation.plane_parallax import Lens, TwoView
@@ -36,12 +36,12 @@ def assert_derivatives(evaluate: Evaluate, parameters: Floats) -> None:
 
 def test_of_distances_from_a_homography(pairs: _Pairs) -> None:
     homography = np.eye(3) + np.random.default_rng(1).normal(0, 0.1, (3, 3))
-    assert_derivatives(partial(_plane_residuals, pairs, 100.0), np.concatenate([homography.ravel(), LENSES]))
+    assert_derivatives(partial(_plane_residuals, pairs, 100.0), np.concatenate([LENSES, homography.ravel()]))
 
 
 def test_of_distances_from_epipolar_lines(pairs: _Pairs) -> None:
     fundamental = np.random.default_rng(2).normal(0, 1, (3, 3))
-    assert_derivatives(partial(_epipolar_residuals, pairs, 100.0), np.concatenate([fundamental.ravel(), LENSES]))
+    assert_derivatives(partial(_epipolar_residuals, pairs, 100.0), np.concatenate([LENSES, fundamental.ravel()]))
 
 
 def test_of_distances_from_planes(pairs: _Pairs) -> None:
@@ -59,9 +59,7 @@ def test_normal_equations_are_sums_over_matches(order: str, matches: int, dimens
     residual, jacobian = rng.normal(size=(matches, dimensions)), rng.normal(size=(matches, dimensions, 9))
     jacobian[: matches // 2, :, 3:5] = 0.0  # as of planes that these are not on
     weight = 2 / (1 + np.sum(residual**2, axis=1))
-    hessian, gradient = _normal_equations(
-        np.asarray(residual, order=order),  # type: ignore[call-overload]
-        np.asarray(jacobian, order=order),  # type: ignore[call-overload]
-    )
-    np.testing.assert_allclose(hessian, np.einsum("n,ndp,ndq->pq", weight, jacobian, jacobian), atol=1e-10)
-    np.testing.assert_allclose(gradient, np.einsum("n,ndp,nd->p", weight, jacobian, residual), atol=1e-10)
+    in_order = [np.asarray(array, order=order) for array in (residual, jacobian)]  # type: ignore[call-overload]
+    at = minimise(lambda _: (in_order[0], in_order[1]), np.zeros(9), np.full(9, np.inf), steps=0)
+    np.testing.assert_allclose(at.information, np.einsum("n,ndp,ndq->pq", weight, jacobian, jacobian), atol=1e-10)
+    np.testing.assert_allclose(at.gradient, np.einsum("n,ndp,nd->p", weight, jacobian, residual), atol=1e-10)

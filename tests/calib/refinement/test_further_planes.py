@@ -45,7 +45,7 @@ def _calibrate(matches: Matches, plane: np.ndarray | None) -> SelfCalibration:
 
 
 def _sigma(found: SelfCalibration) -> float:
-    return float(found.calibration.sigma["camera_focal_px"]) / found.calibration.camera.focal_px[0]  # type: ignore[arg-type]
+    return found.calibration.sigma.camera.focal_px[0] / found.calibration.camera.focal_px[0]  # type: ignore[index]
 
 
 @pytest.mark.parametrize("seed", [3, 8])

@@ -40,7 +40,7 @@ def _errors(found: SelfCalibration) -> tuple[np.ndarray, np.ndarray]:
     values += calibration.projector.principal_point_px
     truth = np.array([PAPER_CAMERA.focal_px[0], PAPER_PROJECTOR.focal_px[0], *PAPER_PROJECTOR.principal_point_px])
     sigma = calibration.sigma
-    sigmas = [sigma["camera_focal_px"], sigma["projector_focal_px"], *sigma["projector_principal_point_px"]]  # type: ignore[misc]
+    sigmas = [sigma.camera.focal_px[0], sigma.projector.focal_px[0], *sigma.projector.principal_point_px]  # type: ignore[index, misc]
     return np.array(values) / truth - 1, (np.array(values) - truth) / np.array(sigmas)
 
 

@@ -31,7 +31,7 @@ def errors_and_sigmas(photos: SyntheticPhotos, found: SelfCalibration) -> tuple[
     camera, truth, sigma = found.calibration.camera, photos.camera, found.calibration.sigma
     scale = np.array([truth.focal_px[0], truth.width, truth.width])
     error = [camera.focal_px[0] - truth.focal_px[0], *np.subtract(camera.principal_point_px, truth.principal_point_px)]
-    return np.array(error) / scale, np.array([sigma["camera_focal_px"], *sigma["camera_principal_point_px"]]) / scale
+    return np.array(error) / scale, np.array([sigma.camera.focal_px[0], *sigma.camera.principal_point_px]) / scale
 
 
 def test_random_corners_are_accurate_and_their_sigmas_are_true() -> None:
@@ -96,8 +96,8 @@ def test_a_known_principal_point_and_a_known_focal_length_are_used() -> None:
     focal = photos.camera.focal_px[0]
     guided = solve(photos, squareness_deg=0.3, focal_px=(focal, 1e-4 * focal)).calibration
     assert held.camera.principal_point_px == known.px
-    assert held.sigma["camera_principal_point_px"] == (0.0, 0.0)
-    assert 0 < guided.sigma["camera_focal_px"] <= 1.1e-4 * focal < free.sigma["camera_focal_px"]
+    assert held.sigma.camera.principal_point_px == (0.0, 0.0)
+    assert 0 < guided.sigma.camera.focal_px[0] <= 1.1e-4 * focal < free.sigma.camera.focal_px[0]
 
 
 def test_derivatives_of_the_shared_camera_are_exact() -> None:

@@ -78,7 +78,7 @@ def test_refined_reaches_its_own_sigma_with_lens_distortion() -> None:
         sigma = found.calibration.sigma
         error = _errors(found)
         errors.append(np.abs(error).mean())
-        deviations.append(error[0] * PAPER_CAMERA.focal_px[0] / sigma["camera_focal_px"])  # type: ignore[operator]
+        deviations.append(error[0] * PAPER_CAMERA.focal_px[0] / sigma.camera.focal_px[0])  # type: ignore[index]
     assert 1e-5 < np.mean(errors) < 0.004
     assert 0.3 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
@@ -92,7 +92,7 @@ def test_walls_off_square_are_inside_the_sigma() -> None:
             found = _calibrate(capture, "refined", squareness_deg=0.3)
         except RefusalError:
             continue
-        sigma = float(found.calibration.sigma["camera_focal_px"])  # type: ignore[arg-type]
+        sigma = found.calibration.sigma.camera.focal_px[0]  # type: ignore[index]
         assert 0.002 < sigma / PAPER_CAMERA.focal_px[0] < 0.2
         deviations.append(_errors(found)[0] * PAPER_CAMERA.focal_px[0] / sigma)
     assert len(deviations) >= 3

@@ -80,7 +80,7 @@ def test_a_scan_shows_progress_then_the_cloud(console: Console) -> None:
     visit.page.wait_for_timeout(1500)
     assert visit.colours_in_scene() > before + 30
     result = console.folder / "scans" / "room"
-    assert read_calibration(result / "calibration.yaml").sigma
+    assert read_calibration(result / "calibration.yaml").sigma.camera.focal_px
     assert {frame[0] for frame in open_capture(result / "capture").read_back} == {20_000.0}
 
 

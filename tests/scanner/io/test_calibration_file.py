@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.geometry.calibration import Calibration
+from calib.geometry.calibration import Calibration, DeviceSigmas, Sigmas
 from calib.geometry.camera import Intrinsics
 from scanner.errors import InputError
 from scanner.io.calibration_file import read_calibration, write_calibration
@@ -18,7 +18,7 @@ CALIBRATION = Calibration(
     Rotation.from_rotvec([0.1, -0.2, 1 / 3]).as_matrix(),
     np.array([-0.4, 0.05, 1 / 7]),
     "m",
-    {"camera_focal_px": 1.5, "projector_principal_point_px": (0.1, 0.2)},
+    Sigmas(DeviceSigmas((1.5, 1.5)), DeviceSigmas(principal_point_px=(0.1, 0.2))),
 )
 
 positive = st.floats(1e-3, 1e5)
@@ -39,7 +39,13 @@ def calibrations(draw: st.DrawFn) -> Calibration:
     rotation = Rotation.from_rotvec([draw(st.floats(-2, 2)) for _ in range(3)]).as_matrix()
     translation = np.array([draw(number), draw(number), draw(positive)])
     unit = draw(st.sampled_from(["baseline", "m", "mm", "y", "1", "no", "#", "null", ": "]))
-    sigma = draw(st.dictionaries(st.sampled_from(["camera_focal_px", "rotation_deg"]), positive))
+    pairs, triples = (st.none() | st.tuples(*[positive] * count) for count in (2, 3))
+
+    def sigmas() -> DeviceSigmas:
+        terms = draw(st.none() | st.lists(positive, min_size=1, max_size=5))
+        return DeviceSigmas(draw(pairs), draw(pairs), None if terms is None else tuple(terms))
+
+    sigma = Sigmas(sigmas(), sigmas(), draw(triples), draw(st.none() | positive), draw(triples))
     return Calibration(device(), device(), rotation, translation, unit, sigma)
 
 
@@ -64,7 +70,7 @@ def test_the_file_has_the_keys_that_others_rely_on(tmp_path: Path) -> None:
     assert list(data) == ["camera", "projector", "rotation", "translation", "unit", "sigma"]
     assert list(data["camera"]) == ["width", "height", "focal_px", "principal_point_px", "distortion"]
     assert data["camera"]["focal_px"] == [1791.1, 1791.2]
-    assert data["sigma"]["projector_principal_point_px"] == [0.1, 0.2]
+    assert data["sigma"] == {"camera_focal_px": 1.5, "projector_principal_point_px": [0.1, 0.2]}
     np.testing.assert_array_equal(data["rotation"], CALIBRATION.rotation)
 
 
@@ -94,7 +100,13 @@ def test_keys_of_other_readers_are_ignored(tmp_path: Path) -> None:
 
 
 def test_sigma_may_be_left_out(tmp_path: Path) -> None:
-    assert read_calibration(written(tmp_path, sigma=None)).sigma == {}
+    assert read_calibration(written(tmp_path, sigma=None)).sigma == Sigmas()
+
+
+def test_sigmas_of_other_programs_are_understood(tmp_path: Path) -> None:
+    sigma = {"camera_focal_px": [1, 2.5], "camera_principal_point_px": 3, "corner_angles_deg": 0.1, "skew": 1.0}
+    found = read_calibration(written(tmp_path, sigma=sigma)).sigma
+    assert found == Sigmas(DeviceSigmas((1.0, 2.5), (3.0, 3.0)), corner_angles_deg=(0.1, 0.1, 0.1))
 
 
 WRONG = {
@@ -114,6 +126,7 @@ WRONG = {
     "mirror": ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "determinant"),
     "no baseline": ({"translation": [0, 0, 0]}, "translation must not be zero"),
     "no size": ({"camera__width": 0}, "'camera.width' must be greater than or equal to 1"),
+    "three focal sigmas": ({"sigma": {"camera_focal_px": [1, 1, 1]}}, "sigma.camera_focal_px"),
     "negative sigma": ({"sigma": {"camera_focal_px": -1}}, "sigma.camera_focal_px"),
 }
 

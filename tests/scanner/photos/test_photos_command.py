@@ -63,8 +63,8 @@ def test_two_photos_give_the_camera_and_a_cloud(result: Path) -> None:
     }
     calibration = read_calibration(result / "calibration.yaml")
     check_camera(calibration, 0.01)
-    assert 0 < calibration.sigma["camera_focal_px"] < 0.01 * CAMERA.focal_px[0]
-    assert calibration.sigma["camera_focal_px"] == calibration.sigma["projector_focal_px"]
+    assert 0 < calibration.sigma.camera.focal_px[0] < 0.01 * CAMERA.focal_px[0]
+    assert calibration.sigma.camera.focal_px[0] == calibration.sigma.projector.focal_px[0]
     assert np.linalg.norm(calibration.translation) == pytest.approx(1.0)
 
 

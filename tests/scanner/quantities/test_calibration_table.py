@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from calib.geometry.calibration import Calibration
+from calib.geometry.calibration import Calibration, DeviceSigmas, Sigmas
 from calib.geometry.camera import Intrinsics
 from calib.geometry.corner import Corner
 from scanner.configuration.schema import ScaleSettings
@@ -30,7 +30,9 @@ FOUND = replace(
     rotation=Rotation.from_rotvec([0, 0, np.radians(0.5)]).as_matrix(),
     translation=np.array([-np.cos(0.01), np.sin(0.01), 0]),
     unit="baseline",
-    sigma={"camera_focal_px": 9.5, "projector_principal_point_px": (3.25, 1.75), "camera_distortion": (0.011, 0.02)},
+    sigma=Sigmas(
+        DeviceSigmas(focal_px=(9.5, 9.5), distortion=(0.011, 0.02)), DeviceSigmas(principal_point_px=(3.25, 1.75))
+    ),
 )
 
 

@@ -3,12 +3,12 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from calib.geometry.calibration import DeviceSigmas, Sigmas
 from scanner.capture.facts import CaptureFacts
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns.pattern import sequence_for
@@ -137,7 +137,7 @@ def test_a_refusal_gives_reason_and_advice_and_no_numbers(refused_html: str) -> 
 def test_a_given_calibration_has_no_sigmas_and_no_profile(calibrated: ReportInput, tmp_path: Path) -> None:
     assert calibrated.calibration is not None
     given = replace(
-        calibrated, cloud=None, solution=None, truth=None, calibration=replace(calibrated.calibration, sigma={})
+        calibrated, cloud=None, solution=None, truth=None, calibration=replace(calibrated.calibration, sigma=Sigmas())
     )
     _, page = page_of(given, tmp_path)
     assert "Reconstructed with the calibration that was given" in page.text
@@ -262,16 +262,17 @@ def test_every_mask_reason_has_words_and_a_colour_of_its_own(calibrated: ReportI
 
 
 @pytest.mark.parametrize(
-    ("changes", "grade"),
+    ("sigma", "grade"),
     [
-        ({"camera_focal_px": 0.5, "projector_focal_px": 2.0}, "good"),
-        ({"camera_focal_px": 0.5, "projector_focal_px": 40.0}, "fair"),
-        ({}, "fair"),
+        (Sigmas(DeviceSigmas((0.5, 0.5)), DeviceSigmas((2.0, 2.0))), "good"),
+        (Sigmas(DeviceSigmas((0.5, 0.5)), DeviceSigmas((2.0, 40.0))), "fair"),
+        (Sigmas(DeviceSigmas((0.5, 0.5))), "fair"),
+        (Sigmas(), "fair"),
     ],
 )
-def test_the_grade_follows_the_sigmas(calibrated: ReportInput, changes: dict[str, Any], grade: str) -> None:
+def test_the_grade_follows_the_sigmas(calibrated: ReportInput, sigma: Sigmas, grade: str) -> None:
     assert calibrated.calibration is not None
-    assert verdict(replace(calibrated, calibration=replace(calibrated.calibration, sigma=changes))).grade == grade
+    assert verdict(replace(calibrated, calibration=replace(calibrated.calibration, sigma=sigma))).grade == grade
 
 
 def test_rays_that_miss_in_a_pattern_are_pointed_out(calibrated: ReportInput) -> None:

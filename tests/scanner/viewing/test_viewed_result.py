@@ -17,12 +17,12 @@ from calib.refinement.parameters import SHARED, State
 from scanner.errors import InputError
 from scanner.io.calibration_file import read_calibration, write_calibration
 from scanner.io.ply import write_merged_ply
+from scanner.rendering import frustum_lines
 from scanner.results.stated_uncertainty import confidence_entries
 from scanner.results.verdict import Verdict
 from scanner.viewing.colouring import Colouring, coloured, possible_colourings
 from scanner.viewing.geometry import (
     FIELD_OF_VIEW_RAD,
-    frustum_lines,
     nice_step,
     picture_corners,
     ruler_lines,
