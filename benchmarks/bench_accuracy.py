@@ -50,7 +50,7 @@ def decoded(room: SimulatedRoom, preset: PresetName) -> tuple[Decoding, int, Ima
     camera = SimulatedCamera(room, projector)
     patterns = PRESETS[preset].patterns(projector.size)
     decoder = Decoder(patterns, projector.size)
-    frames = []
+    frames: list[Image] = []
     for pattern in patterns:
         projector.show(draw(pattern, projector.size))
         image = camera.grab().image
@@ -88,7 +88,8 @@ def cell_biases(result: Compared) -> tuple[Floats, Floats]:
 
     def total(values: Floats) -> Floats:
         cut = np.where(there, values, 0.0)[:height, :width]
-        return cut.reshape(height // CELL_PX, CELL_PX, width // CELL_PX, CELL_PX).sum(axis=(1, 3))
+        cells: Floats = cut.reshape(height // CELL_PX, CELL_PX, width // CELL_PX, CELL_PX).sum(axis=(1, 3))
+        return cells
 
     count = total(np.ones(there.shape))
     filled = count > CELL_PX**2 / 2

@@ -12,6 +12,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import repeat
+from typing import Any
 
 import numpy as np
 from cramer_rao import bound
@@ -69,8 +70,9 @@ def calibrated(case: Case, captures: list[SyntheticCapture]) -> SelfCalibration:
     sizes = (CAMERA_SIZE, PROJECTOR_SIZE)
     if case.method == "paper":
         return self_calibrate(matches[0], *sizes, principal_point=case.point, method="paper")
-    options = {"principal_point": case.point, "squareness_deg": case.off_deg, "same": case.same}
-    return self_calibrate_jointly(matches, *sizes, **options)[0]
+    return self_calibrate_jointly(
+        matches, *sizes, principal_point=case.point, squareness_deg=case.off_deg, same=case.same
+    )[0]
 
 
 def outcome(case: Case, seed: int, number: int) -> Outcome:
@@ -86,7 +88,8 @@ def outcome(case: Case, seed: int, number: int) -> Outcome:
     except RefusalError:
         return Outcome(time.perf_counter() - start)
     seconds = time.perf_counter() - start
-    calibration, sigma = found.calibration, found.calibration.sigma
+    calibration = found.calibration
+    sigma: Any = calibration.sigma
     truth = np.array([PAPER_CAMERA.focal_px[0], PAPER_PROJECTOR.focal_px[0], *PAPER_PROJECTOR.principal_point_px])
     values = [calibration.camera.focal_px[0], np.mean(calibration.projector.focal_px)]
     error = np.array([*values, *calibration.projector.principal_point_px]) - truth

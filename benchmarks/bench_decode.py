@@ -29,7 +29,7 @@ from rich.table import Table
 
 from calib.numerics import Image
 from scanner.decoding import Decoder, Floats32
-from scanner.patterns import Pattern, draw, gray_sequence, phase_sequence, sequence_for
+from scanner.patterns import Axis, Pattern, draw, gray_sequence, phase_sequence, sequence_for
 
 _INDIRECT = 0.1
 _WHITE = 180.0
@@ -38,6 +38,7 @@ _BYTES_PER_MATCH = 20
 _PERIODS, _SHIFTS = (21.0, 19.0), 4
 # What decoding may take; growth is that of the time per pixel, from half the size to the full one.
 _MOST_PER_FRAME_MS, _MOST_COPIES, _MOST_GROWTH, _MOST_MEMORY_MB = 4, 10, 1, 200
+_AXES: tuple[Axis, ...] = ("x", "y")
 # The functions that each stage after the last frame consists of. Tolerances are measured beside the checks.
 _STAGES = {
     "noise": ("measure_noise",),
@@ -55,7 +56,7 @@ def render(patterns: tuple[Pattern, ...], projector: tuple[int, int], size: tupl
     u, v = np.meshgrid(np.linspace(0, 1, width, dtype=np.float32), np.linspace(0, 1, height, dtype=np.float32))
     x = projector[0] * (0.05 + 0.9 * u + 0.01 * np.sin(7 * v)) - 0.5
     y = projector[1] * (0.05 + 0.9 * v + 0.01 * np.sin(9 * u)) - 0.5
-    albedo = 0.7 + 0.2 * np.sin(40 * u) * np.cos(30 * v)
+    albedo: Floats32 = (0.7 + 0.2 * np.sin(40 * u) * np.cos(30 * v)).astype(np.float32)
     albedo[(np.abs(u - 0.6) < 0.1) & (np.abs(v - 0.5) < 0.2)] = 0
     return [*seen_by_camera(patterns, projector, np.stack([x, y], axis=-1), albedo)]
 
@@ -65,10 +66,11 @@ def seen_by_camera(
 ) -> Iterator[Image]:
     """Frames (H, W), given which projector pixel (H, W, 2) each camera pixel sees, and how much it reflects (H, W)."""
     rng = np.random.default_rng(1)
+    x, y = cv2.split(projector_px)
     noise = [rng.normal(0, 1.2, albedo.shape).astype(np.float32) for _ in range(3)]
     for number, pattern in enumerate(patterns):
         shown = cv2.GaussianBlur((draw(pattern, projector) / np.float32(255)) ** np.float32(2.2), (0, 0), 0.6)
-        seen = albedo * (cv2.remap(shown, projector_px, None, cv2.INTER_LINEAR) + _INDIRECT * shown.mean())
+        seen = albedo * (cv2.remap(shown, x, y, cv2.INTER_LINEAR) + _INDIRECT * shown.mean())
         levels = _WHITE * seen + _AMBIENT + np.roll(noise[number % 3], 7919 * number)
         yield np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
@@ -205,9 +207,9 @@ def stages(measured: list[Measured]) -> Table:
 
 def peers(python: str, size: tuple[int, int], projector: tuple[int, int], console: Console) -> None:
     """The peers' patterns, rendered once; each decodes its own, and so does this decoder."""
-    gray = tuple(p for axis, length in zip("xy", projector, strict=True) for p in gray_sequence(axis, length, 1))
-    waves = tuple(p for axis in "xy" for period in _PERIODS for p in phase_sequence(axis, period, _SHIFTS))
-    codes = tuple(p for axis, length in zip("xy", projector, strict=True) for p in gray_sequence(axis, length, 8))
+    gray = tuple(p for axis, length in zip(_AXES, projector, strict=True) for p in gray_sequence(axis, length, 1))
+    waves = tuple(p for axis in _AXES for period in _PERIODS for p in phase_sequence(axis, period, _SHIFTS))
+    codes = tuple(p for axis, length in zip(_AXES, projector, strict=True) for p in gray_sequence(axis, length, 8))
     gray_frames, wave_frames, code_frames = (render(part, projector, size) for part in (gray, waves, codes))
     with tempfile.TemporaryDirectory() as folder:
         np.save(Path(folder) / "gray.npy", np.stack(gray_frames))
@@ -222,10 +224,11 @@ def peers(python: str, size: tuple[int, int], projector: tuple[int, int], consol
     table = Table(title="The same frames by other decoders")
     for column in ("decoder", "frames", "s", "this one, s", "times as long"):
         table.add_column(column, justify="right")
-    for name, patterns, frames in (
+    cases: tuple[tuple[str, tuple[Pattern, ...], list[Image]], ...] = (
         ("opencv", gray, gray_frames),
         ("fringes", (*codes, *waves), [*code_frames, *wave_frames]),
-    ):
+    )
+    for name, patterns, frames in cases:
         if name in seconds:
             own = decode(patterns, projector, frames).seconds
             shown = len(gray_frames) if name == "opencv" else len(wave_frames)

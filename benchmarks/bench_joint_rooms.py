@@ -13,6 +13,7 @@ camera, the baseline being known; 'agreement' is how far the captures' surfaces 
 import argparse
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from bench_rooms import cloud_error, decoded
@@ -73,7 +74,8 @@ def merged_error(cloud: MergedCloud, views: list[View], captures: list[Captured]
     nearest = cKDTree(points).query(in_world)[1]
     off = np.abs(np.sum((in_world - points[nearest]) * normals[nearest], axis=1))
     centres = np.stack([capture.room.room.camera.centre for capture in captures])
-    return off / np.min(np.linalg.norm(in_world[:, None] - centres, axis=2), axis=1)
+    share: Floats = off / np.min(np.linalg.norm(in_world[:, None] - centres, axis=2), axis=1)
+    return share
 
 
 def merge(captures: list[Captured], found: tuple[SelfCalibration, ...]) -> tuple[MergedCloud, list[Cloud], list[View]]:
@@ -95,7 +97,7 @@ def run(seed: int, camera_size: Size, projector_size: Size) -> dict[str, float]:
     truth = captures[0].room.calibration
     width, height = camera_size
     point = PrincipalPoint(((width - 1) / 2, (height - 1) / 2), CENTRE_SIGMA_OF_WIDTH * width)
-    known = {"principal_point": point, "squareness_deg": WALLS_OFF_DEG}
+    known: dict[str, Any] = {"principal_point": point, "squareness_deg": WALLS_OFF_DEG}
     for pose, capture in enumerate(captures):
         try:
             alone = self_calibrate(capture.matches, camera_size, projector_size, **known)

@@ -14,11 +14,13 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import cast
 
 from hw.errors import DeviceError
 from hw.loopback.launcher import loopback_rig
 from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.open_rig import open_rig
+from hw.synchronisation import SynchronisedRig
 from scanner.capture import capture, record
 from scanner.configuration import Config, load_config
 from scanner.decoding import Decoder
@@ -33,10 +35,11 @@ def one_capture(config: Config, folder: Path) -> str:
         decoder = Decoder(patterns, config.projector_size)
         for _, frame in stream.frames:
             decoder.add(frame.image)
-        found = opened.rig.account()["synchronisation"]
+        found = cast(dict[str, float], opened.rig.account()["synchronisation"])
+        exposure_s = cast(SynchronisedRig, opened.rig).turns.exposure_s
     return (
         f"{len(patterns)} patterns, {found['ms_per_frame']:.1f} ms each: "
-        f"exposure {1e3 * opened.rig.turns.exposure_s:.1f}, latency {found['latency_ms']:.1f}, "
+        f"exposure {1e3 * exposure_s:.1f}, latency {found['latency_ms']:.1f}, "
         f"overhead {found['overhead_percent']:.1f} %, {found['retriggered_frames']} retriggered"
     )
 

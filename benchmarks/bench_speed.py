@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from calib.closed_form import objective_for, search
+from calib.geometry import Matches
 from calib.refinement import into_cells
 from calib.self_calibration import PrincipalPoint, paper_trials, self_calibrate
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
@@ -43,7 +44,7 @@ def main() -> None:
         matches = capture.matches
         objective = objective_for(matches, KNOWN.px)
 
-        def refined(matches=matches) -> object:
+        def refined(matches: Matches = matches) -> object:
             return self_calibrate(matches, CAMERA_SIZE, PROJECTOR_SIZE, principal_point=KNOWN, squareness_deg=0.0)
 
         runs = (

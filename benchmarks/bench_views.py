@@ -148,7 +148,8 @@ def deviations(found: Calibration, truth: Calibration) -> np.ndarray:
     true = [truth.camera.focal_px[0], truth.projector.focal_px[0], *truth.projector.principal_point_px]
     sigma = found.sigma
     sigmas = [sigma.camera.focal_px[0], sigma.projector.focal_px[0], *sigma.projector.principal_point_px]
-    return (np.array(values) - true) / np.array(sigmas)
+    off: np.ndarray = (np.array(values) - true) / np.array(sigmas)
+    return off
 
 
 KINDS = {

@@ -78,6 +78,6 @@ def bound_of_photos(
     slope = np.stack([(each - at) / step_px for each in shifted], axis=2)
     covariance = second_noise_px**2 * np.eye(2) + first_noise_px**2 * slope @ slope.transpose(0, 2, 1)
     weighted = np.linalg.solve(covariance, jacobian)
-    information = np.diag(prior.precision()) + np.einsum("nia,nib->ab", jacobian, weighted)
+    information = np.diag(prior.root_precision**2) + np.einsum("nia,nib->ab", jacobian, weighted)
     sigma = np.sqrt(np.diag(covariance_of(information, prior.free)))[CAMERA][:3]
     return sigma * np.array([camera[0], 1.0, 1.0])

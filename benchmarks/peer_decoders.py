@@ -17,7 +17,7 @@ _SAMPLED = 20_000
 
 def opencv_seconds(frames: np.ndarray, projector: tuple[int, int]) -> float:
     """OpenCV's Gray code, asked for each pixel as its samples do; some thousand pixels, scaled up to all."""
-    decoder = cv2.structured_light.GrayCodePattern.create(*projector)
+    decoder = cv2.structured_light.GrayCodePattern.create(*projector)  # type: ignore[attr-defined]
     images = list(frames)
     height, width = frames.shape[1:]
     rng = np.random.default_rng(0)
@@ -25,7 +25,7 @@ def opencv_seconds(frames: np.ndarray, projector: tuple[int, int]) -> float:
     start = time.perf_counter()
     for column, row in zip(x.tolist(), y.tolist(), strict=True):
         decoder.getProjPixel(images, column, row)
-    return (time.perf_counter() - start) * width * height / _SAMPLED
+    return float((time.perf_counter() - start) * width * height / _SAMPLED)
 
 
 def fringes_seconds(frames: np.ndarray, projector: tuple[int, int], periods: list[float], shifts: int) -> float:

@@ -14,8 +14,9 @@ import yaml
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
 from scanner.io.image_file import write_png
-from scanner.patterns.pattern import Black, White, draw, gray_sequence
-from tests.support.documented import PAGES, ROOT, Documented, commands, commands_in, parse
+from scanner.patterns.pattern import Black, Pattern, White, draw, gray_sequence
+from tests.support.documented import PAGES, Documented, commands, commands_in, parse
+from tests.support.places import ROOT
 
 COMMANDS = commands()
 OURS = [command for command in COMMANDS if not command.foreign]
@@ -81,7 +82,7 @@ def photograph_codes(folder: Path) -> None:
     """What another program leaves of the smallest projector that is sold, and a camera that sees just its picture."""
     folder.mkdir()
     width, height = 640, 360
-    codes = [*gray_sequence("x", width, 1), *gray_sequence("y", height, 1), White(), Black()]
+    codes: list[Pattern] = [*gray_sequence("x", width, 1), *gray_sequence("y", height, 1), White(), Black()]
     for number, pattern in enumerate(codes):
         write_png(folder / f"im{number + 1}.png", draw(pattern, (width, height)) // 2 + 20)
 

@@ -1,5 +1,7 @@
 """Several exposures of each picture: the exposure changes between frames, never within one."""
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
@@ -29,7 +31,7 @@ class AdjustableBench(Bench):
         return exposure_us
 
 
-def test_the_exposure_changes_when_the_frame_before_has_arrived(monkeypatch):
+def test_the_exposure_changes_when_the_frame_before_has_arrived(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = AdjustableBench().install(monkeypatch)
     picture = np.full(SIZE[::-1], 200, np.uint8)
     list(Turns(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames([picture] * 3, (10_000.0, 20_000.0)))
@@ -42,7 +44,9 @@ def test_the_exposure_changes_when_the_frame_before_has_arrived(monkeypatch):
 
 @pytest.mark.parametrize("latency_ms", [0, 17, 120])
 @pytest.mark.parametrize("lost", [frozenset[int](), frozenset({20, 23, 24, 31})])
-def test_each_frame_is_of_its_own_picture_and_exposure(monkeypatch, latency_ms, lost):
+def test_each_frame_is_of_its_own_picture_and_exposure(
+    monkeypatch: pytest.MonkeyPatch, latency_ms: float, lost: frozenset[int]
+) -> None:
     bench = AdjustableBench(latency_ms / 1e3, lost=lost).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     pictures = list(np.random.default_rng(1).integers(0, 100, (12, *SIZE[::-1])).astype(np.uint8))
@@ -55,7 +59,7 @@ def test_each_frame_is_of_its_own_picture_and_exposure(monkeypatch, latency_ms, 
         )
 
 
-def test_a_camera_whose_exposure_is_fixed_is_named(monkeypatch):
+def test_a_camera_whose_exposure_is_fixed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
     with pytest.raises(DeviceError, match=r"leave sequence\.exposures_us out"):
         capture(Rig(bench, bench), (White(), Black()), (1000.0, 2000.0))
@@ -63,7 +67,9 @@ def test_a_camera_whose_exposure_is_fixed_is_named(monkeypatch):
         exposure_control(bench)
 
 
-def test_exposures_that_the_camera_makes_alike_are_refused_before_the_first_frame(monkeypatch):
+def test_exposures_that_the_camera_makes_alike_are_refused_before_the_first_frame(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     class Coarse(AdjustableBench):
         def expose_for(self, exposure_us: float) -> float:
             return super().expose_for(max(1, round(exposure_us / 16_667)) * 16_667)
@@ -74,12 +80,12 @@ def test_exposures_that_the_camera_makes_alike_are_refused_before_the_first_fram
     assert bench.exposures == 0
 
 
-def test_the_simulated_camera_has_limits():
+def test_the_simulated_camera_has_limits() -> None:
     class Room:
         settings = SimulatedRigSettings(seed=0)
         sensor = type("Sensor", (), {"exposure_us": 1e4})
 
-    camera = SimulatedCamera(Room(), None)
+    camera = SimulatedCamera(cast(Any, Room()), cast(Any, None))
     assert camera.expose_for(5000.0) == camera.exposure_us == 5000.0
     with pytest.raises(DeviceError, match="exposes for"):
         camera.expose_for(2 * camera.exposure_limits_us[1])

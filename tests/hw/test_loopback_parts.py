@@ -3,6 +3,7 @@
 import threading
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -38,21 +39,21 @@ def xwd(path: Path, pixels: np.ndarray, colours: int = 3, padding: int = 8) -> P
     return path
 
 
-def test_the_pixels_of_an_xwd_file(tmp_path):
+def test_the_pixels_of_an_xwd_file(tmp_path: Path) -> None:
     grey = np.random.default_rng(0).integers(0, 256, (5, 7)).astype(np.uint32)
     screen = XwdScreen(xwd(tmp_path / "screen", grey * 0x010101))
     assert screen.size == (7, 5)
     np.testing.assert_array_equal(green(screen.pixels()), grey)
 
 
-def test_another_file_is_no_screen(tmp_path):
+def test_another_file_is_no_screen(tmp_path: Path) -> None:
     path = tmp_path / "screen"
     path.write_bytes(bytes(200))
     with pytest.raises(ValueError, match="xwd version 7"):
         XwdScreen(path)
 
 
-def test_an_exposure_mixes_the_pictures_that_fall_into_it():
+def test_an_exposure_mixes_the_pictures_that_fall_into_it() -> None:
     screen = FakeScreen()
     history = ScreenHistory(screen, as_light)
     before = time.monotonic()
@@ -67,7 +68,7 @@ def test_an_exposure_mixes_the_pictures_that_fall_into_it():
     assert [light.max() for _, light in history.shares(after, after + 1)] == [200]
 
 
-def test_a_change_never_falls_into_an_exposure_that_was_over_before_it():
+def test_a_change_never_falls_into_an_exposure_that_was_over_before_it() -> None:
     screen = FakeScreen()
     history = ScreenHistory(screen, as_light)
     history.look()
@@ -79,7 +80,7 @@ def test_a_change_never_falls_into_an_exposure_that_was_over_before_it():
     assert [light.max() for _, light in history.shares(end - 1, end)] == [0]
 
 
-def test_changes_are_seen_while_nobody_asks():
+def test_changes_are_seen_while_nobody_asks() -> None:
     screen = FakeScreen()
     with ScreenHistory(screen, as_light) as history:
         for level in (50, 100, 150):
@@ -100,7 +101,7 @@ class Wall:
 def exposed(latency_s: float, request: Request, *, change_after_s: float | None = None) -> np.ndarray:
     screen = FakeScreen()
     with ScreenHistory(screen, lambda image: 100 * as_light(image)) as history:
-        sensor = RoomSensor(Wall(), history, white_exposure_us=20_000)
+        sensor = RoomSensor(cast(Any, Wall()), history, white_exposure_us=20_000)
         sensor.latency_s = latency_s
         screen.level = 0 if change_after_s is not None else 100
         time.sleep(0.02 + latency_s)
@@ -112,7 +113,7 @@ def exposed(latency_s: float, request: Request, *, change_after_s: float | None 
     return np.frombuffer(data, kind).reshape(request.region[3], request.region[2], *channels)
 
 
-def test_a_longer_exposure_and_more_gain_are_brighter():
+def test_a_longer_exposure_and_more_gain_are_brighter() -> None:
     region = (0, 0, *SIZE)
     plain = exposed(0.0, Request(20_000, 0, MONO_8, region)).mean()
     assert plain == pytest.approx(100, abs=2)
@@ -120,7 +121,7 @@ def test_a_longer_exposure_and_more_gain_are_brighter():
     assert exposed(0.0, Request(20_000, 6, MONO_8, region)).mean() == pytest.approx(1.995 * plain, rel=0.03)
 
 
-def test_the_pixel_format_and_the_region_act():
+def test_the_pixel_format_and_the_region_act() -> None:
     region = (2, 1, 3, 2)
     fine = exposed(0.0, Request(20_000, 0, MONO_16, region))
     assert fine.shape == (2, 3)
@@ -133,7 +134,7 @@ def test_the_pixel_format_and_the_region_act():
     assert mosaic[0, 1] > mosaic[0, 0] > mosaic[1, 1]
 
 
-def test_light_comes_late():
+def test_light_comes_late() -> None:
     """A picture that goes up amid an exposure is not in it if its light takes longer than the rest."""
     request = Request(200_000, -20, MONO_8, (0, 0, *SIZE))
     half = exposed(0.0, request, change_after_s=0.1).mean()

@@ -1,5 +1,7 @@
 """Taking turns, on a bench whose clock stands still while nothing happens."""
 
+from typing import cast
+
 import numpy as np
 import pytest
 
@@ -18,21 +20,23 @@ def expected(picture: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("latency_ms", [0, 3, 17, 33.3, 50, 75, 120, 250])
-def test_the_latency_is_measured(monkeypatch, latency_ms):
+def test_the_latency_is_measured(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
     timing = measure(*[Bench(latency_ms / 1e3, noise=2.0).install(monkeypatch)] * 2)
     assert 1e3 * timing.latency_s == pytest.approx(latency_ms, abs=0.5)
     assert 0 < timing.delay_s - timing.latency_s < 0.006
     assert timing.overlaps == (latency_ms > 10)
 
 
-def test_the_slowest_flash_counts(monkeypatch):
+def test_the_slowest_flash_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     timing = measure(*[Bench(0.05, jitter_s=0.01).install(monkeypatch)] * 2)
     assert 0.055 < timing.latency_s <= 0.0605
 
 
 @pytest.mark.parametrize("latency_ms", [0, 17, 50, 120])
 @pytest.mark.parametrize("lost", [frozenset[int](), frozenset({19, 25, 26, 31}), frozenset(range(20, 200, 3))])
-def test_each_frame_is_of_its_own_picture(monkeypatch, latency_ms, lost):
+def test_each_frame_is_of_its_own_picture(
+    monkeypatch: pytest.MonkeyPatch, latency_ms: float, lost: frozenset[int]
+) -> None:
     bench = Bench(latency_ms / 1e3, lost=lost).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     shown = pictures(24)
@@ -42,17 +46,17 @@ def test_each_frame_is_of_its_own_picture(monkeypatch, latency_ms, lost):
         np.testing.assert_allclose(frame.image, expected(picture), atol=1)
 
 
-def test_retriggered_frames_are_counted(monkeypatch):
+def test_retriggered_frames_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
     rig = synchronised(bench, bench, {})
     bench._lost = frozenset({bench.exposures + 2, bench.exposures + 5, bench.exposures + 6})
     list(rig.photograph(pictures(10)))
-    account = rig.account()["synchronisation"]
+    account = cast(dict[str, object], rig.account()["synchronisation"])
     assert account["retriggered_frames"] == 3
     assert account["overlapping"] is True
 
 
-def test_the_next_picture_goes_up_while_the_last_frame_is_transferred(monkeypatch):
+def test_the_next_picture_goes_up_while_the_last_frame_is_transferred(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
     turns = Turns(bench, bench, Timing(0.05, 0.054, overlaps=True))
     list(turns.frames(pictures(3)))
@@ -62,13 +66,13 @@ def test_the_next_picture_goes_up_while_the_last_frame_is_transferred(monkeypatc
     ]
 
 
-def test_without_overlap_a_picture_waits_for_the_frame(monkeypatch):
+def test_without_overlap_a_picture_waits_for_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
     list(Turns(bench, bench, Timing(0.0, 0.004, overlaps=False)).frames(pictures(2)))
     assert bench.log == ["prepare", "flip", "prepare", "expose", "collect", "flip", "expose", "collect"]
 
 
-def test_a_frame_is_taken_when_it_is_asked_for(monkeypatch):
+def test_a_frame_is_taken_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
     frames = Turns(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames(pictures(3))
     assert bench.exposures == 0
@@ -76,7 +80,7 @@ def test_a_frame_is_taken_when_it_is_asked_for(monkeypatch):
     assert bench.exposures == 1
 
 
-def test_the_overhead_is_what_was_not_exposure_or_latency(monkeypatch):
+def test_the_overhead_is_what_was_not_exposure_or_latency(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.0).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     list(rig.photograph(pictures(50)))
@@ -88,7 +92,7 @@ def test_the_overhead_is_what_was_not_exposure_or_latency(monkeypatch):
     assert rig.overhead == pytest.approx((33.3 + 2 + 100 + 1) / 83.3 - 1, abs=0.02)
 
 
-def test_a_rolling_shutter_lets_no_pictures_overlap(monkeypatch):
+def test_a_rolling_shutter_lets_no_pictures_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.02, readout_s=0.06, transfer_s=0.08).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     assert not rig.timing.overlaps
@@ -97,7 +101,7 @@ def test_a_rolling_shutter_lets_no_pictures_overlap(monkeypatch):
         np.testing.assert_allclose(frame.image, expected(picture), atol=1)
 
 
-def test_no_pictures_no_frames(monkeypatch):
+def test_no_pictures_no_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
     assert list(Turns(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames([])) == []
 
@@ -113,13 +117,13 @@ def test_no_pictures_no_frames(monkeypatch):
     ],
     ids=["cap", "dim", "bright", "elsewhere", "unplugged"],
 )
-def test_a_rig_that_cannot_work_is_refused(monkeypatch, bench, words):
+def test_a_rig_that_cannot_work_is_refused(monkeypatch: pytest.MonkeyPatch, bench: Bench, words: str) -> None:
     bench.install(monkeypatch)
     with pytest.raises(DeviceError, match=words):
         measure(bench, bench)
 
 
-def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch):
+def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
     rig = synchronised(bench, bench, {})
     frames = rig.photograph(pictures(5))

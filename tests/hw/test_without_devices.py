@@ -3,10 +3,10 @@
 import importlib.util
 import re
 import sys
+from pathlib import Path
 
 import pytest
 
-from hw import projector_process
 from hw.errors import DeviceError
 from hw.open_rig import import_aravis, open_rig
 from hw.projector_process import ScreenProjector, list_screens
@@ -29,24 +29,24 @@ def no_aravis(monkeypatch: pytest.MonkeyPatch) -> None:
 def no_pyglet(monkeypatch: pytest.MonkeyPatch) -> None:
     find_spec = importlib.util.find_spec
     found = lambda name, *more: None if name == "pyglet" else find_spec(name, *more)  # noqa: E731
-    monkeypatch.setattr(projector_process.importlib.util, "find_spec", found)
+    monkeypatch.setattr(importlib.util, "find_spec", found)
 
 
 @pytest.mark.usefixtures("no_aravis")
-def test_missing_aravis_is_named_with_its_packages():
+def test_missing_aravis_is_named_with_its_packages() -> None:
     with pytest.raises(DeviceError, match=r"gir1\.2-aravis-0\.8 .*roomscan\[rig\]"):
         import_aravis()
 
 
 @pytest.mark.usefixtures("no_pyglet")
-def test_missing_pyglet_is_named():
+def test_missing_pyglet_is_named() -> None:
     for ask in (list_screens, lambda: ScreenProjector(None, (854, 480))):
         with pytest.raises(DeviceError, match=r"pyglet, which is not installed: pip install 'roomscan\[rig\]'"):
             ask()
 
 
 @pytest.mark.usefixtures("no_aravis", "no_pyglet")
-def test_devices_say_what_is_missing(capsys):
+def test_devices_say_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["devices"]) == 3
     output = capsys.readouterr()
     assert "gir1.2-aravis-0.8" in output.out
@@ -55,14 +55,14 @@ def test_devices_say_what_is_missing(capsys):
 
 
 @pytest.mark.usefixtures("no_aravis")
-def test_screens_are_listed_without_aravis(monkeypatch, capsys):
+def test_screens_are_listed_without_aravis(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(devices, "list_screens", list)
     assert main(["devices"]) == 0
     assert "Screens\n  none found" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("no_aravis")
-def test_a_scan_with_real_devices_stops_before_anything_is_shown():
+def test_a_scan_with_real_devices_stops_before_anything_is_shown() -> None:
     with (
         pytest.raises(DeviceError, match=r"gir1\.2-aravis-0\.8"),
         open_rig(AravisRigSettings(backend="aravis"), (640, 480), (854, 480)),
@@ -70,7 +70,7 @@ def test_a_scan_with_real_devices_stops_before_anything_is_shown():
         pass
 
 
-def test_no_desktop_is_an_answer(monkeypatch):
+def test_no_desktop_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     if importlib.util.find_spec("pyglet") is None:
         pytest.skip("pyglet is not installed")
     monkeypatch.setenv("DISPLAY", ":4711")
@@ -79,19 +79,19 @@ def test_no_desktop_is_an_answer(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["room.yaml", "room-loopback.yaml"])
-def test_shipped_configurations_are_valid(name):
+def test_shipped_configurations_are_valid(name: str) -> None:
     config = load_config(ROOT / "configs" / name)
     assert isinstance(config.required_rig, AravisRigSettings)
     assert config.principal_point(config.camera_size)
 
 
-def test_every_key_of_a_real_rig_is_explained_in_the_configuration():
+def test_every_key_of_a_real_rig_is_explained_in_the_configuration() -> None:
     text = (ROOT / "configs" / "room.yaml").read_text()
     for key in AravisRigSettings.model_fields:
         assert re.search(rf"^  (# )?{key}: ", text, re.MULTILINE), key
 
 
-def test_what_is_optional_in_the_configuration_can_be_uncommented(tmp_path):
+def test_what_is_optional_in_the_configuration_can_be_uncommented(tmp_path: Path) -> None:
     path = tmp_path / "room.yaml"
     lines = (ROOT / "configs" / "room.yaml").read_text().splitlines()
     key = re.compile(r"^(  )# (\w+: \S.*)$")
@@ -113,7 +113,7 @@ def test_what_is_optional_in_the_configuration_can_be_uncommented(tmp_path):
         ("packet_size: 100", "'rig.packet_size'"),
     ],
 )
-def test_wrong_keys_are_named(tmp_path, more, words):
+def test_wrong_keys_are_named(tmp_path: Path, more: str, words: str) -> None:
     path = tmp_path / "room.yaml"
     path.write_text(f"rig: {{backend: aravis, {more}}}")
     with pytest.raises(InputError) as caught:
@@ -121,7 +121,7 @@ def test_wrong_keys_are_named(tmp_path, more, words):
     assert words in str(caught.value)
 
 
-def test_serial_numbers_may_look_like_numbers():
+def test_serial_numbers_may_look_like_numbers() -> None:
     rig = load_config(None, ["rig={backend: aravis, camera: 22345678}"]).required_rig
     assert isinstance(rig, AravisRigSettings)
     assert rig.camera == "22345678"

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
 from tests.support.places import ROOT
 
@@ -77,7 +77,7 @@ class Visit:
         page.on("request", lambda request: self._on_request(request.url))
         page.on("websocket", lambda socket: self._on_request(socket.url))
 
-    def _on_console(self, message: object) -> None:
+    def _on_console(self, message: ConsoleMessage) -> None:
         if message.type == "error":
             self.complaints.append(message.text)
 
@@ -108,7 +108,7 @@ class Visit:
         box = self.page.locator("canvas").first.bounding_box()
         assert box
         width, height = box["width"] / 2, box["height"] / 2
-        clip = {"x": box["x"] + width / 2, "y": box["y"] + height / 2, "width": width, "height": height}
+        clip: Any = {"x": box["x"] + width / 2, "y": box["y"] + height / 2, "width": width, "height": height}
         seen = cv2.imdecode(np.frombuffer(self.page.screenshot(clip=clip), np.uint8), cv2.IMREAD_COLOR)
         return len(np.unique(seen.reshape(-1, 3) // 16, axis=0))
 

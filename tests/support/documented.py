@@ -8,6 +8,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -119,7 +120,7 @@ def _parse_script(words: list[str]) -> None:
         return
     parse_args = ArgumentParser.parse_args
 
-    def stop_after(parser: ArgumentParser, *arguments: object) -> Namespace:
+    def stop_after(parser: ArgumentParser, *arguments: Any) -> Namespace:
         parse_args(parser, *arguments)
         raise _Parsed
 

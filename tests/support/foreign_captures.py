@@ -64,7 +64,7 @@ def steps(axis: Axis, period: float, shifts: Iterable[float]) -> list[Pattern]:
 
 
 def in_colour(image: Image) -> Image:
-    return np.stack([image // 2, image, image], axis=-1)
+    return np.stack([image // 2, image, image], axis=-1).astype(np.uint8)
 
 
 def deep(image: Image) -> Image:

@@ -1,7 +1,4 @@
-"""Photos of a painted corner, by casting rays: all that the command needs, and everything known of them.
-
-World: the walls are the planes x = 0, y = 0 and z = 0, the room is the positive octant, lengths in metres.
-"""
+"""Photos of a painted corner: all that the command needs, and everything known of them."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -12,7 +9,7 @@ import numpy as np
 
 from calib.geometry.camera import Intrinsics
 from calib.numerics.array_types import Floats, Image
-from calib.synthetic.captures import look_at
+from tests.support.room import Placed, Room
 
 CAMERA = Intrinsics(640, 480, (620.0, 620.0), (340.0, 224.0), (-0.03, 0.0, 0.0, 0.0, 0.0))
 FIRST, SECOND, THIRD = np.array([1.6, 1.3, 1.2]), np.array([1.15, 1.75, 1.3]), np.array([1.5, 1.2, 1.75])
@@ -36,13 +33,10 @@ def painted(seed: int = 0, walls: tuple[int, ...] = (0, 1, 2)) -> Walls:
 
 def photo(walls: Walls, eye: Floats, *, camera: Intrinsics = CAMERA, target: Floats | None = None) -> Image:
     """What a camera at `eye` that looks at `target` (the vertex) sees, with a little noise."""
-    rotation = look_at(eye, np.full(3, 0.15) if target is None else target, np.array([0.0, 0.0, 1.0]))
-    rays = _rays(camera) @ rotation
-    with np.errstate(divide="ignore"):
-        lengths = -eye / rays
-    lengths[~(lengths > 0)] = np.inf
-    wall = np.argmin(lengths, axis=-1)
-    points = eye + np.min(lengths, axis=-1)[..., None] * rays
+    placed = Placed.looking(eye, np.full(3, 0.15) if target is None else target)
+    rays = _rays(camera) @ placed.rotation
+    depth, wall = (of.reshape(rays.shape[:2]) for of in Room().cast(eye, rays.reshape(-1, 3)))
+    points = eye + np.where(np.isfinite(depth), depth, 0.0)[..., None] * rays
     seen = np.zeros((*wall.shape, 3), np.float32)
     for number, picture in enumerate(walls.pictures):
         if picture is None:

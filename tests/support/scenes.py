@@ -1,92 +1,17 @@
-"""Rooms with furniture, seen by a camera and lit by a projector: matches with true labels, by casting rays.
-
-World: the walls are the planes x = 0, y = 0 and z = 0 (the floor), the room is the positive octant, lengths in metres.
-"""
+"""Rooms with furniture, seen by a camera and lit by a projector: matches with true labels."""
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calib.geometry.calibration import Calibration
 from calib.geometry.camera import Intrinsics
 from calib.geometry.matches import Matches
-from calib.numerics.array_types import Bools, Floats, Ints
-from calib.synthetic.captures import look_at as rotation_to
+from calib.numerics.array_types import Floats, Ints
+from tests.support.room import NOTHING, UP, Ball, Box, Placed, Room, seen
 
-SPHERE = 1000
-OUTLIER = -1
-_EPS = 1e-9
-
-
-@dataclass(frozen=True)
-class Box:
-    """A box on the floor or above it: `centre` and `size` (3,), turned by `yaw` (radians) about the vertical."""
-
-    centre: Floats
-    size: Floats
-    yaw: float = 0.0
-
-    def hit(self, origin: Floats, directions: Floats) -> tuple[Floats, Ints, Floats]:
-        """Where rays enter the box: distance (inf for a miss), face 0..5 (−x, +x, −y, …), and where they leave it."""
-        turn = Rotation.from_euler("z", -self.yaw).as_matrix()
-        o, d = turn @ (origin - self.centre), directions @ turn.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            one, two = (-self.size / 2 - o) / d, (self.size / 2 - o) / d
-        near, far = np.minimum(one, two), np.maximum(one, two)
-        axis = np.argmax(near, axis=1)
-        enter, leave = near.max(axis=1), far.min(axis=1)
-        side = np.take_along_axis(d, axis[:, None], axis=1)[:, 0] < 0
-        missed = ~((enter < leave) & (leave > 0))
-        return np.where(missed, np.inf, enter), (2 * axis + side).astype(np.int32), np.where(missed, -np.inf, leave)
-
-
-@dataclass(frozen=True)
-class Room:
-    """`walls`: whether the three walls are there (a box on a table has the floor only); `limit`: their extent (3,)."""
-
-    boxes: tuple[Box, ...] = ()
-    sphere: tuple[Floats, float] | None = None
-    walls: tuple[bool, bool, bool] = (True, True, True)
-    limit: Floats | None = None
-
-    def cast(self, origin: Floats, directions: Floats) -> tuple[Floats, Ints]:
-        """First surface met by each ray (N, 3): distance in units of the direction, surface id (−1: none).
-
-        Ids: 0, 1, 2 walls; 3 + 6 b + face for box b; SPHERE.
-        """
-        limit = np.full(3, np.inf) if self.limit is None else self.limit
-        depth, surface = np.full(len(directions), np.inf), np.full(len(directions), OUTLIER, np.int32)
-        for wall in np.flatnonzero(self.walls):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                t = -origin[wall] / directions[:, wall]
-                point = origin + t[:, None] * directions
-                closer = (t > _EPS) & (t < depth) & np.all((point > -1e-6) & (point < limit), axis=1)
-            depth[closer], surface[closer] = t[closer], wall
-        for b, box in enumerate(self.boxes):
-            t, face, _ = box.hit(origin, directions)
-            closer = (t > _EPS) & (t < depth)
-            depth[closer], surface[closer] = t[closer], 3 + 6 * b + face[closer]
-        if self.sphere is not None:
-            t = _hit_sphere(*self.sphere, origin, directions)
-            closer = (t > _EPS) & (t < depth)
-            depth[closer], surface[closer] = t[closer], SPHERE
-        return depth, surface
-
-    def lit(self, points: Floats, source: Floats) -> Bools:
-        """Whether nothing stands between points (N, 3) and the projector's centre."""
-        depth, _ = self.cast(source, points - source)
-        return depth > 1 - 1e-6
-
-
-def _hit_sphere(centre: Floats, radius: float, origin: Floats, directions: Floats) -> Floats:
-    a = np.sum(directions**2, axis=1)
-    b = directions @ (origin - centre)
-    c = float(np.sum((origin - centre) ** 2) - radius**2)
-    with np.errstate(invalid="ignore"):
-        t = (-b - np.sqrt(b * b - a * c)) / a
-    return np.where(np.isfinite(t), t, np.inf)
+OUTLIER = NOTHING
 
 
 @dataclass(frozen=True)
@@ -113,38 +38,31 @@ def render(
     rng: np.random.Generator,
     room: Room,
     calibration: Calibration,
-    camera_to_world: tuple[Floats, Floats],
+    camera: Placed,
     *,
     noise_px: float,
     outliers: float = 0.0,
     crease_px: float = 0.0,
     with_sigma: bool = False,
 ) -> Scene:
-    """Matches on the camera's pixel grid. `camera_to_world`: (rotation, camera centre)."""
-    camera, projector = calibration.camera, calibration.projector
-    turn, eye = camera_to_world
-    x, y = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
-    rays = camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1))
-    depth, surface = room.cast(eye, rays @ turn.T)
-    in_camera = rays * np.where(np.isfinite(depth), depth, 1.0)[:, None]
-    projected = projector.project(in_camera @ calibration.rotation.T + calibration.translation)
-    with np.errstate(invalid="ignore"):
-        seen = (surface >= 0) & np.all((projected > 0) & (projected < (projector.width - 1, projector.height - 1)), 1)
-    seen[seen] = room.lit(in_camera[seen] @ turn.T + eye, turn @ calibration.projector_centre + eye)
-    bias = crease_px * _near_crease(surface.reshape(camera.height, camera.width), 3.0).ravel()[seen]
-    camera_px = np.stack([x.ravel(), y.ravel()], axis=1)[seen]
-    surface = surface[seen].copy()
-    sigma = np.full(len(camera_px), noise_px)
+    """Matches on the camera's pixel grid."""
+    view = seen(room, calibration, camera)
+    projector, lit = calibration.projector, view.lit
+    shape = calibration.camera.height, calibration.camera.width
+    bias = crease_px * _near_crease(view.surface.reshape(shape), 3.0).ravel()[lit]
+    surface = view.surface[lit].copy()
+    sigma = np.full(len(surface), noise_px)
     if with_sigma:
         sigma *= np.exp(rng.normal(0, 0.3, len(sigma)))
-    pixels = projected[seen] + rng.normal(size=(len(sigma), 2)) * sigma[:, None]
+    pixels = view.projector_px[lit] + rng.normal(size=(len(sigma), 2)) * sigma[:, None]
     pixels += bias[:, None] * _unit(rng.normal(size=2))
     wrong = rng.random(len(surface)) < outliers
     far = rng.random(len(surface)) < 0.3
     pixels[wrong & far] = rng.uniform((0, 0), (projector.width, projector.height), (int((wrong & far).sum()), 2))
     pixels[wrong & ~far] += rng.normal(0, 8.0, (int((wrong & ~far).sum()), 2))
     surface[wrong] = OUTLIER
-    return Scene(Matches(camera_px, pixels, None, sigma if with_sigma else None), surface, room, calibration)
+    matches = Matches(view.camera_px[lit], pixels, None, sigma if with_sigma else None)
+    return Scene(matches, surface, room, calibration)
 
 
 def _near_crease(surface: Ints, reach_px: float) -> Floats:
@@ -166,18 +84,15 @@ def place_rig(
     eye: Floats,
     target: Floats,
     baseline: float,
-) -> tuple[Calibration, tuple[Floats, Floats]]:
+) -> tuple[Calibration, Placed]:
     """A camera at `eye` looking at `target`, and a projector `baseline` metres aside looking there too."""
-    up = np.array([0.0, 0.0, 1.0])
-    aside = np.cross(target - eye, rng.normal(0, 0.5, 3) + up)
-    projector_eye = eye + baseline * _unit(aside)
+    aside = np.cross(target - eye, rng.normal(0, 0.5, 3) + UP)
     spread = 0.04 * np.linalg.norm(eye - target)
-    world_to_camera = rotation_to(eye, target + rng.normal(0, spread, 3), up, rng.normal(0, 0.15))
-    world_to_projector = rotation_to(projector_eye, target + rng.normal(0, spread, 3), up, rng.normal(0, 0.15))
-    calibration = Calibration(
-        *devices, world_to_projector @ world_to_camera.T, world_to_projector @ (eye - projector_eye), unit="m"
+    camera, projector = (
+        Placed.looking(place, target + rng.normal(0, spread, 3), rng.normal(0, 0.15))
+        for place in (eye, eye + baseline * _unit(aside))
     )
-    return calibration, (world_to_camera.T, eye)
+    return Calibration(*devices, *camera.into(projector), unit="m"), camera
 
 
 def furnished_room(rng: np.random.Generator, *, scale: float = 1.0, hidden_vertex: bool | None = None) -> Scene:
@@ -222,10 +137,10 @@ def furniture(rng: np.random.Generator, reach: float, hides_vertex: bool) -> tup
     return tuple(boxes)
 
 
-def ball(rng: np.random.Generator, reach: float) -> tuple[Floats, float]:
-    """A sphere on the floor: centre and radius."""
+def ball(rng: np.random.Generator, reach: float) -> Ball:
+    """A sphere on the floor."""
     radius = reach * rng.uniform(0.03, 0.1)
-    return np.array([*(reach * rng.uniform(0.05, 0.35, 2) + radius), radius]), radius
+    return Ball(np.array([*(reach * rng.uniform(0.05, 0.35, 2) + radius), radius]), radius)
 
 
 def plain_room(
@@ -233,7 +148,7 @@ def plain_room(
     walls: tuple[bool, bool, bool] = (True, True, True),
     *,
     boxes: tuple[Box, ...] = (),
-    sphere: tuple[Floats, float] | None = None,
+    sphere: Ball | None = None,
     look_at: tuple[float, float, float] = (0.1, 0.1, 0.1),
     baseline: float = 0.4,
     lens_k1: float = -0.05,
@@ -286,16 +201,7 @@ def score(scene: Scene, face: Ints) -> Score:
         surfaces.append(surface)
         wrong += int(counts.sum() - counts.max())
         labelled.append(float(np.mean(face[scene.surface == surface] == label)))
-    normals = np.stack([_normal(scene.room, surface) for surface in surfaces])
+    normals = np.stack([scene.room.normal(surface) for surface in surfaces])
     off = np.degrees(np.arcsin(np.clip(np.abs(normals @ normals.T - np.eye(3)).max(), 0, 1)))
     a, b, c = surfaces
     return Score((a, b, c), wrong / np.count_nonzero(face >= 0), np.array(labelled), float(off))
-
-
-def _normal(room: Room, surface: int) -> Floats:
-    if surface < 3:
-        return np.eye(3)[surface]
-    if surface == SPHERE:
-        return np.full(3, 3**-0.5)
-    box = room.boxes[(surface - 3) // 6]
-    return Rotation.from_euler("z", box.yaw).as_matrix()[:, (surface - 3) % 6 // 2]

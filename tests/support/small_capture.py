@@ -1,6 +1,7 @@
 """A capture folder that is as small as can be: a camera that sees exactly what the projector shows."""
 
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -25,9 +26,9 @@ def write_capture(folder: Path, patterns: tuple[Pattern, ...] = PATTERNS) -> Pat
     return folder
 
 
-def read_listing(folder: Path) -> dict:
+def read_listing(folder: Path) -> dict[str, Any]:
     return yaml.safe_load((folder / "capture.yaml").read_text())
 
 
-def write_listing(folder: Path, listing: dict) -> None:
+def write_listing(folder: Path, listing: dict[str, Any]) -> None:
     (folder / "capture.yaml").write_text(yaml.safe_dump(listing))

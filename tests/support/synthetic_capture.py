@@ -6,9 +6,10 @@ whichever surface they see, shaded, blurred by the camera's lens, joined by ligh
 light, and read out with shot noise, read noise and quantisation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from calib.numerics.array_types import Bools, Image
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.patterns.pattern import Pattern, Phase, draw, phase_sequence
 
-Light = NDArray[np.float32]
+Light = NDArray[np.floating[Any]]
 _FINE = 3
 
 
@@ -75,8 +76,7 @@ class Scene:
     def fine(self) -> tuple[Light, Light, Light, Bools]:
         """Of the sub-pixels: projector x and y, how bright they are in full light, and whether they are on the box."""
         width, height = self.camera
-        steps = [(np.arange(size * _FINE) + 0.5) / _FINE - 0.5 for size in (width, height)]
-        u, v = np.meshgrid(*steps)
+        u, v = np.meshgrid(*((np.arange(size * _FINE) + 0.5) / _FINE - 0.5 for size in (width, height)))
         on_box = self.is_box(u, v)
         x, y = (np.where(on_box, a, b).astype(np.float32) for a, b in zip(self.box(u, v), self.wall(u, v), strict=True))
         inside = (x > -0.5) & (x < self.projector[0] - 0.5) & (y > -0.5) & (y < self.projector[1] - 0.5)
@@ -133,7 +133,7 @@ def _lit_alike(scene: Scene) -> Scene:
 @lru_cache(maxsize=512)
 def _light(scene: Scene, pattern: Pattern) -> Light:
     """What reaches the camera, 1 for full light on white, (H, W)."""
-    shown = (draw(pattern, scene.projector) / np.float32(255)) ** np.float32(scene.gamma)
+    shown: Any = (draw(pattern, scene.projector) / np.float32(255)) ** np.float32(scene.gamma)
     shown = scene.black_level + (1 - scene.black_level) * shown
     if scene.projector_blur_px:
         shown = cv2.GaussianBlur(shown, (0, 0), scene.projector_blur_px, borderType=cv2.BORDER_REPLICATE)
@@ -153,7 +153,7 @@ def _fine(scene: Scene) -> tuple[Light, Light, Light, Bools]:
     return scene.fine
 
 
-def decode(patterns: Sequence[Pattern], frames: Sequence[Image], projector: tuple[int, int]) -> Decoding:
+def decode(patterns: Sequence[Pattern], frames: Iterable[Image], projector: tuple[int, int]) -> Decoding:
     """All frames through a decoder."""
     decoder = Decoder(patterns, projector)
     for frame in frames:

@@ -62,7 +62,7 @@ def test_both_captures_are_kept_whole(scanned: Scanned) -> None:
 
 def test_the_calibration_is_true(scanned: Scanned) -> None:
     found, truth = (read_calibration(scanned.result / name) for name in ("calibration.yaml", "truth.yaml"))
-    assert 0 < np.abs(intrinsic_errors_percent(found, truth)).mean() < 0.3
+    assert 1e-3 < np.abs(intrinsic_errors_percent(found, truth)).mean() < 0.3
     assert found.unit == "m"
 
 
@@ -78,7 +78,7 @@ def test_the_merged_cloud_lies_along_the_corners_edges(scanned: Scanned) -> None
     assert np.percentile(points, 1, axis=0).min() > -0.02
     assert np.all(np.percentile(points, 90, axis=0) > 0.3)
     off_face = np.min(np.abs(points), axis=1)
-    assert 0 < np.median(off_face) < 0.002
+    assert 1e-6 < np.median(off_face) < 0.002
     for axis in range(3):
         on_face = np.abs(points[:, axis]) < 0.005
         assert on_face.mean() > 0.05
@@ -112,4 +112,4 @@ def test_a_replay_with_an_earlier_result_finds_the_same(scanned: Scanned, tmp_pa
     # The earlier capture's colours come from its recording.
     clouds = [(folder / "captures/1/cloud.ply").read_bytes() for folder in (scanned.result, out)]
     colours = [np.frombuffer(cloud.split(b"end_header\n", 1)[1], VERTEX)["rgb"] for cloud in clouds]
-    np.testing.assert_array_equal(*colours)
+    np.testing.assert_array_equal(colours[0], colours[1])

@@ -12,10 +12,10 @@ import pytest
 
 from hw.open_rig import import_aravis, open_rig
 from hw.projector_process import list_screens
-from hw.rig import Rig
+from hw.synchronisation import SynchronisedRig
 from scanner.capture.stream import capture
 from scanner.configuration.schema import Config, load_config
-from scanner.patterns.pattern import Black, Gray, White
+from scanner.patterns.pattern import Axis, Black, Gray, Pattern, White
 
 pytestmark = pytest.mark.hardware
 
@@ -30,22 +30,23 @@ def config() -> Config:
 
 
 @pytest.fixture(scope="module")
-def rig(config: Config) -> Iterator[Rig]:
+def rig(config: Config) -> Iterator[SynchronisedRig]:
     with open_rig(config.required_rig, config.camera_size, config.projector_size) as opened:
+        assert isinstance(opened.rig, SynchronisedRig)
         yield opened.rig
 
 
-def test_the_devices_are_listed(config):
+def test_the_devices_are_listed(config: Config) -> None:
     assert import_aravis().list_cameras()
     assert config.projector_size in [(screen.width, screen.height) for screen in list_screens()]
 
 
-def test_the_latency_is_that_of_a_projector(rig):
+def test_the_latency_is_that_of_a_projector(rig: SynchronisedRig) -> None:
     assert 0 <= rig.timing.latency_s < 0.5
     assert rig.timing.latency_s < rig.timing.delay_s < rig.timing.latency_s + 0.05
 
 
-def test_white_is_well_exposed(rig):
+def test_white_is_well_exposed(rig: SynchronisedRig) -> None:
     white, black = (frame.image for _, frame in capture(rig, (White(), Black())).frames)
     highest = rig.camera.highest_level
     lit = white.astype(float) - black > 0.1 * highest
@@ -53,11 +54,12 @@ def test_white_is_well_exposed(rig):
     assert np.mean(white[lit] >= highest) < 0.05, "white is overexposed: close the aperture, or expose less"
 
 
-def test_each_frame_shows_its_own_pattern(rig):
+def test_each_frame_shows_its_own_pattern(rig: SynchronisedRig) -> None:
     """Pixels that white lights follow every bit: brighter in the pattern that is bright there."""
     width, height = rig.projector.size
-    patterns = [White(), Black()]
-    for axis, length in (("x", width), ("y", height)):
+    patterns: list[Pattern] = [White(), Black()]
+    axes: tuple[tuple[Axis, int], ...] = (("x", width), ("y", height))
+    for axis, length in axes:
         bits = int(np.ceil(np.log2(length)))
         patterns += [Gray(axis, bit, bits, inverted=inverted) for bit in range(3) for inverted in (False, True)]
     frames = [grey(frame.image) for _, frame in capture(rig, tuple(patterns)).frames]
@@ -69,7 +71,7 @@ def test_each_frame_shows_its_own_pattern(rig):
         assert np.median(np.abs(image + inverse - white - black)[lit] / (white - black)[lit]) < 0.1
 
 
-def test_a_scan_costs_little_more_than_its_light(rig):
+def test_a_scan_costs_little_more_than_its_light(rig: SynchronisedRig) -> None:
     list(capture(rig, (White(), Black()) * 10).frames)
     assert rig.turns.retriggered <= 2
     assert rig.overhead < 1.0

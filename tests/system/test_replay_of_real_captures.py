@@ -16,12 +16,14 @@ pytestmark = [
     pytest.mark.xdist_group("real-captures"),
 ]
 
+Layout = list[tuple[str, str] | tuple[str, str, int]]
+
 
 def test_a_calibrated_rig_gives_a_cloud_on_the_reference(tmp_path: Path) -> None:
     capture, out = DATA / "sltk-scan0020", tmp_path / "shell"
     arguments = ["replay", str(capture), "--calibration", str(capture / "calibration.yaml"), "--out", str(out)]
     assert main([*arguments, "--quiet"]) == 0
-    layout = [("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)]
+    layout: Layout = [("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)]
     points = _vertices(out / "cloud.ply", layout)
     reference = _vertices(capture / "reference.ply", [("xyz", "<f4", 3), ("rgb", "u1", 3)]) * [1, -1, -1]
     assert 100_000 < len(points) < 110_000
@@ -43,6 +45,6 @@ def test_a_scene_without_a_corner_is_refused_and_its_matches_kept(
         assert 1_250_000 < len(matches["camera_px"]) < 1_600_000
 
 
-def _vertices(path: Path, layout: list[tuple[str, str] | tuple[str, str, int]]) -> np.ndarray:
+def _vertices(path: Path, layout: Layout) -> np.ndarray:
     body = path.read_bytes().split(b"end_header\n", 1)[1]
     return np.frombuffer(body, np.dtype(layout))["xyz"].astype(np.float64)

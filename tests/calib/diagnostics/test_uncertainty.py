@@ -123,7 +123,7 @@ def test_the_next_view_gains_what_was_promised() -> None:
         [capture.matches, second], CAMERA_SIZE, PROJECTOR_SIZE, principal_point=KNOWN, squareness_deg=0.3
     )
     calibration = joint[0].calibration
-    reached = calibration.sigma.camera.focal_px[0] / calibration.camera.focal_px[0]  # type: ignore[index]
+    reached = calibration.sigma.camera.focal_px[0] / calibration.camera.focal_px[0]
     # Told from a solution that errs by per cents, so in order of magnitude; rather too little than too much.
     assert 0.03 < reached / view.sigma < 3
 

@@ -1,5 +1,7 @@
 """The corner's image and the corner for given intrinsics, against corners that are known."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -28,7 +30,7 @@ def test_image_of_the_vertex(seed: int) -> None:
 def test_one_of_the_two_corners_is_the_true_one_and_both_are_square(seed: int) -> None:
     capture = random_capture(np.random.default_rng(seed), count=3000, noise_px=0.0)
     image = image_of_corner(face_grams(capture.matches))
-    inverse = np.linalg.inv(intrinsic_matrices(np.array([1791.1]), PAPER_CAMERA.principal_point_px))
+    inverse: Any = np.linalg.inv(intrinsic_matrices(np.array([1791.1]), PAPER_CAMERA.principal_point_px))
     normals, rays = corner_planes(image, inverse)
     for solution in normals[:, 0]:
         assert np.allclose(solution @ solution.T, np.eye(3), atol=1e-6)

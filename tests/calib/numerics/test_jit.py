@@ -38,7 +38,7 @@ def test_divides_as_numpy_does(numerator: Floats, denominator: Floats) -> None:
 
 def test_threads_share_the_work() -> None:
     count = 1 << 18
-    numerator, denominator, found = np.arange(count) + 1.0, np.arange(count) + 2.0, np.zeros(count)
+    numerator, denominator, found = np.arange(1.0, count + 1), np.arange(2.0, count + 2), np.zeros(count)
     in_pieces(count, lambda at: ratios(numerator[at], denominator[at], found[at]))
     np.testing.assert_allclose(found, numerator / denominator, rtol=1e-15)
 

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -30,7 +31,10 @@ def cloud_of(scene: Scene) -> Cloud:
     return build_cloud(scene.matches, scene.texture, scene.calibration)
 
 
-def at_matches(grid: NDArray[np.generic], scene: Scene) -> NDArray[np.generic]:
+Number = TypeVar("Number", bound=np.generic)
+
+
+def at_matches(grid: NDArray[Number], scene: Scene) -> NDArray[Number]:
     column, row = np.rint(scene.matches.camera_px).astype(int).T
     return grid[row, column]
 
@@ -53,7 +57,7 @@ def test_the_sphere_has_its_radius(scene: Scene, cloud: Cloud) -> None:
     design = np.column_stack([2 * on_sphere, np.ones(len(on_sphere))])
     x, y, z, rest = np.linalg.lstsq(design, np.sum(on_sphere**2, axis=1), rcond=None)[0]
     radius_m = np.sqrt(rest + x * x + y * y + z * z)
-    assert 0 < abs(radius_m - SPHERE_RADIUS_M) < 5e-4
+    assert 1e-7 < abs(radius_m - SPHERE_RADIUS_M) < 5e-4
 
 
 def test_every_point_has_a_unit_normal_that_faces_the_camera(cloud: Cloud) -> None:

@@ -45,7 +45,7 @@ def _calibrate(matches: Matches, plane: np.ndarray | None) -> SelfCalibration:
 
 
 def _sigma(found: SelfCalibration) -> float:
-    return found.calibration.sigma.camera.focal_px[0] / found.calibration.camera.focal_px[0]  # type: ignore[index]
+    return found.calibration.sigma.camera.focal_px[0] / found.calibration.camera.focal_px[0]
 
 
 @pytest.mark.parametrize("seed", [3, 8])

@@ -4,37 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry.camera import Intrinsics
 from calib.refinement.likelihood import Knowledge, Prior, evaluate
-from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import FurtherPlane, Pose, State, predict
+from calib.refinement.parameters import FurtherPlane, State, predict
 from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
+from tests.support.states import each_a_cell, true_state
 
 CAMERA = replace(PAPER_CAMERA, distortion=(-0.06, 0.01, 0.0, 0.0, 0.0))
 PROJECTOR = replace(PAPER_PROJECTOR, distortion=(-0.03, 0.02, 0.0, 0.0, 0.0))
 
 
-def _device(intrinsics: Intrinsics) -> np.ndarray:
-    return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion[:2]])
-
-
-def _true_state(capture: SyntheticCapture) -> State:
-    calibration = capture.calibration
-    pose = Pose(capture.corner.legs, capture.corner.vertex / calibration.baseline)
-    return State(
-        _device(calibration.camera),
-        _device(calibration.projector),
-        calibration.rotation,
-        calibration.translation / calibration.baseline,
-        np.zeros((1, 3)),
-        (pose,),
-    )
-
-
 def test_the_true_state_predicts_the_matches() -> None:
     rng = np.random.default_rng(1)
     capture = random_capture(rng, camera=CAMERA, projector=PROJECTOR, count=2000, noise_px=0.0)
-    predicted, _, depths = predict(_true_state(capture), capture.matches.camera_px, capture.matches.face)
+    predicted, _, depths = predict(true_state(capture), capture.matches.camera_px, capture.matches.face)
     assert np.abs(predicted - capture.matches.projector_px).max() < 1e-6
     assert depths.min() > 0
 
@@ -42,7 +24,7 @@ def test_the_true_state_predicts_the_matches() -> None:
 def test_derivatives_are_exact() -> None:
     rng = np.random.default_rng(2)
     capture = random_capture(rng, camera=CAMERA, projector=PROJECTOR, count=500)
-    state = replace(_true_state(capture), off_square=np.radians([[0.4, -0.2, 0.7]]))
+    state = replace(true_state(capture), off_square=np.radians([[0.4, -0.2, 0.7]]))
     _, jacobian, _ = predict(state, capture.matches.camera_px, capture.matches.face)
     for column in range(state.size):
         step = np.zeros(state.size)
@@ -64,7 +46,7 @@ def _with_further_planes(state: State) -> State:
 
 def test_derivatives_by_further_planes_are_exact() -> None:
     capture = random_capture(np.random.default_rng(2), camera=CAMERA, projector=PROJECTOR, count=500)
-    state = _with_further_planes(_true_state(capture))
+    state = _with_further_planes(true_state(capture))
     camera_px, plane = capture.matches.camera_px, np.arange(len(capture.matches)) % 5
     _, jacobian, _ = predict(state, camera_px, plane)
     for column, step in enumerate(1e-6 * np.eye(state.size)):
@@ -77,21 +59,16 @@ def test_derivatives_by_further_planes_are_exact() -> None:
     assert np.all(own[plane == 4, :, 0] == 0)
 
 
-def _cells(capture: SyntheticCapture) -> Cells:
-    matches = capture.matches
-    one = np.ones(len(matches))
-    return Cells(matches.camera_px, matches.projector_px, matches.face, one, one, 1.0, 0.0)
-
-
 def _prior(capture: SyntheticCapture, state: State) -> Prior:
-    sizes = ((each.width, each.height) for each in (capture.calibration.camera, capture.calibration.projector))
+    camera, projector = capture.calibration.camera, capture.calibration.projector
+    sizes = (camera.width, camera.height), (projector.width, projector.height)
     return Knowledge(*sizes, (1200.0, 1000.0), 50.0, 0.3).prior(state)
 
 
 def test_the_gradient_is_that_of_the_cost() -> None:
     capture = random_capture(np.random.default_rng(4), camera=CAMERA, projector=PROJECTOR, count=400, outliers=0.1)
-    cells = [_cells(replace(capture, matches=capture.matches.with_faces(np.maximum(capture.matches.face, 0))))]
-    state = _true_state(capture)
+    cells = [each_a_cell(replace(capture, matches=capture.matches.with_faces(np.maximum(capture.matches.face, 0))))]
+    state = true_state(capture)
     prior, variances = _prior(capture, state), [np.linspace(0.5, 1.5, len(cells[0]))]
     fit = evaluate(cells, state, prior, variances)
     assert np.all(np.linalg.eigvalsh(fit.information) > -1e-6)
@@ -103,7 +80,7 @@ def test_the_gradient_is_that_of_the_cost() -> None:
 
 def test_cells_behind_a_device_cost_and_say_nothing_more() -> None:
     capture = random_capture(np.random.default_rng(5), count=2000)
-    state, cells = _true_state(capture), _cells(capture)
+    state, cells = true_state(capture), each_a_cell(capture)
     prior, variance = _prior(capture, state), np.ones(len(cells))
     whole = evaluate([cells], state, prior, [variance])
     one = np.flatnonzero(cells.plane == 0)[:1]
@@ -119,7 +96,7 @@ def test_cells_behind_a_device_cost_and_say_nothing_more() -> None:
 
 def test_angles_off_square_are_angles_between_the_faces() -> None:
     rng = np.random.default_rng(3)
-    state = replace(_true_state(random_capture(rng, count=500)), off_square=np.radians([[0.5, -0.3, 0.2]]))
+    state = replace(true_state(random_capture(rng, count=500)), off_square=np.radians([[0.5, -0.3, 0.2]]))
     normals = state.normals()
     between = [np.degrees(np.arcsin(normals[i] @ normals[j])) for i, j in ((1, 2), (2, 0), (0, 1))]
     assert np.allclose(between, [0.5, -0.3, 0.2], atol=0.005)

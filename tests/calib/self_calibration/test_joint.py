@@ -1,6 +1,7 @@
 """Several captures by one rig: one corner or several, faces in any order, nothing known beforehand."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ CAMERA_SIZE = (PAPER_CAMERA.width, PAPER_CAMERA.height)
 PROJECTOR_SIZE = (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height)
 KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
 CENTRE = PrincipalPoint(((CAMERA_SIZE[0] - 1) / 2, (CAMERA_SIZE[1] - 1) / 2), 73.0)
-RIG = {
+RIG: dict[str, Any] = {
     "camera": replace(PAPER_CAMERA, distortion=(-0.02, 0.0, 0.0, 0.0, 0.0)),
     "projector": replace(PAPER_PROJECTOR, distortion=(-0.01, 0.0, 0.0, 0.0, 0.0)),
 }
@@ -40,7 +41,7 @@ def _errors(found: SelfCalibration) -> tuple[np.ndarray, np.ndarray]:
     values += calibration.projector.principal_point_px
     truth = np.array([PAPER_CAMERA.focal_px[0], PAPER_PROJECTOR.focal_px[0], *PAPER_PROJECTOR.principal_point_px])
     sigma = calibration.sigma
-    sigmas = [sigma.camera.focal_px[0], sigma.projector.focal_px[0], *sigma.projector.principal_point_px]  # type: ignore[index, misc]
+    sigmas = [sigma.camera.focal_px[0], sigma.projector.focal_px[0], *sigma.projector.principal_point_px]
     return np.array(values) / truth - 1, (np.array(values) - truth) / np.array(sigmas)
 
 

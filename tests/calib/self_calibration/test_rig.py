@@ -47,13 +47,8 @@ def test_paper_on_exact_matches_is_exact() -> None:
 
 def test_paper_with_noise_errs_as_the_paper_does() -> None:
     rng = np.random.default_rng(0)
-    errors = []
-    for _ in range(8):
-        try:
-            errors.append(np.abs(_errors(_calibrate(random_capture(rng, distance=(1.5, 3.0)), "paper"))).mean())
-        except RefusalError:
-            continue
-    assert len(errors) >= 6
+    captures = [random_capture(rng, distance=(1.5, 3.0)) for _ in range(8)]
+    errors = [np.abs(_errors(_calibrate(capture, "paper"))).mean() for capture in captures]
     # Far from the Cramér–Rao bound of about 0.1 %, and of the order of the 4.3 % that the paper reports.
     assert 0.001 < np.median(errors) < 0.043
 
@@ -78,7 +73,7 @@ def test_refined_reaches_its_own_sigma_with_lens_distortion() -> None:
         sigma = found.calibration.sigma
         error = _errors(found)
         errors.append(np.abs(error).mean())
-        deviations.append(error[0] * PAPER_CAMERA.focal_px[0] / sigma.camera.focal_px[0])  # type: ignore[index]
+        deviations.append(error[0] * PAPER_CAMERA.focal_px[0] / sigma.camera.focal_px[0])
     assert 1e-5 < np.mean(errors) < 0.004
     assert 0.3 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
@@ -88,14 +83,10 @@ def test_walls_off_square_are_inside_the_sigma() -> None:
     deviations = []
     for _ in range(5):
         capture = random_capture(rng, **LENSES, walls_off_deg=0.3, distance=(1.5, 2.5))  # type: ignore[arg-type]
-        try:
-            found = _calibrate(capture, "refined", squareness_deg=0.3)
-        except RefusalError:
-            continue
-        sigma = found.calibration.sigma.camera.focal_px[0]  # type: ignore[index]
+        found = _calibrate(capture, "refined", squareness_deg=0.3)
+        sigma = found.calibration.sigma.camera.focal_px[0]
         assert 0.002 < sigma / PAPER_CAMERA.focal_px[0] < 0.2
         deviations.append(_errors(found)[0] * PAPER_CAMERA.focal_px[0] / sigma)
-    assert len(deviations) >= 3
     assert 0.05 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 

@@ -30,14 +30,14 @@ def column(*numbers: float) -> Floats:
         ((-1, 2.0, 0.5), (1, 0, 0), np.inf, 0),
     ],
 )
-def test_rays_enter_a_block(origin, direction, t, face):
+def test_rays_enter_a_block(origin: tuple[float, ...], direction: tuple[float, ...], t: float, face: int) -> None:
     found_t, found_face = UNIT_BLOCK.enter(column(*origin), column(*direction))
     assert found_t[0] == pytest.approx(t)
     assert found_face[0] == face
 
 
 @given(st.integers(0, 10_000))
-def test_rays_that_enter_a_block_stand_on_the_named_face(seed):
+def test_rays_that_enter_a_block_stand_on_the_named_face(seed: int) -> None:
     rng = np.random.default_rng(seed)
     origins = rng.normal(0, 5, (3, 50)) + column(20, 0, 0)
     inside = TILTED_BLOCK.origin[:, None] + TILTED_BLOCK.edges.T @ rng.uniform(0.01, 0.99, (3, 50))
@@ -50,7 +50,7 @@ def test_rays_that_enter_a_block_stand_on_the_named_face(seed):
     assert np.all(np.sum(TILTED_BLOCK.outward_normals[face].T * directions, axis=0) < 0)
 
 
-def test_rays_enter_a_sphere_at_its_near_side():
+def test_rays_enter_a_sphere_at_its_near_side() -> None:
     ball = Sphere(np.array([0.0, 0.0, 5.0]), 2.0)
     directions = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.41, 1.0]]).T
     np.testing.assert_allclose(ball.enter(np.zeros((3, 1)), directions)[:2], [3.0, np.inf])
@@ -60,7 +60,7 @@ def test_rays_enter_a_sphere_at_its_near_side():
 
 
 @given(st.integers(0, 10_000))
-def test_the_nearest_surface_is_seen_and_its_coordinates_lead_back_to_it(seed):
+def test_the_nearest_surface_is_seen_and_its_coordinates_lead_back_to_it(seed: int) -> None:
     rng = np.random.default_rng(seed)
     origin = column(3.0, 3.5, 1.5)
     targets = rng.uniform(0, 1.5, (3, 200))
@@ -90,13 +90,13 @@ def test_the_nearest_surface_is_seen_and_its_coordinates_lead_back_to_it(seed):
         ((0.6, 0.5, 0.39), Label.SPHERE),
     ],
 )
-def test_labels(target, label):
+def test_labels(target: tuple[float, ...], label: Label) -> None:
     origin = column(2.0, 1.9, 2.0)
     _, surface = SCENE.cast(origin, column(*target) - origin)
     assert SCENE.labels[surface[0]] == label
 
 
-def test_furniture_hides_what_is_behind_it():
+def test_furniture_hides_what_is_behind_it() -> None:
     eye = np.array([3.0, 2.5, 1.0])
     behind_box, beside_box, behind_ball = column(0.75, 0.9, 0.0), column(2.0, 0.5, 0.0), column(0.3, 0.2, 0.05)
     assert SCENE.occluded(np.hstack([behind_box, beside_box, behind_ball]), eye).tolist() == [True, False, True]

@@ -24,7 +24,7 @@ def angles_deg(walls: Block) -> list[float]:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_views_are_those_of_a_sensible_operator(seed):
+def test_views_are_those_of_a_sensible_operator(seed: int) -> None:
     room = drawn(seed)
     view = look(room.scene, room.camera, room.projector)
     assert 0.15 <= view.label_shares[:3].min() <= view.label_shares[:3].max() < 0.6
@@ -40,7 +40,7 @@ def test_views_are_those_of_a_sensible_operator(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_hide_vertex_puts_a_box_before_it_and_leaves_the_faces(seed):
+def test_hide_vertex_puts_a_box_before_it_and_leaves_the_faces(seed: int) -> None:
     room = drawn(seed, hide_vertex=True)
     view = look(room.scene, room.camera, room.projector)
     assert view.vertex_hidden
@@ -48,11 +48,11 @@ def test_hide_vertex_puts_a_box_before_it_and_leaves_the_faces(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_walls_are_square_unless_asked_otherwise(seed):
+def test_walls_are_square_unless_asked_otherwise(seed: int) -> None:
     np.testing.assert_allclose(angles_deg(drawn(seed).scene.room), 90.0, atol=1e-9)
 
 
-def test_walls_are_off_by_the_asked_standard_deviation():
+def test_walls_are_off_by_the_asked_standard_deviation() -> None:
     rng = np.random.default_rng(5)
     off = np.array([angles_deg(draw_walls(rng, 0.3)) for _ in range(400)]) - 90
     assert np.all((off.std(axis=0) > 0.27) & (off.std(axis=0) < 0.33))
@@ -60,14 +60,14 @@ def test_walls_are_off_by_the_asked_standard_deviation():
     assert np.abs(np.corrcoef(off.T)[np.triu_indices(3, 1)]).max() < 0.2
 
 
-def test_the_floor_stays_level_and_the_room_closed():
+def test_the_floor_stays_level_and_the_room_closed() -> None:
     walls = draw_walls(np.random.default_rng(3), 2.0)
     np.testing.assert_allclose(walls.outward_normals[2], [0, 0, -1], atol=1e-12)
     assert np.abs(np.array(angles_deg(walls)) - 90).max() > 0.5
     assert np.linalg.det(walls.edges) > 0
 
 
-def test_the_rig_moves_and_the_room_does_not():
+def test_the_rig_moves_and_the_room_does_not() -> None:
     places = [drawn(2, pose=pose, walls_off_deg=0.3) for pose in range(4)]
     calibrations = [true_calibration(place) for place in places]
     for i, (place, calibration) in enumerate(zip(places, calibrations, strict=True)):
@@ -84,7 +84,7 @@ def test_the_rig_moves_and_the_room_does_not():
         assert all(np.linalg.norm(place.camera.centre - other.camera.centre) > 0.35 for other in places[:i])
 
 
-def test_seeds_differ_and_repeat():
+def test_seeds_differ_and_repeat() -> None:
     first, again, other = drawn(7), drawn(7), drawn(8)
     np.testing.assert_array_equal(first.camera.centre, again.camera.centre)
     assert first.camera.optics == again.camera.optics
@@ -92,7 +92,7 @@ def test_seeds_differ_and_repeat():
     assert first.camera.optics.k1 != other.camera.optics.k1
 
 
-def test_lenses_are_ordinary_or_ideal():
+def test_lenses_are_ordinary_or_ideal() -> None:
     for seed in SEEDS:
         room = drawn(seed)
         assert -0.06 < room.camera.optics.k1 < -0.01
@@ -101,7 +101,7 @@ def test_lenses_are_ordinary_or_ideal():
     assert (ideal.camera.optics.k1, ideal.projector.optics.k1) == (0.0, 0.0)
 
 
-def test_solids_stand_in_the_room_and_not_in_each_other():
+def test_solids_stand_in_the_room_and_not_in_each_other() -> None:
     for seed in SEEDS:
         scene = drawn(seed, sphere_radius_m=0.1).scene
         assert scene.sphere is not None
@@ -115,7 +115,7 @@ def test_solids_stand_in_the_room_and_not_in_each_other():
         assert free.tolist() == [False, True, True, True]
 
 
-def test_without_furniture_the_room_is_empty():
+def test_without_furniture_the_room_is_empty() -> None:
     scene = drawn(0, furniture=False).scene
     assert scene.blocks == ()
     assert scene.sphere is None

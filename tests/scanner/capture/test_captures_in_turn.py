@@ -11,7 +11,7 @@ from hw.errors import DeviceError
 from hw.moving import at_place
 from hw.open_rig import OpenedRig
 from hw.rig import Frame, Rig
-from hw.settings import RigSettings, SimulatedRigSettings
+from hw.settings import SimulatedRigSettings
 from scanner import pipeline
 from scanner.capture import rig_placement as places
 from scanner.capture.recording import open_capture
@@ -47,6 +47,7 @@ class Mirror:
     """A projector and a camera in one that fails once its frames are used up."""
 
     size = SIZE
+    highest_level = 255
 
     def __init__(self, frames: int) -> None:
         self.frames = frames
@@ -63,12 +64,12 @@ class Mirror:
 
 
 @pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> list[RigSettings]:
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[SimulatedRigSettings]:
     """The settings that rigs are opened with; the second of them breaks after three frames."""
-    settings_seen: list[RigSettings] = []
+    settings_seen: list[SimulatedRigSettings] = []
 
     @contextmanager
-    def open_mirror(settings: RigSettings, *_: object) -> Iterator[OpenedRig]:
+    def open_mirror(settings: SimulatedRigSettings, *_: object) -> Iterator[OpenedRig]:
         settings_seen.append(settings)
         mirror = Mirror(3 if len(settings_seen) == 2 else 1000)
         yield OpenedRig(Rig(mirror, mirror), None)
@@ -85,7 +86,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def test_a_device_that_fails_midway_costs_nothing_that_was_captured(
-    tmp_path: Path, config: Path, opened: list[RigSettings], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, config: Path, opened: list[SimulatedRigSettings], capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "room"
     assert main(["--config", str(config), "--captures", "3", "--out", str(out), "--quiet"]) == 3
@@ -111,7 +112,7 @@ def unmoved(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("unmoved")
 def test_the_operator_is_asked_between_captures_and_may_stop(
-    tmp_path: Path, config: Path, opened: list[RigSettings], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, config: Path, opened: list[SimulatedRigSettings], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken: list[Scan] = []
     monkeypatch.setattr(pipeline, "reconstruct", lambda scan, *_, **__: taken.append(scan))
@@ -128,7 +129,7 @@ def test_the_operator_is_asked_between_captures_and_may_stop(
 
 @pytest.mark.usefixtures("unmoved")
 def test_without_a_terminal_nobody_can_be_asked(
-    tmp_path: Path, config: Path, opened: list[RigSettings], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, config: Path, opened: list[SimulatedRigSettings], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["--config", str(config), "--captures", "2", "--out", str(tmp_path / "room")]) == 2
     message = capsys.readouterr().err
@@ -153,7 +154,7 @@ def test_a_simulated_rig_steps_aside_by_itself() -> None:
     settings = SimulatedRigSettings(seed=4, pose=2)
     assert at_place(settings, 0) == settings
     assert at_place(settings, 3) == settings.model_copy(update={"pose": 5})
-    assert at_place(settings, 5).pose == 7
+    assert at_place(settings, 5) == settings.model_copy(update={"pose": 7})
     with pytest.raises(DeviceError, match=r"places 0 to 7; from rig\.pose 2 it cannot step aside 6 times"):
         at_place(settings, 6)
 
@@ -173,7 +174,7 @@ def test_a_simulated_rig_steps_aside_by_itself() -> None:
 def test_everything_is_checked_before_the_first_capture(
     tmp_path: Path,
     config: Path,
-    opened: list[RigSettings],
+    opened: list[SimulatedRigSettings],
     capsys: pytest.CaptureFixture[str],
     arguments: tuple[str, ...],
     words: str,

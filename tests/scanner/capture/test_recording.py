@@ -6,6 +6,7 @@ from errno import ENOSPC
 from itertools import count, islice
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import cv2
 import numpy as np
@@ -53,7 +54,7 @@ def test_what_is_recorded_is_replayed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("channels", [(), (3,)])
-def test_every_kind_of_frame_survives(tmp_path: Path, dtype: type, channels: tuple[int, ...]) -> None:
+def test_every_kind_of_frame_survives(tmp_path: Path, dtype: Any, channels: tuple[int, ...]) -> None:
     image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (*SIZE[::-1], *channels)).astype(dtype)
     list(record(stream_of(iter([Frame(image)]), 1), tmp_path / "capture").frames)
     (replayed,) = read_all(tmp_path / "capture")
@@ -77,11 +78,11 @@ def test_a_device_that_fails_leaves_a_capture_of_the_frames_so_far(tmp_path: Pat
     assert open_capture(tmp_path / "capture").patterns == PATTERNS[:1]
 
 
-def interrupt_at_line(number: int) -> Callable[[FrameType, str, object], object]:
+def interrupt_at_line(number: int) -> Callable[[FrameType, str, Any], Any]:
     """A trace function that presses Ctrl-C at the so-many-th line run of the modules that write a capture."""
     lines = count()
 
-    def trace(frame: FrameType, event: str, _: object) -> object:
+    def trace(frame: FrameType, event: str, _: object) -> Any:
         if frame.f_code.co_filename not in (recording.__file__, images.__file__):
             return None
         if event == "line" and next(lines) == number:
@@ -180,7 +181,7 @@ class Broken:
     words: tuple[str, ...]
 
 
-def listing_with(change: Callable[[dict], object]) -> Callable[[Path], None]:
+def listing_with(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], None]:
     def break_it(folder: Path) -> None:
         listing = read_listing(folder)
         change(listing)

@@ -13,6 +13,7 @@ class Mirror:
 
     def __init__(self, delivered: tuple[int, int] = SIZE) -> None:
         self.size = SIZE
+        self.highest_level = 255
         self.asked: list[str] = []
         self._delivered = delivered
         self._shown = np.zeros(SIZE[::-1], np.uint8)

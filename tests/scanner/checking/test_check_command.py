@@ -1,5 +1,6 @@
 """`scan check` as an operator runs it: exit codes, output, the files that it leaves."""
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
@@ -11,6 +12,8 @@ from rich.console import Console
 from calib.refusal import RefusalError
 from hw.errors import DeviceError, OverexposedError
 from hw.open_rig import OpenedRig
+from hw.settings import AravisRigSettings
+from hw.simulated.simulation import SimulatedRoom
 from scanner.checking import check as checking
 from scanner.checking import devices
 from scanner.checking.report import CheckReport, CheckRow, State
@@ -18,6 +21,7 @@ from scanner.checking.table import table_of
 from scanner.commands import check as command
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
+from scanner.ui.terminal import Terminal
 from tests.support.check_bench import OVERRIDES, PERIOD_US, changed, rig_in
 
 TEXT = "# My rig\nrig:\n  backend: simulated   # a room\n  seed: 0\n"
@@ -45,11 +49,13 @@ def report(monkeypatch: pytest.MonkeyPatch, usual: CheckReport) -> CheckReport:
     return usual
 
 
-def finding(monkeypatch: pytest.MonkeyPatch, rows: tuple[CheckRow, ...], failure: Exception | None) -> None:
+def finding(
+    monkeypatch: pytest.MonkeyPatch, rows: tuple[CheckRow, ...], failure: DeviceError | RefusalError | None
+) -> None:
     monkeypatch.setattr(command, "check", lambda *_: CheckReport(rows, failure=failure))
 
 
-def test_the_table_says_what_was_found(path, report, capsys):
+def test_the_table_says_what_was_found(path: Path, report: CheckReport, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--config", path) == 0
     text = " ".join(capsys.readouterr().out.split())
     for word in ("✓ ok", "gamma 2.20", "refresh period", "focal lengths will be known to about"):
@@ -57,12 +63,14 @@ def test_the_table_says_what_was_found(path, report, capsys):
     assert path.read_text().startswith(TEXT)
 
 
-def test_quiet_prints_nothing(path, report, capsys):
+def test_quiet_prints_nothing(path: Path, report: CheckReport, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--config", path, "--quiet", "--write") == 0
     assert capsys.readouterr() == ("", "")
 
 
-def test_write_puts_exposure_and_response_into_the_file(path, report, capsys):
+def test_write_puts_exposure_and_response_into_the_file(
+    path: Path, report: CheckReport, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = path.read_text()
     assert run("--config", path, "--write") == 0
     assert "room.yaml.bak" in capsys.readouterr().out
@@ -77,14 +85,14 @@ def test_write_puts_exposure_and_response_into_the_file(path, report, capsys):
     assert path.with_name("room.yaml.bak").read_text() == before
 
 
-def test_what_was_written_is_taken(path, report):
+def test_what_was_written_is_taken(path: Path, report: CheckReport) -> None:
     assert run("--config", path, "--write") == 0
     once = path.read_text()
     assert run("--config", path, "--write") == 0
     assert path.read_text() == once
 
 
-def test_out_keeps_pictures_and_rows(path, report, tmp_path):
+def test_out_keeps_pictures_and_rows(path: Path, report: CheckReport, tmp_path: Path) -> None:
     out = tmp_path / "check"
     assert run("--config", path, "--out", out, "--quiet") == 0
     document = yaml.safe_load((out / "check.yaml").read_text())
@@ -103,7 +111,13 @@ def test_out_keeps_pictures_and_rows(path, report, tmp_path):
         (RefusalError("The faces are flat.", "Turn the rig."), 4),
     ],
 )
-def test_exit_codes(path, monkeypatch, capsys, failure, code):
+def test_exit_codes(
+    path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    failure: DeviceError | RefusalError | None,
+    code: int,
+) -> None:
     rows = (CheckRow("camera", State.OK, "here"), CheckRow("focus", State.POOR, "blurred", "Focus the camera."))
     finding(monkeypatch, rows, failure)
     assert run("--config", path) == code
@@ -113,7 +127,9 @@ def test_exit_codes(path, monkeypatch, capsys, failure, code):
     assert (str(failure) in captured.err) if failure else (captured.err == "")
 
 
-def test_without_a_finding_nothing_is_written(path, monkeypatch, capsys):
+def test_without_a_finding_nothing_is_written(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = path.read_text()
     finding(monkeypatch, (), DeviceError("gone"))
     assert run("--config", path, "--write") == 3
@@ -122,7 +138,9 @@ def test_without_a_finding_nothing_is_written(path, monkeypatch, capsys):
     assert not path.with_name("room.yaml.bak").exists()
 
 
-def test_a_camera_that_is_absent(path, monkeypatch, capsys):
+def test_a_camera_that_is_absent(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def refuse(*_: object) -> None:
         raise DeviceError("camera: no camera answers to 'x'. Found: none. Check power and cable.")
 
@@ -144,18 +162,22 @@ def test_a_camera_that_is_absent(path, monkeypatch, capsys):
         ("projector: {width: 64, height: 48, response: [0, 2, 1]}\n", "rise from 0 to 1"),
     ],
 )
-def test_a_configuration_that_is_wrong(tmp_path, capsys, text, words):
+def test_a_configuration_that_is_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, words: str
+) -> None:
     path = tmp_path / "wrong.yaml"
     path.write_text(text)
     assert run("--config", path) == 2
     assert words in capsys.readouterr().err
 
 
-def test_a_rig_that_is_too_bright_to_begin_with_is_opened_with_less(monkeypatch, room):
+def test_a_rig_that_is_too_bright_to_begin_with_is_opened_with_less(
+    monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom
+) -> None:
     asked = []
 
     @contextmanager
-    def opening(settings, *_):
+    def opening(settings: AravisRigSettings, *_: object) -> Iterator[OpenedRig]:
         asked.append(settings.exposure_us)
         if settings.exposure_us > 12_000:
             raise OverexposedError("everything that white lights is overexposed")
@@ -168,17 +190,17 @@ def test_a_rig_that_is_too_bright_to_begin_with_is_opened_with_less(monkeypatch,
     assert asked == [160_000, 40_000, 10_000]
 
 
-def test_one_that_stays_too_bright_is_given_up(monkeypatch):
+def test_one_that_stays_too_bright_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise OverexposedError("everything that white lights is overexposed")
 
     monkeypatch.setattr(devices, "open_rig", refuse)
-    report = checking.check(load_config(None, (*OVERRIDES, "rig={backend: aravis}")), command.Terminal(quiet=True))
+    report = checking.check(load_config(None, (*OVERRIDES, "rig={backend: aravis}")), Terminal(quiet=True))
     assert isinstance(report.failure, DeviceError)
 
 
 @pytest.mark.parametrize(("encoding", "sign"), [("utf-8", "✓"), ("ascii", "+"), (None, "+"), ("cp1252", "+")])
-def test_terminals_that_have_no_such_signs_get_plain_ones(encoding, sign):
+def test_terminals_that_have_no_such_signs_get_plain_ones(encoding: str | None, sign: str) -> None:
     report = CheckReport((CheckRow("focus", State.OK, "sharp [all]", "Nothing."),))
     out = StringIO()
     Console(file=out, width=80).print(table_of(report, encoding))
@@ -187,7 +209,7 @@ def test_terminals_that_have_no_such_signs_get_plain_ones(encoding, sign):
     assert ("→" in out.getvalue()) == (sign == "✓")
 
 
-def test_help_says_what_the_exit_codes_mean(capsys):
+def test_help_says_what_the_exit_codes_mean(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         run("--help")
     text = capsys.readouterr().out

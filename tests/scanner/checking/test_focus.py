@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.numerics.array_types import Floats
+from hw.simulated.simulation import SimulatedRoom
 from scanner.checking.check import check_rig
 from scanner.checking.focus import BlurSamples, period_for, tell_apart
 from scanner.checking.focus_row import amplitude_left, finest_period_px, focus_row
@@ -21,7 +23,7 @@ from tests.support.check_bench import PERIOD_US, changed, config, rig_in, row
         ({"camera_blur_px": 2.2}, "Focus the camera."),
     ],
 )
-def test_the_lens_that_is_out_of_focus_is_named(room, blur, advice):
+def test_the_lens_that_is_out_of_focus_is_named(room: SimulatedRoom, blur: dict[str, float], advice: str) -> None:
     report = check_rig(rig_in(changed(room, exposure_us=PERIOD_US, **blur)), config(), Terminal(quiet=True))
     found = row(report, "focus")
     assert found.state == State.POOR
@@ -38,22 +40,22 @@ def samples_of(projector: float, camera: float, *, noise: float = 0.02, even: bo
 
 
 @pytest.mark.parametrize(("projector", "camera"), [(0.5, 0.5), (2.0, 0.5), (0.5, 2.0), (0.0, 1.0), (1.5, 1.5)])
-def test_blur_is_split_between_the_lenses(projector, camera):
+def test_blur_is_split_between_the_lenses(projector: float, camera: float) -> None:
     samples = samples_of(projector, camera)
     lenses = tell_apart(samples)
-    assert 0 < lenses.projector2_sigma < 0.1
+    assert 1e-4 < lenses.projector2_sigma < 0.1
     assert abs(lenses.projector2 - projector**2) < 4 * lenses.projector2_sigma
     assert abs(lenses.camera2 - camera**2 * lenses.span**2) < 4 * lenses.camera2_sigma
 
 
-def test_the_lens_that_seems_to_be_the_one_is_named_with_care():
+def test_the_lens_that_seems_to_be_the_one_is_named_with_care() -> None:
     samples = replace(samples_of(1.25, 0.5), doubt2=np.full(200, 0.2))
     found = focus_row(samples, tell_apart(samples), 6.7)
     assert found.state == State.POOR
     assert found.advice.startswith("Focus the projector, which seems to be the one")
 
 
-def test_what_cannot_be_told_is_not_told():
+def test_what_cannot_be_told_is_not_told() -> None:
     samples = samples_of(1.5, 1.5, noise=0.05, even=True)
     found = focus_row(samples, tell_apart(samples), 6.7)
     assert found.state == State.POOR
@@ -64,14 +66,14 @@ def test_what_cannot_be_told_is_not_told():
     ("projector", "camera", "advice"),
     [(0.5, 0.5, ""), (2.0, 0.5, "Focus the projector."), (0.5, 2.0, "Focus the camera."), (2.5, 2.5, "Focus the proj")],
 )
-def test_advice(projector, camera, advice):
+def test_advice(projector: float, camera: float, advice: str) -> None:
     samples = samples_of(projector, camera)
     found = focus_row(samples, tell_apart(samples), 6.7)
     assert found.advice.startswith(advice)
     assert (found.state == State.OK) == (advice == "")
 
 
-def test_a_camera_of_coarse_pixels_is_not_told_to_focus():
+def test_a_camera_of_coarse_pixels_is_not_told_to_focus() -> None:
     samples = samples_of(0.3, 0.5)
     coarse = BlurSamples(0.3**2 + 0.5**2 * (4 * samples.span) ** 2, 4 * samples.span, *vars_of(samples))
     found = focus_row(coarse, tell_apart(coarse), 6.7)
@@ -79,24 +81,24 @@ def test_a_camera_of_coarse_pixels_is_not_told_to_focus():
     assert "too coarse" in found.advice
 
 
-def vars_of(samples: BlurSamples) -> tuple:
+def vars_of(samples: BlurSamples) -> tuple[Floats, Floats, float]:
     return samples.where, samples.doubt2, samples.lost
 
 
-def test_the_part_of_the_image_that_is_worst_is_named():
+def test_the_part_of_the_image_that_is_worst_is_named() -> None:
     samples = samples_of(0.5, 0.5)
     tilted = samples.blur2 + 3.0 * ((samples.where[:, 0] > 0.6) & (samples.where[:, 1] > 0.6))
     found = focus_row(BlurSamples(tilted, samples.span, *vars_of(samples)), tell_apart(samples), 6.7)
     assert "in the lower right part of the image" in found.finding
 
 
-def test_stripes_that_are_gone_everywhere():
+def test_stripes_that_are_gone_everywhere() -> None:
     none = np.zeros(0)
     found = focus_row(BlurSamples(none, none, np.zeros((0, 2)), none, 1.0), None, 6.7)
     assert found.state == State.FAILED
 
 
-def test_amplitude_and_periods():
+def test_amplitude_and_periods() -> None:
     assert amplitude_left(0.0, 6.7) == 1
     assert amplitude_left(1.0, 2 * np.pi) == pytest.approx(np.exp(-0.5))
     assert finest_period_px(sequence_for((64, 48), cell=8, periods=(16.0, 6.7))) == 6.7

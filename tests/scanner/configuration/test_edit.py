@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -44,7 +45,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
-def test_only_the_key_changes(case):
+def test_only_the_key_changes(case: Case) -> None:
     assert with_key(case.before, "rig.exposure_us", 5.5, "room.yaml") == case.after
 
 
@@ -59,7 +60,7 @@ def test_only_the_key_changes(case):
         "base: &b {exposure_us: 3}\nrig:\n  exposure_us: *c\n",
     ],
 )
-def test_what_cannot_be_changed_safely_is_refused_with_the_line_to_write(text):
+def test_what_cannot_be_changed_safely_is_refused_with_the_line_to_write(text: str) -> None:
     with pytest.raises(InputError):
         with_key(text, "rig.exposure_us", 5.5, "room.yaml")
 
@@ -75,8 +76,10 @@ VALUES = st.recursive(
 
 @settings(max_examples=60)
 @given(st.dictionaries(KEYS, VALUES, min_size=1, max_size=4), st.booleans(), st.booleans())
-def test_whatever_the_file_is_like_it_means_the_same_but_for_the_key(section, flow, there):
-    data = {"one": 1, "rig": section | ({"exposure_us": 1} if there else {}), "two": [2, {"three": 3}]}
+def test_whatever_the_file_is_like_it_means_the_same_but_for_the_key(
+    section: dict[str, object], flow: bool, there: bool
+) -> None:
+    data: dict[str, Any] = {"one": 1, "rig": section | ({"exposure_us": 1} if there else {}), "two": [2, {"three": 3}]}
     parts = [yaml.safe_dump({key: value}, default_flow_style=False, allow_unicode=True) for key, value in data.items()]
     if flow:
         parts[1] = f"rig: {yaml.safe_dump(data['rig'], default_flow_style=True, allow_unicode=True)}"
@@ -106,7 +109,7 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_file_is_changed_and_kept_as_it_was(path):
+def test_the_file_is_changed_and_kept_as_it_was(path: Path) -> None:
     path.chmod(0o640)
     backup = set_keys(path, {"rig.exposure_us": 33333.3, "projector.response": [0.0, 0.4, 1.0]})
     assert backup.read_text() == CONFIG
@@ -120,7 +123,7 @@ def test_the_file_is_changed_and_kept_as_it_was(path):
     assert sorted(file.name for file in path.parent.iterdir()) == ["room.yaml", "room.yaml.bak"]
 
 
-def test_a_link_stays_a_link(path, tmp_path):
+def test_a_link_stays_a_link(path: Path, tmp_path: Path) -> None:
     link = tmp_path / "link.yaml"
     link.symlink_to(path)
     set_keys(link, {"rig.exposure_us": 5.0})
@@ -128,7 +131,7 @@ def test_a_link_stays_a_link(path, tmp_path):
     assert load_config(path).rig.exposure_us == 5.0
 
 
-def test_a_mark_at_the_start_and_carriage_returns_stay(path):
+def test_a_mark_at_the_start_and_carriage_returns_stay(path: Path) -> None:
     path.write_bytes(b"\xef\xbb\xbf" + CONFIG.replace("\n", "\r\n").encode())
     set_keys(path, {"rig.exposure_us": 5.0})
     data = path.read_bytes()
@@ -137,7 +140,7 @@ def test_a_mark_at_the_start_and_carriage_returns_stay(path):
 
 
 @pytest.mark.parametrize("value", [-1.0, "soon"])
-def test_a_configuration_that_would_be_wrong_is_not_written(path, value):
+def test_a_configuration_that_would_be_wrong_is_not_written(path: Path, value: object) -> None:
     with pytest.raises(InputError, match="exposure_us"):
         set_keys(path, {"rig.exposure_us": value})
     assert path.read_text() == CONFIG
@@ -145,7 +148,7 @@ def test_a_configuration_that_would_be_wrong_is_not_written(path, value):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_may_not_be_written_to(path):
+def test_a_folder_that_may_not_be_written_to(path: Path) -> None:
     path.parent.chmod(0o500)
     try:
         with pytest.raises(InputError, match="as it was"):

@@ -1,11 +1,13 @@
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hw.settings import SimulatedRigSettings
 from scanner.configuration.schema import Config, load_config
 from scanner.errors import InputError
 from scanner.io.validation import known_keys
@@ -69,6 +71,7 @@ def test_overrides_reach_every_depth_and_are_yaml(tmp_path: Path) -> None:
         "corner.same=false",
     )
     assert config.method == "refined"
+    assert isinstance(config.required_rig, SimulatedRigSettings)
     assert config.required_rig.seed == 7
     assert config.camera.principal_point.known == (10, 20.5)
     assert config.scale is not None
@@ -235,7 +238,7 @@ def test_a_known_principal_point_must_fit_the_images(tmp_path: Path, size: tuple
         },
     )
 )
-def test_what_is_written_is_what_is_read(tmp_path_factory: pytest.TempPathFactory, settings: dict) -> None:
+def test_what_is_written_is_what_is_read(tmp_path_factory: pytest.TempPathFactory, settings: dict[str, Any]) -> None:
     path = tmp_path_factory.getbasetemp() / "written.yaml"
     path.write_text(yaml.safe_dump(settings))
     read = load_config(path)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hw.settings import AravisRigSettings
 from scanner.console.results import earlier_results
 from scanner.console.settings import Picture, Settings, drawn
 from scanner.errors import InputError
@@ -21,6 +22,7 @@ def test_the_page_comes_after_the_command_line_comes_after_the_file(tmp_path: Pa
     overridden = Settings(path, ("rig.exposure_us=2000",))
     assert overridden.load().required_rig.exposure_us == 2000
     changed = Settings(path, ("rig.exposure_us=2000",), exposure_us=3000.5, gain=-1.5).load().required_rig
+    assert isinstance(changed, AravisRigSettings)
     assert (changed.exposure_us, changed.gain) == (3000.5, -1.5)
 
 

@@ -191,7 +191,9 @@ def test_requests_come_one_at_a_time(worker: Worker, page: Notebook) -> None:
 
 
 def test_progress_shows_frames_and_stops_between_them() -> None:
-    cancelled, stages, frames = threading.Event(), [], []
+    cancelled = threading.Event()
+    stages: list[object] = []
+    frames: list[object] = []
     progress = StagedProgress(cancelled, stages.append, frames.append)
     frame = Frame(np.zeros((2, 2), np.uint8))
     taken = progress.track([("pattern", frame), ("pattern", frame), ("pattern", frame)], 3, "Capturing")

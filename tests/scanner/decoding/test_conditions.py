@@ -1,6 +1,6 @@
 """The same sequence under other light, with other cameras: no false alarm, and the masks and warnings that belong."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,7 +65,7 @@ def test_no_gamma_ripples_a_preset(preset: PresetName, gamma: float) -> None:
         for period in PRESETS[preset].periods:
             phase = 2 * np.pi * coordinate / period
             ripple = [2 * abs(np.mean(np.clip(errors, -0.5, 0.5) * np.exp(1j * k * phase))) for k in (1, 2, 3, 4, 8)]
-            assert 0 < max(ripple) < 0.02
+            assert 1e-5 < max(ripple) < 0.02
 
 
 def test_flicker_is_measured_and_reported() -> None:
@@ -79,7 +79,7 @@ def test_flicker_is_measured_and_reported() -> None:
             assert {each.flicker for each in found} == {None}, "two fringes say too little"
             continue
         assert steady.flicker is not None
-        assert 0 <= steady.flicker < 0.006
+        assert steady.flicker < 0.006
         assert 0.02 < np.median([each.flicker or 0 for each in found]) < 0.08
         warned = [any("brightness of the frames varies" in warning for warning in each.warnings) for each in found]
         assert sum(warned) >= 4
@@ -98,7 +98,7 @@ def test_three_shifts_are_straightened_without_knowing_the_gamma(gamma: float) -
     errors = scene.errors(decoding)[:, 0]
     phase = 2 * np.pi * decoding.matches.projector_px[:, 0] / 16
     ripple = 2 * abs(np.mean(np.clip(errors, -0.5, 0.5) * np.exp(3j * phase)))
-    assert 0 < ripple < 0.03, "0.5 to 1.0 px as it is measured"
+    assert 1e-4 < ripple < 0.03, "0.5 to 1.0 px as it is measured"
 
 
 def test_the_shadow_is_dark_and_the_edges_are_isolated() -> None:
@@ -149,7 +149,7 @@ def test_without_white_the_texture_is_the_brightest_of_all_frames() -> None:
     decoding = decode(STANDARD[1:], frames[1:], SCENE.projector)
     assert np.array_equal(decoding.texture, np.max(frames[1:], axis=0))
     difference = decoding.texture.astype(float) - frames[0]
-    assert 0 < np.median(difference[SCENE.well_lit()]) < 10
+    assert 0.01 < np.median(difference[SCENE.well_lit()]) < 10
 
 
 def test_the_noise_is_measured() -> None:
@@ -168,7 +168,7 @@ def test_the_frames_are_not_changed_and_may_be_reused() -> None:
 
     buffer = np.empty_like(frames[0])
 
-    def grabbed() -> object:
+    def grabbed() -> Iterator[Image]:
         for frame in frames:
             buffer[...] = frame
             yield buffer

@@ -97,7 +97,13 @@ def test_a_mix_decodes(case: Case) -> None:
 
 
 def test_one_axis_with_fringes_and_one_with_a_code() -> None:
-    patterns = (White(), Black(), *gray_sequence("x", 300, 8), *phase_sequence("x", 16, 8), *gray_sequence("y", 200, 4))
+    patterns: tuple[Pattern, ...] = (
+        White(),
+        Black(),
+        *gray_sequence("x", 300, 8),
+        *phase_sequence("x", 16, 8),
+        *gray_sequence("y", 200, 4),
+    )
     decoding = SCENE.decode(patterns)
     errors = np.abs(SCENE.errors(decoding))
     assert 0.005 < np.median(errors[:, 0]) < 0.03

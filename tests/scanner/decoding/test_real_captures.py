@@ -1,6 +1,7 @@
 """The captures of other people with real devices; what their README states was measured by an independent decoder."""
 
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -39,7 +40,8 @@ def decode(name: str, part: tuple[slice, slice] = np.s_[:, :], exchange: tuple[i
     frames[i], frames[j] = frames[j], frames[i]
     decoder = Decoder(patterns, projector_size)
     for frame in frames:
-        decoder.add(np.ascontiguousarray(frame[part]))
+        image: Any = np.ascontiguousarray(frame[part])
+        decoder.add(image)
     return decoder.finish()
 
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scanner.decoding.decoder import Decoder
 from scanner.errors import InputError
 from scanner.patterns.pattern import (
+    Axis,
     Black,
     Gray,
     Pattern,
@@ -22,6 +23,7 @@ from scanner.patterns.pattern import (
 )
 from tests.support.synthetic_capture import fringes
 
+AXES: tuple[Axis, ...] = ("x", "y")
 SIZE = (300, 200)
 X = tuple(gray_sequence("x", 300, 4))
 Y = tuple(gray_sequence("y", 200, 4))
@@ -64,13 +66,13 @@ def test_an_undetermined_mix_is_refused(patterns: tuple[Pattern, ...], said: str
     [
         sequence_for(SIZE),
         (*X[::2], *Y[1::2]),
-        tuple(p for axis, length in (("x", 300), ("y", 200)) for p in xor_sequence(axis, length, 4)),
+        (*xor_sequence("x", 300, 4), *xor_sequence("y", 200, 4)),
         (*X, *(p for p in xor_sequence("x", 300, 4) if isinstance(p, Xor)), *xor_sequence("y", 200, 8, inverses=False)),
         (*X, *Y, Black()),
         fringes([300, 30], 3),
         fringes([21, 19, 17], 4),
         (*gray_sequence("x", 300, 100), *fringes([100, 100 / 1.5], 3), *gray_sequence("y", 200, 100)),
-        tuple(pattern for axis in ("x", "y") for pattern in gray_sequence(axis, 2048, 1)),
+        tuple(pattern for axis in AXES for pattern in gray_sequence(axis, 2048, 1)),
     ],
 )
 def test_a_determined_mix_is_accepted(patterns: tuple[Pattern, ...]) -> None:
@@ -79,7 +81,7 @@ def test_a_determined_mix_is_accepted(patterns: tuple[Pattern, ...]) -> None:
 
 def test_a_bit_that_never_changes_may_be_missing() -> None:
     # 11 bits count to 2047: the first is 0 on all of 720 rows, the first two of 300 columns.
-    patterns = [p for axis, length in (("x", 300), ("y", 720)) for p in gray_sequence(axis, 2048, 1) if p.bit != 0]
+    patterns = [p for axis in AXES for p in gray_sequence(axis, 2048, 1) if p.bit != 0]
     Decoder(patterns, (300, 720))
     with pytest.raises(InputError, match="no frame shows bit 0"):
         Decoder(patterns, (300, 1080))

@@ -84,15 +84,15 @@ def test_wrong_arguments(
     assert {path.name for path in result.parent.iterdir()} == {"room", "folder.ply", "file"}
 
 
-def remove(name: str) -> Callable[[Path], None]:
+def remove(name: str) -> Callable[[Path], object]:
     return lambda result: (result / name).unlink()
 
 
-def cut(name: str, keep: int) -> Callable[[Path], None]:
+def cut(name: str, keep: int) -> Callable[[Path], object]:
     return lambda result: (result / name).write_bytes((result / name).read_bytes()[:keep])
 
 
-def replace_text(name: str, old: bytes, new: bytes) -> Callable[[Path], None]:
+def replace_text(name: str, old: bytes, new: bytes) -> Callable[[Path], object]:
     return lambda result: (result / name).write_bytes((result / name).read_bytes().replace(old, new, 1))
 
 
@@ -124,7 +124,7 @@ def forget_most_matches(result: Path) -> None:
     ],
 )
 def test_damaged_results(
-    result: Path, capsys: pytest.CaptureFixture[str], to: str, damage: Callable[[Path], None], words: tuple[str, ...]
+    result: Path, capsys: pytest.CaptureFixture[str], to: str, damage: Callable[[Path], object], words: tuple[str, ...]
 ) -> None:
     damage(result)
     out = result.parent / {"opencv": "out.yaml", "colmap": "out", "ply": "out.ply", "mesh": "out.glb"}[to]

@@ -233,7 +233,7 @@ def test_what_frames_cannot_tell_is_asked_for(
 
 
 def middle(image: Image) -> Image:
-    return np.ascontiguousarray(image[150:230, 190:290])
+    return image[150:230, 190:290].copy()
 
 
 def test_a_size_that_was_not_seen_is_asked_for(

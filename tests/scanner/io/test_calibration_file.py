@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def calibrations(draw: st.DrawFn) -> Calibration:
             draw(st.integers(1, 10_000)),
             (draw(positive), draw(positive)),
             (draw(number), draw(number)),
-            tuple(draw(st.lists(number, min_size=5, max_size=5))),
+            draw(st.tuples(number, number, number, number, number)),
         )
 
     rotation = Rotation.from_rotvec([draw(st.floats(-2, 2)) for _ in range(3)]).as_matrix()
@@ -109,7 +110,7 @@ def test_sigmas_of_other_programs_are_understood(tmp_path: Path) -> None:
     assert found == Sigmas(DeviceSigmas((1.0, 2.5), (3.0, 3.0)), corner_angles_deg=(0.1, 0.1, 0.1))
 
 
-WRONG = {
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "no camera": ({"camera": None}, "'camera' is missing"),
     "no unit": ({"unit": None}, "'unit' is missing"),
     "no focal": ({"projector__focal_px": None}, "'projector.focal_px' is missing"),

@@ -1,5 +1,6 @@
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from calib.geometry.matches import Matches
 from scanner.errors import InputError
 from scanner.io.matches_file import read_matches, read_planes, write_matches
 
-GOOD = {"camera_px": np.ones((4, 2)), "projector_px": np.zeros((4, 2))}
+GOOD: dict[str, Any] = {"camera_px": np.ones((4, 2)), "projector_px": np.zeros((4, 2))}
 
 pixels = stn.arrays(np.float64, (5, 2), elements=st.floats(-1e4, 1e4))
 
@@ -55,7 +56,7 @@ def test_other_number_types_and_arrays_are_read(tmp_path: Path) -> None:
     assert matches.face is not None
 
 
-WRONG = {
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "no camera": ({"camera_px": None}, "'camera_px' is missing"),
     "no projector": ({"projector_px": None}, "'projector_px' is missing"),
     "another length": (

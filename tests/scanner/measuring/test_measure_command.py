@@ -41,10 +41,10 @@ def test_the_sphere(written: Written, measured: dict[str, Any]) -> None:
     error = sphere["diameter"] - 2 * SPHERE_RADIUS_M
     assert measured["unit"] == "m"
     assert sphere["nominal_diameter"] == 0.3
-    assert 0 < abs(error) < 4 * sphere["diameter_sigma"]
+    assert 1e-7 < abs(error) < 4 * sphere["diameter_sigma"]
     assert 1e-6 < sphere["diameter_sigma"] < 2e-4
     off_centre = np.linalg.norm(np.array(sphere["centre"]) - written.scene.sphere_centre)
-    assert 0 < off_centre < 5 * np.linalg.norm(sphere["centre_sigma"]) < 1e-3
+    assert 1e-6 < off_centre < 5 * np.linalg.norm(sphere["centre_sigma"]) < 1e-3
     column, row = CAMERA.project(written.scene.sphere_centre)
     assert np.allclose(sphere["image_px"]["centre"], (column, row), atol=0.1)
 
@@ -68,13 +68,13 @@ def test_the_faces_and_their_angles(written: Written, measured: dict[str, Any]) 
     normals = written.scene.corner.normals
     assert [face["name"] for face in measured["faces"]] == ["A", "B", "C"]
     for face, normal in zip(measured["faces"], normals, strict=True):
-        assert 0 < np.degrees(np.arccos(min(1.0, abs(np.array(face["normal"]) @ normal)))) < 0.02
+        assert 1e-5 < np.degrees(np.arccos(min(1.0, abs(np.array(face["normal"]) @ normal)))) < 0.02
         assert face["offset"] == pytest.approx(-abs(normal @ written.scene.corner.vertex), abs=1e-3)
         assert face["points"] > 5_000
         assert 1e-5 < face["mean_absolute_error"] < face["rms_error"] < 2e-3
     assert [angle["faces"] for angle in measured["angles"]] == [["A", "B"], ["A", "C"], ["B", "C"]]
     for angle in measured["angles"]:
-        assert 0 < abs(angle["angle_deg"] - 90) < 4 * angle["sigma_deg"]
+        assert 1e-6 < abs(angle["angle_deg"] - 90) < 4 * angle["sigma_deg"]
         assert 1e-5 < angle["sigma_deg"] < 0.02
 
 
@@ -84,7 +84,7 @@ def test_the_distance(written: Written, measured: dict[str, Any]) -> None:
     ends = [scene.points[np.all(scene.matches.camera_px == at, axis=1)][0] for at in (PIXELS[:2], PIXELS[2:])]
     error = distance["distance"] - np.linalg.norm(ends[1] - ends[0])
     assert distance["between"] == ["pixel (120, 150)", "pixel (300, 160)"]
-    assert 0 < abs(error) < 4 * distance["sigma"]
+    assert 1e-6 < abs(error) < 4 * distance["sigma"]
     assert 1e-5 < distance["sigma"] < 3e-3
 
 
@@ -128,7 +128,7 @@ def test_other_units(tmp_path: Path, unit: str, text: str) -> None:
     assert run("measure", written.folder, "--sphere", text, "--quiet") == 0
     document = json.loads((tmp_path / "room-measured/measure.json").read_text())
     assert document["unit"] == unit
-    assert 0 < abs(document["spheres"][0]["diameter"] - 0.3) < 1e-3
+    assert 1e-7 < abs(document["spheres"][0]["diameter"] - 0.3) < 1e-3
 
 
 def test_a_sparse_cloud(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_a_sparse_cloud(tmp_path: Path) -> None:
     written = write_result(tmp_path / "room", keep=lambda pixels: rng.random(len(pixels)) < 0.11)
     assert run("measure", written.folder, "--sphere", "300mm", "--quiet") == 0
     (sphere,) = json.loads((tmp_path / "room-measured/measure.json").read_text())["spheres"]
-    assert 0 < abs(sphere["diameter"] - 0.3) < 4 * sphere["diameter_sigma"] < 5e-3
+    assert 1e-6 < abs(sphere["diameter"] - 0.3) < 4 * sphere["diameter_sigma"] < 5e-3
     assert 100 < sphere["points"] < 1000
 
 

@@ -34,7 +34,7 @@ def test_the_ball_of_a_simulated_room(tmp_path: Path) -> None:
     eye, ball = room.room.camera, room.room.scene.sphere
     assert ball is not None
     centre = eye.rotation @ (ball.centre - eye.centre)
-    assert 0 < abs(sphere["diameter"] / (2 * RADIUS_M) - 1) < 0.01
-    assert 0 < np.linalg.norm(np.array(sphere["centre"]) - centre) / np.linalg.norm(centre) < 0.005
+    assert 1e-5 < abs(sphere["diameter"] / (2 * RADIUS_M) - 1) < 0.01
+    assert 1e-6 < np.linalg.norm(np.array(sphere["centre"]) - centre) / np.linalg.norm(centre) < 0.005
     assert 1e-5 < sphere["mean_absolute_error"] < 1e-3
     assert all(0 < abs(angle["angle_deg"] - 90) < 0.1 for angle in document["angles"])

@@ -10,10 +10,10 @@ from pydantic import TypeAdapter
 
 from scanner.capture.recording import open_capture
 from scanner.errors import InputError
-from scanner.patterns.pattern import Black, Gray, Pattern, Phase, White, Xor, draw, sequence_for
+from scanner.patterns.pattern import Axis, Black, Gray, Pattern, Phase, White, Xor, draw, sequence_for
 from scanner.patterns.sequence_file import PatternEntry, frame_line, pattern_to_dict, write_sequence
 
-axes = st.sampled_from(["x", "y"])
+axes: st.SearchStrategy[Axis] = st.sampled_from(["x", "y"])
 
 
 @st.composite

@@ -37,9 +37,9 @@ FOUND = replace(
 
 
 def printed(*args: Calibration) -> str:
-    console = Console(file=io.StringIO(), width=120)
-    console.print(calibration_table(*args))
-    return console.file.getvalue()
+    out = io.StringIO()
+    Console(file=out, width=120).print(calibration_table(*args))
+    return out.getvalue()
 
 
 def test_errors_are_relative_to_the_truth() -> None:

@@ -51,14 +51,14 @@ def test_labels_and_matches_of_cells() -> None:
     for (row, column), found in np.ndenumerate(drawn):
         inside = np.all(np.floor((camera_px + 0.5) / side) == (column, row), axis=1) & (label >= 0)
         assert found in np.flatnonzero(inside) if inside.any() else found == -1
-    for (row, column), found in np.ndenumerate(grid):
+    for (row, column), shown in np.ndenumerate(grid):
         inside = np.all(np.floor((camera_px + 0.5) / 10) == (column, row), axis=1) & (label >= 0)
-        assert found - 1 == (label[inside][-1] if inside.any() else -1)
+        assert shown - 1 == (label[inside][-1] if inside.any() else -1)
 
 
 def test_what_is_drawn_lies_anywhere_in_its_cell() -> None:
     """Of a match for every pixel, as a decoder gives them: no grid remains, and neighbours are drawn alike."""
-    pixels = np.stack(np.meshgrid(np.arange(350), np.arange(280)), -1).reshape(-1, 2).astype(np.float32)
+    pixels = np.stack(np.meshgrid(np.arange(350.0), np.arange(280.0)), -1).reshape(-1, 2)
     drawn = one_in_cells(pixels, np.zeros(len(pixels), np.int32), 0, 7, 40, 50)
     places, counts = np.unique(pixels[drawn.ravel()] % 7, axis=0, return_counts=True)
     assert len(places) == 49

@@ -159,6 +159,7 @@ def test_names_count_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert default_out("room", overwrite=True) == Path("scans/room")
 
 
+@pytest.mark.filterwarnings("default::RuntimeWarning")
 def test_the_log_holds_what_was_logged_and_warned(tmp_path: Path) -> None:
     with new_result(tmp_path / "room", load_config(None, ["rig.seed=5"]), overwrite=False):
         logging.getLogger("scanner.anything").info("a step")

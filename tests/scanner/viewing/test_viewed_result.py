@@ -31,6 +31,7 @@ from scanner.viewing.geometry import (
 from scanner.viewing.result import ALL_CAPTURES, ViewedCloud, ViewedResult
 from tests.support.cloud_scene import room
 from tests.support.result_folder import Written, write_result
+from tests.support.states import device_of
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +49,10 @@ def cloud(written: Written) -> ViewedCloud:
 def test_the_corner_is_where_it_is(written: Written, cloud: ViewedCloud) -> None:
     assert cloud.corner is not None
     found, true = cloud.corner.corner, written.scene.corner
-    assert 0 < np.linalg.norm(found.vertex - true.vertex) < 0.001
+    assert 1e-7 < np.linalg.norm(found.vertex - true.vertex) < 0.001
     assert np.min(np.sum(found.legs * true.legs, axis=1)) > 0.99999
     for angle in cloud.corner.angles:
-        assert 0 < abs(angle.angle_deg - 90) < 0.05
+        assert 1e-6 < abs(angle.angle_deg - 90) < 0.05
 
 
 def test_outlines_begin_at_the_vertex_and_hold_their_points(written: Written, cloud: ViewedCloud) -> None:
@@ -115,12 +116,15 @@ def test_the_sigma_of_depth_contains_the_calibrations(tmp_path: Path) -> None:
     calibration = read_calibration(written.folder / "calibration.yaml")
     covariance = np.zeros((SHARED, SHARED))
     covariance[0, 0] = 0.001**2
-    devices = (
-        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
-        for device in (calibration.camera, calibration.projector)
-    )
     direction = calibration.translation / calibration.baseline
-    state = State(*devices, calibration.rotation, direction, np.zeros((0, 3)), ())
+    state = State(
+        device_of(calibration.camera),
+        device_of(calibration.projector),
+        calibration.rotation,
+        direction,
+        np.zeros((0, 3)),
+        (),
+    )
     more = confidence_entries(Verdict("good", "Well", ("so",)), Uncertainty(state, covariance, None, 0.05))
     write_calibration(written.folder / "calibration.yaml", calibration, more)
     result = ViewedResult(written.folder)
@@ -170,7 +174,7 @@ def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path, turn: int) -> Non
     assert result.names == (ALL_CAPTURES, "The capture")
     found = result.cloud(ALL_CAPTURES)
     (rig,) = found.rigs
-    assert 0 <= np.linalg.norm(rig.position - view.in_corner(np.zeros((1, 3)), turn)[0]) < 0.002
+    assert np.linalg.norm(rig.position - view.in_corner(np.zeros((1, 3)), turn)[0]) < 0.002
     assert abs(found.up[2]) == 1
     assert possible_colourings(found) == (Colouring.CAMERA,)
     with pytest.raises(ValueError, match="cannot be coloured"):

@@ -1,16 +1,19 @@
 """`scan check` through the real path: the camera's exposure is tried, and what was found is written."""
 
+from pathlib import Path
+
 import pytest
 
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
+from tests.support.loopback_bench import Loopback
 
 pytestmark = pytest.mark.xdist_group("loopback")
 
 PERIOD_US = 1e6 / 60
 
 
-def test_a_check_finds_and_writes_the_exposure(config, rig, capsys):
+def test_a_check_finds_and_writes_the_exposure(config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]) -> None:
     text = config.read_text().replace("33333", "150000")
     config.write_text(text)
     assert main(["check", "--config", str(config), "--write"]) in (0, 4)
@@ -23,7 +26,9 @@ def test_a_check_finds_and_writes_the_exposure(config, rig, capsys):
     assert config.with_name("room.yaml.bak").read_text() == text
 
 
-def test_a_camera_that_dies_is_a_row_and_exit_code_3(config, rig, capsys):
+def test_a_camera_that_dies_is_a_row_and_exit_code_3(
+    config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]
+) -> None:
     rig.camera.process.kill()
     assert main(["check", "--config", str(config)]) == 3
     captured = capsys.readouterr()

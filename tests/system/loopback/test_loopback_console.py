@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hw.simulated.simulation import SimulatedRoom
 from scanner.console.settings import Picture, Settings
 from scanner.console.worker import Activity, Worker
 from scanner.io.calibration_file import read_calibration
@@ -52,7 +53,7 @@ def test_the_live_image_shows_what_is_projected_and_follows_exposure_and_gain(wo
     until(lambda: brightness(page) < 0.7 * white)
 
 
-def test_a_scan_leaves_a_result(worker: Worker, page: Notebook, room) -> None:
+def test_a_scan_leaves_a_result(worker: Worker, page: Notebook, room: SimulatedRoom) -> None:
     assert worker.request(Activity.LIVE)
     until(lambda: page.frames)
     assert worker.request(Activity.SCANNING)
@@ -63,7 +64,9 @@ def test_a_scan_leaves_a_result(worker: Worker, page: Notebook, room) -> None:
     assert 0.9 < found.camera.focal_px[0] / truth.camera.focal_px[0] < 1.1
 
 
-def test_a_scan_that_is_cancelled_keeps_whole_frames(worker: Worker, page: Notebook, config: Path, room) -> None:
+def test_a_scan_that_is_cancelled_keeps_whole_frames(
+    worker: Worker, page: Notebook, config: Path, room: SimulatedRoom
+) -> None:
     assert worker.request(Activity.SCANNING)
     until(lambda: len(page.frames) >= 4)
     worker.cancel()

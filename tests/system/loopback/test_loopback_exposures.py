@@ -1,17 +1,22 @@
 """Exposures that change while a real camera runs."""
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from calib.numerics.array_types import Image
 from hw.errors import DeviceError
 from hw.open_rig import open_rig
-from hw.rig import ExposureControl
+from hw.rig import ExposureControl, Rig
+from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.recording import open_capture
 from scanner.capture.stream import capture
 from scanner.checking.exposure import propose_exposure
 from scanner.configuration.schema import load_config
-from scanner.patterns.pattern import Black, White
-from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, scan
+from scanner.patterns.pattern import Black, Pattern, White, draw
+from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Loopback, scan
 
 pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
 
@@ -19,13 +24,13 @@ PERIOD_US = 1e6 / 60
 
 
 @pytest.fixture
-def opened(config, rig):
+def opened(config: Path, rig: Loopback) -> Iterator[Rig]:
     settings = load_config(config)
     with open_rig(settings.required_rig, settings.camera_size, settings.projector_size) as opened:
         yield opened.rig
 
 
-def test_an_exposure_is_a_whole_number_of_refresh_periods_as_the_camera_reads_it_back(opened):
+def test_an_exposure_is_a_whole_number_of_refresh_periods_as_the_camera_reads_it_back(opened: Rig) -> None:
     camera = opened.camera
     assert isinstance(camera, ExposureControl)
     for wanted_us, periods in ((50_000, 3), (20_000, 1), (1000, 1), (66_000, 4)):
@@ -39,7 +44,7 @@ def test_an_exposure_is_a_whole_number_of_refresh_periods_as_the_camera_reads_it
     assert camera.exposure_us == pytest.approx(4 * PERIOD_US, rel=1e-3)
 
 
-def test_light_grows_with_the_exposure(opened, room):
+def test_light_grows_with_the_exposure(opened: Rig, room: SimulatedRoom) -> None:
     stream = capture(opened, (White(), Black()), (PERIOD_US, 2 * PERIOD_US))
     frames = [frame for _, frame in stream.frames]
     assert [frame.exposure_us for frame in frames] == pytest.approx([PERIOD_US, 2 * PERIOD_US] * 2, rel=1e-3)
@@ -50,7 +55,7 @@ def test_light_grows_with_the_exposure(opened, room):
     assert np.median(dark) <= np.median(darker)
 
 
-def test_a_scan_takes_each_pattern_at_each_exposure(config, rig, room):
+def test_a_scan_takes_each_pattern_at_each_exposure(config: Path, rig: Loopback, room: SimulatedRoom) -> None:
     code, folder = scan(config, "--set", f"sequence.exposures_us=[{PERIOD_US:.0f}, {2 * PERIOD_US:.0f}]")
     assert code == 0
     frames = open_capture(folder)
@@ -63,13 +68,13 @@ def test_a_scan_takes_each_pattern_at_each_exposure(config, rig, room):
         assert np.sqrt(np.mean((frame.image - expected) ** 2)) < 2.5, f"frame {index} is not of {pattern}"
 
 
-def pattern_image(pattern):
-    from scanner.patterns.pattern import draw
-
+def pattern_image(pattern: Pattern) -> Image:
     return draw(pattern, PROJECTOR)
 
 
-def test_exposures_that_come_to_the_same_are_refused_before_the_first_frame(config, rig, capsys):
+def test_exposures_that_come_to_the_same_are_refused_before_the_first_frame(
+    config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]
+) -> None:
     code, folder = scan(config, "--set", "sequence.exposures_us=[16000, 18000]")
     assert code == 3
     message = capsys.readouterr().err
@@ -78,13 +83,17 @@ def test_exposures_that_come_to_the_same_are_refused_before_the_first_frame(conf
     assert not folder.exists()
 
 
-def test_an_exposure_beyond_the_camera_is_refused(config, rig, capsys):
+def test_an_exposure_beyond_the_camera_is_refused(
+    config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]
+) -> None:
     code, _ = scan(config, "--set", "sequence.exposures_us=[16667, 90000000]")
     assert code == 3
     assert "it can make" in capsys.readouterr().err
 
 
-def test_the_best_exposure_is_found_from_a_dark_and_from_a_bright_start(config, rig, room):
+def test_the_best_exposure_is_found_from_a_dark_and_from_a_bright_start(
+    config: Path, rig: Loopback, room: SimulatedRoom
+) -> None:
     best = {}
     for start_us in (16_667, 100_000):
         config.write_text(CONFIG.replace("33333", str(start_us)))

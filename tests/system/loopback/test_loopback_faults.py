@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,11 +17,12 @@ import pytest
 from hw.loopback.launcher import shown_on, virtual_screen
 from hw.loopback.settings import Conditions
 from hw.open_rig import import_aravis, open_rig
+from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.recording import open_capture
 from scanner.capture.stream import capture
 from scanner.configuration.schema import load_config
 from scanner.patterns.pattern import Black, White
-from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, after_frames, check_frames, scan
+from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Keeper, Loopback, after_frames, check_frames, scan
 
 pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
 
@@ -42,7 +42,9 @@ def stopped_scan(config: Path, capsys: pytest.CaptureFixture[str], *words: str) 
 
 
 @pytest.mark.parametrize("latency_ms", [0, 50, 120])
-def test_the_latency_is_measured_whatever_it_is(config, rig, room, latency_ms):
+def test_the_latency_is_measured_whatever_it_is(
+    config: Path, rig: Loopback, room: SimulatedRoom, latency_ms: float
+) -> None:
     rig.camera.change(Conditions(latency_ms=latency_ms))
     code, folder = scan(config)
     assert code == 0
@@ -52,7 +54,9 @@ def test_the_latency_is_measured_whatever_it_is(config, rig, room, latency_ms):
 
 
 @pytest.mark.parametrize("share", [0.01, 0.05])
-def test_lost_packets(config, rig, room, capsys, share):
+def test_lost_packets(
+    config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str], share: float
+) -> None:
     rig.camera.change(Conditions(lost_packets=share))
     code, folder = scan(config)
     if code == 0:
@@ -66,19 +70,23 @@ def test_lost_packets(config, rig, room, capsys, share):
         assert not folder.exists() or check_frames(folder, room) > 0
 
 
-def test_a_network_that_loses_almost_everything(config, rig, capsys):
+def test_a_network_that_loses_almost_everything(
+    config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]
+) -> None:
     rig.camera.change(Conditions(lost_packets=0.9))
     folder = stopped_scan(config, capsys, "its frames do not arrive", "rig.packet_size")
     assert not folder.exists()
 
 
-def test_the_camera_dies(config, rig, room, capsys):
+def test_the_camera_dies(config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str]) -> None:
     after_frames(5, config, rig.camera.process.kill)
     folder = stopped_scan(config, capsys, "camera Aravis Fake loopback", "cable and power", "frames captured so far")
     assert check_frames(folder, room) >= 5
 
 
-def test_the_camera_stops_for_a_while(config, rig, room, capsys):
+def test_the_camera_stops_for_a_while(
+    config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str]
+) -> None:
     def stop() -> None:
         rig.camera.process.send_signal(signal.SIGSTOP)
         time.sleep(3.0)
@@ -94,7 +102,9 @@ def test_the_camera_stops_for_a_while(config, rig, room, capsys):
         assert "camera Aravis Fake loopback" in capsys.readouterr().err
 
 
-def test_the_camera_starts_late(config, keeper, room, capsys):
+def test_the_camera_starts_late(
+    config: Path, keeper: Keeper, room: SimulatedRoom, capsys: pytest.CaptureFixture[str]
+) -> None:
     keeper.end()
     with virtual_screen(PROJECTOR) as screen, shown_on(screen):
         folder = stopped_scan(config, capsys, "no camera answers to '127.0.0.1'", "Found: none", "scan devices")
@@ -105,23 +115,21 @@ def test_the_camera_starts_late(config, keeper, room, capsys):
     assert check_frames(folder, room) == FRAMES
 
 
-def test_another_program_controls_the_camera(config, rig, capsys):
+def test_another_program_controls_the_camera(config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]) -> None:
     settings = load_config(config)
     with import_aravis().AravisCamera(settings.rig, CAMERA, 10_000.0):
         stopped_scan(config, capsys, "camera Aravis Fake loopback", "another program controls it")
 
 
-def test_the_screen_dies(config, rig, room, capsys):
+def test_the_screen_dies(config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str]) -> None:
     after_frames(5, config, rig.screen.process.kill)
     folder = stopped_scan(config, capsys, "projector on screen 0", "320x180", "is gone", "frames captured so far")
     assert check_frames(folder, room) >= 5
 
 
-def test_ctrl_c(config, rig, room):
+def test_ctrl_c(config: Path, rig: Loopback, room: SimulatedRoom) -> None:
     command = [sys.executable, "-m", "scanner", "--config", str(config), "--out", str(config.with_name("result"))]
-    # What runs in a shell's background is started deaf to Ctrl-C, and its children inherit that.
-    listening = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listening)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     after_frames(5, config, lambda: process.send_signal(signal.SIGINT))
     message = process.communicate(timeout=60)[1]
     assert process.returncode == 130
@@ -141,12 +149,14 @@ def test_ctrl_c(config, rig, room):
         (("camera: 127.0.0.1", "camera: nobody"), ("'nobody'", "Found: Aravis Fake loopback at 127.0.0.1")),
     ],
 )
-def test_what_the_devices_cannot_do_is_refused(config, rig, capsys, change, words):
+def test_what_the_devices_cannot_do_is_refused(
+    config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str], change: tuple[str, str], words: tuple[str, ...]
+) -> None:
     config.write_text(CONFIG.replace(*change))
     stopped_scan(config, capsys, *words)
 
 
-def test_many_scans_in_one_process_leave_nothing_behind(config, rig):
+def test_many_scans_in_one_process_leave_nothing_behind(config: Path, rig: Loopback) -> None:
     settings = load_config(config)
 
     def one_scan() -> None:

@@ -1,0 +1,45 @@
+"""One capture that the parts of the refinement are tried on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from calib.refinement.likelihood import Fit, Knowledge, Prior
+from calib.refinement.match_cells import Cells
+from calib.refinement.parameters import State
+from calib.refinement.profile_minimiser import relax
+from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
+from tests.support.states import each_a_cell, true_state
+
+SIGMA_PX = 0.1
+KNOWLEDGE = Knowledge(
+    (PAPER_CAMERA.width, PAPER_CAMERA.height),
+    (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height),
+    PAPER_CAMERA.principal_point_px,
+    0.0,
+    0.0,
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A capture of a square corner through straight lenses, whose cells err by `SIGMA_PX`; `best` is its fit."""
+
+    cells: Cells
+    truth: State
+    prior: Prior
+    best: Fit
+
+    @property
+    def variances(self) -> list[np.ndarray]:
+        return [np.full(len(self.cells), SIGMA_PX**2)]
+
+
+@pytest.fixture(scope="session")
+def case() -> Case:
+    capture = random_capture(np.random.default_rng(7), count=800, noise_px=SIGMA_PX, distance=(1.5, 2.5))
+    cells, truth = each_a_cell(capture, SIGMA_PX), true_state(capture)
+    prior = KNOWLEDGE.prior(truth)
+    best = relax([cells], truth, prior, [np.full(len(cells), SIGMA_PX**2)], tolerance=1e-6)
+    return Case(cells, truth, prior, best)

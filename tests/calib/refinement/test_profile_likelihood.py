@@ -1,0 +1,62 @@
+"""The likelihood along the focal length: a Gaussian where it is one, and its true spread where it is not."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.refinement.likelihood import Fit
+from calib.refinement.parameters import CAMERA, PROJECTOR
+from calib.refinement.profile_likelihood import Valley, covariance_of, inverse_of, walk
+from tests.calib.refinement.conftest import Case
+
+
+@given(st.integers(0, 10_000))
+def test_columns_of_very_different_scales_are_inverted(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root, scale = rng.normal(size=(6, 8)), 10.0 ** rng.uniform(-6, 6, 6)
+    plain = root @ root.T + 0.1 * np.eye(6)
+    found = inverse_of(plain * np.outer(scale, scale))
+    np.testing.assert_allclose(found * np.outer(scale, scale), np.linalg.inv(plain), rtol=1e-6, atol=1e-8)
+
+
+def test_columns_that_are_known_have_no_covariance() -> None:
+    information = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]])
+    free = np.array([True, False, True])
+    found = covariance_of(information, free)
+    np.testing.assert_allclose(found[np.ix_(free, free)], np.linalg.inv(information[np.ix_(free, free)]), rtol=1e-12)
+    assert not found[1].any()
+    assert not found[:, 1].any()
+
+
+def test_a_well_determined_focal_has_the_covariance_of_the_curvature(case: Case) -> None:
+    valley = walk([case.cells], case.best, case.prior, case.variances)
+    by_curvature = covariance_of(case.best.information, case.prior.free)
+    sigma = np.sqrt(by_curvature[CAMERA.start, CAMERA.start])
+    assert np.all(np.diff(valley.focal_px) > 0)
+    assert valley.cost.min() == 0.0
+    assert np.all(valley.cost[[0, -1]] > 9)
+    in_sigmas = np.log(valley.focal_px / case.best.state.camera[0]) / sigma
+    np.testing.assert_allclose(valley.cost, in_sigmas**2, rtol=0.15, atol=0.02)
+    found = valley.covariance(case.best, case.prior.free)
+    for column in (CAMERA.start, PROJECTOR.start, PROJECTOR.start + 1):
+        assert found[column, column] == pytest.approx(by_curvature[column, column], rel=0.1)
+
+
+def test_a_curved_valley_spreads_by_its_own_moments(case: Case) -> None:
+    """A Gaussian along log f, along which the projector's centre moves with the square: E[t²] = σ², E[t⁴] = 3 σ⁴."""
+    sigma, bend = 0.03, 900.0
+    t = np.linspace(-5 * sigma, 5 * sigma, 81)
+    steps = np.zeros((len(t), case.truth.size))
+    steps[:, CAMERA.start], steps[:, PROJECTOR.start + 1] = t, bend * t**2
+    states = tuple(case.truth.moved(step) for step in steps)
+    valley = Valley(np.array([state.camera[0] for state in states]), (t / sigma) ** 2, states)
+    none = Fit(0.0, np.zeros(case.truth.size), np.eye(case.truth.size), case.truth, ())
+    only_focal = np.arange(case.truth.size) == CAMERA.start
+    found = valley.covariance(none, only_focal)
+    assert found[CAMERA.start, CAMERA.start] == pytest.approx(sigma**2, rel=1e-3)
+    centre = PROJECTOR.start + 1
+    assert found[centre, centre] == pytest.approx(3 * bend**2 * sigma**4, rel=0.01)
+    assert abs(found[CAMERA.start, centre]) < 1e-6
+    across = valley.covariance(none, only_focal | (np.arange(case.truth.size) == centre))
+    assert across[centre, centre] - found[centre, centre] == pytest.approx(1.0, rel=1e-6)

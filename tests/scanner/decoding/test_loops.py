@@ -1,0 +1,126 @@
+"""Compiled loops over pixels, against the same in NumPy or against a case that is known by heart."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from calib.numerics.array_types import Image
+from scanner.decoding.accumulators import GrayFold
+from scanner.decoding.code_checks import _changes, _note_changes
+from scanner.decoding.edge_shift_correction import shift_per_variance
+from scanner.decoding.map_checks import _count_jumps
+from scanner.decoding.noise_model import NoiseModel
+from scanner.decoding.phase_unwrapping import Disagreements, measured_tolerances, widest_tolerances
+from scanner.decoding.sequence_plan import plan_sequence
+from scanner.patterns.pattern import Pattern, gray_sequence, phase_sequence
+
+SHAPE = (3, 4)
+
+
+def gray_fold(images: list[Image], *, half: bool) -> GrayFold:
+    """Of a code of two bits, each brighter in its first image than in its second."""
+    (code,) = plan_sequence([*gray_sequence("x", 4, 1), *gray_sequence("y", 4, 1)], (4, 4)).x.codes
+    fold = GrayFold(code, SHAPE, images[0].dtype, contrast=True)
+    for bit in range(2):
+        fold.fold(bit, images[2 * bit], images[2 * bit + 1], half=half)
+    return fold
+
+
+@pytest.mark.parametrize("half", [False, True])
+@given(frames=arrays.arrays(np.uint8, (4, *SHAPE)))
+def test_a_code_keeps_its_smallest_and_largest_difference(frames: Image, half: bool) -> None:
+    fold = gray_fold(list(frames), half=half)
+    one, other = frames[::2].astype(int), frames[1::2].astype(int)
+    difference = np.minimum((1 + half) * np.abs(one - other), 255)
+    if half:
+        difference[np.abs(one - other) > 127] = 255
+    np.testing.assert_array_equal(fold.least, difference.min(axis=0))
+    np.testing.assert_array_equal(fold.contrast, difference.max(axis=0))
+    bits = (one > other).astype(int)
+    np.testing.assert_array_equal(fold.words, 2 * bits[0] + bits[1])
+
+
+def test_the_shift_is_the_product_of_the_slopes() -> None:
+    # Central differences of these are exact; none of the four slopes is like another, nor constant.
+    v, u = np.mgrid[:9, :11].astype(np.float32)
+    value, log_amplitude = 0.5 * u * u - 0.3 * v * v, 0.2 * u * v + 0.1 * v * v
+    shift = shift_per_variance(value, log_amplitude, np.ones(u.shape, np.bool_))
+    expected = u * 0.2 * v + -0.6 * v * (0.2 * u + 0.2 * v)
+    np.testing.assert_allclose(shift[1:-1, 1:-1], expected[1:-1, 1:-1], rtol=1e-4, atol=1e-4)
+    assert not shift[[0, -1]].any()
+    assert not shift[:, [0, -1]].any()
+
+
+WORDS = arrays.arrays(np.uint32, (2, 30), elements=st.integers(0, 7))
+CHOSEN = arrays.arrays(np.bool_, (2, 30))
+
+
+@given(WORDS, CHOSEN)
+def test_changes_between_certain_pixels(words: np.ndarray, certain: np.ndarray) -> None:
+    before, after = np.empty((2, words.size), np.uint32)
+    single, changes = _note_changes(words, certain, before, after)
+    pairs = [
+        (int(line[i]), int(line[j]))
+        for line, there in zip(words, certain, strict=True)
+        for i, j in pairwise(np.flatnonzero(there))
+        if j - i <= 16 and line[i] != line[j]
+    ]
+    alone = [(a, b) for a, b in pairs if (a ^ b).bit_count() == 1]
+    assert changes == len(pairs)
+    assert list(zip(before[:single].tolist(), after[:single].tolist(), strict=True)) == alone
+
+
+@pytest.mark.parametrize(("gain", "is_certain"), [(0.0, True), (0.3, True), (0.7, False)])
+def test_only_bits_that_stand_out_of_the_noise_are_compared(gain: float, is_certain: bool) -> None:
+    # Bits differ by 20 levels at a level of 50; the noise of a difference is √(2 gain 50): 0, 5.5 and 8.4 levels, of
+    # which three times is 0, 16.4 and 25.1.
+    bright, dark = np.full(SHAPE, 60, np.uint8), np.full(SHAPE, 40, np.uint8)
+    left = np.arange(SHAPE[1]) < 2
+    fold = gray_fold([np.where(left, bright, dark), np.where(left, dark, bright), bright, dark], half=False)
+    found = _changes(fold, NoiseModel(1e-6, gain), np.full(SHAPE, 50, np.uint8))
+    assert found.bit.tolist() == ([0, 0, 0] if is_certain else [])  # bit 0, once in each row
+
+
+@given(
+    values=arrays.arrays(np.float32, (2, 30), elements=st.floats(0, 100, width=16)),
+    there=CHOSEN,
+    offset=st.integers(0, 20),
+)
+def test_jumps_over_the_edges_of_cells(values: np.ndarray, there: np.ndarray, offset: int) -> None:
+    cell, before = 8.0, offset + 0.5
+    jumps = total = 0
+    for line, chosen in zip(values, there, strict=True):
+        places = np.flatnonzero(chosen)
+        for i, j in pairwise(places):
+            if j - i <= 16 and (line[i] + before) // cell != (line[j] + before) // cell:
+                total += 1
+                jumps += abs(float(line[j]) - float(line[i])) > cell
+    assert _count_jumps(values, there, cell, before) == (jumps, total)
+
+
+@pytest.mark.parametrize(
+    ("cell", "outside_px", "interval_px"),
+    [
+        (16, 0.6, 0.6),  # as measured
+        (16, 0.01, 0.1),  # a tenth of a pixel at least
+        (64, 0.01, 0.32),  # or a two-hundredth of a cell
+        (16, 50.0, np.inf),  # and no more than separates orders
+    ],
+)
+def test_the_tolerance_of_an_interval_is_measured_in_bounds(cell: int, outside_px: float, interval_px: float) -> None:
+    patterns: list[Pattern] = [
+        *gray_sequence("x", 1024, cell),
+        *phase_sequence("x", 4 * cell, 4),
+        *gray_sequence("y", 8, 1),
+    ]
+    plan = plan_sequence(patterns, (1024, 8)).x
+    rng = np.random.default_rng(0)
+    outside = np.concatenate([np.abs(rng.normal(0, outside_px, 20_000)), np.zeros(30_000)]).astype(np.float32)
+    found = Disagreements(outside, np.zeros((0, len(outside)), np.float32))
+    tolerances = measured_tolerances(plan, found, np.zeros((1, len(outside)), np.float32))
+    expected = min(interval_px, widest_tolerances(plan).interval_px)
+    assert tolerances.interval_px == pytest.approx(expected, rel=0.02)

@@ -1,0 +1,151 @@
+"""The corner of a room and what stands in it, hit by rays: what all scenes of tests are made of.
+
+World: the walls are the planes x = 0, y = 0 and z = 0 (the floor), the room is the positive octant, lengths in metres.
+Nothing is shared with the code under test but the camera model.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.geometry.calibration import Calibration
+from calib.numerics.array_types import Bools, Floats, Ints
+from calib.synthetic.captures import look_at
+
+SPHERE = 1000
+NOTHING = -1
+UP = np.array([0.0, 0.0, 1.0])
+_EPS = 1e-9
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box on the floor or above it: `centre` and `size` (3,), turned by `yaw` (radians) about the vertical."""
+
+    centre: Floats
+    size: Floats
+    yaw: float = 0.0
+
+    @property
+    def axes(self) -> Floats:
+        """Unit directions of its edges, (3, 3) columns."""
+        return Rotation.from_euler("z", self.yaw).as_matrix()
+
+    def hit(self, origin: Floats, directions: Floats) -> tuple[Floats, Ints]:
+        """Where rays enter the box: distance (inf for a miss) and face 0..5 (−x, +x, −y, …)."""
+        o, d = (origin - self.centre) @ self.axes, directions @ self.axes
+        with np.errstate(divide="ignore", invalid="ignore"):
+            one, two = (-self.size / 2 - o) / d, (self.size / 2 - o) / d
+        near, far = np.minimum(one, two), np.maximum(one, two)
+        axis = np.argmax(near, axis=1)
+        enter, leave = near.max(axis=1), far.min(axis=1)
+        side = np.take_along_axis(d, axis[:, None], axis=1)[:, 0] < 0
+        return np.where((enter < leave) & (leave > 0), enter, np.inf), (2 * axis + side).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A sphere."""
+
+    centre: Floats
+    radius: float
+
+    def hit(self, origin: Floats, directions: Floats) -> Floats:
+        """Where rays enter it: distance, inf for a miss."""
+        a = np.sum(directions**2, axis=1)
+        b = directions @ (origin - self.centre)
+        c = float(np.sum((origin - self.centre) ** 2) - self.radius**2)
+        with np.errstate(invalid="ignore"):
+            t = (-b - np.sqrt(b * b - a * c)) / a
+        return np.where(np.isfinite(t), t, np.inf)
+
+
+@dataclass(frozen=True)
+class Room:
+    """`walls`: whether the three walls are there (a box on a table has the floor only); `limit`: their extent (3,)."""
+
+    boxes: tuple[Box, ...] = ()
+    ball: Ball | None = None
+    walls: tuple[bool, bool, bool] = (True, True, True)
+    limit: Floats | None = None
+
+    def cast(self, origin: Floats, directions: Floats) -> tuple[Floats, Ints]:
+        """First surface met by each ray (N, 3): distance in units of the direction, surface id (NOTHING: none).
+
+        Ids: 0, 1, 2 walls; 3 + 6 b + face for box b; SPHERE.
+        """
+        limit = np.full(3, np.inf) if self.limit is None else self.limit
+        depth, surface = np.full(len(directions), np.inf), np.full(len(directions), NOTHING, np.int32)
+        for wall in np.flatnonzero(self.walls):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                t = -origin[wall] / directions[:, wall]
+                point = origin + t[:, None] * directions
+                closer = (t > _EPS) & (t < depth) & np.all((point > -1e-6) & (point < limit), axis=1)
+            depth[closer], surface[closer] = t[closer], wall
+        for b, box in enumerate(self.boxes):
+            t, face = box.hit(origin, directions)
+            closer = (t > _EPS) & (t < depth)
+            depth[closer], surface[closer] = t[closer], 3 + 6 * b + face[closer]
+        if self.ball is not None:
+            t = self.ball.hit(origin, directions)
+            closer = (t > _EPS) & (t < depth)
+            depth[closer], surface[closer] = t[closer], SPHERE
+        return depth, surface
+
+    def lit(self, points: Floats, source: Floats) -> Bools:
+        """Whether nothing stands between points (N, 3) and the projector's centre."""
+        depth, _ = self.cast(source, points - source)
+        return depth > 1 - 1e-6
+
+    def normal(self, surface: int) -> Floats:
+        """Unit normal (3,) of a wall or of a face of a box, along an axis but maybe not outwards."""
+        if surface < 3:
+            return np.eye(3)[surface]
+        box, face = divmod(surface - 3, 6)
+        return self.boxes[box].axes[:, face // 2]
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A device at `eye` (3,), in the world; `rotation` (3, 3) from the world into its frame."""
+
+    eye: Floats
+    rotation: Floats
+
+    @classmethod
+    def looking(cls, eye: Floats, target: Floats, roll: float = 0.0) -> "Placed":
+        return cls(eye, look_at(eye, target, UP, roll))
+
+    def into(self, other: "Placed") -> tuple[Floats, Floats]:
+        """Rotation (3, 3) and translation (3,) from its frame into another's."""
+        return other.rotation @ self.rotation.T, other.rotation @ (self.eye - other.eye)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a camera sees and a projector lights, pixel by pixel (N): `camera_px`, `projector_px` (N, 2), `points`
+    (N, 3) in the camera's frame, `surface`, and whether they are `lit`; where nothing is met, the numbers mean nothing.
+    """
+
+    camera_px: Floats
+    projector_px: Floats
+    points: Floats
+    surface: Ints
+    lit: Bools
+
+
+def seen(room: Room, calibration: Calibration, camera: Placed) -> Seen:
+    """All pixels of the camera, row by row."""
+    device, projector = calibration.camera, calibration.projector
+    x, y = np.meshgrid(np.arange(device.width, dtype=float), np.arange(device.height, dtype=float))
+    camera_px = np.stack([x.ravel(), y.ravel()], axis=1)
+    rays = device.unproject(camera_px)
+    depth, surface = room.cast(camera.eye, rays @ camera.rotation)
+    points = rays * np.where(np.isfinite(depth), depth, 1.0)[:, None]
+    projected = projector.project(points @ calibration.rotation.T + calibration.translation)
+    with np.errstate(invalid="ignore"):
+        lit = (surface >= 0) & np.all((projected > 0) & (projected < (projector.width - 1, projector.height - 1)), 1)
+    source = calibration.projector_centre @ camera.rotation + camera.eye
+    lit[lit] = room.lit(points[lit] @ camera.rotation + camera.eye, source)
+    return Seen(camera_px, projected, points, surface, lit)

@@ -1,0 +1,33 @@
+"""What is true of a synthetic capture, as a state and as cells of the refinement."""
+
+import numpy as np
+
+from calib.geometry.camera import Intrinsics
+from calib.numerics.array_types import Floats
+from calib.refinement.match_cells import Cells
+from calib.refinement.parameters import Pose, State
+from calib.synthetic.captures import SyntheticCapture
+
+
+def device_of(intrinsics: Intrinsics) -> Floats:
+    """f, x_0, y_0, k1, k2, (5,)."""
+    return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion[:2]])
+
+
+def true_state(capture: SyntheticCapture) -> State:
+    calibration = capture.calibration
+    pose = Pose(capture.corner.legs, capture.corner.vertex / calibration.baseline)
+    return State(
+        device_of(calibration.camera),
+        device_of(calibration.projector),
+        calibration.rotation,
+        calibration.translation / calibration.baseline,
+        np.zeros((1, 3)),
+        (pose,),
+    )
+
+
+def each_a_cell(capture: SyntheticCapture, sigma_px: float = 1.0) -> Cells:
+    """Every match a cell of its own; all must be on a face."""
+    matches, one = capture.matches, np.ones(len(capture.matches))
+    return Cells(matches.camera_px, matches.projector_px, matches.face, sigma_px * one, one, sigma_px, 0.0)
