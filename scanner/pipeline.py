@@ -83,21 +83,25 @@ def replay_calibrated(
     recording: Recording, calibration: Calibration, config: Config, folder: Path, terminal: Terminal
 ) -> Scan:
     """The same with a calibration that is known: nothing is calibrated. Raises InputError, RefusalError."""
-    found = _decode_recording(recording, folder, terminal)
+    found = _decode_recording(recording, folder, terminal, calibration)
     with refusal_saved([found], folder) as reached:
         given = GivenCalibration(found, scaled(calibration, None, config.scale))
         captures = triangulate([given], reached, terminal)
     return _finished(Scan(captures), folder, terminal)
 
 
-def _decode_recording(recording: Recording, folder: Path, terminal: Terminal) -> Decoded:
+def _decode_recording(
+    recording: Recording, folder: Path, terminal: Terminal, calibration: Calibration | None = None
+) -> Decoded:
     recording.copy_to(folder / CAPTURE_FOLDER)
-    return decode(recording.stream(), terminal, "Decoding", str(recording.folder))
+    return decode(recording.stream(), terminal, "Decoding", str(recording.folder), calibration)
 
 
-def decode(stream: Stream, progress: Progress, what: str, name: str = "") -> Decoded:
-    """Frames as they come → matches; no frame is kept."""
-    decoder = Decoder(stream.patterns, stream.projector_size)
+def decode(
+    stream: Stream, progress: Progress, what: str, name: str = "", calibration: Calibration | None = None
+) -> Decoded:
+    """Frames as they come → matches; no frame is kept. With a calibration one axis is enough."""
+    decoder = Decoder(stream.patterns, stream.projector_size, calibration)
     exposures_us = []
     for _, frame in progress.track(stream.frames, len(stream.patterns), what):
         decoder.add(frame.image, frame.exposure_us)

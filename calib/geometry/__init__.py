@@ -12,6 +12,7 @@ from calib.geometry.corner import (
     leg_signs,
     polar,
 )
+from calib.geometry.epipolar_line import cross_epipolar_lines
 from calib.geometry.homography import (
     FACES,
     FaceGrams,

@@ -51,6 +51,16 @@ def _replay(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _import(parser: ArgumentParser) -> None:
+    parser.add_argument("folder", type=Path, metavar="DIR", help="folder with the frames")
+    parser.add_argument("--from", dest="layout", metavar="FORMAT", help="whose order of frames it is (default: any)")
+    parser.add_argument("--projector", metavar="WxH", help="the projector's size, as in 1024x768")
+    parser.add_argument("--cell", metavar="PX", help="projector pixels to a cell of the Gray code (default: 1)")
+    parser.add_argument("--frames", metavar="GLOB", help="take only files of such a name, as in 'cam1_*.png'")
+    parser.add_argument("--out", type=Path, metavar="CAPTURE", help="folder to make (default: only say what it is)")
+    _quiet(parser)
+
+
 def _calibrate(parser: ArgumentParser) -> None:
     parser.add_argument(
         "matches",
@@ -228,4 +238,5 @@ The photos may be cropped, if all of them are in the same way: the principal poi
 change between them. The second photo is the one that the result is about.
 """,
     ),
+    "import": Command("Make a capture of another program's frames, whose order is recognised.", _import, "import_"),
 }

@@ -13,6 +13,8 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
     terminal.show(calibration_table(calibration, truth))
     if truth:
         terminal.show(truth_line(calibration, truth))
+    if only := scan.newest.decoded.only_axis:
+        terminal.show(f"Note: only {only} was measured; nothing checks whether the calibration fits.")
     for remark in scan.remarks:
         terminal.show(f"Note: {remark}")
     titles = titles_of([capture.decoded for capture in scan.captures])

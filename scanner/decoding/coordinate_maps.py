@@ -26,8 +26,8 @@ _MOST_TILES = 48
 @dataclass(frozen=True)
 class Maps:
     """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), NaN where one of them is not known; the
-    mean `variance` of the two; the `reason` not to use them. `counts` (2, reasons): how many pixels of x and of y by
-    itself have each of the `CONTRADICTIONS`.
+    mean `variance` of those that are measured; the `reason` not to use them. `counts` (2, reasons): how many pixels of
+    x and of y by itself have each of the `CONTRADICTIONS`.
     """
 
     projector_px: Floats32
@@ -60,7 +60,8 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
             np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
         for axis, coordinate in enumerate(found):
             projector_px[*tile, axis] = coordinate.value[own]
-        variance[tile] = np.float32(0.5) * (found[0].variance[own] + found[1].variance[own])
+        measured = [c.variance[own] for c, axis in zip(found, plan.axes, strict=True) if axis.is_measured]
+        variance[tile] = np.float32(1 / len(measured)) * sum(measured)
         reasons[tile] = reason[own]
         return np.stack([count_reasons(c.reason[own], CONTRADICTIONS) for c in found])
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Matches
+from calib.geometry import Calibration, Matches
 from calib.numerics import Bools, Floats, Image, compiled
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32
@@ -29,13 +29,14 @@ from scanner.decoding.frame_checks import check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
+from scanner.decoding.one_axis import OneAxis, one_axis
 from scanner.decoding.operator_advice import warnings_of
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.saturation_level import saturation_level
 from scanner.decoding.sequence_plan import SequencePlan, plan_sequence
 from scanner.decoding.tune import calibrated_decoders, modulation
 from scanner.errors import InputError
-from scanner.patterns import Pattern
+from scanner.patterns import Axis, Pattern
 
 __all__ = ["Decoder", "Decoding", "MaskReason"]
 
@@ -51,7 +52,8 @@ class Decoding:
     gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
     `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
     `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
-    `warnings`: sentences for the operator.
+    `warnings`: sentences for the operator. `only_axis`: the only one along which patterns varied, so that the other
+    coordinate follows from a calibration, and `sigma_px` is along the epipolar line; None if both were measured.
     """
 
     matches: Matches
@@ -61,6 +63,7 @@ class Decoding:
     modulation: float | None
     warnings: tuple[str, ...]
     flicker: float | None = None
+    only_axis: Axis | None = None
 
 
 class Decoder:
@@ -68,12 +71,17 @@ class Decoder:
 
     Where each pattern follows itself as often as every other, its frames are those of several exposures, white first.
 
-    Raises InputError if the patterns do not determine both coordinates of a projector of (width, height) pixels.
+    Given the rig's calibration, patterns along one axis are enough. Raises InputError if the patterns do not determine
+    both coordinates of a projector of (width, height) pixels.
     """
 
-    def __init__(self, patterns: Sequence[Pattern], projector_size: tuple[int, int]) -> None:
+    def __init__(
+        self, patterns: Sequence[Pattern], projector_size: tuple[int, int], calibration: Calibration | None = None
+    ) -> None:
         once, repeats = exposures_of(patterns)
-        self._plan = replace(plan_sequence(once, projector_size), repeats=repeats)
+        plan = plan_sequence(once, projector_size, calibrated=calibration is not None)
+        self._plan = replace(plan, repeats=repeats)
+        self._one_axis = one_axis(plan, calibration)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._count = 0
         self._held: tuple[Accumulators, Sample] | None = None
@@ -122,10 +130,11 @@ class Decoder:
         # The running images are as large as the matches, and have served.
         brightest = accumulators.brightest
         del accumulators
-        matches, reasons = _match(self._plan, maps, brightest)
+        matches, reasons = _match(self._plan, maps, brightest, self._one_axis)
         warnings = tuple(warnings_of(reasons, learnt.modulation, learnt.flicker))
         texture = self._texture if self._merger is None else self._merger.alike(self._texture)
-        return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker)
+        only = self._one_axis.measured.axis if self._one_axis else None
+        return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker, only)
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.patterns):
@@ -186,20 +195,30 @@ def _learn(accumulators: Accumulators, sample: Sample) -> _Learnt:
         return _Learnt(decoders, noise, modulation(decoders, thin), flickering.result())
 
 
-def _match(plan: SequencePlan, maps: Maps, brightest: Image) -> tuple[Matches, NDArray[np.uint8]]:
+def _match(
+    plan: SequencePlan, maps: Maps, brightest: Image, one_axis: OneAxis | None
+) -> tuple[Matches, NDArray[np.uint8]]:
     """The matches, and for all pixels (H, W) the reason why they have none. Raises InputError; uses up the maps.
 
     `brightest`: (H, W) grey.
     """
     reasons = maps.reason
+    if one_axis:
+        # What a calibration then masks speaks against the calibration, not against the frames.
+        check_maps(plan, maps, reasons == np.uint8(MaskReason.KEPT))
+        one_axis.complete(maps)
     kept = reasons == np.uint8(MaskReason.KEPT)
     if plan.fringes:
         np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
     else:
-        cells = average_cells(kept, maps.projector_px, maps.variance, brightest)
+        if one_axis:
+            cells = one_axis.average_stripes(kept, maps, brightest)
+        else:
+            cells = average_cells(kept, maps.projector_px, maps.variance, brightest)
         np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=cells.rejected)
     kept = reasons == np.uint8(MaskReason.KEPT)
-    check_maps(plan, maps, kept)
+    if not one_axis:
+        check_maps(plan, maps, kept)
     if plan.fringes:
         return _pixel_matches(kept, maps), reasons
     return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons

@@ -73,7 +73,7 @@ def check_maps(plan: SequencePlan, maps: Maps, kept: Bools) -> None:
         _check_share(plan, axis, counts, int(np.count_nonzero(kept)))
         if axis.codes and axis.fringes:
             _check_direction(plan, axis, value, kept)
-    mirrored = _mirrored_axis(plan, maps, kept)
+    mirrored = None if plan.only_axis else _mirrored_axis(plan, maps, kept)
     if mirrored is not None:
         frames = [frame for fringe in mirrored.fringes for frame in fringe.frames] or mirrored.frames
         raise InputError(

@@ -27,11 +27,13 @@ class MaskReason(IntEnum):
     INCONSISTENT = 4
     """Gray codes and fringes contradict each other, or allow two answers."""
     OUTSIDE = 5
-    """The code is that of no projector pixel."""
+    """The code is that of no projector pixel, or of none that a given calibration lets it see."""
     ISOLATED = 6
     """It does not continue the surface that its neighbours see: an edge of surface or light, or a lone error."""
     INDIRECT = 7
     """Codes and fringes contradict each other where more light comes from other surfaces than from the projector."""
+    ALONG_EPIPOLAR_LINE = 8
+    """Only stripes along its epipolar line were shown, which do not tell how far away it is."""
 
 
 # What many pixels have only if frames are not what the capture says.

@@ -107,6 +107,11 @@ class AxisPlan:
     fringes: tuple[Fringe, ...]
 
     @property
+    def is_measured(self) -> bool:
+        """Whether any pattern varies along it."""
+        return bool(self.codes or self.fringes)
+
+    @property
     def cell(self) -> float:
         """The length that the Gray codes leave undetermined."""
         return min((code.cell for code in self.codes), default=self.length)
@@ -146,6 +151,11 @@ class SequencePlan:
     def axes(self) -> tuple[AxisPlan, AxisPlan]:
         """Both axes."""
         return self.x, self.y
+
+    @property
+    def only_axis(self) -> AxisPlan | None:
+        """The axis that is measured, if the other one is not."""
+        return None if self.x.is_measured and self.y.is_measured else self.x if self.x.is_measured else self.y
 
     @property
     def codes(self) -> tuple[GrayCode, ...]:
@@ -192,10 +202,13 @@ def describe(pattern: Pattern) -> str:
             return f"phase {pattern.axis} period {pattern.period:g} shift {pattern.shift:g}"
 
 
-def plan_sequence(patterns: Sequence[Pattern], projector_size: tuple[int, int]) -> SequencePlan:
+def plan_sequence(
+    patterns: Sequence[Pattern], projector_size: tuple[int, int], *, calibrated: bool = False
+) -> SequencePlan:
     """Sort a sequence by what its patterns measure on a projector of (width, height).
 
-    Raises InputError where a pattern appears twice, a bit or shift is missing, or a coordinate is not determined.
+    Of a rig that is `calibrated` one of the coordinates is enough. Raises InputError where a pattern appears twice, a
+    bit or shift is missing, or a coordinate is not determined.
     """
     index: dict[Pattern, int] = {}
     for frame, pattern in enumerate(patterns):
@@ -205,20 +218,17 @@ def plan_sequence(patterns: Sequence[Pattern], projector_size: tuple[int, int]) 
             )
         index[pattern] = frame
     width, height = projector_size
-    return SequencePlan(
-        tuple(patterns),
-        _plan_axis("x", width, index),
-        _plan_axis("y", height, index),
-        index.get(White()),
-        index.get(Black()),
-    )
+    x, y = _plan_axis("x", width, index), _plan_axis("y", height, index)
+    _require_measured(x, y, calibrated=calibrated)
+    return SequencePlan(tuple(patterns), x, y, index.get(White()), index.get(Black()))
 
 
 def _plan_axis(axis: Axis, length: int, index: Mapping[Pattern, int]) -> AxisPlan:
     codes = tuple(_gray_codes(axis, length, index))
     fringes = tuple(sorted(_fringes(axis, index), key=lambda fringe: -fringe.period))
     plan = AxisPlan(axis, length, codes, fringes)
-    _require_determined(plan)
+    if plan.is_measured:
+        _require_determined(plan)
     return plan
 
 
@@ -299,9 +309,18 @@ def _fringes(axis: Axis, index: Mapping[Pattern, int]) -> list[Fringe]:
     return fringes
 
 
+def _require_measured(x: AxisPlan, y: AxisPlan, *, calibrated: bool) -> None:
+    missing = [plan.axis for plan in (x, y) if not plan.is_measured]
+    if len(missing) == 2:
+        raise InputError("no pattern varies along x or y; a Gray code or fringes are needed")
+    if missing and not calibrated:
+        raise InputError(
+            f"no pattern varies along {missing[0]}; a Gray code or fringes along {missing[0]} are needed, or else the "
+            "rig's calibration (scan replay CAPTURE --calibration FILE), whose epipolar lines tell the other coordinate"
+        )
+
+
 def _require_determined(plan: AxisPlan) -> None:
-    if not plan.codes and not plan.fringes:
-        raise InputError(f"no pattern varies along {plan.axis}; a Gray code or fringes along {plan.axis} are needed")
     periods = [fringe.period for fringe in plan.fringes]
     repeat = repeat_length(periods, plan.length)
     if plan.fringes and repeat < plan.cell * (1 - 1e-9):

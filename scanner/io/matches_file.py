@@ -3,7 +3,7 @@
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from scanner.errors import InputError
 
 MATCHES_FILE = "matches.npz"
 
+_MEASURED = "projector_measured"
+
 _REQUIRED = ("camera_px", "projector_px")
 _EXPECTED = {  # what it must be, and numpy's letters for the types that are
     "camera_px": ("numbers", "fiu"),
@@ -21,11 +23,17 @@ _EXPECTED = {  # what it must be, and numpy's letters for the types that are
     "face": ("whole numbers", "iu"),
     "sigma_px": ("numbers", "fiu"),
     "plane": ("whole numbers", "iu"),
+    _MEASURED: ("two truth values", "b"),
 }
 
 
-def write_matches(path: Path, matches: Matches, plane: Ints | None = None) -> None:
-    """Write matches with what is known of them; `plane` (N,): which plane each is on, −1 for none. Raises OSError."""
+def write_matches(
+    path: Path, matches: Matches, plane: Ints | None = None, only_axis: Literal["x", "y"] | None = None
+) -> None:
+    """Write matches with what is known of them; `plane` (N,): which plane each is on, −1 for none. Raises OSError.
+
+    `only_axis`: the only one of the projector's coordinates that was measured, the other following from a calibration.
+    """
     arrays: dict[str, Any] = {"camera_px": matches.camera_px, "projector_px": matches.projector_px}
     if matches.face is not None:
         arrays["face"] = matches.face
@@ -33,6 +41,8 @@ def write_matches(path: Path, matches: Matches, plane: Ints | None = None) -> No
         arrays["sigma_px"] = matches.sigma_px
     if plane is not None:
         arrays["plane"] = plane
+    if only_axis is not None:
+        arrays[_MEASURED] = np.array([only_axis == "x", only_axis == "y"])
     with path.open("wb") as file:
         np.savez(file, **arrays)
 
@@ -76,6 +86,19 @@ def read_planes(path: Path) -> Ints | None:
     if plane is not None and plane.shape != (count,):
         raise InputError(f"{_file(path)}: plane must have the shape ({count},), found {plane.shape}")
     return None if plane is None else plane.astype(np.int32)
+
+
+def refuse_one_axis(path: Path) -> None:
+    """Raise InputError if a matches file says that one projector coordinate follows from a calibration.
+
+    To calibrate from such matches would be to find that calibration again, and to look sure of it.
+    """
+    measured = _load(_file(path)).get(_MEASURED)
+    if measured is not None and not measured.all():
+        raise InputError(
+            f"{_file(path)}: only one of the projector's coordinates was measured, and the other follows from a "
+            "calibration: these matches cannot tell whether it is right; capture with patterns along both axes"
+        )
 
 
 def _file(path: Path) -> Path:

@@ -10,7 +10,7 @@ from calib.geometry import NO_FACE, Size
 from calib.numerics import Floats, Image, Ints
 from scanner.capture import CAPTURE_FILE, CaptureFacts, Recording, open_capture
 from scanner.errors import InputError
-from scanner.io import MATCHES_FILE, read_calibration, read_image, read_matches, read_planes
+from scanner.io import MATCHES_FILE, read_calibration, read_image, read_matches, read_planes, refuse_one_axis
 from scanner.patterns import White
 from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, GivenMatches
 
@@ -50,6 +50,7 @@ def _places(path: Path) -> Iterator[Path]:
 
 def _read(place: Path, camera_size: Size, projector_size: Size) -> Decoded:
     matches = read_matches(place)
+    refuse_one_axis(place)
     texture = None
     if place.is_dir():
         texture = _check_result(place, camera_size, projector_size)

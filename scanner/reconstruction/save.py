@@ -87,7 +87,9 @@ def _save(
         for place, capture in zip(places, captures, strict=True):
             place.mkdir(parents=True, exist_ok=True)
             decoded = capture.decoded
-            written.append(pool.submit(write_matches, place / MATCHES_FILE, decoded.matches, decoded.plane))
+            written.append(
+                pool.submit(write_matches, place / MATCHES_FILE, decoded.matches, decoded.plane, decoded.only_axis)
+            )
             if isinstance(capture, Reconstructed):
                 written.append(pool.submit(write_ply, place / CLOUD_FILE, capture.cloud, match=capture.cloud.match))
         if merged is not None:

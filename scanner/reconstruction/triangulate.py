@@ -2,9 +2,12 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from calib.geometry import Size
 from calib.pointcloud import CloudStatistics, build_cloud
 from calib.refusal import RefusalError
+from scanner.decoding import Decoding, MaskReason
 from scanner.results import Calibrated, GivenCalibration, Reconstructed, Stage, naming
 from scanner.ui import Progress
 
@@ -13,6 +16,10 @@ _LARGEST_MISS_OF_WIDTH = 0.01
 # A calibration from good faces leaves a few hundredths of a pixel; decoders with an uncorrected gamma some tenths.
 _LARGEST_MISFIT_PX = 0.5
 _LARGEST_MISFIT_OF_NOISE = 2.0
+# Wrong stripes and reflections are fewer; a calibration of another rig, or stripes along the baseline, concern most.
+_MOST_UNCROSSED = 0.5
+_OF_CROSSINGS = (MaskReason.KEPT, MaskReason.ALONG_EPIPOLAR_LINE, MaskReason.OUTSIDE)
+_OF_ANOTHER_RIG = "Check that it belongs to this rig, and that nothing has moved since it was made."
 
 
 def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: Progress) -> tuple[Reconstructed, ...]:
@@ -25,6 +32,8 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
             found = Reconstructed(capture, cloud)
             reached[number] = found
             if isinstance(capture, GivenCalibration):
+                if decoded.decoding:
+                    _refuse_uncrossed(decoded.decoding)
                 _refuse_foreign(cloud.statistics, decoded.facts.projector_size)
             elif capture.solution.method == "refined":  # the paper's leaves out lenses: a misfit is to be expected
                 refuse_misfit(cloud.statistics)
@@ -34,13 +43,33 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
 
 def _refuse_foreign(statistics: CloudStatistics, projector_size: Size) -> None:
     """Raise RefusalError if, by a given calibration, no rays meet, or all miss by more than lenses explain."""
-    advice = "Check that it belongs to this rig, and that nothing has moved since it was made."
     if statistics.kept == 0:
-        raise RefusalError("The calibration puts no point in front of both camera and projector.", advice)
+        raise RefusalError("The calibration puts no point in front of both camera and projector.", _OF_ANOTHER_RIG)
     if statistics.calibration_px > _LARGEST_MISS_OF_WIDTH * projector_size.width:
         raise RefusalError(
             f"With this calibration, rays that should meet miss by {statistics.calibration_px:.0f} projector pixels.",
-            advice,
+            _OF_ANOTHER_RIG,
+        )
+
+
+def _refuse_uncrossed(decoding: Decoding) -> None:
+    """Raise RefusalError if only one axis was measured, and most epipolar lines do not cross the stripes seen."""
+    axis = decoding.only_axis
+    if axis is None:
+        return
+    counts = {reason: int(np.count_nonzero(decoding.reasons == reason)) for reason in _OF_CROSSINGS}
+    seen = sum(counts.values())
+    if counts[MaskReason.ALONG_EPIPOLAR_LINE] > _MOST_UNCROSSED * seen:
+        raise RefusalError(
+            f"Patterns vary along {axis} only, and their stripes run along the epipolar lines of this calibration at "
+            f"{counts[MaskReason.ALONG_EPIPOLAR_LINE] / seen:.0%} of the pixels, so that they tell no distance.",
+            f"Project patterns along {'y' if axis == 'x' else 'x'} instead, or along both.",
+        )
+    if counts[MaskReason.OUTSIDE] > _MOST_UNCROSSED * seen:
+        raise RefusalError(
+            f"With this calibration, {counts[MaskReason.OUTSIDE] / seen:.0%} of the pixels cannot see the stripe that "
+            "they see: their epipolar lines cross it outside of the projector's image, or behind a device.",
+            _OF_ANOTHER_RIG,
         )
 
 

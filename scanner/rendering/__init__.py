@@ -2,6 +2,7 @@
 
 from scanner.rendering.cloud_views import frustum, frustum_lines, render, rig_frusta, standard_views
 from scanner.rendering.colours import (
+    BLACK,
     BLUE,
     CIVIDIS,
     FACE_COLOURS,

@@ -10,6 +10,7 @@ from scanner.rendering.png import Pixels
 # Okabe & Ito (2008): told apart by every kind of colour vision, and in print.
 ORANGE, SKY_BLUE, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
 BLUE, VERMILION, PURPLE, GREY = (0, 114, 178), (213, 94, 0), (204, 121, 167), (140, 140, 140)
+BLACK = (0, 0, 0)
 FACE_COLOURS = (ORANGE, SKY_BLUE, GREEN)
 CATEGORY_COLOURS = (VERMILION, SKY_BLUE, YELLOW, PURPLE, GREEN, ORANGE, BLUE, GREY)
 Colour = tuple[int, int, int]

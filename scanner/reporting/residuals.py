@@ -82,8 +82,10 @@ def _off_the_corner(matches: Matches, face: Ints, calibration: Calibration, corn
 
 
 def misses(report: ReportInput) -> Misses | None:
-    """Where and how far the rays of the matches miss each other."""
+    """Where and how far the rays of the matches miss each other; None where nothing was measured that could miss."""
     if report.reconstructed is None or not np.isfinite(report.reconstructed.cloud.residual_px).any():
+        return None
+    if report.outcome.decoded.only_axis:  # the other coordinate was put where the rays meet
         return None
     cloud = report.reconstructed.cloud
     statistics = cloud.statistics

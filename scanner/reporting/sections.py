@@ -13,6 +13,7 @@ from scanner.decoding import Decoding, MaskReason
 from scanner.patterns import Gray, Pattern, Phase, Xor
 from scanner.quantities import FACE_NAMES, Quantity, corner_quantities, device_quantities, percent, pose_quantities
 from scanner.rendering import (
+    BLACK,
     BLUE,
     FACE_COLOURS,
     GREEN,
@@ -57,6 +58,7 @@ _REASONS = {
     MaskReason.OUTSIDE: ("a code that no projector pixel has", SKY_BLUE),
     MaskReason.ISOLATED: ("at an occlusion edge, or alone", ORANGE),
     MaskReason.INDIRECT: ("lit more by other surfaces than by the projector", BLUE),
+    MaskReason.ALONG_EPIPOLAR_LINE: ("stripes along the epipolar line, which tell no distance", BLACK),
 }
 
 

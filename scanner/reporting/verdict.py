@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
+from scanner.patterns import Axis
 from scanner.quantities import intrinsic_errors_percent, percent
 from scanner.reporting.contents import ReportInput
 from scanner.results import Reconstructed, Refused, SelfCalibrated, Verdict
@@ -31,6 +32,7 @@ _LOOK_AT_THE_MISSES = (
     "The rays miss each other in a pattern, see “Do the rays meet?”. Use 'method: refined', which knows lens "
     "distortion, or capture the corner again from another place."
 )
+_BOTH_AXES = "To see whether the calibration still fits, project patterns along the other axis as well."
 _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and that nothing has moved since it was made."
 
 
@@ -42,6 +44,8 @@ def verdict(report: ReportInput) -> Verdict:
             return Verdict("refused", "Not calibrated", (refusal.reason, matched), refusal.advice)
         case Reconstructed(SelfCalibrated() as calibrated, cloud):
             return _of_self_calibration(report, calibrated, cloud.statistics)
+        case Reconstructed(calibrated, cloud) if axis := calibrated.decoded.only_axis:
+            return _of_one_axis(cloud.statistics, axis)
         case Reconstructed(cloud=cloud):
             return _of_given(cloud.statistics, report.facts.pixels)
 
@@ -55,6 +59,17 @@ def _of_given(statistics: CloudStatistics, pixels: str) -> Verdict:
         headline = "Reconstructed with a calibration that does not quite fit"
         return Verdict("fair", headline, reasons, _CHECK_THE_CALIBRATION)
     return Verdict("good", "Reconstructed with the calibration that was given", reasons)
+
+
+def _of_one_axis(statistics: CloudStatistics, axis: Axis) -> Verdict:
+    other = "y" if axis == "x" else "x"
+    reasons = [
+        f"Only {axis} was measured. {other} is where the calibration's epipolar line crosses the stripe that a pixel "
+        "sees, so that the rays of every match meet: that says nothing about the calibration, which was taken as it is."
+    ]
+    if statistics.matched:
+        reasons.append(_about_points(statistics))
+    return Verdict("fair", "Reconstructed with a calibration that nothing checks", tuple(reasons), _BOTH_AXES)
 
 
 def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statistics: CloudStatistics) -> Verdict:
@@ -98,9 +113,13 @@ def _about_cloud(statistics: CloudStatistics, pixels: str) -> Iterator[str]:
     source = "the decoder" if pixels == "projector px" else "the features"
     if not statistics.matched:
         return
-    kept = percent(statistics.kept / statistics.matched)
-    yield f"{statistics.kept:,} of {statistics.matched:,} matches ({kept}) became points of the cloud."
+    yield _about_points(statistics)
     yield (
         f"The two rays of a match miss each other by {statistics.decoder_px:.2g} {pixels} at random ({source}) "
         f"and by {statistics.calibration_px:.2g} px in a smooth pattern (the calibration)."
     )
+
+
+def _about_points(statistics: CloudStatistics) -> str:
+    kept = percent(statistics.kept / statistics.matched)
+    return f"{statistics.kept:,} of {statistics.matched:,} matches ({kept}) became points of the cloud."

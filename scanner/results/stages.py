@@ -15,6 +15,7 @@ from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureFacts
 from scanner.decoding import Decoding
+from scanner.patterns import Axis
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,11 @@ class Decoded:
                 return texture
             case GivenMatches(photograph=photograph):
                 return photograph
+
+    @property
+    def only_axis(self) -> Axis | None:
+        """The only axis along which the projector's coordinate was measured, if so."""
+        return self.origin.only_axis if isinstance(self.origin, Decoding) else None
 
     def with_matches(self, matches: Matches, plane: Ints | None) -> "Decoded":
         """The same capture, of whose matches more is known."""

@@ -13,6 +13,8 @@ import yaml
 
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
+from scanner.io.image_file import write_png
+from scanner.patterns.pattern import Black, Pattern, White, draw, gray_sequence
 from tests.support.documented import PAGES, Documented, commands, commands_in, parse
 from tests.support.places import ROOT
 
@@ -71,8 +73,18 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         Path("scans", name).mkdir()
         shutil.copyfile(result / "matches.npz", Path("scans", name, "matches.npz"))
         shutil.copytree(result / "capture", Path("scans", name, "capture"))
+    photograph_codes(Path("their-frames"))
     yield once
     os.chdir(before)
+
+
+def photograph_codes(folder: Path) -> None:
+    """What another program leaves of the smallest projector that is sold, and a camera that sees just its picture."""
+    folder.mkdir()
+    width, height = 640, 360
+    codes: list[Pattern] = [*gray_sequence("x", width, 1), *gray_sequence("y", height, 1), White(), Black()]
+    for number, pattern in enumerate(codes):
+        write_png(folder / f"im{number + 1}.png", draw(pattern, (width, height)) // 2 + 20)
 
 
 def shrunk(settings: dict[str, Any]) -> dict[str, Any]:

@@ -1,19 +1,23 @@
 """The commands on a simulated room that is small enough for a test: what files appear, and how true they are."""
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from calib.geometry.calibration import Sigmas
 from calib.geometry.matches import NO_FACE
+from calib.pointcloud.pixel_index import NONE
 from scanner.capture.recording import open_capture
 from scanner.commands.main import main
 from scanner.io.calibration_file import read_calibration
 from scanner.io.image_file import write_png
 from scanner.io.matches_file import read_matches, write_matches
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
+from scanner.results.finished_scan import read_finished_scan
 from tests.support.small_capture import read_listing, write_listing
 
 CONFIG = """
@@ -85,6 +89,68 @@ def test_a_replay_with_a_known_calibration_only_triangulates(scanned: Scanned, t
     assert used.unit == "m"
     assert read_matches(out).face is None
     assert b"comment unit m" in (out / "cloud.ply").read_bytes()[:300]
+
+
+@pytest.fixture(params=["x", "y"])
+def one_axis(scanned: Scanned, tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """The capture without the patterns along the other axis, and without white and black."""
+    capture = tmp_path / "one-axis"
+    shutil.copytree(scanned.result / "capture", capture)
+    listing = read_listing(capture)
+    kept = [frame for frame in listing["frames"] if frame["pattern"].get("axis") == request.param]
+    for frame in listing["frames"]:
+        if frame not in kept:
+            (capture / frame["file"]).unlink()
+    write_listing(capture, listing | {"frames": kept})
+    return capture
+
+
+def test_one_axis_is_enough_for_a_known_calibration(
+    scanned: Scanned, one_axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, both = tmp_path / "one", tmp_path / "both"
+    known = ("--calibration", scanned.result / "truth.yaml", "--out")
+    assert run("replay", one_axis, *known, out) == 0
+    assert "nothing checks whether the calibration fits" in capsys.readouterr().out
+    assert run("replay", scanned.result / "capture", *known, both, "--quiet") == 0
+    assert names(out) == CALIBRATED | {"capture"}
+    of_one, of_both = read_finished_scan(out), read_finished_scan(both)
+    assert 0.97 < len(of_one) / len(of_both) < 1.02
+    number = of_both.index_grid[tuple(of_one.pixel.T[::-1])]
+    apart = np.linalg.norm(of_one.points - of_both.points[number], axis=1)[number != NONE]
+    assert 1e-5 < np.median(apart) < 1e-3  # metres, two metres away
+    report = (out / "report.html").read_text()
+    assert "with a calibration that nothing checks" in report
+    assert "miss each other by" not in report
+
+
+def test_one_axis_without_a_calibration_is_not_enough(
+    one_axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("replay", one_axis, "--out", tmp_path / "none") == 2
+    error = capsys.readouterr().err
+    assert "no pattern varies along" in error
+    assert "--calibration" in error
+    assert not (tmp_path / "none").exists()
+
+
+def test_nothing_is_calibrated_from_one_axis(
+    scanned: Scanned, one_axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = tmp_path / "one"
+    assert run("replay", one_axis, "--calibration", scanned.result / "truth.yaml", "--out", result, "--quiet") == 0
+    assert run("calibrate", result, "--config", scanned.config, "--out", tmp_path / "again") == 2
+    assert "the other follows from a calibration" in capsys.readouterr().err
+
+
+def test_one_axis_and_the_calibration_of_another_rig(
+    scanned: Scanned, one_axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = yaml.safe_load((scanned.result / "truth.yaml").read_text())
+    other["translation"] = [-number for number in other["translation"]]
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(other))
+    assert run("replay", one_axis, "--calibration", tmp_path / "other.yaml", "--out", tmp_path / "refused") == 4
+    assert "belongs to this rig" in capsys.readouterr().err
 
 
 def test_matches_are_calibrated_like_a_capture(scanned: Scanned, tmp_path: Path) -> None:

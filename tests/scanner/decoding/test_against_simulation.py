@@ -1,19 +1,21 @@
 """The decoder before a simulated room: light that bounces, gamma, blur, noise. The truth is the room's, not ours."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
 import numpy as np
 import pytest
 
+from calib.geometry.calibration import Calibration
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.truth import GroundTruth
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.patterns.pattern import draw
+from scanner.patterns.pattern import Axis, Black, Pattern, White, draw, sequence_for
 from scanner.patterns.presets import PRESETS, PresetName
 
 CAMERA, PROJECTOR = (612, 512), (428, 240)
@@ -49,11 +51,10 @@ class Scanned:
         return np.isfinite(self.truth.projector_px[..., 0])
 
 
-def scanned(room: SimulatedRoom, preset: PresetName) -> Scanned:
+def scanned(room: SimulatedRoom, patterns: Sequence[Pattern], calibration: Calibration | None = None) -> Scanned:
     projector = SimulatedProjector(room)
     camera = SimulatedCamera(room, projector)
-    patterns = PRESETS[preset].patterns(PROJECTOR)
-    decoder = Decoder(patterns, PROJECTOR)
+    decoder = Decoder(patterns, PROJECTOR, calibration)
     for pattern in patterns:
         projector.show(draw(pattern, PROJECTOR))
         decoder.add(camera.grab().image)
@@ -61,9 +62,13 @@ def scanned(room: SimulatedRoom, preset: PresetName) -> Scanned:
 
 
 @pytest.fixture(scope="module")
-def results() -> dict[PresetName, Scanned]:
-    room = SimulatedRoom(SimulatedRigSettings(seed=0, albedo=0.8), CAMERA, PROJECTOR)
-    return {preset: scanned(room, preset) for preset in PRESETS}
+def room() -> SimulatedRoom:
+    return SimulatedRoom(SimulatedRigSettings(seed=0, albedo=0.8), CAMERA, PROJECTOR)
+
+
+@pytest.fixture(scope="module")
+def results(room: SimulatedRoom) -> dict[PresetName, Scanned]:
+    return {preset: scanned(room, PRESETS[preset].patterns(PROJECTOR)) for preset in PRESETS}
 
 
 @dataclass(frozen=True)
@@ -125,6 +130,49 @@ def test_errors_average_out_away_from_creases(results: dict[PresetName, Scanned]
 
 def test_a_dark_room_is_masked_not_guessed() -> None:
     room = SimulatedRoom(SimulatedRigSettings(seed=0, albedo=0.05, ambient=2.0), CAMERA, PROJECTOR)
-    dim = scanned(room, "standard")
+    dim = scanned(room, PRESETS["standard"].patterns(PROJECTOR))
     assert 0.01 < np.median(dim.distance_px) < 0.5
     assert np.percentile(dim.distance_px, 99) < 3.0
+
+
+CODES = sequence_for(PROJECTOR, cell=1, shifts=0)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize(
+    ("patterns", "median", "largest"),
+    [(PRESETS["standard"].patterns(PROJECTOR), (0.01, 0.05), (0.1, 0.8)), (CODES, (0.1, 0.6), (0.5, 2.0))],
+    ids=["fringes", "codes"],
+)
+def test_one_axis_and_the_calibration_give_both_coordinates(
+    room: SimulatedRoom,
+    axis: Axis,
+    patterns: Sequence[Pattern],
+    median: tuple[float, float],
+    largest: tuple[float, float],
+) -> None:
+    """Without a white and a black frame. The other coordinate has the error of the measured one, times the slope."""
+    alone = [p for p in patterns if not isinstance(p, White | Black) and p.axis == axis]
+    result = scanned(room, alone, room.calibration)
+    assert result.decoding.only_axis == axis
+    assert median[0] < np.median(result.distance_px) < median[1]
+    assert largest[0] < np.percentile(result.distance_px, 99.9) < largest[1]
+    kept = result.decoding.reasons == MaskReason.KEPT
+    whole = cv2.erode(result.lit.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    assert 0.88 < (kept & whole).sum() / whole.sum() <= 1.0
+    sigma_px = result.decoding.matches.sigma_px
+    assert sigma_px is not None
+    # Sigma is along the epipolar line, and so is all of the error but what the camera pixel's own is.
+    ratio = np.linalg.norm(result.error_px, axis=1) / sigma_px
+    assert 0.8 < np.nanmedian(ratio) / 0.6745 < 1.25
+
+
+def test_stripes_along_the_epipolar_lines_are_masked(room: SimulatedRoom) -> None:
+    """By a calibration that has the projector straight above the camera, y alone tells distances."""
+    true = room.calibration
+    above = replace(true, rotation=np.eye(3), translation=np.array([0.0, 0.4, 0.0]))
+    patterns = [p for p in PRESETS["quick"].patterns(PROJECTOR) if getattr(p, "axis", "x") == "x"]
+    decoding = scanned(room, patterns, above).decoding
+    assert not len(decoding.matches)
+    lit = np.isfinite(room.ground_truth().projector_px[..., 0])
+    assert (decoding.reasons[lit] == MaskReason.ALONG_EPIPOLAR_LINE).mean() > 0.9

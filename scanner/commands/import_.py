@@ -1,0 +1,108 @@
+"""Make a capture folder of frames that another program took: their order is recognised, and checked by decoding."""
+
+from argparse import Namespace
+from collections.abc import Sequence
+from functools import cache
+
+from rich import box
+from rich.table import Table
+
+from scanner.errors import InputError
+from scanner.importing import (
+    LAYOUTS,
+    FrameFiles,
+    Given,
+    Layout,
+    Recognised,
+    Rejected,
+    Samples,
+    find_frames,
+    recognise,
+    take_samples,
+    write_capture,
+)
+from scanner.results import OutputFolder
+from scanner.ui import Terminal
+
+_NAMED = {layout.name: layout for layout in LAYOUTS}
+
+
+def run(args: Namespace) -> None:
+    """Do the work. Raises InputError."""
+    layouts = LAYOUTS if args.layout is None else (_layout(args.layout),)
+    given = Given(_size(args.projector), _cell(args.cell))
+    terminal = Terminal(quiet=args.quiet)
+    output = OutputFolder(args.out) if args.out else None
+    files = find_frames(args.folder, args.frames)
+
+    @cache
+    def look() -> Samples:
+        with terminal.step("Looking at the frames"):
+            return take_samples([*files.numbered, *(path for path in (files.white, files.black) if path)])
+
+    found, rejected = recognise(files, layouts, given, look, terminal)
+    chosen = _only_one(files, found, rejected)
+    if args.layout is None:
+        terminal.show(_table(chosen, found, rejected))
+    left_out = f"; left out: {', '.join(path.name for path in files.left_out)}" if files.left_out else ""
+    terminal.show(f"{files}: {chosen.layout.title}, {_shown(chosen.projector_size)} ({chosen.how}){left_out}")
+    if output is None:
+        return
+    with output:
+        write_capture(output.folder, chosen, look().camera_size)
+    terminal.show(f"{len(chosen.files)} frames and capture.yaml are in {args.out}")
+
+
+def _layout(name: str) -> Layout:
+    if name not in _NAMED:
+        raise InputError(f"--from {name}: expected one of {', '.join(_NAMED)}")
+    return _NAMED[name]
+
+
+def _only_one(files: FrameFiles, found: Sequence[Recognised], rejected: Sequence[Rejected]) -> Recognised:
+    """What fits; layouts that mean the same are one. Raises InputError if none fits, or several that differ."""
+    if not found:
+        told = [each for each in rejected if each.lacking] or rejected
+        reasons = "".join(f"\n  {each.layout.name}: {each.why}" for each in told)
+        raise InputError(f"{files.folder}: {files}; in no order that is known they are a capture:{reasons}")
+    likely = [each for each in found if each.likely == max(other.likely for other in found)]
+    if len({(each.patterns, each.projector_size) for each in likely}) > 1:
+        names = "".join(f"\n  {each.layout.name}: {_shown(each.projector_size)}, {each.how}" for each in likely)
+        raise InputError(f"{files.folder}: {files}; several orders fit, say which with --from or --projector:{names}")
+    return likely[0]
+
+
+def _shown(size: tuple[int, int]) -> str:
+    return f"projector {size[0]} × {size[1]}"
+
+
+def _table(chosen: Recognised, found: Sequence[Recognised], rejected: Sequence[Rejected]) -> Table:
+    """A line for each layout: whether it fits, and why, or why not."""
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    for heading in ("format", "fits", ""):
+        table.add_column(heading, no_wrap=heading != "")
+    whys = {each.layout.name: ("no", each.why) for each in rejected}
+    for each in found:
+        same = (each.patterns, each.projector_size) == (chosen.patterns, chosen.projector_size)
+        whys[each.layout.name] = ("yes" if same else "less", f"{_shown(each.projector_size)}, {each.how}")
+    for layout in LAYOUTS:
+        if layout.name in whys:
+            table.add_row(layout.name, *whys[layout.name])
+    return table
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, _, height = text.lower().replace("×", "x").partition("x")
+    if not all(side.isdecimal() and 2 <= int(side) <= 65535 for side in (width, height)):
+        raise InputError(f"--projector {text}: expected a size like 1024x768")
+    return int(width), int(height)
+
+
+def _cell(text: str | None) -> int | None:
+    if text is None:
+        return None
+    if not (text.isdecimal() and 1 <= int(text) <= 4096):
+        raise InputError(f"--cell {text}: expected a number of pixels from 1 to 4096")
+    return int(text)

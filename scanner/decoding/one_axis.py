@@ -1,0 +1,80 @@
+"""A sequence that varies along one axis only: the other coordinate of each pixel comes from a calibration.
+
+The camera's ray is one half of a point, the projector's stripe the other: they cross on the pixel's epipolar line.
+Nothing is left over that could tell whether the calibration is right.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import Calibration, cross_epipolar_lines
+from calib.numerics import Bools, Image, in_slices
+from scanner.decoding.code_cells import CellMatches, average_cells
+from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+
+_STRIP_ROWS = 16
+# Where the epipolar line is at 6° to the stripe, errors of the calibration count ten times.
+_LEAST_SINE = 0.1
+# How far beyond the projector's pixels noise may carry the other coordinate.
+_EDGE_PX = 0.5
+
+
+@dataclass(frozen=True)
+class OneAxis:
+    """The axis that was `measured`, the `other` one, and the calibration that tells it."""
+
+    measured: AxisPlan
+    other: AxisPlan
+    calibration: Calibration
+
+    @property
+    def _axis(self) -> int:
+        return 0 if self.measured.axis == "x" else 1
+
+    def complete(self, maps: Maps) -> None:
+        """Fill in the other coordinate, and what that makes of variances and reasons; in place.
+
+        The variance becomes that along the epipolar line, which says how far a point may be off.
+        """
+
+        def fill(rows: slice) -> None:
+            reason, values, variance = maps.reason[rows], maps.projector_px[rows], maps.variance[rows]
+            row, column = np.nonzero(reason == np.uint8(MaskReason.KEPT))
+            camera_px = np.stack([column, row + rows.start], axis=1).astype(np.float64)
+            known_px = values[row, column, self._axis].astype(np.float64)
+            found = cross_epipolar_lines(camera_px, known_px, self._axis, self.calibration)
+            crossing = found.projector_px[:, 1 - self._axis]
+            inside = np.abs(crossing - (self.other.length - 1) / 2) <= self.other.length / 2 + _EDGE_PX
+            conditions = [found.sine < _LEAST_SINE, ~(found.in_front & inside)]
+            masks = [np.uint8(MaskReason.ALONG_EPIPOLAR_LINE), np.uint8(MaskReason.OUTSIDE)]
+            reason[row, column] = np.select(conditions, masks, np.uint8(MaskReason.KEPT))
+            values[row, column, 1 - self._axis] = crossing
+            variance[row, column] /= np.maximum(found.sine, _LEAST_SINE) ** 2
+
+        in_slices(maps.reason.shape[0], _STRIP_ROWS, fill)
+
+    def average_stripes(self, kept: Bools, maps: Maps, brightness: Image) -> CellMatches:
+        """As `average_cells`, of stripes that are cut into cells as long as they are wide.
+
+        They are cut along the coordinate that was filled in; at the centre of a cell's pixels it is found once more.
+        """
+        cell, cut = np.float32(self.measured.cell), maps.projector_px.copy()
+        along = cut[..., 1 - self._axis]
+        # Noise may have carried a coordinate beyond the first pixel.
+        number = np.maximum(np.floor((along[kept] + np.float32(0.5)) / cell), 0)
+        along[kept] = number * cell + (cell - 1) / 2
+        cells = average_cells(kept, cut, maps.variance, brightness)
+        known_px = cells.projector_px[:, self._axis]
+        found = cross_epipolar_lines(cells.camera_px, known_px, self._axis, self.calibration)
+        there = found.in_front
+        return CellMatches(cells.camera_px[there], found.projector_px[there], cells.variance[there], cells.rejected)
+
+
+def one_axis(plan: SequencePlan, calibration: Calibration | None) -> OneAxis | None:
+    """What tells the other coordinate of a sequence that measures one only; None of one that measures both."""
+    if plan.only_axis is None or calibration is None:
+        return None
+    return OneAxis(plan.only_axis, plan.y if plan.only_axis is plan.x else plan.x, calibration)

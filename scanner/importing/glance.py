@@ -1,0 +1,120 @@
+"""Do the frames make sense in an order? A first look at few pixels, so that many orders can be tried.
+
+Wrong orders decode to numbers like any others. But in the right one neighbours see neighbouring projector pixels, the
+map from camera to projector is not mirrored, and all of it obeys one epipolar geometry.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools, Floats
+from scanner.importing.coarse_coordinates import Coordinates, coordinates
+from scanner.importing.samples import Samples
+from scanner.patterns import Axis, Black, Pattern, White
+
+_FEWEST = 200
+_LEAST_CONTRAST = 0.5
+# Random numbers are a quarter of their range apart, neighbours on a surface hundredths.
+_MOST_APART = 0.1
+_LEAST_UPRIGHT = 0.65
+_LEAST_ON_LINES = 0.6
+_MOST_FITTED = 3000
+
+
+class Stage(IntEnum):
+    """How far a look at the frames came."""
+
+    LIGHT = 0
+    SIGNALS = 1
+    NEIGHBOURS = 2
+    GEOMETRY = 3
+
+
+@dataclass(frozen=True)
+class Objection:
+    """Why frames cannot be some patterns, in a few words."""
+
+    stage: Stage
+    words: str
+
+
+def objection(samples: Samples, patterns: Sequence[Pattern]) -> Objection | None:
+    """Why the frames cannot be these patterns; None if they may be."""
+    if np.count_nonzero(samples.lit) < _FEWEST:
+        return Objection(Stage.LIGHT, "the frames hardly differ")
+    known = {type(p): samples.levels[index] for index, p in enumerate(patterns) if isinstance(p, White | Black)}
+    if White in known and Black in known:
+        contrast = (known[White] - known[Black])[samples.lit] / samples.swing[samples.lit]
+        if np.median(contrast) < _LEAST_CONTRAST:
+            return Objection(Stage.LIGHT, "the white frame is not brighter than the black one")
+    found: dict[Axis, Coordinates] = {}
+    axes: tuple[Axis, ...] = ("x", "y")
+    for axis in axes:
+        seen = coordinates(samples, patterns, axis)
+        if isinstance(seen, str):
+            return Objection(Stage.SIGNALS, seen)
+        if seen is not None:
+            found[axis] = seen
+    return _scattered(found) or (_along_the_other(found) if len(found) == 1 else _nonsense(samples, found))
+
+
+def _along_the_other(found: dict[Axis, Coordinates]) -> Objection | None:
+    """Devices stand roughly upright: x grows along the camera's rows, y along its columns."""
+    ((axis, seen),) = found.items()
+    across, down = (float(np.median(np.abs(after - before))) for before, after in _beside(seen.values, seen.certain))
+    if (across < down) == (axis == "x"):
+        return Objection(Stage.GEOMETRY, f"the stripes run the other way than those of {axis}")
+    return None
+
+
+def _scattered(found: dict[Axis, Coordinates]) -> Objection | None:
+    for axis, seen in found.items():
+        spread = float(np.ptp(np.percentile(seen.values[seen.certain], (5, 95))))
+        steps = np.concatenate([np.abs(after - before) for before, after in _beside(seen.values, seen.certain)])
+        if not len(steps) or np.median(steps) > max(_MOST_APART * spread, 1.0):
+            return Objection(Stage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
+    return None
+
+
+def _nonsense(samples: Samples, found: dict[Axis, Coordinates]) -> Objection | None:
+    x, y = found["x"], found["y"]
+    both = x.certain & y.certain
+    if np.count_nonzero(both) < _FEWEST:
+        return Objection(Stage.SIGNALS, "too few pixels have both codes")
+    upright = _upright(x.values, y.values, both)
+    if upright < _LEAST_UPRIGHT:
+        return Objection(Stage.GEOMETRY, f"the codes are mirrored at {1 - upright:.0%} of the pixels")
+    projector_px = np.stack([x.values[both] / x.steps, y.values[both] / y.steps], axis=1)
+    on_lines = share_on_epipolar_lines(samples.camera_px[both], projector_px)
+    if on_lines < _LEAST_ON_LINES:
+        return Objection(Stage.GEOMETRY, f"only {on_lines:.0%} of the pixels obey one epipolar geometry")
+    return None
+
+
+def _beside(numbers: Floats, there: Bools) -> list[tuple[Floats, Floats]]:
+    """Numbers of pixels beside each other, and one above the other."""
+    right, below = there[:, :-1] & there[:, 1:], there[:-1] & there[1:]
+    return [(numbers[:, :-1][right], numbers[:, 1:][right]), (numbers[:-1][below], numbers[1:][below])]
+
+
+def _upright(x: Floats, y: Floats, there: Bools) -> float:
+    """At which share of the pixels the map to the projector turns the same way round, of those where it shows."""
+    inner = there[:-1, :-1] & there[:-1, 1:] & there[1:, :-1]
+    turn = np.diff(x, axis=1)[:-1] * np.diff(y, axis=0)[:, :-1] - np.diff(y, axis=1)[:-1] * np.diff(x, axis=0)[:, :-1]
+    turning = turn[inner & (turn != 0)]
+    return float(np.mean(turning > 0)) if len(turning) else 0.0
+
+
+def share_on_epipolar_lines(camera_px: Floats, projector_px: Floats, within: float = 4.0) -> float:
+    """The share of matches (N, 2) near the epipolar lines of one fundamental matrix, lenses left aside.
+
+    `within` is in the units of both devices' coordinates, which need not be pixels.
+    """
+    chosen = np.random.default_rng(0).permutation(len(camera_px))[:_MOST_FITTED]
+    cv2.setRNGSeed(0)
+    _, near = cv2.findFundamentalMat(camera_px[chosen], projector_px[chosen], cv2.USAC_MAGSAC, within, 0.999, 2000)
+    return 0.0 if near is None else float(np.mean(near > 0))

@@ -1,0 +1,123 @@
+"""What a layout is: somebody's order of frames, as a function of the projector's size."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Literal
+
+from scanner.importing.frame_files import FrameFiles
+from scanner.patterns import Black, Gray, Pattern, Phase, White
+
+Size = tuple[int, int]
+_BITS = range(4, 14)
+_MOST_APART = 4  # bits of the longer axis beyond those of the shorter
+
+
+@dataclass(frozen=True)
+class Given:
+    """What is known beforehand: the projector's size (width, height), the length of a Gray code's cells in pixels, and
+    how many `codes` there are in x and in y.
+    """
+
+    projector_size: Size | None = None
+    cell: int | None = None
+    codes: Size | None = None
+
+    def or_else(self, other: "Given") -> "Given":
+        """What is not known here, from the other."""
+        return Given(self.projector_size or other.projector_size, self.cell or other.cell, self.codes or other.codes)
+
+
+# The patterns for a projector of a size, with cells of so many pixels, shown in so many frames.
+SequenceOf = Callable[[Size, int, int], tuple[Pattern, ...]]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Whose order of frames it is (`name`, `title`), where that can be read (`source`), and the order itself.
+
+    `sequences`: of each variant. `needs`: which fields of `Given` the frames cannot tell. `settings`: what a file
+    beside the frames says. `names`: the patterns, where the frames' names tell them.
+    """
+
+    name: str
+    title: str
+    source: str
+    sequences: tuple[SequenceOf, ...] = ()
+    needs: tuple[Literal["projector_size", "cell"], ...] = ()
+    settings: Callable[[Path], Given] = lambda _: Given()
+    names: Callable[[tuple[Path, ...]], tuple[Pattern, ...]] | None = None
+
+    def lacks(self, given: Given) -> bool:
+        """Whether something is needed that is not given."""
+        return any(getattr(given, name) is None for name in self.needs)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Patterns that may belong to the `files`, one for each.
+
+    `size_known`: whether `projector_size` is the projector's, or only the least that has all codes. `for_size`: the
+    same for another projector.
+    """
+
+    files: tuple[Path, ...]
+    patterns: tuple[Pattern, ...]
+    projector_size: Size
+    size_known: bool
+    for_size: Callable[[Size], tuple[Pattern, ...]]
+
+
+def candidates(layout: Layout, files: FrameFiles, given: Given) -> Iterator[Candidate]:
+    """All that a layout has for so many frames."""
+    if layout.names is not None:
+        yield from _by_name(layout.names(files.numbered), files, given)
+    cell = given.cell or 1
+    known = given.projector_size is not None and not layout.lacks(given)
+    sizes = [given.projector_size] if given.projector_size and known else _sizes(cell)
+    seen: set[tuple[Pattern, ...]] = set()
+    for sequence, size in product(layout.sequences, sizes):
+
+        def for_size(size: Size, sequence: SequenceOf = sequence) -> tuple[Pattern, ...]:
+            return _beside(files, sequence(size, cell, len(files.numbered)))
+
+        paths, patterns = _paths(files), for_size(size)
+        kind = patterns if known else tuple(map(_unsized, patterns))
+        if len(patterns) == len(paths) and kind not in seen:
+            seen.add(kind)
+            yield Candidate(paths, patterns, size, known, for_size)
+
+
+def _by_name(patterns: tuple[Pattern, ...], files: FrameFiles, given: Given) -> Iterator[Candidate]:
+    if patterns:
+        whole = _beside(files, patterns)
+        bits = {p.axis: p.bits for p in patterns if isinstance(p, Gray)}
+        size = given.projector_size or (1 << bits.get("x", 0), 1 << bits.get("y", 0))
+        yield Candidate(_paths(files), whole, size, given.projector_size is not None, lambda _: whole)
+
+
+def _unsized(pattern: Pattern) -> Pattern:
+    """What does not depend on the projector's size: only the number of its bits tells a Gray code of another."""
+    match pattern:
+        case Gray():
+            return replace(pattern, cell=1, offset=0)
+        case Phase():
+            return replace(pattern, period=1.0)
+    return pattern
+
+
+def _beside(files: FrameFiles, patterns: tuple[Pattern, ...]) -> tuple[Pattern, ...]:
+    """White and black at the end, if they are files of their own."""
+    own = tuple(p for p, path in ((White(), files.white), (Black(), files.black)) if path)
+    return (*(p for p in patterns if p not in own), *own)
+
+
+def _paths(files: FrameFiles) -> tuple[Path, ...]:
+    return (*files.numbered, *(path for path in (files.white, files.black) if path))
+
+
+def _sizes(cell: int) -> list[Size]:
+    """Powers of two: for each number of bits the largest projector that they suffice for; squares first."""
+    bits = sorted(product(_BITS, _BITS), key=lambda xy: (abs(xy[0] - xy[1]), xy))
+    return [(cell << x, cell << y) for x, y in bits if abs(x - y) <= _MOST_APART]

@@ -1,0 +1,67 @@
+"""Pieces of which the orders of frames are made."""
+
+from collections.abc import Iterator
+from math import ceil, log2
+
+from scanner.importing.layout import SequenceOf, Size
+from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
+
+ENDS: tuple[tuple[Pattern, ...], ...] = ((White(), Black()), (Black(), White()))
+
+
+def bits_of(length: int, cell: int = 1) -> int:
+    """How many bits tell apart the cells along an axis."""
+    return max(1, ceil(log2(ceil(length / cell))))
+
+
+def gray_bits(
+    axis: Axis,
+    length: int,
+    cell: int = 1,
+    *,
+    inverses: bool = True,
+    least: int = 1,
+    most: int | None = None,
+    centred: bool = False,
+) -> Iterator[Gray]:
+    """The bits of a Gray code, most significant first, as many as are needed.
+
+    At `least` so many, of which the first never change; or at `most` so many, which leaves coarser cells. `centred`:
+    the pixels are counted so that the middle of the axis is that of all codes.
+    """
+    bits = max(least, bits_of(length, cell))
+    offset = (cell * (1 << bits) - length) // 2 if centred else 0
+    shown = bits if most is None else min(bits, most)
+    for bit in range(shown):
+        for inverted in (False, True) if inverses else (False,):
+            yield Gray(axis, bit, shown, cell << bits - shown, offset, inverted)
+
+
+def fringe(axis: Axis, period: float, steps: int, *, first: int = 0, backwards: bool = False) -> Iterator[Phase]:
+    """A fringe in equal steps over a cycle, from the given step on."""
+    for step in range(first, first + steps):
+        yield Phase(axis, period, (-step if backwards else step) / steps)
+
+
+def x_and_y(size: Size) -> tuple[tuple[Axis, int], tuple[Axis, int]]:
+    """Both axes with their lengths."""
+    return ("x", size[0]), ("y", size[1])
+
+
+def pairs(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
+    """All bits of x, then of y, each followed by its inverse; whatever the number of frames."""
+    del frames
+    return tuple(bit for axis, length in x_and_y(size) for bit in gray_bits(axis, length, cell))
+
+
+def with_ends(
+    sequence: SequenceOf, *, first: bool = False, last: bool = False, without: bool = False
+) -> tuple[SequenceOf, ...]:
+    """A sequence with white and black, in either order, before it, after it, or without them, as is usual."""
+
+    def placed(before: tuple[Pattern, ...], after: tuple[Pattern, ...]) -> SequenceOf:
+        return lambda size, cell, frames: (*before, *sequence(size, cell, frames), *after)
+
+    found = [placed((), ends) for ends in ENDS] if last else []
+    found += [placed(ends, ()) for ends in ENDS] if first else []
+    return (*found, *([sequence] if without else []))

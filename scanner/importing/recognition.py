@@ -1,0 +1,145 @@
+"""Whose order of frames is it? Every order that is long enough is tried on the images."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from calib.geometry import Matches
+from scanner.decoding import Decoder
+from scanner.errors import InputError
+from scanner.importing.frame_files import FrameFiles
+from scanner.importing.glance import objection, share_on_epipolar_lines
+from scanner.importing.layout import Candidate, Given, Layout, Size, candidates
+from scanner.importing.projector_size import extents_of, find_sizes
+from scanner.importing.samples import Samples
+from scanner.io import read_image
+from scanner.patterns import Pattern
+from scanner.ui import Progress
+
+# Fringes of few steps may err by more than a line is wide; in a wrong order a few hundredths are on lines by chance.
+_LEAST_ON_LINES = 0.3
+_OPTIONS = {"projector_size": "--projector", "cell": "--cell"}
+
+
+@dataclass(frozen=True)
+class Recognised:
+    """A layout that fits: which pattern each of the `files` shows, on a projector of (width, height). `how`: why so.
+
+    `likely`: whether such projectors are usual, and how many ends of their codes were seen.
+    """
+
+    layout: Layout
+    files: tuple[Path, ...]
+    patterns: tuple[Pattern, ...]
+    projector_size: Size
+    how: str
+    likely: tuple[bool, int] = (True, 0)
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A layout that does not fit, and why not; `lacking`: it would, if what it says were given."""
+
+    layout: Layout
+    why: str
+    lacking: bool = False
+
+
+def recognise(
+    files: FrameFiles, layouts: Sequence[Layout], given: Given, look: Callable[[], Samples], progress: Progress
+) -> tuple[list[Recognised], list[Rejected]]:
+    """Which of the layouts the frames have, and why not the others. Raises InputError for a file beside the frames.
+
+    `look` reads the frames, if any layout has as many. Of a single layout, on a projector that is given, they need not
+    decode if they look right.
+    """
+    found, rejected = list[Recognised](), list[Rejected]()
+    judge = _Judge(progress, lenient=len(layouts) == 1)
+    for layout in layouts:
+        known = given.or_else(layout.settings(files.folder))
+        possible = list(candidates(layout, files, known))
+        objections = [objection(look(), candidate.patterns) for candidate in possible]
+        fitting = [candidate for candidate, against in zip(possible, objections, strict=True) if against is None]
+        results = [judge.judge(layout, candidate, known, look().camera_size) for candidate in fitting]
+        good = [result for result in results if isinstance(result, Recognised)]
+        bad = [result for result in results if isinstance(result, Rejected)]
+        if good:
+            found += good
+        elif bad:
+            rejected.append(max(bad, key=lambda each: each.lacking))
+        elif possible:
+            # Of several variants that one came nearest which met the last of the objections.
+            nearest = max((against for against in objections if against), key=lambda against: against.stage)
+            rejected.append(Rejected(layout, nearest.words))
+        else:
+            size = "" if known.projector_size is None else f" for a projector of {_shown(known.projector_size)}"
+            rejected.append(Rejected(layout, f"it has no sequence of {len(files.numbered)} frames{size}"))
+    return found, rejected
+
+
+class _Judge:
+    """Decodes all frames in the orders that look right; those that several layouts share only once."""
+
+    def __init__(self, progress: Progress, *, lenient: bool) -> None:
+        self._progress = progress
+        self._lenient = lenient
+        self._found: dict[tuple[tuple[Pattern, ...], Size], Matches | str] = {}
+
+    def judge(self, layout: Layout, candidate: Candidate, given: Given, camera_size: Size) -> Recognised | Rejected:
+        """Whether the frames decode in this order, and of which projector they are."""
+        if layout.lacks(given):
+            options = " and ".join(_OPTIONS[name] for name in layout.needs)
+            return Rejected(layout, f"may be, but its frames do not tell the projector: give {options}", lacking=True)
+        if len({p.axis for p in candidate.patterns if hasattr(p, "axis")}) < 2:
+            if not candidate.size_known:
+                return Rejected(layout, "one axis does not tell the projector's size: give --projector", lacking=True)
+            return _recognised(layout, candidate, candidate.projector_size, "one axis, no second one to check it by")
+        decoded = self._decoded(candidate)
+        if isinstance(decoded, str):
+            if self._lenient and candidate.size_known:
+                return _recognised(layout, candidate, candidate.projector_size, f"not checked: {decoded}")
+            all_the_same = f"--from {layout.name} and --projector take it at its word"
+            return Rejected(layout, f"looks right, but {decoded}; {all_the_same}", lacking=True)
+        share = share_on_epipolar_lines(decoded.camera_px, decoded.projector_px)
+        how = f"{len(decoded):,} matches, {share:.0%} of them on the lines of one epipolar geometry"
+        if candidate.size_known:
+            return _recognised(layout, candidate, candidate.projector_size, how)
+        extents = x, y = extents_of(candidate, decoded, camera_size)
+        seen = f"codes from {x.low} to {x.high} in x, from {y.low} to {y.high} in y"
+        sizes = find_sizes(candidate, extents, given)
+        if len(sizes) != 1:
+            possible = ", or ".join(_shown(found.size) for found in sizes) or "none that is usual"
+            why = f"decodes, but the projector's size is not clear, {possible} ({seen}): give --projector"
+            return Rejected(layout, why, lacking=True)
+        found = _recognised(layout, candidate, sizes[0].size, f"{how}; {seen}")
+        return replace(found, likely=(sizes[0].usual, sizes[0].total))
+
+    def _decoded(self, candidate: Candidate) -> Matches | str:
+        """The matches, or why there are none that make sense."""
+        key = candidate.patterns, candidate.projector_size
+        if key not in self._found:
+            try:
+                self._found[key] = self._decode(candidate)
+            except InputError as error:
+                self._found[key] = f"does not decode: {error}"
+        return self._found[key]
+
+    def _decode(self, candidate: Candidate) -> Matches | str:
+        decoder = Decoder(candidate.patterns, candidate.projector_size)
+        for path in self._progress.track(candidate.files, len(candidate.files), "Decoding"):
+            decoder.add(read_image(path))
+        matches = decoder.finish().matches
+        if not len(matches):
+            return "decodes to no match at all"
+        share = share_on_epipolar_lines(matches.camera_px, matches.projector_px)
+        if share < _LEAST_ON_LINES:
+            return f"decodes, but only {share:.0%} of the matches obey one epipolar geometry"
+        return matches
+
+
+def _recognised(layout: Layout, candidate: Candidate, size: Size, how: str) -> Recognised:
+    return Recognised(layout, candidate.files, candidate.for_size(size), size, how)
+
+
+def _shown(size: Size) -> str:
+    return f"{size[0]} × {size[1]}"

@@ -1,0 +1,72 @@
+"""Some rows and columns of every frame: enough to see what the frames are."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools, Floats, Image
+from scanner.errors import InputError
+from scanner.importing.layout import Size
+from scanner.io import read_image
+
+_ACROSS = 160
+# Of the swing of well lit pixels, a percentile: less is not lit.
+_LIT, _WELL_LIT = 0.2, 99.0
+_SEED = 1
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Grey levels (frames, H, W) where some rows and columns cross, at `camera_px` (H, W, 2).
+
+    `camera_size` is (width, height).
+    """
+
+    levels: Floats
+    camera_px: Floats
+    camera_size: Size
+
+    @cached_property
+    def swing(self) -> Floats:
+        """(H, W): from the darkest frame to the brightest."""
+        swing: Floats = np.ptp(self.levels, axis=0)
+        return swing
+
+    @cached_property
+    def lit(self) -> Bools:
+        """(H, W): pixels that the frames light differently."""
+        lit: Bools = self.swing > max(_LIT * float(np.percentile(self.swing, _WELL_LIT)), 1.0)
+        return lit
+
+
+def take_samples(files: Sequence[Path]) -> Samples:
+    """Read all frames. Raises InputError if one is no image, or of another size or kind than the first."""
+    first = read_image(files[0])
+    height, width = first.shape[:2]
+    # Not regular: a grid would beat with the stripes.
+    rng = np.random.default_rng(_SEED)
+    step = max(1, width // _ACROSS)
+    rows, columns = (
+        np.arange(0, size - step + 1, step) + rng.integers(0, step, (size - step) // step + 1)
+        for size in (height, width)
+    )
+    levels = []
+    for path in files:
+        image = read_image(path)
+        if (image.shape, image.dtype) != (first.shape, first.dtype):
+            raise InputError(
+                f"{path}: expected an image of the kind of {files[0].name}, {_kind(first)}, found {_kind(image)}"
+            )
+        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+        levels.append(grey[np.ix_(rows, columns)].astype(np.float64))
+    camera_px = np.stack(np.meshgrid(columns, rows), axis=-1).astype(np.float64)
+    return Samples(np.stack(levels), camera_px, (width, height))
+
+
+def _kind(image: Image) -> str:
+    colours = "colour" if image.ndim == 3 else "grey"
+    return f"{image.shape[1]} × {image.shape[0]}, {8 * image.itemsize}-bit {colours}"
