@@ -21,6 +21,17 @@ def biweight(residual: Floats) -> Floats:
     return weights
 
 
+def influence_on(jacobian: Floats, residual: Floats) -> Floats:
+    """How the parameters of a fit with Tukey's weights follow the points, (P, N): by each one's signed distance.
+
+    `jacobian` (N, P): of the distance that the fit explains by the parameters; `residual` (N,): what it does not. From
+    the estimating equations Σ ψ(r) J = 0 by implicit differentiation (Huber 1981, section 6.3).
+    """
+    scores = (_biweight_slope(residual)[:, None] * jacobian).T
+    influence: Floats = np.linalg.pinv(scores @ jacobian, hermitian=True) @ scores
+    return influence
+
+
 def _biweight_slope(residual: Floats) -> Floats:
     """Derivative of weight times residual by the residual, (N,)."""
     u2 = _relative(residual) ** 2

@@ -23,7 +23,7 @@ from calib.remarks import notes_on
 from calib.same_corner import is_anticlockwise, reflected
 from calib.sweep import family_of
 from calib.trust import no_corner, refuse_degenerate, refuse_untrustworthy
-from calib.uncertainty import Uncertainty, calibration_of, sigmas_by_name, uncertainty_of
+from calib.uncertainty import Uncertainty, along_valley, calibration_of, sigmas_by_name, uncertainty_of
 from calib.wording import RIG
 
 Method = Literal["refined", "paper"]
@@ -229,6 +229,7 @@ def _by_refinement(
     profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
     sameness = refinement.sameness
     order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
+    along = along_valley(*refinement.valley.along(fit))
     results = []
     for i, matches in enumerate(captures):
         if len(captures) > 1:
@@ -236,7 +237,7 @@ def _by_refinement(
             matches = _renumbered(matches, reflect=turned[i], shift=shift)
         corner, residual_px = before_the_matches(refinement.corner(i), calibration, matches)
         uncertainty = uncertainty_of(
-            fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px
+            fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px, along
         )
         results.append(
             SelfCalibration(
