@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration
 from calib.numerics import Bools
 from calib.pointcloud import build_cloud
@@ -67,12 +68,16 @@ def replay(
     *,
     masks: Bools | None = None,
     calibration: Calibration | None = None,
+    stated: Uncertainty | None = None,
     earlier: Sequence[Findings] = (),
 ) -> Scan:
-    """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
+    """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError.
+
+    `stated`: what the file of a `calibration` that is given says of its covariance.
+    """
     recording.copy_to(folder / CAPTURE_FOLDER)
     found = decode(recording.stream(), terminal, "Decoding")
-    found.name = str(recording.folder)
+    found.name, found.stated = str(recording.folder), stated
     return reconstruct(Scan([*earlier, found]), config, folder, terminal, masks=masks, calibration=calibration)
 
 

@@ -16,6 +16,7 @@ from calib.diagnostics.notes import FURTHER_CAPTURE, notes_on
 from calib.diagnostics.plane_form import PlaneForm, plane_form
 from calib.diagnostics.smooth_errors import footprint_offsets
 from calib.diagnostics.uncertainty import (
+    NOWHERE,
     Along,
     Uncertainty,
     along_valley,

@@ -71,12 +71,12 @@ class Spread:
 
 def _budget(scatter: float, smooth: float, systematic: Floats) -> Budget:
     calibration = float(np.linalg.norm(systematic[:-1]))
-    # Too few points that err independently: their covariance is infinite, and its products are not numbers.
-    return Budget(*_root(scatter, smooth), calibration, float(abs(systematic[-1])))
+    return Budget(_root(scatter), _root(smooth), calibration, float(abs(systematic[-1])))
 
 
-def _root(*variances: float) -> tuple[float, ...]:
-    return tuple(float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) else np.inf for variance in variances)
+def _root(variance: float) -> float:
+    """The covariance of too few points that err independently is infinite, and its products are not numbers."""
+    return float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) else np.inf
 
 
 def stacked(spreads: Sequence[Spread]) -> Spread:
@@ -99,6 +99,11 @@ class SystematicErrors:
     calibration: Calibration
     uncertainty: Uncertainty | None
     log_scale: Floats
+
+    @property
+    def known(self) -> bool:
+        """Whether the calibration's covariance is known."""
+        return self.uncertainty is not None
 
     @classmethod
     def of(cls, calibration: Calibration, uncertainty: Uncertainty | None, scale: float = 0.0) -> "SystematicErrors":
@@ -188,18 +193,19 @@ def spread_of_fit(fit: LinearFit, matches: Matches, errors: SystematicErrors, of
         toward = np.einsum("ni,nia->na", direction[at], by_px)
         by_modes += np.einsum("pn,na,nk->pak", influence[:, at], toward, modes[at], optimize=True)
     flat = by_modes.reshape(len(influence), -1)
-    smooth = smooth_px**2 * flat @ flat.T
+    smooth: Floats = smooth_px**2 * flat @ flat.T
     if offsets is not None:
-        smooth += np.outer(influence @ offsets, influence @ offsets)
+        smooth = smooth + np.outer(influence @ offsets, influence @ offsets)
     return Spread(fit.scatter, smooth, systematic)
 
 
 def spread_of_vertex(planes: Sequence[Plane], spreads: Sequence[Spread]) -> tuple[Floats, Spread]:
     """The point (3,) in which three planes meet, and its errors."""
     normals = np.stack([plane.normal for plane in planes])
-    vertex = np.linalg.solve(normals, np.array([plane.offset for plane in planes]))
+    vertex: Floats = np.linalg.solve(normals, np.array([plane.offset for plane in planes]))
     rises = [np.append(plane.tangents @ (vertex - plane.centre), 1.0) for plane in planes]
-    return vertex, stacked(spreads).through(np.linalg.inv(normals) @ block_diag(*rises))
+    by_parameters = np.asarray(np.linalg.inv(normals) @ block_diag(*rises), np.float64)
+    return vertex, stacked(spreads).through(by_parameters)
 
 
 def length_in_the_middle(points: Floats, errors: SystematicErrors) -> Budget:
@@ -210,8 +216,8 @@ def length_in_the_middle(points: Floats, errors: SystematicErrors) -> Budget:
     middle = np.median(points, axis=0)
     half = _RULER * float(np.linalg.norm(middle))
     ends = np.concatenate([middle + half * np.eye(3), middle - half * np.eye(3)])
-    calibration = errors.calibration
-    seen = calibration.projector.project(ends @ calibration.rotation.T + calibration.translation)
-    moved = errors.of_points(Matches(calibration.camera.project(ends), seen), ends)
+    rig = errors.calibration
+    seen = rig.projector.project(ends @ rig.rotation.T + rig.translation)
+    moved = errors.of_points(Matches(rig.camera.project(ends), seen), ends)
     strain = np.stack([moved[axis, axis] - moved[3 + axis, axis] for axis in range(3)]) / (2 * half)
     return _budget(0.0, 0.0, np.sqrt(np.mean(strain**2, axis=0)))

@@ -17,7 +17,8 @@ def point_covariances(matches: Matches, calibration: Calibration) -> Floats:
     if matches.sigma_px is None:
         raise ValueError("these matches have no sigma_px")
     by_sigma = matches.sigma_px[:, None, None] * by_projector_px(matches, calibration, matches.sigma_px)
-    return np.einsum("nia,nja->nij", by_sigma, by_sigma)
+    covariance: Floats = np.einsum("nia,nja->nij", by_sigma, by_sigma)
+    return covariance
 
 
 def by_projector_px(matches: Matches, calibration: Calibration, step_px: Floats) -> Floats:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from scanner.quantities import calibration_table, truth_line
-from scanner.results import CALIBRATION_FILE, CLOUD_FILE, MERGED_FILE, REPORT_FILE, Scan
+from scanner.results import CALIBRATION_FILE, CLOUD_FILE, MERGED_FILE, REPORT_FILE, Scan, read_verdict
 from scanner.ui import Terminal
 
 
@@ -15,6 +15,9 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
     terminal.show(calibration_table(newest.calibration, newest.truth))
     if newest.truth:
         terminal.show(truth_line(newest.calibration, newest.truth))
+    verdict = read_verdict(out / CALIBRATION_FILE)
+    if verdict:
+        terminal.show(verdict.reasons[0])
     for remark in scan.remarks:
         terminal.show(f"Note: {remark}")
     for title, found in zip(scan.titles, scan.captures, strict=True):

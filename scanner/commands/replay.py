@@ -12,7 +12,7 @@ from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.reconstruction import read_captures, read_masks, refuse_impossible
-from scanner.results import CAPTURE_FOLDER, default_out, new_result
+from scanner.results import CAPTURE_FOLDER, default_out, new_result, read_uncertainty
 from scanner.ui import Terminal
 
 
@@ -38,6 +38,7 @@ def run(args: Namespace) -> None:
     config.principal_point(recording.camera_size)
     masks = read_masks(args.masks, recording.camera_size) if args.masks else None
     calibration = read_calibration(args.calibration) if args.calibration else None
+    stated = read_uncertainty(args.calibration, calibration) if calibration else None
     if calibration:
         _check_sizes(args.calibration, calibration, recording)
         if config.earlier:
@@ -51,7 +52,14 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     with new_result(out, config, overwrite=args.overwrite) as folder:
         scan = pipeline.replay(
-            recording, config, folder, terminal, masks=masks, calibration=calibration, earlier=earlier
+            recording,
+            config,
+            folder,
+            terminal,
+            masks=masks,
+            calibration=calibration,
+            stated=stated,
+            earlier=earlier,
         )
     show_outcome(scan, out, terminal)
 

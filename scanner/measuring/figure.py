@@ -42,7 +42,7 @@ def write_figure(path: Path, measured: Measurements) -> None:
         reach = (1 + _MARGIN_OF_IMAGE) * radius
         axes.set_xlim(x - reach, x + reach)
         axes.set_ylim(y + reach, y - reach)
-        fitted = f"diameter {unit.length(sphere.diameter, sphere.diameter_sigma)}"
+        fitted = f"diameter {unit.length(sphere.diameter, sphere.diameter_budget.sigma)}"
         _title(axes, f"Sphere {number}: {fitted}", f"mean absolute error {unit.error(sphere.errors.mean_absolute)}")
     if measured.faces:
         _draw(every[-1], [face.errors for face in measured.faces], unit)

@@ -2,7 +2,6 @@
 
 from scanner.quantities.calibration_numbers import (
     Quantity,
-    corner_quantities,
     device_quantities,
     intrinsic_errors_percent,
     percent,
@@ -12,4 +11,4 @@ from scanner.quantities.calibration_numbers import (
 from scanner.quantities.calibration_table import calibration_table, truth_line
 from scanner.quantities.lengths import ShownUnit, shown_unit
 from scanner.quantities.names import FACE_NAMES
-from scanner.quantities.units import UNKNOWN_UNIT, metres_per, parse_length, unit_name
+from scanner.quantities.units import KNOWN_BASELINE, KNOWN_TO_CORNER, UNKNOWN_UNIT, metres_per, parse_length, unit_name

@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Corner, Intrinsics
+from calib.geometry import Calibration, Intrinsics
 from calib.numerics import Floats
+from scanner.quantities.units import KNOWN_BASELINE
 
 _DISTORTION_NAMES = ("k₁", "k₂", "p₁", "p₂", "k₃")
 _DEFAULT_SIGNIFICANT = 5
@@ -133,7 +134,7 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
             "baseline",
             calibration.baseline,
             "" if calibration.unit == "baseline" else calibration.unit,
-            None,
+            _sigma(calibration, KNOWN_BASELINE, 0),
             truth.baseline if truth is not None and same_unit else None,
             "unit of all lengths" if calibration.unit == "baseline" else f"distance between {first} and {second}",
         ),
@@ -152,14 +153,6 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
             Quantity("rotation error", degrees(off), "°", meaning="between the rotation and the true one")
         )
     return quantities
-
-
-def corner_quantities(corner: Corner, calibration: Calibration) -> list[Quantity]:
-    """The angles between the faces."""
-    return [
-        Quantity(f"angle {pair}", float(angle), "°", _sigma(calibration, "corner_angles_deg", index))
-        for index, (pair, angle) in enumerate(zip(("B–C", "C–A", "A–B"), corner.angles_deg, strict=True))
-    ]
 
 
 def intrinsic_errors_percent(calibration: Calibration, truth: Calibration) -> Floats:

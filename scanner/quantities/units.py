@@ -5,6 +5,10 @@ import re
 from scanner.errors import InputError
 
 UNKNOWN_UNIT = "baseline"
+# Keys of a calibration's sigmas for the one length that was known: either the baseline, or the camera's distance from
+# the corner's vertex.
+KNOWN_BASELINE, KNOWN_TO_CORNER = "known_baseline", "known_camera_to_corner"
+
 METRES = {
     "m": 1.0,
     "cm": 1e-2,

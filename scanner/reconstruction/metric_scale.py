@@ -7,22 +7,26 @@ import numpy as np
 from calib.geometry import Calibration, Corner
 from scanner.configuration import ScaleSettings
 from scanner.errors import InputError
-from scanner.quantities import UNKNOWN_UNIT
+from scanner.quantities import KNOWN_BASELINE, KNOWN_TO_CORNER, UNKNOWN_UNIT
 
 
 def scaled(calibration: Calibration, corner: Corner | None, scale: ScaleSettings | None) -> Calibration:
     """The calibration in metres if a length is known; as it is if none is, or if it has a unit already.
 
-    `corner` is in the calibration's unit. Raises InputError if the known length is that to a corner and there is none.
+    `corner` is in the calibration's unit. The result's `sigma` says which length was known, and how well: 0 for
+    exactly. Raises InputError if the known length is that to a corner and there is none.
     """
     if scale is None or calibration.unit != UNKNOWN_UNIT:
         return calibration
+    sigma = {**calibration.sigma}
     if scale.baseline_m is not None:
+        sigma[KNOWN_BASELINE] = scale.sigma_m or 0.0
         factor = scale.baseline_m / calibration.baseline
     elif scale.camera_to_corner_m is not None:
         if corner is None:
             raise InputError("scale.camera_to_corner_m needs the corner, which is not looked for with a --calibration")
+        sigma[KNOWN_TO_CORNER] = scale.sigma_m or 0.0
         factor = scale.camera_to_corner_m / float(np.linalg.norm(corner.vertex))
     else:
         return calibration
-    return replace(calibration, translation=calibration.translation * factor, unit="m")
+    return replace(calibration, translation=calibration.translation * factor, unit="m", sigma=sigma)

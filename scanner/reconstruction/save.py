@@ -61,8 +61,7 @@ def save(scan: Scan, folder: Path, refusal: RefusalError | None = None) -> None:
         for place, found in zip(places, scan.captures, strict=True):
             report = _report_input(scan, found, place, refusal)
             if report.calibration is not None:
-                uncertainty = found.solution.uncertainty if found.solution else None
-                more = confidence_entries(verdict(report), uncertainty)
+                more = confidence_entries(verdict(report), report.uncertainty)
                 write_calibration(place / CALIBRATION_FILE, report.calibration, more)
             write_report(place / REPORT_FILE, report)
         for each in written:
@@ -76,6 +75,7 @@ def _report_input(scan: Scan, found: Findings, folder: Path, refusal: RefusalErr
         matches=found.matches,
         decoding=found.decoding,
         solution=None if refusal else found.solution,
+        uncertainty=None if refusal else found.uncertainty,
         calibration=None if refusal else found.calibration,
         cloud=None if refusal else found.cloud,
         refusal=refusal,

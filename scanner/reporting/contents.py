@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Matches
 from calib.numerics import Image, Ints
 from calib.pointcloud import NONE, Cloud, MergedCloud
@@ -12,6 +13,7 @@ from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureFacts
 from scanner.decoding import Decoding
+from scanner.measuring import Scene, measure_scene
 from scanner.rendering import cells_over, one_in_cells, places_within
 
 _MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
@@ -38,8 +40,9 @@ class ReportInput:
     """Everything that a report may tell; only the capture and its matches are always there.
 
     `matches` carry face labels where faces were found. `calibration` is the one in use, with its scale: found by
-    `solution`, or given by the operator if there is no solution. `refusal` says why there is none. `truth` belongs to a
-    simulated rig. `files` are the names in the result folder. A result has a calibration or a refusal, never both.
+    `solution`, or given by the operator if there is no solution; `uncertainty` is its own, None where unknown.
+    `refusal` says why there is none. `truth` belongs to a simulated rig. `files` are the names in the result folder. A
+    result has a calibration or a refusal, never both.
     `photograph` is the lit scene where nothing was decoded. `together`: how many captures were calibrated together.
     On the newest one's page: `captures`, all of them if there are several, and `merged`, their cloud. `remarks` are
     further notes.
@@ -52,6 +55,7 @@ class ReportInput:
     title: str = "Scan"
     decoding: Decoding | None = None
     solution: SelfCalibration | None = None
+    uncertainty: Uncertainty | None = None
     calibration: Calibration | None = None
     cloud: Cloud | None = None
     refusal: RefusalError | None = None
@@ -83,6 +87,13 @@ class ReportInput:
     def sample(self) -> Matches:
         """The matches `on_faces`."""
         return self.matches[self.on_faces]
+
+    @cached_property
+    def scene(self) -> Scene | None:
+        """Faces, angles, and how well lengths are known, as every page has them; None after a refusal."""
+        if self.calibration is None:
+            return None
+        return measure_scene(self.matches, self.calibration, self.uncertainty)
 
     @property
     def cell_px(self) -> int:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Floats
-from scanner.measuring import AngleMeasurement, FaceMeasurement, measure_faces
-from scanner.quantities import Quantity, shown_unit
+from scanner.measuring import AngleMeasurement, FaceMeasurement, angle_cells
+from scanner.quantities import shown_unit
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import ScaledMap, picture
@@ -18,7 +18,7 @@ _MAP_SIDE = 640
 
 @dataclass(frozen=True)
 class FlatnessRow:
-    """A face as text: its name, points, mean absolute distance from its plane, and the band that 99.7 % are in."""
+    """A face as text: its name, flatness with its sigma, and the band that 99.7 % of its points are in."""
 
     name: str
     cells: tuple[str, ...]
@@ -34,25 +34,17 @@ class Flatness:
 
 
 def flatness(report: ReportInput) -> Flatness | None:
-    """The faces of the cloud; None without a cloud or labelled faces."""
-    cloud, face = report.cloud, report.sample.face
-    if cloud is None or face is None:
+    """The faces; None without a calibration or labelled faces."""
+    scene = report.scene
+    if scene is None or not scene.faces or report.calibration is None:
         return None
-    pixel = np.rint(report.sample.camera_px).astype(np.int64)
-    height, width = cloud.points.shape[:2]
-    inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
-    face, pixel = face[inside], pixel[inside]
-    points = cloud.points[pixel[:, 1], pixel[:, 0]].astype(np.float64)
-    there = np.isfinite(points[:, 2])
-    faces, angles = measure_faces(points[there], pixel[there], face[there], width)
-    if not faces:
-        return None
-    unit = shown_unit(cloud.unit)
+    unit = shown_unit(report.calibration.unit)
     rows = tuple(
-        FlatnessRow(face.name, (unit.error(face.errors.mean_absolute), unit.error(face.errors.form))) for face in faces
+        FlatnessRow(face.name, (unit.length(face.deviation, face.budget.sigma), unit.error(face.errors.form)))
+        for face in scene.faces
     )
-    painted = _map(faces, (width, height), report.cell_px, unit.factor, unit.name)
-    return Flatness(painted, rows, tuple(map(_shown, angles)))
+    painted = _map(scene.faces, report.capture.camera_size, report.cell_px, unit.factor, unit.name)
+    return Flatness(painted, rows, tuple(map(_shown, scene.angles)))
 
 
 def _map(faces: tuple[FaceMeasurement, ...], size: tuple[int, int], step: int, factor: float, unit: str) -> ScaledMap:
@@ -65,7 +57,4 @@ def _map(faces: tuple[FaceMeasurement, ...], size: tuple[int, int], step: int, f
 
 
 def _shown(angle: AngleMeasurement) -> tuple[str, str]:
-    sigma = angle.sigma_deg if np.isfinite(angle.sigma_deg) else None
-    quantity = Quantity("", angle.angle_deg, "°", sigma)
-    known = f" ± {quantity.shown(sigma)}°" if sigma else ""
-    return f"{angle.faces[0]}–{angle.faces[1]}", f"{quantity.shown(angle.angle_deg)}°{known}"
+    return "–".join(angle.faces), " ".join(angle_cells(angle))

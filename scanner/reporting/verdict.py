@@ -1,6 +1,7 @@
 """Can one trust this result? The answer in plain words, from the numbers."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -40,9 +41,8 @@ def verdict(report: ReportInput) -> Verdict:
         matched = f"{len(report.matches):,} matches were decoded and are kept in matches.npz."
         return Verdict("refused", "Not calibrated", (report.refusal.reason, matched), report.refusal.advice)
     assert report.calibration is not None
-    if report.solution is None:
-        return _of_given(report)
-    return _of_self_calibration(report, report.calibration)
+    found = _of_given(report) if report.solution is None else _of_self_calibration(report, report.calibration)
+    return found if report.scene is None else replace(found, reasons=(report.scene.sentence, *found.reasons))
 
 
 def _of_given(report: ReportInput) -> Verdict:

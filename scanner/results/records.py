@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Matches
 from calib.numerics import Image, Ints
 from calib.pointcloud import Cloud, MergedCloud
@@ -19,7 +20,8 @@ class Findings:
 
     `calibration` is the one in use, with its scale; `truth` is known of simulated rigs, and only for showing it. `name`
     says in messages which of several captures it is; `photograph` is the lit scene where nothing was decoded; `plane`
-    (N,) is which plane each match is on, as of `Faces`, where the faces were found and not given.
+    (N,) is which plane each match is on, as of `Faces`, where the faces were found and not given. `stated`:
+    what a calibration that was given says of its covariance.
     """
 
     facts: CaptureFacts
@@ -32,6 +34,12 @@ class Findings:
     name: str = ""
     photograph: Image | None = None
     plane: Ints | None = None
+    stated: Uncertainty | None = None
+
+    @property
+    def uncertainty(self) -> Uncertainty | None:
+        """Of the calibration in use: found with it, or stated by the file that it was given in."""
+        return self.solution.uncertainty if self.solution else self.stated
 
     @property
     def texture(self) -> Image | None:

@@ -4,13 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Corner, Matches, intersect
 from calib.numerics import Floats
-from scanner.measuring import AngleMeasurement, FaceMeasurement, measure_faces
+from scanner.measuring import Scene, measure_scene
 from scanner.viewing.decimation import shuffled
 
-# Planes through so many points are as good to look at as through all, and known at once.
-FITTED_POINTS = 100_000
+# So many points tell as well as all how far a face reaches.
+_OUTLINED_POINTS = 100_000
 
 # A face ends where nearly all of its points do: strays would make it as large as the room behind them.
 _REACH_QUANTILE = 0.995
@@ -18,22 +19,24 @@ _REACH_QUANTILE = 0.995
 
 @dataclass(frozen=True)
 class MeasuredCorner:
-    """`faces` A, B, C and the `angles` between them, measured; `corner` is where they meet, in the camera's frame.
+    """`scene`: faces A, B, C and the angles between them, measured; `corner` is where they meet, in the camera's frame.
 
     `outlines` (3, 4, 3): each face as a parallelogram that begins at the vertex, its points within.
     """
 
     corner: Corner
-    faces: tuple[FaceMeasurement, ...]
-    angles: tuple[AngleMeasurement, ...]
+    scene: Scene
     outlines: Floats
 
 
-def measured_corner(matches: Matches, calibration: Calibration) -> MeasuredCorner | None:
-    """Fit the faces to points of at most `FITTED_POINTS` matches; None if the matches do not label all three."""
-    part, points = triangulated(matches, calibration, FITTED_POINTS)
+def measured_corner(
+    matches: Matches, calibration: Calibration, uncertainty: Uncertainty | None
+) -> MeasuredCorner | None:
+    """The faces as `scan measure` has them; None if the matches do not label all three."""
+    scene = measure_scene(matches, calibration, uncertainty)
+    faces = scene.faces
+    part, points = triangulated(matches, calibration, _OUTLINED_POINTS)
     label = part.face
-    faces, angles = measure_faces(points, np.rint(part.camera_px).astype(np.int64), label, calibration.camera.width)
     if len(faces) < 3 or label is None:
         return None
     normals = np.stack([face.normal for face in faces])
@@ -45,7 +48,7 @@ def measured_corner(matches: Matches, calibration: Calibration) -> MeasuredCorne
         beside = from_vertex[(label >= 0) & (label < 3) & (label != leg)]
         legs[leg] *= 1.0 if np.median(beside @ legs[leg]) >= 0 else -1.0
     outlines = [_outline(from_vertex[label == face], np.delete(legs, face, axis=0)) for face in range(3)]
-    return MeasuredCorner(Corner(vertex, legs), faces, angles, vertex + np.stack(outlines))
+    return MeasuredCorner(Corner(vertex, legs), scene, vertex + np.stack(outlines))
 
 
 def triangulated(matches: Matches, calibration: Calibration, count: int) -> tuple[Matches, Floats]:

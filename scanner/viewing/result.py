@@ -148,7 +148,7 @@ class ViewedResult:
             raise InputError(f"{folder}: the cloud is empty")
         calibration = read_calibration_of(folder)
         uncertainty = read_uncertainty(folder / CALIBRATION_FILE, calibration)
-        corner = measured_corner(matches, calibration)
+        corner = measured_corner(matches, calibration, uncertainty)
         return ViewedCloud(
             points.points,
             points.colours,
@@ -170,7 +170,7 @@ class ViewedResult:
         rigs, corner = [], None
         for folder in self._captures.values():
             calibration, matches = read_calibration_of(folder), read_matches(folder)
-            found = measured_corner(matches, calibration)
+            found = measured_corner(matches, calibration, read_uncertainty(folder / CALIBRATION_FILE, calibration))
             if found is not None:
                 _, points = triangulated(matches, calibration, _PLACING_POINTS)
                 rotation, position = _place(points, found.corner, tree)
