@@ -7,7 +7,20 @@
 from argparse import ArgumentParser, Namespace
 from typing import Protocol
 
-from scanner.commands import calibrate, check, console, devices, export, measure, patterns, photos, replay, scan, view
+from scanner.commands import (
+    accept,
+    calibrate,
+    check,
+    console,
+    devices,
+    export,
+    measure,
+    patterns,
+    photos,
+    replay,
+    scan,
+    view,
+)
 
 
 class Command(Protocol):
@@ -31,6 +44,7 @@ NAMED: dict[str, Command] = {
     "check": check,
     "export": export,
     "measure": measure,
+    "accept": accept,
     "view": view,
     "console": console,
     "photos": photos,

@@ -1,5 +1,14 @@
 """Spheres, faces and distances measured in the cloud of a result."""
 
+from scanner.measuring.acceptance import Acceptance, Error, errors_of, parse_ball_bar
+from scanner.measuring.acceptance_report import (
+    ACCEPTANCE_FILE,
+    ACCEPTANCE_PAGE,
+    remarks,
+    summary_table,
+    write_acceptance,
+    write_acceptance_page,
+)
 from scanner.measuring.document import MEASURE_FILE, write_document
 from scanner.measuring.figure import FIGURE_FILE, write_figure
 from scanner.measuring.measure import measure, read_scene

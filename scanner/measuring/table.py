@@ -18,20 +18,20 @@ def tables(measured: Measurements) -> Iterator[Table]:
     for number, sphere in enumerate(measured.spheres, start=1):
         yield _sphere_table(sphere, number, unit)
     if measured.faces:
-        table = _table("Faces", "flatness", "points", "rms", "99.7 % within")
+        table = empty_table("Faces", "flatness", "points", "rms", "99.7 % within")
         for face in measured.faces:
             flatness = unit.length(face.deviation, face.budget.sigma)
             cells = (f"{len(face.errors.residual):,}", unit.error(face.errors.rms), unit.error(face.errors.form))
             table.add_row(f"  {face.name}", flatness, *cells)
         yield table
     if measured.angles:
-        table = _table("Angles between the faces", "angle", "sigma")
+        table = empty_table("Angles between the faces", "angle", "sigma")
         for angle in measured.angles:
             names = f"  {angle.faces[0]} and {angle.faces[1]}"
             table.add_row(names, *angle_cells(angle))
         yield table
     if measured.distances:
-        table = _table("Distances", "distance")
+        table = empty_table("Distances", "distance")
         for distance in measured.distances:
             names = f"  {distance.names[0]} to {distance.names[1]}"
             table.add_row(names, unit.length(distance.distance, distance.budget.sigma if distance.budget else None))
@@ -47,7 +47,7 @@ def angle_cells(angle: AngleMeasurement) -> tuple[str, str]:
 def shares_table(measured: Measurements) -> Table:
     """Where each sigma comes from."""
     unit = shown_unit(measured.unit)
-    table = _table("Shares of the sigmas", "sigma", *_SHARES)
+    table = empty_table("Shares of the sigmas", "sigma", *_SHARES)
     rows: list[tuple[str, Budget, float]] = []
     for number, sphere in enumerate(measured.spheres, start=1):
         rows.append((f"diameter {number}, {unit.name}", sphere.diameter_budget, unit.factor))
@@ -66,7 +66,7 @@ def shares_table(measured: Measurements) -> Table:
 
 def _sphere_table(sphere: SphereMeasurement, number: int, unit: ShownUnit) -> Table:
     x, y, radius = sphere.image_px
-    table = _table(f"Sphere {number}, at camera pixel ({x:.0f}, {y:.0f}), {2 * radius:.0f} pixels across", "")
+    table = empty_table(f"Sphere {number}, at camera pixel ({x:.0f}, {y:.0f}), {2 * radius:.0f} pixels across", "")
     for name, value in (
         ("diameter", unit.length(sphere.diameter, sphere.diameter_budget.sigma)),
         ("nominal diameter", unit.length(sphere.nominal_diameter)),
@@ -82,7 +82,8 @@ def _sphere_table(sphere: SphereMeasurement, number: int, unit: ShownUnit) -> Ta
     return table
 
 
-def _table(title: str, *headings: str) -> Table:
+def empty_table(title: str, *headings: str) -> Table:
+    """A table with a title and right-aligned columns under the headings, beside a column of names."""
     table = Table(
         title=title,
         title_justify="left",
