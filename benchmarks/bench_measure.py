@@ -104,7 +104,7 @@ def run(seed: int, folder: Path, errors: Errors) -> None:
             compare(errors, "together", folder_of(together, place, PLACES), room)
         known = true_calibration(rooms[-1]).camera.principal_point_px
         point = f"camera.principal_point.known={list(known)}"
-        if scan(["calibrate", str(together), *asked, str(alone), "--set", point]) == 0:
+        if scan(["calibrate", str(together / "matches.npz"), *asked, str(alone), "--set", point]) == 0:
             compare(errors, "alone", alone, rooms[-1])
     print(f"seed {seed} done", flush=True)
 
