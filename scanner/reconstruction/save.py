@@ -75,7 +75,7 @@ def _report_input(scan: Scan, found: Findings, folder: Path, refusal: RefusalErr
         matches=found.matches,
         decoding=found.decoding,
         solution=None if refusal else found.solution,
-        uncertainty=None if refusal else found.uncertainty,
+        stated=None if refusal else found.stated,
         calibration=None if refusal else found.calibration,
         cloud=None if refusal else found.cloud,
         refusal=refusal,

@@ -40,7 +40,7 @@ class ReportInput:
     """Everything that a report may tell; only the capture and its matches are always there.
 
     `matches` carry face labels where faces were found. `calibration` is the one in use, with its scale: found by
-    `solution`, or given by the operator if there is no solution; `uncertainty` is its own, None where unknown.
+    `solution`, or given by the operator if there is no solution, with its `stated` uncertainty if there is one.
     `refusal` says why there is none. `truth` belongs to a simulated rig. `files` are the names in the result folder. A
     result has a calibration or a refusal, never both.
     `photograph` is the lit scene where nothing was decoded. `together`: how many captures were calibrated together.
@@ -55,7 +55,6 @@ class ReportInput:
     title: str = "Scan"
     decoding: Decoding | None = None
     solution: SelfCalibration | None = None
-    uncertainty: Uncertainty | None = None
     calibration: Calibration | None = None
     cloud: Cloud | None = None
     refusal: RefusalError | None = None
@@ -67,6 +66,7 @@ class ReportInput:
     captures: tuple[CaptureRow, ...] = ()
     merged: MergedCloud | None = None
     remarks: tuple[str, ...] = ()
+    stated: Uncertainty | None = None
 
     def __post_init__(self) -> None:
         if (self.calibration is None) == (self.refusal is None):
@@ -87,6 +87,11 @@ class ReportInput:
     def sample(self) -> Matches:
         """The matches `on_faces`."""
         return self.matches[self.on_faces]
+
+    @property
+    def uncertainty(self) -> Uncertainty | None:
+        """Of the calibration in use, None where unknown."""
+        return self.solution.uncertainty if self.solution else self.stated
 
     @cached_property
     def scene(self) -> Scene | None:

@@ -37,11 +37,6 @@ class Findings:
     stated: Uncertainty | None = None
 
     @property
-    def uncertainty(self) -> Uncertainty | None:
-        """Of the calibration in use: found with it, or stated by the file that it was given in."""
-        return self.solution.uncertainty if self.solution else self.stated
-
-    @property
     def texture(self) -> Image | None:
         """The camera's image of the lit scene."""
         return self.decoding.texture if self.decoding else self.photograph
