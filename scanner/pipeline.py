@@ -129,11 +129,22 @@ def reconstruct(
             with progress.step("Merging the clouds"):
                 merge(scan)
     except RefusalError as refusal:
-        save(scan, folder, refusal)
-        raise
+        named = _for_want_of_light(refusal, scan)
+        save(scan, folder, named)
+        raise named from refusal
     with progress.step("Writing the result"):
         save(scan, folder)
     return scan
+
+
+def _for_want_of_light(refusal: RefusalError, scan: Scan) -> RefusalError:
+    """The refusal, or where a capture is nearly black a refusal for that: whatever else is wrong may follow from it."""
+    for found in scan.captures:
+        if found.decoding is not None and found.decoding.darkness is not None:
+            what, _, to_do = found.decoding.darkness.partition(". ")
+            which = f"{found.name}: " if len(scan.captures) > 1 else ""
+            return RefusalError(f"{which}{what}. What came of it: {refusal.reason}", to_do)
+    return refusal
 
 
 def triangulate(found: Findings, calibration: Calibration) -> None:

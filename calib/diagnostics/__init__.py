@@ -12,7 +12,7 @@ from calib.diagnostics.error_propagation import (
     spread_of_vertex,
     stacked,
 )
-from calib.diagnostics.notes import FURTHER_CAPTURE, notes_on
+from calib.diagnostics.notes import FROM_ONE_PLACE, FURTHER_CAPTURE, notes_on
 from calib.diagnostics.plane_form import PlaneForm, plane_form
 from calib.diagnostics.smooth_errors import footprint_offsets
 from calib.diagnostics.uncertainty import (

@@ -29,7 +29,7 @@ from scanner.decoding.frame_checks import check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
-from scanner.decoding.operator_advice import warnings_of
+from scanner.decoding.operator_advice import too_dark, warnings_of
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.saturation_level import saturation_level
 from scanner.decoding.sequence_plan import SequencePlan, plan_sequence
@@ -51,7 +51,7 @@ class Decoding:
     gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
     `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
     `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
-    `warnings`: sentences for the operator.
+    `warnings`: sentences for the operator; `darkness`: the one on frames that are too dark to decode well, if they are.
     """
 
     matches: Matches
@@ -61,6 +61,7 @@ class Decoding:
     modulation: float | None
     warnings: tuple[str, ...]
     flicker: float | None = None
+    darkness: str | None = None
 
 
 class Decoder:
@@ -123,9 +124,10 @@ class Decoder:
         brightest = accumulators.brightest
         del accumulators
         matches, reasons = _match(self._plan, maps, brightest)
-        warnings = tuple(warnings_of(reasons, learnt.modulation, learnt.flicker))
+        darkness = too_dark(self._texture, learnt.noise)
+        warnings = tuple(warnings_of(reasons, learnt.modulation, learnt.flicker, darkness))
         texture = self._texture if self._merger is None else self._merger.alike(self._texture)
-        return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker)
+        return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker, darkness)
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.patterns):

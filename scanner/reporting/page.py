@@ -19,7 +19,7 @@ from scanner.reporting.flatness import flatness
 from scanner.reporting.focal import focal_length
 from scanner.reporting.joint import joint_rows, merged_views
 from scanner.reporting.residuals import face_residuals, misses
-from scanner.reporting.uncertainty import point_sigmas, price_of_principal_point
+from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
 
@@ -70,7 +70,6 @@ def write_report(path: Path, report: ReportInput) -> None:
         warnings=report.warnings,
         notes=(
             *(report.solution.notes if report.solution else ()),
-            *price_of_principal_point(report.solution),
             *report.remarks,
         ),
         method=report.solution.method if report.solution else None,

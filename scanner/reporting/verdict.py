@@ -5,15 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.diagnostics import FROM_ONE_PLACE
 from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
 from scanner.quantities import intrinsic_errors_percent, percent
 from scanner.reporting.contents import ReportInput
+from scanner.reporting.principal_point import price_of_principal_point
 from scanner.results import Verdict
 
 # A focal length that errs by one per cent bends a room by about as much as its walls are off square.
 _MEASUREMENT_GRADE = 0.01
 _SYSTEMATIC_MISS_PX = 1.0
+# Smooth misses show in a cloud from twice its noise on; a tenth of a pixel is what good decoders leave in bad light.
+_LEAST_SYSTEMATIC_PX, _SYSTEMATIC_OF_NOISE = 0.1, 2.0
 
 _THREE_CAPTURES = (
     "For a measurement, capture the same corner three times from different places with the rig unchanged, and "
@@ -31,6 +35,17 @@ _THIRD_PHOTO = "Add a photo of the same corner from another place, at the same z
 _LOOK_AT_THE_MISSES = (
     "The rays miss each other in a pattern, see “Do the rays meet?”. Use 'method: refined', which knows lens "
     "distortion, or capture the corner again from another place."
+)
+# What a calibration from boards leaves of the principal point.
+_CALIBRATED_CENTRE_PX = 1.5
+_FREE_THE_CENTRE = (
+    "Make sure of the principal point to a pixel, or leave camera.principal_point.known out and capture the same "
+    "corner from two or three places: then it is measured."
+)
+_DOUBTFUL_CENTRE = "Calibrated, with a principal point that no ordinary camera has"
+_CHECK_THE_CENTRE = (
+    "Were the images cropped, or is camera.principal_point.known that of another image size? Otherwise capture the "
+    "corner again from another place."
 )
 _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and that nothing has moved since it was made."
 
@@ -56,7 +71,12 @@ def _of_given(report: ReportInput) -> Verdict:
 
 
 def _misses_systematically(report: ReportInput) -> bool:
-    return report.cloud is not None and report.cloud.statistics.calibration_px > _SYSTEMATIC_MISS_PX
+    """Whether the rays' smooth misses are large, or larger than their noise: then they are what limits the cloud."""
+    if report.cloud is None:
+        return False
+    statistics = report.cloud.statistics
+    limit_px = max(_LEAST_SYSTEMATIC_PX, _SYSTEMATIC_OF_NOISE * statistics.decoder_px)
+    return statistics.calibration_px > min(_SYSTEMATIC_MISS_PX, limit_px)
 
 
 def _of_self_calibration(report: ReportInput, calibration: Calibration) -> Verdict:
@@ -77,12 +97,30 @@ def _of_self_calibration(report: ReportInput, calibration: Calibration) -> Verdi
         reasons += _about_cloud(report.cloud.statistics, report.capture.pixels)
     if _misses_systematically(report):
         return Verdict("fair", "Calibrated, but with errors that show", tuple(reasons), _LOOK_AT_THE_MISSES)
+    if doubt := _doubtful_centre(calibration):
+        return Verdict("fair", _DOUBTFUL_CENTRE, (doubt, *reasons), _CHECK_THE_CENTRE)
+    price = price_of_principal_point(report.solution)
+    reasons += price.sentences
+    if price.per_px * _CALIBRATED_CENTRE_PX > _MEASUREMENT_GRADE:
+        headline = "Calibrated, as well as the principal point that was given"
+        return Verdict("fair", headline, (*price.sentences, *reasons[: -len(price.sentences)]), _FREE_THE_CENTRE)
+    if any(note.startswith(FROM_ONE_PLACE) for note in report.solution.notes):
+        reasons += [note for note in report.solution.notes if note.startswith(FROM_ONE_PLACE)]
     if worst is not None and worst <= _MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
     advice = _ONE_MORE if report.together > 1 else _THREE_CAPTURES
     if report.capture.photos:
         advice = _THIRD_PHOTO
     return Verdict("fair", "Calibrated, well enough for a first look", tuple(reasons), advice)
+
+
+def _doubtful_centre(calibration: Calibration) -> str | None:
+    """A sentence if the camera's principal point is outside of its image; a projector's often is, by lens shift."""
+    camera = calibration.camera
+    (x, y), (width, height) = camera.principal_point_px, (camera.width, camera.height)
+    if 0 <= x < width and 0 <= y < height:
+        return None
+    return f"The camera's principal point, ({x:.0f}, {y:.0f}), is outside of its image of {width} × {height} pixels."
 
 
 def _worst_focal_sigma(calibration: Calibration) -> float | None:
