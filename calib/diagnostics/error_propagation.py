@@ -46,7 +46,9 @@ class Budget:
 @dataclass(frozen=True)
 class Spread:
     """Errors of several numbers (P,): covariances (P, P) of what errs at random or smoothly, and what systematic causes
-    of one sigma each do to them, `systematic` (P, S), the scale's the last.
+    of one sigma each do to them, `systematic` (P, S).
+
+    The last cause is the scale. The last but one is what a pixel averages over; it counts as a smooth error.
     """
 
     scatter: Floats
@@ -70,8 +72,9 @@ class Spread:
 
 
 def _budget(scatter: float, smooth: float, systematic: Floats) -> Budget:
-    calibration = float(np.linalg.norm(systematic[:-1]))
-    return Budget(_root(scatter), _root(smooth), calibration, float(abs(systematic[-1])))
+    *calibration, footprint, scale = systematic
+    smooth += footprint**2
+    return Budget(_root(scatter), _root(smooth), float(np.linalg.norm(calibration)), float(abs(scale)))
 
 
 def _root(variance: float) -> float:
@@ -93,7 +96,8 @@ class SystematicErrors:
     """What all points of a scan share: the calibration, whose covariance may be unknown, and the scale.
 
     `log_scale` (S,): what each cause of one sigma does to the logarithm of the scale. The causes are states along the
-    curved valley of the likelihood, principal directions of the rest of the covariance, and the scale itself.
+    curved valley of the likelihood, principal directions of the rest of the covariance, what a pixel averages over, and
+    the scale itself.
     """
 
     calibration: Calibration
@@ -109,7 +113,7 @@ class SystematicErrors:
     def of(cls, calibration: Calibration, uncertainty: Uncertainty | None, scale: float = 0.0) -> "SystematicErrors":
         """`scale`: relative standard deviation of the baseline, which the scale is that of."""
         causes = 0 if uncertainty is None else len(uncertainty.along.probability) + SHARED
-        return cls(calibration, uncertainty, np.append(np.zeros(causes), scale))
+        return cls(calibration, uncertainty, np.append(np.zeros(causes + 1), scale))
 
     def anchored(self, distance: Spread, length: float, scale: float) -> "SystematicErrors":
         """The same where the known length, `scale` its relative sigma, is not the baseline but a measured distance.
@@ -128,7 +132,7 @@ class SystematicErrors:
             for cause, (calibration, root) in enumerate(self._along):
                 moved[:, :, cause] += root * (intersect(matches, calibration).points - points)
             by_columns, _ = self.uncertainty.point_jacobians(matches)
-            moved[:, :, count:-1] += by_columns @ self._across
+            moved[:, :, count:-2] += by_columns @ self._across
         return moved
 
     @cached_property
@@ -177,7 +181,7 @@ class LinearFit:
 
 
 def spread_of_fit(fit: LinearFit, matches: Matches, errors: SystematicErrors, offsets: Floats | None = None) -> Spread:
-    """Of the parameters (P,) of a surface fitted to triangulated matches, which may all be off by `offsets` (N,)."""
+    """Of the parameters (P,) of a surface fitted to matches, which a pixel's footprint sets off by `offsets` (N,)."""
     influence, direction = fit.influence, fit.direction
     met = intersect(matches, errors.calibration)
     modes = smooth_modes(matches.camera_px)
@@ -193,10 +197,9 @@ def spread_of_fit(fit: LinearFit, matches: Matches, errors: SystematicErrors, of
         toward = np.einsum("ni,nia->na", direction[at], by_px)
         by_modes += np.einsum("pn,na,nk->pak", influence[:, at], toward, modes[at], optimize=True)
     flat = by_modes.reshape(len(influence), -1)
-    smooth: Floats = smooth_px**2 * flat @ flat.T
     if offsets is not None:
-        smooth = smooth + np.outer(influence @ offsets, influence @ offsets)
-    return Spread(fit.scatter, smooth, systematic)
+        systematic[:, -2] += influence @ offsets
+    return Spread(fit.scatter, smooth_px**2 * flat @ flat.T, systematic)
 
 
 def spread_of_vertex(planes: Sequence[Plane], spreads: Sequence[Spread]) -> tuple[Floats, Spread]:
