@@ -6,7 +6,7 @@ in the rays' misses; along them, where they would pass for depth, they are taken
 
 import numpy as np
 
-from calib.numerics import Floats, Ints, biweight
+from calib.numerics import Floats, Ints, biweight, biweight_slope
 from calib.pointcloud import Sphere
 from calib.refinement import CUBIC, monomials
 
@@ -31,8 +31,9 @@ def smooth_error_px(residual_px: Floats, modes: Floats, cluster: Ints) -> float:
     alike within a `cluster` (N,) only would leave is taken off.
     """
     finite = np.where(np.isfinite(residual_px), residual_px, 0.0)
-    weight = biweight(finite - np.median(finite))
-    scores = (weight * finite)[:, None] * modes[:, _ABSORBED:] / max(weight.sum(), 1.0)
+    from_median = finite - np.median(finite)
+    weight, slope = biweight(from_median), biweight_slope(from_median)
+    scores = (weight * finite)[:, None] * modes[:, _ABSORBED:] / max(slope.sum(), 1.0)
     totals = np.stack([np.bincount(cluster, column) for column in scores.T])
     count = len(totals)
     measured, expected = np.sum(totals.sum(axis=1) ** 2) / max(count - 2, 1), np.sum(totals**2) / max(count, 1)
