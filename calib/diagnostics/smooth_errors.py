@@ -36,8 +36,8 @@ def smooth_error_px(residual_px: Floats, modes: Floats, cluster: Ints) -> float:
     scores = (weight * finite)[:, None] * modes[:, _ABSORBED:] / max(slope.sum(), 1.0)
     totals = np.stack([np.bincount(cluster, column) for column in scores.T])
     count = len(totals)
-    measured, expected = np.sum(totals.sum(axis=1) ** 2) / max(count - 2, 1), np.sum(totals**2) / max(count, 1)
-    return float(np.sqrt(max(measured - expected, 0.0)))
+    excess = np.sum(totals.sum(axis=1) ** 2) - np.sum(totals**2)
+    return float(np.sqrt(max(excess, 0.0) / max(count - 2, 1)))
 
 
 def footprint_offsets(sphere: Sphere, points: Floats, focal_px: float) -> Floats:

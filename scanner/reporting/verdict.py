@@ -16,8 +16,8 @@ from scanner.results import Verdict
 # A focal length that errs by one per cent bends a room by about as much as its walls are off square.
 _MEASUREMENT_GRADE = 0.01
 _SYSTEMATIC_MISS_PX = 1.0
-# Smooth misses show in a cloud from twice its noise on; a tenth of a pixel is what good decoders leave in bad light.
-_LEAST_SYSTEMATIC_PX, _SYSTEMATIC_OF_NOISE = 0.1, 2.0
+# Smooth misses beyond the noise bend a cloud for all to see; a tenth of a pixel is what good decoders leave in bad light.
+_LEAST_SYSTEMATIC_PX, _SYSTEMATIC_OF_NOISE = 0.1, 2.5
 
 _THREE_CAPTURES = (
     "For a measurement, capture the same corner three times from different places with the rig unchanged, and "
