@@ -16,7 +16,7 @@ from scanner.results import Verdict
 # A focal length that errs by one per cent bends a room by about as much as its walls are off square.
 _MEASUREMENT_GRADE = 0.01
 _SYSTEMATIC_MISS_PX = 1.0
-# Smooth misses beyond the noise bend a cloud for all to see; a tenth of a pixel is what good decoders leave in bad light.
+# Smooth misses beyond the noise bend a cloud for all to see; a tenth of a pixel is left by good decoders in bad light.
 _LEAST_SYSTEMATIC_PX, _SYSTEMATIC_OF_NOISE = 0.1, 2.5
 
 _THREE_CAPTURES = (
@@ -95,10 +95,10 @@ def _of_self_calibration(report: ReportInput, calibration: Calibration) -> Verdi
         reasons.append(f"This rig is simulated, so the truth is known: the intrinsics err by {error:.2g} % on average.")
     if report.cloud is not None:
         reasons += _about_cloud(report.cloud.statistics, report.capture.pixels)
-    if _misses_systematically(report):
-        return Verdict("fair", "Calibrated, but with errors that show", tuple(reasons), _LOOK_AT_THE_MISSES)
     if doubt := _doubtful_centre(calibration):
         return Verdict("fair", _DOUBTFUL_CENTRE, (doubt, *reasons), _CHECK_THE_CENTRE)
+    if _misses_systematically(report):
+        return Verdict("fair", "Calibrated, but with errors that show", tuple(reasons), _LOOK_AT_THE_MISSES)
     price = price_of_principal_point(report.solution)
     reasons += price.sentences
     if price.per_px * _CALIBRATED_CENTRE_PX > _MEASUREMENT_GRADE:

@@ -178,9 +178,9 @@ def test_the_frames_are_not_changed_and_may_be_reused() -> None:
 
 
 def test_frames_that_are_too_dark_are_called_so() -> None:
-    """At a fiftieth of the light there are four grey levels, and whatever fails afterwards fails for that."""
+    """At a sixteenth of the light a few grey levels are left, and whatever fails afterwards fails for that."""
     assert SCENE.decode(STANDARD).darkness is None
-    dark = replace(SCENE, exposure=SCENE.exposure / 50, ambient=SCENE.ambient / 50).decode(STANDARD).darkness
+    dark = replace(SCENE, exposure=SCENE.exposure / 16).decode(STANDARD).darkness
     assert dark is not None
     assert dark.startswith("The frames are too dark")
     assert "Expose longer" in dark
