@@ -17,6 +17,7 @@ from calib.diagnostics import (
     sigmas_of,
     uncertainty_of,
 )
+from calib.diagnostics.uncertainty import along_valley
 from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
 from calib.numerics import Floats, Ints
 from calib.refinement import (
@@ -234,6 +235,7 @@ def _by_refinement(
     profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
     sameness = refinement.sameness
     order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
+    along = along_valley(*refinement.valley.along(fit))
     results = []
     for i, matches in enumerate(captures):
         if len(captures) > 1:
@@ -241,7 +243,7 @@ def _by_refinement(
             matches = _renumbered(matches, reflect=turned[i], shift=shift)
         corner, residual_px = before_the_matches(refinement.corner(i), calibration, matches)
         uncertainty = uncertainty_of(
-            fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px
+            fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px, along
         )
         results.append(
             SelfCalibration(

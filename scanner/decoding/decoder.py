@@ -30,7 +30,7 @@ from scanner.decoding.map_checks import check_fringes, check_maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.one_axis import OneAxis, one_axis
-from scanner.decoding.operator_advice import warnings_of
+from scanner.decoding.operator_advice import too_dark, warnings_of
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.saturation_level import saturation_level
 from scanner.decoding.sequence_plan import SequencePlan, plan_sequence
@@ -52,8 +52,9 @@ class Decoding:
     gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
     `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
     `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
-    `warnings`: sentences for the operator. `only_axis`: the only one along which patterns varied, so that the other
-    coordinate follows from a calibration, and `sigma_px` is along the epipolar line; None if both were measured.
+    `warnings`: sentences for the operator; `darkness`: the one on frames that are too dark to decode well, if they are.
+    `only_axis`: the only one along which patterns varied, so that the other coordinate follows from a calibration, and
+    `sigma_px` is along the epipolar line; None if both were measured.
     """
 
     matches: Matches
@@ -64,6 +65,7 @@ class Decoding:
     warnings: tuple[str, ...]
     flicker: float | None = None
     only_axis: Axis | None = None
+    darkness: str | None = None
 
 
 class Decoder:
@@ -131,10 +133,18 @@ class Decoder:
         brightest = accumulators.brightest
         del accumulators
         matches, reasons = _match(self._plan, maps, brightest, self._one_axis)
-        warnings = tuple(warnings_of(reasons, learnt.modulation, learnt.flicker))
-        texture = self._texture if self._merger is None else self._merger.alike(self._texture)
-        only = self._one_axis.measured.axis if self._one_axis else None
-        return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker, only)
+        darkness = too_dark(self._texture, learnt.noise)
+        return Decoding(
+            matches,
+            self._texture if self._merger is None else self._merger.alike(self._texture),
+            reasons,
+            learnt.noise,
+            learnt.modulation,
+            tuple(warnings_of(reasons, learnt.modulation, learnt.flicker, darkness)),
+            flicker=learnt.flicker,
+            only_axis=self._one_axis.measured.axis if self._one_axis else None,
+            darkness=darkness,
+        )
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.patterns):

@@ -2,8 +2,18 @@
 
 from collections.abc import Iterator
 
+import numpy as np
+
+from calib.numerics import Image
 from scanner.decoding.arrays import Reasons
 from scanner.decoding.mask_reasons import MaskReason, count_reasons
+from scanner.decoding.noise_model import NoiseModel
+
+# Below it, even the fringes of the brightest surfaces fall into a few grey levels, and whole faces into the noise.
+_DARK_RATIO = 20.0
+_BRIGHT_PERCENTILE = 99.0
+_LEAST_NOISE = 0.29  # grey levels, of rounding alone
+_STEP = 4  # of rows and columns, which tell as well as all
 
 _LOW_MODULATION = 0.2
 _LARGE_SHARE = 0.1
@@ -12,8 +22,27 @@ _FEW_MATCHED = 0.02
 MUCH_FLICKER = 0.01
 
 
-def warnings_of(reasons: Reasons, modulation: float | None, flicker: float | None) -> Iterator[str]:
-    """Sentences about the `reasons` (H, W) of all pixels, the `modulation` of the finest fringes, and the `flicker`."""
+def too_dark(texture: Image, noise: NoiseModel) -> str | None:
+    """A sentence if the lit scene (H, W) or (H, W, 3) is hardly brighter than the noise of its pixels, else None."""
+    bright = float(np.percentile(texture[::_STEP, ::_STEP], _BRIGHT_PERCENTILE))
+    ratio = bright / max(float(noise.sigma(np.array([bright]))[0]), _LEAST_NOISE)
+    if ratio >= _DARK_RATIO:
+        return None
+    return (
+        f"The frames are too dark: even where the scene is brightest the light is only {ratio:.2g} times the noise of "
+        f"a pixel, {bright:.2g} grey levels. Expose longer, open the aperture, or bring the projector closer."
+    )
+
+
+def warnings_of(
+    reasons: Reasons, modulation: float | None, flicker: float | None, darkness: str | None = None
+) -> Iterator[str]:
+    """Sentences about the `reasons` (H, W) of all pixels, the `modulation` of the finest fringes, and the `flicker`.
+
+    `darkness`: what `too_dark` says.
+    """
+    if darkness is not None:
+        yield darkness
     count = count_reasons(reasons, tuple(MaskReason))
     matched, dark = count[MaskReason.KEPT], count[MaskReason.DARK]
     lit = max(1, reasons.size - dark)
