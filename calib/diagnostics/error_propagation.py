@@ -131,8 +131,8 @@ class SystematicErrors:
             count = len(self.uncertainty.along.probability)
             for cause, (calibration, root) in enumerate(self._along):
                 moved[:, :, cause] += root * (intersect(matches, calibration).points - points)
-            by_columns, _ = self.uncertainty.point_jacobians(matches)
-            moved[:, :, count:-2] += by_columns @ self._across
+            for cause, (ahead, behind) in enumerate(self._across, start=count):
+                moved[:, :, cause] += (intersect(matches, ahead).points - intersect(matches, behind).points) / 2
         return moved
 
     @cached_property
@@ -140,21 +140,29 @@ class SystematicErrors:
         """The calibrations along the valley, and the roots of their probabilities."""
         if self.uncertainty is None:
             return []
-        found, along = [], self.uncertainty.along
-        for step, probability in zip(along.steps, along.probability, strict=True):
-            state = self.uncertainty.rig.moved(step)
-            there = calibration_of(state, self.calibration.camera.size, self.calibration.projector.size, Sigmas())
-            scaled = replace(there, translation=self.calibration.baseline * there.translation)
-            found.append((scaled, float(np.sqrt(probability))))
-        return found
+        along = self.uncertainty.along
+        return [
+            (self._moved(self.uncertainty, step), float(np.sqrt(probability)))
+            for step, probability in zip(along.steps, along.probability, strict=True)
+        ]
 
     @cached_property
-    def _across(self) -> Floats:
-        """Principal directions of the rest of the covariance, one sigma long, (15, 15), in the calibration's unit."""
-        assert self.uncertainty is not None
+    def _across(self) -> list[tuple[Calibration, Calibration]]:
+        """One sigma to either side along the principal directions of the rest of the covariance.
+
+        Half the difference of what they give is the propagated sigma (GUM, 5.1.3, note 2).
+        """
+        if self.uncertainty is None:
+            return []
         values, vectors = np.linalg.eigh(self.uncertainty.covariance - self.uncertainty.along.covariance)
-        across: Floats = self.calibration.baseline * vectors * np.sqrt(values.clip(0))
-        return across
+        steps = (vectors * np.sqrt(values.clip(0))).T
+        return [(self._moved(self.uncertainty, step), self._moved(self.uncertainty, -step)) for step in steps]
+
+    def _moved(self, uncertainty: Uncertainty, step: Floats) -> Calibration:
+        """The calibration a step (15,) of its columns away."""
+        size = self.calibration.camera.size, self.calibration.projector.size
+        there = calibration_of(uncertainty.rig.moved(step), *size, Sigmas())
+        return replace(there, translation=self.calibration.baseline * there.translation)
 
 
 def spread_of_points(matches: Matches, errors: SystematicErrors, sigma_px: Floats) -> Spread:

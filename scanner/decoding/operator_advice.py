@@ -9,8 +9,9 @@ from scanner.decoding.arrays import Reasons
 from scanner.decoding.mask_reasons import MaskReason, count_reasons
 from scanner.decoding.noise_model import NoiseModel
 
-# Below it, even the fringes of the brightest surfaces fall into a few grey levels, and whole faces into the noise.
-_DARK_RATIO = 20.0
+# Below it, whole faces fall into the noise: of simulated frames at 17, 99 % of the lit pixels are decoded, to 0.2 px;
+# of others at 15, an eighth of them.
+_DARK_RATIO = 16.0
 _BRIGHT_PERCENTILE = 99.0
 _LEAST_NOISE = 0.29  # grey levels, of rounding alone
 _STEP = 4  # of rows and columns, which tell as well as all
