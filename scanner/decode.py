@@ -98,10 +98,11 @@ class Decoder:
         grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
-            self._held = Accumulators(self._plan, grey), Sample(shape, neighbours=needs_neighbours(self._plan))
+            sample = Sample(shape, neighbours=needs_neighbours(self._plan))
+            self._held = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape)), sample
         accumulators, sample = self._held
-        accumulators.add(self._count, grey)
         sample.add(grey)
+        accumulators.add(self._count, grey)
         self._note_texture(image)
         self._count += 1
 

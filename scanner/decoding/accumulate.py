@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calib.arrays import Image
 from calib.compiled import compiled
 from scanner.decoding.arrays import Component, Floats32, Words
+from scanner.decoding.equalise import Correction, PairEqualiser
 from scanner.decoding.plan import Fringe, GrayCode, SequencePlan
 
 Planes = NDArray[np.uint8]
@@ -58,7 +59,7 @@ class GrayFold:
 class FringeFold:
     """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
 
-    `cosine` and `sine` times `scale` are in grey levels. Of four equal shifts each is the difference of two frames, in
+    `cosine` and `sine` times `scale` are in grey levels, and then need the `correction` if there is one. Of four equal shifts each is the difference of two frames, in
     whole numbers, of which the first waits for the second; others are weighted sums.
     """
 
@@ -71,6 +72,7 @@ class FringeFold:
         self._is_plain = opposite and bool(np.allclose(self._signs * largest, weights, atol=1e-9))
         self._waiting: dict[int, Image] = {}
         self.scale = largest if self._is_plain else 1.0
+        self.correction: Correction | None = None
         kept_as = np.dtype(np.float32) if not self._is_plain else np.dtype(np.int16 if dtype == np.uint8 else np.int32)
         self.cosine: Component = np.zeros(shape, kept_as)
         self.sine: Component = np.zeros(shape, kept_as)
@@ -134,8 +136,9 @@ class Accumulators:
     of the pixels' exposures, relative to each other; None if they are all alike.
     """
 
-    def __init__(self, plan: SequencePlan, first: Image) -> None:
+    def __init__(self, plan: SequencePlan, first: Image, pairs: PairEqualiser) -> None:
         self.plan = plan
+        self._equaliser = pairs
         self.log_exposure: Floats32 | None = None
         shape = first.shape[0], first.shape[1]
         self.codes = [
@@ -210,6 +213,9 @@ class Accumulators:
             self._waiting[index] = grey.copy()
             return
         bright, dark = (grey, other) if index == normal else (other, grey)
+        gains = self._equaliser.gains(pair)
+        if gains is not None:
+            bright, dark = gains.equalised(0, bright), gains.equalised(1, dark)
         for fold, bit in self._pairs[pair]:
             fold.fold(bit, bright, dark)
         if self._alone and self._threshold is None:

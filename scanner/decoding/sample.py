@@ -44,6 +44,14 @@ class Sample:
             self._left.append(flat[self.pixels - _STEP])
             self._right.append(flat[self.pixels + _STEP])
 
+    def has(self, *frames: int) -> bool:
+        """Whether these frames have come."""
+        return max(frames) < len(self._frames)
+
+    def level(self, frame: int) -> Image:
+        """(P,) grey levels of a frame that has come."""
+        return self._frames[frame]
+
     @cached_property
     def levels(self) -> Floats32:
         """(frames, P) grey levels, once all frames are in."""

@@ -1,0 +1,110 @@
+"""Frames whose brightness differs, made alike: bits as they are folded in, fringes once all frames are known.
+
+A pattern and its inverse are compared as soon as both are there, so that they are made alike then. Of a fringe only its
+two components are kept; what brighter and darker steps did to them is undone afterwards, given the light around
+which the fringe swings.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.arrays import Floats
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.brightness import Gains, Places, gains_of_fringe, gains_of_pair
+from scanner.decoding.plan import Fringe, SequencePlan
+from scanner.decoding.sample import Sample
+
+# Of the sample, one pixel in so many is enough for two frames.
+_STRIDE = 4
+
+
+class PairEqualiser:
+    """The gains of each pattern and its inverse, as they arrive, against the pairs before them.
+
+    The first pair has none before it, unless white and black came first.
+    """
+
+    def __init__(self, plan: SequencePlan, sample: Sample, shape: tuple[int, int]) -> None:
+        self.found: dict[tuple[int, int], Gains] = {}
+        self._plan, self._sample = plan, sample
+        self._places = Places(sample.pixels[::_STRIDE] // shape[1], shape[0])
+        self._total, self._pairs = np.zeros(len(self._places.rows), np.float32), 0
+
+    def gains(self, pair: tuple[int, int]) -> Gains | None:
+        """Those of two frames that are in the sample; None if they do not matter."""
+        levels = self._levels(pair)
+        if not self._pairs:
+            self._begin_with_white_and_black()
+        found = None
+        if self._pairs:
+            found = gains_of_pair(levels, self._total / np.float32(2 * self._pairs), self._places)
+            self.found[pair] = found
+            levels = levels / found.at(self._places.rows).astype(np.float32)
+        self._add(levels)
+        return found if found is not None and found.matter else None
+
+    def _begin_with_white_and_black(self) -> None:
+        white, black = self._plan.white, self._plan.black
+        if white is not None and black is not None and self._sample.has(white, black):
+            self._add(self._levels((white, black)))
+
+    def _levels(self, pair: tuple[int, int]) -> Floats32:
+        return np.stack([self._sample.level(frame)[::_STRIDE] for frame in pair]).astype(np.float32)
+
+    def _add(self, levels: Floats32) -> None:
+        self._total += levels.sum(axis=0)
+        self._pairs += 1
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What gives the components of a fringe from those that were accumulated, (2, 2, rows), and the light around which
+    it swings, (2, rows); that light is `light` (3,) times middle, brightest and 1. Rows: of the image, or one for all.
+    """
+
+    of_components: Floats32
+    of_light: Floats32
+    light: Floats32
+
+    def apply(
+        self, cosine: Floats32, sine: Floats32, middle: Floats32, brightest: Floats32, rows: NDArray[np.int64]
+    ) -> tuple[Floats32, Floats32]:
+        """At pixels in these `rows`, all (P,)."""
+        at = rows if self.of_light.shape[-1] > 1 else np.zeros(1, np.int64)
+        light = self.light[0] * middle + self.light[1] * brightest + self.light[2]
+        a, b = self.of_components[..., at], self.of_light[..., at]
+        return a[0, 0] * cosine + a[0, 1] * sine + b[0] * light, a[1, 0] * cosine + a[1, 1] * sine + b[1] * light
+
+
+def correction(fringe: Fringe, gains: Gains, common: Floats32, middle: Floats32, brightest: Floats32) -> Correction:
+    """Undoes the `gains` of the steps of a fringe around the `common` light; that and the others at some pixels (P,).
+
+    I = g (M + C cos φ − S sin φ), and what was accumulated are weighted sums of I.
+    """
+    angles = 2 * np.pi * np.array(fringe.shifts)
+    design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
+    seen = np.einsum("ck,kr,kd->rcd", fringe.weights[1:], gains.of_rows, design)
+    inverse = np.linalg.inv(seen[:, :, 1:])
+    of_light = -np.einsum("rcd,rd->cr", inverse, seen[:, :, 0])
+    light, *_ = np.linalg.lstsq(np.stack([middle, brightest, np.ones_like(middle)], axis=1), common, rcond=1e-4)
+    components: Floats = np.moveaxis(inverse, 0, -1)
+    return Correction(*(np.ascontiguousarray(part, np.float32) for part in (components, of_light, light)))
+
+
+def fringe_gains(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Fringe, tuple[Gains, Floats32]]:
+    """Of each fringe whose steps differ in brightness, given the sample `levels` (frames, P): their gains, and the light
+    around which it swings (P,).
+    """
+    means = [levels[list(fringe.frames)].mean(axis=0) for fringe in plan.fringes if fringe.equal_steps]
+    if not means:
+        return {}
+    common: Floats32 = np.median(np.stack(means), axis=0)
+    found = {}
+    for fringe in plan.fringes:
+        gains = gains_of_fringe(fringe, levels[list(fringe.frames)], common, places)
+        if gains is not None and gains.matter:
+            own: Floats32 = (levels[list(fringe.frames)] / gains.at(places.rows)).mean(axis=0).astype(np.float32)
+            found[fringe] = gains, own
+    return found
