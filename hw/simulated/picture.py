@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.arrays import Floats, Image
+from calib.numerics import Floats, Image
 from hw.simulated.arrays import Indices, Light
 
 _OVERSAMPLING = 3

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from calib.arrays import Image
-from calib.parallel import in_parallel
+from calib.numerics import Image, in_parallel
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.footprints import FootprintCaster, Footprints, samples_per_pixel

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Floats, Image
+from calib.numerics import Floats, Image
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.plan import Fringe
+from scanner.decoding.sequence_plan import Fringe
 
 # Smaller differences change hardly a bit, and a phase less than its noise.
 LEAST_DIFFERENCE = 0.015

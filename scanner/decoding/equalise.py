@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Floats
+from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.brightness import Gains, Places, gains_of_fringe, gains_of_pair
-from scanner.decoding.plan import Fringe, SequencePlan
-from scanner.decoding.sample import Sample
+from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
 # Of the sample, one pixel in so many is enough for two frames.
 _STRIDE = 4
