@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Image, compiled
 from scanner.decoding.arrays import Component, Floats32, Words
+from scanner.decoding.brightness import Gains
 from scanner.decoding.equalise import Correction, PairEqualiser
 from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
 
@@ -193,6 +194,11 @@ class Accumulators:
             for fold in self.codes:
                 if axis.corrects_bits and fold.code in axis.codes:
                     fold.least = fold.least[:0].copy()
+
+    @property
+    def gains_of_pairs(self) -> dict[tuple[int, int], Gains]:
+        """Of the patterns that have an inverse."""
+        return self._equaliser.found
 
     @property
     def peak(self) -> Image:

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.brightness import Gains, Places, gains_of_fringe, gains_of_pair
+from scanner.decoding.medians import medians
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
 # Of the sample, one pixel in so many is enough for two frames.
 _STRIDE = 4
+_PASSES = 3
 
 
 class PairEqualiser:
@@ -89,22 +91,26 @@ def correction(fringe: Fringe, gains: Gains, common: Floats32, middle: Floats32,
     inverse = np.linalg.inv(seen[:, :, 1:])
     of_light = -np.einsum("rcd,rd->cr", inverse, seen[:, :, 0])
     light, *_ = np.linalg.lstsq(np.stack([middle, brightest, np.ones_like(middle)], axis=1), common, rcond=1e-4)
-    components: Floats = np.moveaxis(inverse, 0, -1)
-    return Correction(*(np.ascontiguousarray(part, np.float32) for part in (components, of_light, light)))
+    components = np.moveaxis(inverse, 0, -1)
+    return Correction(components.astype(np.float32), of_light.astype(np.float32), light.astype(np.float32))
 
 
-def fringe_gains(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Fringe, tuple[Gains, Floats32]]:
-    """Of each fringe whose steps differ in brightness, given the sample `levels` (frames, P): their gains, and the light
-    around which it swings (P,).
+def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Fringe, tuple[Gains, Floats32]]:
+    """Of each fringe in even steps, if there are two, given the sample `levels` (frames, P): the gains of its steps, and
+    the light around which it swings (P,).
     """
-    means = [levels[list(fringe.frames)].mean(axis=0) for fringe in plan.fringes if fringe.equal_steps]
-    if not means:
+    even = [fringe for fringe in plan.fringes if fringe.equal_steps]
+    if len(even) < 2:
         return {}
-    common: Floats32 = np.median(np.stack(means), axis=0)
-    found = {}
-    for fringe in plan.fringes:
-        gains = gains_of_fringe(fringe, levels[list(fringe.frames)], common, places)
-        if gains is not None and gains.matter:
-            own: Floats32 = (levels[list(fringe.frames)] / gains.at(places.rows)).mean(axis=0).astype(np.float32)
-            found[fringe] = gains, own
+    found: dict[Fringe, tuple[Gains, Floats32]] = {}
+    means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
+    # The light around which a fringe swings is known from the others: what is wrong with it there is wrong elsewhere.
+    for _ in range(_PASSES):
+        for number, fringe in enumerate(even):
+            of_fringe, others = levels[list(fringe.frames)], means[:number] + means[number + 1 :]
+            gains = gains_of_fringe(fringe, of_fringe, medians(np.stack(others), axis=0), places)
+            means[number] = (of_fringe / gains.at(places.rows)).mean(axis=0).astype(np.float32)
+            found[fringe] = gains, means[number]
+        if not any(gains.matter for gains, _ in found.values()):
+            break
     return found
