@@ -16,8 +16,8 @@ from scanner.decoding.medians import medians
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
-# Of the sample, one pixel in so many is enough for two frames.
-_STRIDE = 4
+# Of the sample, one pixel in so many is enough for a few numbers.
+STRIDE = 4
 _PASSES = 3
 
 
@@ -30,7 +30,7 @@ class PairEqualiser:
     def __init__(self, plan: SequencePlan, sample: Sample, shape: tuple[int, int]) -> None:
         self.found: dict[tuple[int, int], Gains] = {}
         self._plan, self._sample = plan, sample
-        self._places = Places(sample.pixels[::_STRIDE] // shape[1], shape[0])
+        self._places = Places(sample.pixels[::STRIDE] // shape[1], shape[0])
         self._total, self._pairs = np.zeros(len(self._places.rows), np.float32), 0
 
     def gains(self, pair: tuple[int, int]) -> Gains | None:
@@ -53,7 +53,7 @@ class PairEqualiser:
             self._add(self._levels((white, black)))
 
     def _levels(self, pair: tuple[int, int]) -> Floats32:
-        return np.stack([self._sample.level(frame)[::_STRIDE] for frame in pair]).astype(np.float32)
+        return np.stack([self._sample.level(frame)[::STRIDE] for frame in pair]).astype(np.float32)
 
     def _add(self, levels: Floats32) -> None:
         self._total += levels.sum(axis=0)
