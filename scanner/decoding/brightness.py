@@ -84,9 +84,9 @@ class Gains:
         return result
 
 
-def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
-    """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,)."""
-    nothing, lit = np.zeros((1, len(common)), np.float32), lit_by(np.abs(levels[0] - levels[1]))
+def gains_of_pair(levels: Floats32, common: Floats32, places: Places, lit: Bools) -> Gains:
+    """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,), at `lit` pixels."""
+    nothing = np.zeros((1, len(common)), np.float32)
     return _gains([_weights(levels, common, places, nothing, lit, is_pair=True)])
 
 

@@ -32,6 +32,7 @@ class PairEqualiser:
         self._plan, self._sample = plan, sample
         self._places = Places(sample.pixels[::STRIDE] // shape[1], shape[0])
         self._total, self._pairs = np.zeros(len(self._places.rows), np.float32), 0
+        self._swing = np.zeros_like(self._total)
 
     def gains(self, pair: tuple[int, int]) -> Gains | None:
         """Those of two frames that are in the sample; None if they do not matter."""
@@ -41,7 +42,7 @@ class PairEqualiser:
         found = None
         if self._pairs:
             common: Floats32 = self._total / np.float32(2 * self._pairs)
-            found = gains_of_pair(levels, common, self._places)
+            found = gains_of_pair(levels, common, self._places, lit_by(self._swing))
             self.found[pair] = found
             levels = (levels / found.at(self._places.rows)).astype(np.float32)
         self._add(levels)
@@ -57,6 +58,7 @@ class PairEqualiser:
 
     def _add(self, levels: Floats32) -> None:
         self._total += levels.sum(axis=0)
+        self._swing = np.maximum(self._swing, np.ptp(levels, axis=0))
         self._pairs += 1
 
 

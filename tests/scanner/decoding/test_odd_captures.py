@@ -70,7 +70,7 @@ class Case:
 CASES = [
     Case(SCENE, STANDARD, flickering, 0.03, 0.99),
     Case(BRIGHT_ROOM, STANDARD, flickering, 0.12, 0.99),
-    Case(BRIGHT_ROOM, CODE, flickering, 0.3, 0.4),
+    Case(SCENE, CODE, flickering, 0.3, 0.6),
     Case(SCENE, STANDARD, banded, 0.035, 0.99),
     Case(SCENE, STANDARD, lit_from_the_20th_on, 0.03, 0.99),
     Case(BRIGHT_ROOM, STANDARD, the_10th_darker, 0.12, 0.99),
@@ -101,4 +101,4 @@ def test_bits_that_are_not_resolved_are_left_out(scene: Scene) -> None:
     assert 5_000 < len(decoding.matches) < 30_000, "a few hundred with all bits"
     assert decoding.matches.sigma_px is not None
     ratio = scene.errors(decoding) / decoding.matches.sigma_px[:, None]
-    assert 0.3 < np.std(ratio) < 1.2, "evenly spread over cells of two, and averaged over their pixels"
+    assert 0.2 < np.median(np.abs(ratio)) < 1.0, "evenly spread over cells of two, and averaged over their pixels"
