@@ -207,7 +207,7 @@ def _bands(design: Floats, left: Floats, band: NDArray[np.int64], noise: float) 
     squares = np.add.reduceat(design[:, :, None] * design[:, None, :], starts)
     products = np.add.reduceat(design * left[:, None], starts)
     prior = np.eye(design.shape[1]) * noise / _BAND_SIGMA**2
-    found: Floats = np.linalg.solve(squares + prior, products[..., None])[..., 0]
+    found = np.linalg.solve(squares + prior, products[..., None])[..., 0].astype(np.float64)
     explained = 2 * np.sum(found * products) - np.einsum("bi,bij,bj", found, squares, found)
     means = np.add.reduceat(design, starts) / counts[:, None]
     is_told = np.median(_variety(np.diagonal(squares, axis1=1, axis2=2) / counts[:, None], means)) > _LEAST_VARIETY
