@@ -117,7 +117,7 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
 
 def lit_by(swing: Floats32) -> Bools:
     """Which pixels the patterns light up, from how much they change (P,)."""
-    lit: Bools = swing > _LIT * np.quantile(swing, _BRIGHT)
+    lit: Bools = swing >= _LIT * np.quantile(swing, _BRIGHT)
     return lit
 
 
