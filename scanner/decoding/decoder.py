@@ -19,13 +19,16 @@ from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
+from scanner.decoding.bit_resolution import resolve_bits
+from scanner.decoding.brightness import Gains, Places, flicker_of
 from scanner.decoding.code_cells import average_cells
 from scanner.decoding.code_checks import check_codes
 from scanner.decoding.connected_components import small_patches
+from scanner.decoding.consequences import judge, suspecting
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
+from scanner.decoding.equalise import STRIDE, PairEqualiser, correction, swings_of
 from scanner.decoding.exposure_fusion import ExposureMerger, exposures_of
-from scanner.decoding.flicker import flicker_of
-from scanner.decoding.frame_checks import check_frames
+from scanner.decoding.frame_checks import Oddity, check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
@@ -105,10 +108,11 @@ class Decoder:
         grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
-            self._held = Accumulators(self._plan, grey), Sample(shape, neighbours=needs_neighbours(self._plan))
+            sample = Sample(shape, neighbours=needs_neighbours(self._plan))
+            self._held = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape)), sample
         accumulators, sample = self._held
-        accumulators.add(self._count, grey)
         sample.add(grey)
+        accumulators.add(self._count, grey)
         self._note_texture(image)
         self._count += 1
 
@@ -124,14 +128,17 @@ class Decoder:
         (accumulators, sample), self._held = self._held, None
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
-        learnt = _learn(accumulators, sample)
-        del sample
-        maps = coordinate_maps(accumulators, learnt.decoders)
-        # The running images are as large as the matches, and have served.
-        brightest = accumulators.brightest
-        del accumulators
-        matches, reasons = _match(self._plan, maps, brightest, self._one_axis)
-        warnings = tuple(warnings_of(reasons, learnt.modulation, learnt.flicker))
+        oddities: list[Oddity] = []
+        with suspecting(oddities):
+            learnt = _learn(accumulators, sample, oddities)
+            del sample
+            maps = coordinate_maps(accumulators, learnt.decoders)
+            # The running images are as large as the matches, and have served.
+            plan, brightest = accumulators.plan, accumulators.brightest
+            del accumulators
+            matches, reasons = _match(plan, maps, brightest, self._one_axis)
+        odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
+        warnings = (*odd, *learnt.notes, *warnings_of(reasons, learnt.modulation, learnt.flicker))
         texture = self._texture if self._merger is None else self._merger.alike(self._texture)
         only = self._one_axis.measured.axis if self._one_axis else None
         return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker, only)
@@ -172,27 +179,58 @@ class _Learnt:
     noise: NoiseModel
     modulation: float | None
     flicker: float | None
+    notes: tuple[str, ...]
 
 
-def _learn(accumulators: Accumulators, sample: Sample) -> _Learnt:
-    """Check the frames, and learn noise and tolerances from the sample. Raises InputError."""
-    plan, levels = accumulators.plan, sample.levels
+def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
+    """Make frames of different brightness alike, in the sample and for good; returns the flicker, None if unknown."""
+    plan, (height, width) = accumulators.plan, accumulators.brightest.shape
+    found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
+    few = sample.pixels[::STRIDE]
+    middle, brightest = (
+        image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
+    )
+    swings = swings_of(plan, sample.levels[:, ::STRIDE], Places(few // width, height))
+    for fold in accumulators.fringes:
+        if fold.fringe in swings:
+            gains, common = swings[fold.fringe]
+            found.append((fold.fringe.frames, gains))
+            if gains.matter:
+                fold.correction = correction(fold.fringe, gains, common, middle, brightest)
+    pairs = sample.levels[plan.complements].mean(axis=(1, 2)) if plan.complements else np.ones(1)
+    for frames, gains in found:
+        if gains.matter:
+            for frame, of_frame in zip(frames, gains.at(sample.pixels // width), strict=True):
+                sample.divide(frame, of_frame)
+            if len(frames) == 2:  # which are as bright as other pairs are
+                brightness = np.mean([np.mean(sample.level(frame)) for frame in frames]) / np.median(pairs)
+                for frame in frames:
+                    sample.divide(frame, np.array([brightness]))
+    return flicker_of([gains for _, gains in found])
+
+
+def _learn(accumulators: Accumulators, sample: Sample, oddities: list[Oddity]) -> _Learnt:
+    """Check the frames, adding to the `oddities`, and learn noise and tolerances from the sample. Raises InputError."""
+    plan = accumulators.plan
     accumulators.finish()
+    levels = sample.levels
+    flicker = _equalise(accumulators, sample)
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(plan, sample, saturation)
+    notes = tuple(resolve_bits(accumulators, noise, sample.pixels))
+    plan = accumulators.plan
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, noise, saturation, thin)
-        check_frames(plan, levels, noise, saturation)
+        oddities += check_frames(plan, levels, sample.levels, noise, saturation)
         check_codes(plan, accumulators.codes, noise, accumulators.middle)
         decoders = calibrating.result()
-        flickering = aside.submit(flicker_of, plan, levels)
         for decoder, signals in zip(decoders, thin, strict=True):
-            check_fringes(plan, decoder, signals)
+            oddities += check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
-        return _Learnt(decoders, noise, modulation(decoders, thin), flickering.result())
+        return _Learnt(decoders, noise, modulation(decoders, thin), flicker, notes)
 
 
 def _match(
