@@ -18,7 +18,7 @@ from hw.rig import Frame
 from scanner.capture.stream import Stream
 from scanner.errors import InputError
 from scanner.io import SUFFIXES, Entry, Whole, flow_yaml, read_image, read_yaml, validate, write_png
-from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, frame_line, pattern_to_dict, size_to_dict
+from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, frame_line, size_to_dict
 
 CAPTURE_FILE = "capture.yaml"
 
@@ -181,9 +181,6 @@ def open_capture(path: Path) -> Recording:
     patterns = tuple(frame.pattern.pattern() for frame in entry.frames)
     paths = tuple(_frame_path(listing, file) for file in files)
     _refuse_repeats(listing, paths, "shows the file", files)
-    exposures_us = [frame.read_back[0] for frame in entry.frames]
-    shown = list(zip(patterns, exposures_us, strict=True))
-    _refuse_repeats(listing, shown, "shows the pattern", [flow_yaml(pattern_to_dict(p)) for p in patterns])
     _refuse_extra_images(folder, set(paths))
     return Recording(
         folder,

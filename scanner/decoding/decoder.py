@@ -28,6 +28,7 @@ from scanner.decoding.flicker import flicker_of
 from scanner.decoding.frame_checks import check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
 from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.motion import MotionFound, TileSample, blaming, measure_motion, remarks_on
 from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.operator_advice import warnings_of
 from scanner.decoding.pixel_sample import Sample
@@ -51,7 +52,7 @@ class Decoding:
     gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
     `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
     `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
-    `warnings`: sentences for the operator.
+    `warnings`: sentences for the operator. `motion`: of the devices while the fringes were taken; None if unknown.
     """
 
     matches: Matches
@@ -61,6 +62,7 @@ class Decoding:
     modulation: float | None
     warnings: tuple[str, ...]
     flicker: float | None = None
+    motion: MotionFound | None = None
 
 
 class Decoder:
@@ -76,7 +78,8 @@ class Decoder:
         self._plan = replace(plan_sequence(once, projector_size), repeats=repeats)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._count = 0
-        self._held: tuple[Accumulators, Sample] | None = None
+        self._projector_size = projector_size
+        self._held: tuple[Accumulators, Sample, TileSample] | None = None
         self._texture: Image | None = None
 
     def add(self, image: Image, exposure_us: float | None = None) -> None:
@@ -89,7 +92,7 @@ class Decoder:
         if self._merger is None:
             self._fold(image)
             return
-        merged = self._merger.add(self._plan.name(self._count), image, exposure_us)
+        merged = self._merger.add(self._plan.name(self._plan.shown[self._count]), image, exposure_us)
         if merged is not None:
             self._fold(merged)
 
@@ -97,40 +100,53 @@ class Decoder:
         grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
-            self._held = Accumulators(self._plan, grey), Sample(shape, neighbours=needs_neighbours(self._plan))
-        accumulators, sample = self._held
-        accumulators.add(self._count, grey)
-        sample.add(grey)
-        self._note_texture(image)
+            sample = Sample(shape, neighbours=needs_neighbours(self._plan))
+            self._held = Accumulators(self._plan, grey), sample, TileSample(shape)
+        accumulators, sample, tiles = self._held
+        tiles.add(grey)
+        number = self._plan.shown[self._count]
+        # A pattern that was shown before is a witness of what has changed since, and nothing else.
+        if number not in self._plan.shown[: self._count]:
+            accumulators.add(number, grey)
+            sample.add(grey)
+            self._note_texture(image, number)
         self._count += 1
 
     def finish(self) -> Decoding:
         """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""
-        if self._count < len(self._plan.patterns):
+        if self._count < len(self._plan.shown):
             raise InputError(
                 f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "
-                f"first that is missing: {self._plan.name(self._count)}"
+                f"first that is missing: {self._plan.name(self._plan.shown[self._count])}"
             )
         if self._held is None or self._texture is None:
             raise RuntimeError("this decoder has finished already")
-        (accumulators, sample), self._held = self._held, None
+        (accumulators, sample, tiles), self._held = self._held, None
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
-        learnt = _learn(accumulators, sample)
-        del sample
-        maps = coordinate_maps(accumulators, learnt.decoders)
-        # The running images are as large as the matches, and have served.
-        brightest = accumulators.brightest
-        del accumulators
-        matches, reasons = _match(self._plan, maps, brightest)
-        warnings = tuple(warnings_of(reasons, learnt.modulation, learnt.flicker))
+        saturation = saturation_level(accumulators.peak)
+        accumulators.finish()
+        noise = measure_noise(self._plan, sample, saturation)
+        motion = measure_motion(accumulators, tiles, noise, saturation, self._projector_size)
+        del tiles
+        with blaming(motion):
+            learnt = _learn(accumulators, sample, noise, saturation)
+            del sample
+            maps = coordinate_maps(accumulators, learnt.decoders)
+            if motion is not None and motion.significant:
+                motion.shift.take_back(maps.projector_px)
+            # The running images are as large as the matches, and have served.
+            brightest = accumulators.brightest
+            del accumulators
+            matches, reasons = _match(self._plan, maps, brightest)
+        warnings = (*warnings_of(reasons, learnt.modulation, learnt.flicker), *remarks_on(motion))
         texture = self._texture if self._merger is None else self._merger.alike(self._texture)
-        return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker)
+        return Decoding(matches, texture, reasons, noise, learnt.modulation, warnings, learnt.flicker, motion)
 
     def _check_form(self, image: Image) -> None:
-        if self._count == len(self._plan.patterns):
+        if self._count == len(self._plan.shown):
             raise InputError(f"the sequence has {self._plan.frame_count} frames, found one more")
-        name = self._plan.name(self._count)
+        name = self._plan.name(self._plan.shown[self._count])
         if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or image.dtype not in _DEPTHS:
             raise InputError(
                 f"{name}: expected a grey or BGR image of 8 or 16 bits, found shape {image.shape} of {image.dtype}"
@@ -140,11 +156,11 @@ class Decoder:
                 f"{name}: expected an image like those before it, {_form(self._texture)}, found {_form(image)}"
             )
 
-    def _note_texture(self, image: Image) -> None:
+    def _note_texture(self, image: Image, number: int) -> None:
         """Keep the white frame or, if there is none, the brightest that each pixel was."""
-        if self._count == self._plan.white and image.ndim == 2 and self._held is not None:
+        if number == self._plan.white and image.ndim == 2 and self._held is not None:
             self._texture = self._held[0].brightest
-        elif self._texture is None or self._count == self._plan.white:
+        elif self._texture is None or number == self._plan.white:
             self._texture = image.copy()
         elif self._plan.white is None:
             cv2.max(self._texture, image, dst=self._texture)
@@ -160,17 +176,13 @@ class _Learnt:
     """What a sample of the frames tells: how to decode every pixel, and how good they are, as of `Decoding`."""
 
     decoders: tuple[AxisDecoder, AxisDecoder]
-    noise: NoiseModel
     modulation: float | None
     flicker: float | None
 
 
-def _learn(accumulators: Accumulators, sample: Sample) -> _Learnt:
-    """Check the frames, and learn noise and tolerances from the sample. Raises InputError."""
+def _learn(accumulators: Accumulators, sample: Sample, noise: NoiseModel, saturation: float) -> _Learnt:
+    """Check the frames, and learn tolerances from the sample. Raises InputError."""
     plan, levels = accumulators.plan, sample.levels
-    accumulators.finish()
-    saturation = saturation_level(accumulators.peak)
-    noise = measure_noise(plan, sample, saturation)
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
@@ -183,7 +195,7 @@ def _learn(accumulators: Accumulators, sample: Sample) -> _Learnt:
         for decoder, signals in zip(decoders, thin, strict=True):
             check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
-        return _Learnt(decoders, noise, modulation(decoders, thin), flickering.result())
+        return _Learnt(decoders, modulation(decoders, thin), flickering.result())
 
 
 def _match(plan: SequencePlan, maps: Maps, brightest: Image) -> tuple[Matches, NDArray[np.uint8]]:

@@ -152,7 +152,7 @@ def sequence_for(
     periods: Sequence[float] = (16.0, 6.7),
     shifts: int = 4,
 ) -> tuple[Pattern, ...]:
-    """White, black, a code down to `cell` for each axis, and fringes of `periods` along both axes in `shifts` steps each.
+    """White, black, a code down to `cell` for each axis, then fringes of `periods` along both in `shifts` steps each.
 
     Each fringe along y comes between the two halves of that along x, the second one backwards. So both are measured at
     the same time on average, and a slow drift shifts neither against the other; what moves suddenly between them breaks

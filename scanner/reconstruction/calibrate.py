@@ -1,14 +1,18 @@
 """Captures → faces → one calibration of the rig; what does not deserve it is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from calib.geometry import FACES, Calibration, Matches
 from calib.numerics import Bools, Ints
 from calib.plane_segmentation import NO_PLANE, find_faces
 from calib.pointcloud import CloudStatistics
+from calib.refinement import Shifts
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration, self_calibrate, self_calibrate_jointly
 from scanner.configuration import Config
+from scanner.decoding import SUSPECTED_PX, moved
 from scanner.errors import InputError
 from scanner.reconstruction.face_masks import label_by_masks
 from scanner.results import Findings, Scan
@@ -19,6 +23,8 @@ _LARGEST_MISS_OF_WIDTH = 0.01
 _LARGEST_MISFIT_PX = 0.5
 _LARGEST_MISFIT_OF_NOISE = 2.0
 _FEWEST_FOR_A_HOMOGRAPHY = 4
+# What is left of a motion may cost the intrinsics so much, one standard deviation.
+_MOST_BY_MOTION_PERCENT = 0.5
 
 
 def refuse_impossible(config: Config, count: int) -> None:
@@ -37,10 +43,13 @@ def self_calibration(scan: Scan, config: Config, masks: Bools | None = None) -> 
     refuse_impossible(config, len(scan.captures))
     for found in scan.captures:
         with scan.naming(found):
+            _refuse_moved(found)
             _label(found, masks if found is scan.newest else None)
     solutions = _solve(scan, config)
+    if solutions[0].likely_percent > _MOST_BY_MOTION_PERCENT:
+        _refuse_costly(scan)
     for found, solution in zip(scan.captures, solutions, strict=True):
-        found.solution, found.matches = solution, solution.matches
+        found.solution, found.matches = _with_doubt(solution), solution.matches
     return solutions[-1].calibration
 
 
@@ -56,6 +65,7 @@ def _solve(scan: Scan, config: Config) -> tuple[SelfCalibration, ...]:
             method=config.method,
             squareness_deg=squareness_deg,
             plane=scan.newest.plane,
+            shifts=_shifts_of(scan.newest),
         )
         return (found,)
     return self_calibrate_jointly(
@@ -65,7 +75,38 @@ def _solve(scan: Scan, config: Config) -> tuple[SelfCalibration, ...]:
         squareness_deg=squareness_deg,
         same=config.corner.same,
         planes=[_planes_of(found) for found in scan.captures],
+        shifts=[_shifts_of(found) for found in scan.captures],
     )
+
+
+def _with_doubt(solution: SelfCalibration) -> SelfCalibration:
+    """The same with a note on what nobody can have seen, where there is such a thing."""
+    if not solution.possible_percent:
+        return solution
+    note = (
+        "All patterns along one axis came before those along the other, so a motion between them cannot be excluded: "
+        f"{SUSPECTED_PX:g} px would cost {solution.possible_percent:.2g} % of the intrinsics. Show a fringe of the first "
+        "axis again at the end to exclude it."
+    )
+    return replace(solution, notes=(*solution.notes, note))
+
+
+def _shifts_of(found: Findings) -> Shifts:
+    motion = found.decoding.motion if found.decoding else None
+    return Shifts() if motion is None else motion.shifts
+
+
+def _refuse_moved(found: Findings) -> None:
+    """Raise RefusalError if something moved so far during a capture that single matches cannot be trusted."""
+    motion = found.decoding.motion if found.decoding else None
+    if motion is not None and motion.is_too_large:
+        raise moved(motion)
+
+
+def _refuse_costly(scan: Scan) -> None:
+    """Raise RefusalError for the capture whose motion leaves most in doubt."""
+    motions = [found.decoding.motion for found in scan.captures if found.decoding and found.decoding.motion]
+    raise moved(max(motions, key=lambda motion: motion.size_px))
 
 
 def _planes_of(found: Findings) -> Ints:

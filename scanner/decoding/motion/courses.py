@@ -61,14 +61,14 @@ class Seen:
     axis: Ints
 
 
-def showings_of(plan: SequencePlan, shown: Sequence[int], tiles: TileSample, pixels: Pixels) -> Showings:
-    """Those of a capture; `shown`: the number of the pattern that each frame shows."""
+def showings_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> Showings:
+    """Those of a capture."""
 
     def of(frames: Sequence[int], shifts: Sequence[float], period: float) -> Showing:
         taken = [
             (shift, time)
             for shift, frame in zip(shifts, frames, strict=True)
-            for time, number in enumerate(shown)
+            for time, number in enumerate(plan.shown)
             if number == frame
         ]
         times = np.array([time for _, time in taken])

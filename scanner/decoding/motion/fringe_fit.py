@@ -1,7 +1,7 @@
 """One fringe in a few pixels while something moves: where its frames put each pixel, and how far that moves meanwhile.
 
 A pixel whose projector coordinate moves by u g(t) has the intensities I_n = o + A cos(θ + 2π s_n + 2π u g_n / λ) in the
-frames n. That is linear in o, A cos θ, A sin θ and, for a small change of u, in that as well: least squares gives what a
+frames n. That is linear in o, A cos θ, A sin θ and, for a small change of u, in that too: least squares gives what a
 motion of the course g does to the position (the part that the fringe cannot tell from another position), and from four
 frames on also u itself, from what no position explains.
 """
@@ -108,7 +108,8 @@ class FringeFit:
         design = np.stack([wave.reshape(-1) for wave in waves], axis=1)
         normal = design.T @ design + _LEAST_POWER * np.eye(2)
         shares = np.linalg.solve(normal, design.T @ residual.reshape(-1))
-        return residual - shares[0] * waves[0] - shares[1] * waves[1]
+        rest: Floats = residual - shares[0] * waves[0] - shares[1] * waves[1]
+        return rest
 
     def follow(self, course: Floats) -> Follows:
         """What a motion that has come so far (N,) in the frames does to the fit, and what is seen of it."""

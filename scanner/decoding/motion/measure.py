@@ -7,11 +7,13 @@ from itertools import pairwise
 import numpy as np
 
 from calib.numerics import Floats
+from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.motion.courses import Course, Showing, Showings, showings_of, told
 from scanner.decoding.motion.found import Disturbance, MotionFound
-from scanner.decoding.motion.pixels import Pixels
+from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.tile_sample import TileSample
+from scanner.decoding.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import SequencePlan
 
 # A bump is looked for at every so many boundaries between frames first: one next to it shows there as well.
@@ -53,22 +55,18 @@ class _Tried:
 
 
 class MotionMeter:
-    """Measures motion in the fringes of a capture; sizes are (width, height).
-
-    `shown`: the number of the pattern that each frame shows.
-    """
+    """Measures motion in the fringes of a capture; sizes are (width, height)."""
 
     def __init__(
         self,
         plan: SequencePlan,
-        shown: Sequence[int],
         tiles: TileSample,
         pixels: Pixels,
         projector_size: tuple[int, int],
     ) -> None:
-        self._pixels = pixels
+        self._pixels, self._repeats = pixels, plan.repeats
         self._sizes = (tiles.shape[1], tiles.shape[0]), projector_size
-        self._showings = showings_of(plan, shown, tiles, pixels)
+        self._showings = showings_of(plan, tiles, pixels)
         self._design = shifts_by_motion(pixels.camera_px, pixels.projector_px, pixels.gradient, *self._sizes)
         self._times = sorted({int(time) for axis in self._showings for one in axis for time in one.times})
 
@@ -83,17 +81,18 @@ class MotionMeter:
             best = max(tried, key=lambda one: one.fit.gained)
         likely = [one for one in tried if one.fit.gained >= _NEARLY * best.fit.gained]
         refined = self._refined(best) if best.is_significant else best
-        disturbances = [Disturbance(one.fit.motion, one.shares, *self._sizes) for one in (refined, *likely)]
+        shift, *others = (Disturbance(np.outer(one.shares, one.fit.motion), *self._sizes) for one in (refined, *likely))
         first, last = min(one.course.first for one in likely), max(one.course.last for one in likely)
         return MotionFound(
+            motion=refined.fit.motion,
             significant=best.is_significant,
             slow=best.course.slow,
-            first=best.course.first if best.course.slow else first,
-            last=best.course.last if best.course.slow else last,
+            first=self._repeats * (best.course.first if best.course.slow else first),
+            last=self._repeats * (best.course.last if best.course.slow else last),
             size_px=refined.size_px,
             explained=self._explained(refined),
-            shift=disturbances[0],
-            others=tuple(disturbances[1:]),
+            shift=shift,
+            others=tuple(others),
             witnessed=self._is_witnessed,
         )
 
@@ -148,3 +147,17 @@ def _share(fringes: Sequence[Showing], course: Course) -> float:
     weights = np.array([1 / np.median(one.fit.variance) for one in fringes])
     responses = np.array([np.mean(one.fit.follow(course.at(one.times)).response) for one in fringes])
     return float(weights @ responses / weights.sum())
+
+
+def measure_motion(
+    accumulators: Accumulators,
+    tiles: TileSample,
+    noise: NoiseModel,
+    saturation: float,
+    projector_size: tuple[int, int],
+) -> MotionFound | None:
+    """The motion during a capture; None where too little of it is fringes on smooth surfaces."""
+    pixels = choose_pixels(accumulators, tiles, noise, saturation)
+    if pixels is None:
+        return None
+    return MotionMeter(accumulators.plan, tiles, pixels, projector_size).measure()

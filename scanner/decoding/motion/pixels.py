@@ -41,9 +41,7 @@ class Pixels:
         return len(self.number)
 
 
-def choose_pixels(
-    accumulators: Accumulators, tiles: TileSample, noise: NoiseModel, saturation: float
-) -> Pixels | None:
+def choose_pixels(accumulators: Accumulators, tiles: TileSample, noise: NoiseModel, saturation: float) -> Pixels | None:
     """Some pixels of the tiles; None where too few are fit for it, or a coordinate is not known without the others."""
     if not tiles.count or not all(axis.fringes for axis in accumulators.plan.axes):
         return None
@@ -97,8 +95,7 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     """Planes (tiles, 3, 2) through the coordinates of each tile: offset, slopes by camera x and y; and the pixels that
     are on them.
     """
-    centre = np.stack([np.bincount(tiles.tile, part) for part in tiles.camera_px.T], axis=1)
-    centre /= np.bincount(tiles.tile)[:, None]
+    centre = _sums(tiles, tiles.camera_px) / np.bincount(tiles.tile)[:, None]
     terms = np.concatenate([np.ones((len(usable), 1)), tiles.camera_px - centre[tiles.tile]], axis=1)
     on = usable
     for _ in range(_TRIMS + 1):
@@ -106,7 +103,7 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
         gram = _sums(tiles, (terms[:, :, None] * terms[:, None, :] * weight[:, None, None]).reshape(-1, 9))
         right = _sums(tiles, (terms[:, :, None] * projector_px[:, None, :] * weight[:, None, None]).reshape(-1, 6))
         gram = gram.reshape(-1, 3, 3) + 1e-9 * np.eye(3)
-        planes = np.linalg.solve(gram, right.reshape(-1, 3, 2))
+        planes: Floats = np.linalg.solve(gram, right.reshape(-1, 3, 2)).astype(np.float64)
         off = np.linalg.norm(projector_px - np.einsum("pa,pac->pc", terms, planes[tiles.tile]), axis=1)
         count = np.maximum(np.bincount(tiles.tile, weight), 1)
         rough = np.sqrt(np.bincount(tiles.tile, weight * off**2) / count)

@@ -1,6 +1,4 @@
-"""Small turns of the camera or the projector, as shifts of the coordinates that camera pixels see; fitted to what pixels
-tell of them.
-"""
+"""Small turns of the camera or the projector, as shifts of the coordinates that pixels see, fitted to these."""
 
 from dataclasses import dataclass
 from math import sqrt
@@ -62,15 +60,17 @@ def _of_picture(px: Floats, size: tuple[int, int]) -> Floats:
 
 
 def fit_motion(design: Floats, seen_px: Floats, precision: Floats, group: Ints) -> Fit:
-    """Robust least squares of the motion in `seen_px` (M,) = `design` (M, 8) · motion, with the `precision` (M,) of each.
+    """Robust least squares of the motion in `seen_px` (M,) = `design` (M, 8) · motion, each with a `precision` (M,).
 
     What the pixels of a `group` (M,) have in common that is no motion shows in the covariance.
     """
     prior = np.eye(COLUMNS) / _PRIOR_PX**2
-    weight, motion, scale = precision.copy(), np.zeros(COLUMNS), 1.0
+    weight: Floats = precision
+    motion: Floats = np.zeros(COLUMNS)
+    scale = 1.0
     for _ in range(_ROUNDS):
         information = design.T @ (design * weight[:, None]) + prior
-        motion = np.linalg.solve(information, design.T @ (weight * seen_px))
+        motion = np.linalg.solve(information, design.T @ (weight * seen_px)).astype(np.float64)
         normalised = (seen_px - design @ motion) * np.sqrt(precision)
         scale = max(float(np.median(np.abs(normalised))) / 0.6745, 1e-3)
         weight = precision * np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(normalised), 1e-9))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ class TileSample:
 
     def add(self, grey: Image) -> None:
         """Take the tiles of one frame (H, W)."""
-        self._frames.append(self.of(grey))
+        self._frames.append(cast(Image, self.of(grey)))
 
     def of(self, image: NDArray[np.generic]) -> NDArray[np.generic]:
         """The tiles of an image (H, W), one after the other, (P,)."""
