@@ -28,7 +28,7 @@ from scanner.decoding.flicker import flicker_of
 from scanner.decoding.frame_checks import check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.motion import MotionFound, TileSample, blaming, measure_motion, remarks_on
+from scanner.decoding.motion import MotionFound, TileSample, blaming, measure_motion, remarks_on, shifts_of_codes
 from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.operator_advice import warnings_of
 from scanner.decoding.pixel_sample import Sample
@@ -128,8 +128,9 @@ class Decoder:
         accumulators.finish()
         noise = measure_noise(self._plan, sample, saturation)
         motion = measure_motion(accumulators, tiles, noise, saturation, self._projector_size)
+        code_shifts = shifts_of_codes(accumulators, tiles, noise)
         del tiles
-        with blaming(motion):
+        with blaming(motion, self._plan, code_shifts):
             learnt = _learn(accumulators, sample, noise, saturation)
             del sample
             maps = coordinate_maps(accumulators, learnt.decoders)

@@ -85,8 +85,8 @@ def _with_doubt(solution: SelfCalibration) -> SelfCalibration:
         return solution
     note = (
         "All patterns along one axis came before those along the other, so a motion between them cannot be excluded: "
-        f"{SUSPECTED_PX:g} px would cost {solution.possible_percent:.2g} % of the intrinsics. Show a fringe of the first "
-        "axis again at the end to exclude it."
+        f"{SUSPECTED_PX:g} px would cost {solution.possible_percent:.2g} % of the intrinsics. Show a fringe of the "
+        "first axis again at the end to exclude it."
     )
     return replace(solution, notes=(*solution.notes, note))
 

@@ -1,10 +1,12 @@
 """What is said of captures during which something moved."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from calib.refusal import RefusalError
+from scanner.decoding.motion.code_shift import CodeShift
 from scanner.decoding.motion.found import MotionFound
+from scanner.decoding.sequence_plan import SequencePlan
 from scanner.errors import InputError
 
 ADVICE = "Fasten what moved, let a projector warm up, keep away from the rig while it captures, and capture again."
@@ -13,22 +15,36 @@ _EXPLAINED = 0.5
 
 
 @contextmanager
-def blaming(motion: MotionFound | None) -> Iterator[None]:
+def blaming(motion: MotionFound | None, plan: SequencePlan, shifts: Sequence[CodeShift]) -> Iterator[None]:
     """Frames that contradict each other in the block do so because something moved, if that explains it.
+
+    `shifts`: between codes and fringes.
 
     Raises RefusalError in the place of InputError.
     """
     try:
         yield
     except InputError as error:
-        if motion is None or not motion.significant or motion.explained < _EXPLAINED:
-            raise
-        raise moved(motion) from error
+        if motion is not None and motion.significant and motion.explained > _EXPLAINED:
+            raise moved(motion) from error
+        if shifts:
+            raise _moved_before_fringes(plan, max(shifts, key=lambda shift: abs(shift.px))) from error
+        raise
 
 
 def moved(motion: MotionFound) -> RefusalError:
     """The refusal of a capture that this motion has spoilt."""
     return RefusalError(f"{_capital(motion)}.", ADVICE)
+
+
+def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
+    codes = [frame for code in shift.axis.codes for frame in code.frames]
+    fringes = [frame for fringe in shift.axis.fringes for frame in fringe.frames]
+    return RefusalError(
+        f"Camera or projector moved: along {shift.axis.axis} by {abs(shift.px):.2g} projector pixels between "
+        f"{plan.name(min(codes))} and {plan.name(max(fringes))}, from the codes to the fringes.",
+        ADVICE,
+    )
 
 
 def remarks_on(motion: MotionFound | None) -> tuple[str, ...]:

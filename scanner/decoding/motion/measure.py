@@ -23,6 +23,8 @@ _SIGNIFICANT = 8.0
 # A part of the motion counts where it is beyond so many of its standard deviations.
 _SURE = 3.0
 _LEAST_PX = 0.02
+# A motion explains what a typical pixel shows; aliasing and ripple are other at each.
+_LEAST_EXPLAINED = 0.03
 _ROUNDS = 3
 # A course that explains so much of what the best one does may be the true one.
 _NEARLY = 0.8
@@ -81,16 +83,17 @@ class MotionMeter:
             best = max(tried, key=lambda one: one.fit.gained)
         likely = [one for one in tried if one.fit.gained >= _NEARLY * best.fit.gained]
         refined = self._refined(best) if best.is_significant else best
+        explained = self._explained(refined)
         shift, *others = (Disturbance(np.outer(one.shares, one.fit.motion), *self._sizes) for one in (refined, *likely))
         first, last = min(one.course.first for one in likely), max(one.course.last for one in likely)
         return MotionFound(
             motion=refined.fit.motion,
-            significant=best.is_significant,
+            significant=best.is_significant and explained > _LEAST_EXPLAINED,
             slow=best.course.slow,
             first=self._repeats * (best.course.first if best.course.slow else first),
             last=self._repeats * (best.course.last if best.course.slow else last),
             size_px=refined.size_px,
-            explained=self._explained(refined),
+            explained=explained,
             shift=shift,
             others=tuple(others),
             witnessed=self._is_witnessed,
@@ -138,6 +141,8 @@ class MotionMeter:
             told(self._showings, showings, self._pixels, tried.course)
             for showings in (self._showings, self._moved(tried))
         )
+        if not len(before.pixel):
+            return 0.0
         left, all_of_it = (float(np.median(seen.precision * seen.motion_px**2)) for seen in (after, before))
         return 1.0 - left / max(all_of_it, 1e-12)
 
