@@ -170,8 +170,8 @@ def _kind(image: Image) -> str:
 def open_capture(path: Path) -> Recording:
     """Read and check the listing of a capture folder (or the path of its `capture.yaml`).
 
-    Raises InputError for a missing or malformed listing, an unknown pattern, a pattern or file listed twice, a file
-    that is missing or outside the folder, and an image beside the frames that is not listed.
+    Raises InputError for a missing or malformed listing, an unknown pattern, a file listed twice, a file that is
+    missing or outside the folder, and an image beside the frames that is not listed.
     """
     folder = path.parent if path.name == CAPTURE_FILE else path
     listing = _listing_in(folder)

@@ -28,7 +28,16 @@ from scanner.decoding.flicker import flicker_of
 from scanner.decoding.frame_checks import check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.motion import MotionFound, TileSample, blaming, measure_motion, remarks_on, shifts_of_codes
+from scanner.decoding.motion import (
+    CodeShift,
+    MotionFound,
+    TileSample,
+    blaming_motion,
+    blaming_shifts,
+    measure_motion,
+    remarks_on,
+    shifts_of_codes,
+)
 from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.operator_advice import warnings_of
 from scanner.decoding.pixel_sample import Sample
@@ -130,8 +139,8 @@ class Decoder:
         motion = measure_motion(accumulators, tiles, noise, saturation, self._projector_size)
         code_shifts = shifts_of_codes(accumulators, tiles, noise)
         del tiles
-        with blaming(motion, self._plan, code_shifts):
-            learnt = _learn(accumulators, sample, noise, saturation)
+        with blaming_motion(motion):
+            learnt = _learn(accumulators, sample, noise, saturation, code_shifts)
             del sample
             maps = coordinate_maps(accumulators, learnt.decoders)
             if motion is not None and motion.significant:
@@ -139,7 +148,8 @@ class Decoder:
             # The running images are as large as the matches, and have served.
             brightest = accumulators.brightest
             del accumulators
-            matches, reasons = _match(self._plan, maps, brightest)
+            with blaming_shifts(self._plan, code_shifts):
+                matches, reasons = _match(self._plan, maps, brightest)
         warnings = (*warnings_of(reasons, learnt.modulation, learnt.flicker), *remarks_on(motion))
         texture = self._texture if self._merger is None else self._merger.alike(self._texture)
         return Decoding(matches, texture, reasons, noise, learnt.modulation, warnings, learnt.flicker, motion)
@@ -181,7 +191,13 @@ class _Learnt:
     flicker: float | None
 
 
-def _learn(accumulators: Accumulators, sample: Sample, noise: NoiseModel, saturation: float) -> _Learnt:
+def _learn(
+    accumulators: Accumulators,
+    sample: Sample,
+    noise: NoiseModel,
+    saturation: float,
+    code_shifts: Sequence[CodeShift],
+) -> _Learnt:
     """Check the frames, and learn tolerances from the sample. Raises InputError."""
     plan, levels = accumulators.plan, sample.levels
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
@@ -193,8 +209,9 @@ def _learn(accumulators: Accumulators, sample: Sample, noise: NoiseModel, satura
         check_codes(plan, accumulators.codes, noise, accumulators.middle)
         decoders = calibrating.result()
         flickering = aside.submit(flicker_of, plan, levels)
-        for decoder, signals in zip(decoders, thin, strict=True):
-            check_fringes(plan, decoder, signals)
+        with blaming_shifts(plan, code_shifts):
+            for decoder, signals in zip(decoders, thin, strict=True):
+                check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
         return _Learnt(decoders, modulation(decoders, thin), flickering.result())
 

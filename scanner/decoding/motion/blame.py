@@ -11,25 +11,35 @@ from scanner.errors import InputError
 
 ADVICE = "Fasten what moved, let a projector warm up, keep away from the rig while it captures, and capture again."
 # Frames that were exchanged contradict each other in ways that hardly any motion explains.
-_EXPLAINED = 0.5
+_EXPLAINED = 0.75
 
 
 @contextmanager
-def blaming(motion: MotionFound | None, plan: SequencePlan, shifts: Sequence[CodeShift]) -> Iterator[None]:
+def blaming_motion(motion: MotionFound | None) -> Iterator[None]:
     """Frames that contradict each other in the block do so because something moved, if that explains it.
-
-    `shifts`: between codes and fringes.
 
     Raises RefusalError in the place of InputError.
     """
     try:
         yield
     except InputError as error:
-        if motion is not None and motion.significant and motion.explained > _EXPLAINED:
+        if motion is not None and motion.significant and motion.overdetermined and motion.explained > _EXPLAINED:
             raise moved(motion) from error
-        if shifts:
-            raise _moved_before_fringes(plan, max(shifts, key=lambda shift: abs(shift.px))) from error
         raise
+
+
+@contextmanager
+def blaming_shifts(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Iterator[None]:
+    """Fringes that do not follow the codes in the block do so because something moved between them, if it did.
+
+    Raises RefusalError in the place of InputError.
+    """
+    try:
+        yield
+    except InputError as error:
+        if not shifts:
+            raise
+        raise _moved_before_fringes(plan, max(shifts, key=lambda shift: abs(shift.px))) from error
 
 
 def moved(motion: MotionFound) -> RefusalError:

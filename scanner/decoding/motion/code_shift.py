@@ -13,9 +13,13 @@ from scanner.decoding.sequence_plan import AxisPlan
 
 _SEEN = 5.0
 _FEWEST = 300
+# Three frames make a fringe in any order, a wrong one included.
+_PARAMETERS = 3
 # Frames that were exchanged leave fringes that follow the code nowhere, or here and there.
-_AGREEING = 0.7
+_AGREEING = 0.9
 _LEAST_PX = 0.5
+# Half a period is also what a finest bit makes that was exchanged with its inverse.
+_MOST_CYCLES = 0.4
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,8 @@ def _shift(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> CodeShift | N
     if not axis.codes or not axis.fringes or axis.cell >= axis.fringes[0].period:
         return None
     longest = axis.fringes[0]
+    if len(longest.frames) <= _PARAMETERS:
+        return None
     interval = interval_of(axis, signals.words, len(signals.middle))
     cosine, sine = signals.fringe(0)
     amplitude2 = cosine**2 + sine**2
@@ -48,6 +54,5 @@ def _shift(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> CodeShift | N
     beyond = np.arctan2(sine, cosine) - 2 * np.pi / longest.period * interval.centre
     mean = complex(np.mean(np.exp(1j * beyond[seen])))
     px = float(np.angle(mean)) * longest.period / (2 * np.pi)
-    if abs(px) < _LEAST_PX or abs(mean) < _AGREEING * np.sinc(axis.cell / longest.period):
-        return None
-    return CodeShift(axis, px)
+    follows = abs(mean) >= _AGREEING * np.sinc(axis.cell / longest.period)
+    return CodeShift(axis, px) if follows and _LEAST_PX <= abs(px) <= _MOST_CYCLES * longest.period else None

@@ -11,7 +11,7 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 
 # More than this breaks fringes, so that single matches err; of a slow motion, each fringe sees a part only.
-_LARGEST_BUMP_PX = 1.0
+_LARGEST_BUMP_PX = 0.35
 _LARGEST_DRIFT_PX = 3.0
 # A device counts as moved if its motion is this share of the other's.
 _BOTH = 0.5
@@ -69,7 +69,8 @@ class MotionFound:
     `significant`: it is more than what is found at rest. `slow`: even, all the time; else at once, between the frames
     `first` and `last`. `size_px`: how far it moved the coordinates. `explained`: the share that it explains of what
     contradicts rest. `shift`: by what it shifted x and y against each other; `others`: the same of courses that explain
-    it about as well. `witnessed`: a motion between the axes would have been seen.
+    it about as well. `witnessed`: a motion between the axes would have been seen. `overdetermined`: each
+    fringe has more frames than a position needs, so that one which does not belong to it shows.
     """
 
     motion: Floats
@@ -82,6 +83,7 @@ class MotionFound:
     shift: Disturbance
     others: tuple[Disturbance, ...]
     witnessed: bool
+    overdetermined: bool
 
     @property
     def is_too_large(self) -> bool:

@@ -26,6 +26,8 @@ _LEAST_PX = 0.02
 # A motion explains what a typical pixel shows; aliasing and ripple are other at each.
 _LEAST_EXPLAINED = 0.03
 _ROUNDS = 3
+# Offset, amplitude and phase.
+_PARAMETERS = 3
 # A course that explains so much of what the best one does may be the true one.
 _NEARLY = 0.8
 
@@ -97,6 +99,7 @@ class MotionMeter:
             shift=shift,
             others=tuple(others),
             witnessed=self._is_witnessed,
+            overdetermined=all(len(one.times) > _PARAMETERS for axis in self._showings for one in axis),
         )
 
     @property

@@ -65,6 +65,8 @@ def fit_motion(design: Floats, seen_px: Floats, precision: Floats, group: Ints) 
     What the pixels of a `group` (M,) have in common that is no motion shows in the covariance.
     """
     prior = np.eye(COLUMNS) / _PRIOR_PX**2
+    if not len(seen_px):
+        return Fit(np.zeros(COLUMNS), np.linalg.inv(prior), 0.0)
     weight: Floats = precision
     motion: Floats = np.zeros(COLUMNS)
     scale = 1.0
