@@ -143,7 +143,7 @@ class Decoder:
             learnt = _learn(accumulators, sample, noise, saturation, code_shifts)
             del sample
             maps = coordinate_maps(accumulators, learnt.decoders)
-            if motion is not None and motion.significant:
+            if motion is not None and motion.significant and not motion.is_too_large:
                 motion.shift.take_back(maps.projector_px)
             # The running images are as large as the matches, and have served.
             brightest = accumulators.brightest

@@ -23,7 +23,7 @@ def blaming_motion(motion: MotionFound | None) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if motion is not None and motion.significant and motion.overdetermined and motion.explained > _EXPLAINED:
+        if motion is not None and motion.significant and motion.explained > _EXPLAINED:
             raise moved(motion) from error
         raise
 

@@ -13,6 +13,8 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 # Successive fringes tell of a motion between them if their positions follow it at least this differently.
 _APART = 0.05
+# What bent brightness curves and interreflection do grows with the period: one that is longer by far tells nothing.
+_COMPARABLE = 4.0
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,8 @@ def told(showings: Showings, showings_moved: Showings, pixels: Pixels, course: C
         coordinate = _nearest(showings[axis][0].fit, pixels.projector_px[:, axis])
         for longer, shorter, before, after in zip(of_axis, of_axis[1:], follows, follows[1:], strict=False):
             nearest = _nearest(shorter.fit, coordinate)
-            found.append(_between(nearest - coordinate, longer.fit, shorter.fit, before, after, pixels.tile))
+            if longer.fit.period <= _COMPARABLE * shorter.fit.period:
+                found.append(_between(nearest - coordinate, longer.fit, shorter.fit, before, after, pixels.tile))
             coordinate = nearest
         parts += [(*part, every, np.full(len(every), axis)) for part in found]
     motion_px, precision, pixel, axes = (np.concatenate(column) for column in zip(*parts, strict=True))

@@ -69,8 +69,7 @@ class MotionFound:
     `significant`: it is more than what is found at rest. `slow`: even, all the time; else at once, between the frames
     `first` and `last`. `size_px`: how far it moved the coordinates. `explained`: the share that it explains of what
     contradicts rest. `shift`: by what it shifted x and y against each other; `others`: the same of courses that explain
-    it about as well. `witnessed`: a motion between the axes would have been seen. `overdetermined`: each
-    fringe has more frames than a position needs, so that one which does not belong to it shows.
+    it about as well. `witnessed`: a motion between the axes would have been seen.
     """
 
     motion: Floats
@@ -83,7 +82,6 @@ class MotionFound:
     shift: Disturbance
     others: tuple[Disturbance, ...]
     witnessed: bool
-    overdetermined: bool
 
     @property
     def is_too_large(self) -> bool:

@@ -90,7 +90,7 @@ class MotionMeter:
         first, last = min(one.course.first for one in likely), max(one.course.last for one in likely)
         return MotionFound(
             motion=refined.fit.motion,
-            significant=best.is_significant and explained > _LEAST_EXPLAINED,
+            significant=self._is_overdetermined and best.is_significant and explained > _LEAST_EXPLAINED,
             slow=best.course.slow,
             first=self._repeats * (best.course.first if best.course.slow else first),
             last=self._repeats * (best.course.last if best.course.slow else last),
@@ -99,8 +99,12 @@ class MotionMeter:
             shift=shift,
             others=tuple(others),
             witnessed=self._is_witnessed,
-            overdetermined=all(len(one.times) > _PARAMETERS for axis in self._showings for one in axis),
         )
+
+    @property
+    def _is_overdetermined(self) -> bool:
+        """Whether a frame that does not belong to its fringe shows; with three, a bent curve is in the phase."""
+        return all(len(one.times) > _PARAMETERS for axis in self._showings for one in axis)
 
     @property
     def _is_witnessed(self) -> bool:

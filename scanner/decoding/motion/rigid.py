@@ -66,7 +66,7 @@ def fit_motion(design: Floats, seen_px: Floats, precision: Floats, group: Ints) 
     """
     prior = np.eye(COLUMNS) / _PRIOR_PX**2
     if not len(seen_px):
-        return Fit(np.zeros(COLUMNS), np.linalg.inv(prior), 0.0)
+        return Fit(np.zeros(COLUMNS), _PRIOR_PX**2 * np.eye(COLUMNS), 0.0)
     weight: Floats = precision
     motion: Floats = np.zeros(COLUMNS)
     scale = 1.0
