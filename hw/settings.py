@@ -5,6 +5,36 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class BumpSettings(_Part):
+    """Someone knocks once against a simulated device, which then points elsewhere."""
+
+    device: Literal["camera", "projector"] = Field(default="projector", description="Which device it is.")
+    frame: int = Field(
+        default=0, ge=0, description="The first frame after it; they are counted from 0 since the rig is open."
+    )
+    px: float = Field(
+        default=0.0, ge=0.0, le=100.0, description="How far it moves the device's picture, in its own pixels."
+    )
+    direction_deg: float = Field(default=0.0, description="Where to: 0 to the picture's right, 90 down.")
+
+
+class DriftSettings(_Part):
+    """A simulated device turns slowly: a projector that warms up, a tripod that sinks."""
+
+    device: Literal["camera", "projector"] = Field(default="projector", description="Which device it is.")
+    px_per_frame: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=10.0,
+        description="How far the device's picture moves from frame to frame, in its own pixels.",
+    )
+    direction_deg: float = Field(default=0.0, description="Where to: 0 to the picture's right, 90 down.")
+
+
 class SimulatedRigSettings(BaseModel):
     """A simulated room with a simulated projector and camera in it."""
 
@@ -62,8 +92,20 @@ class SimulatedRigSettings(BaseModel):
     )
     gamma: float = Field(2.2, ge=1.0, le=3.0, description="Exponent of the projector's response.")
     contrast: float = Field(1000.0, ge=10.0, description="The projector's white over its black.")
+    ghost: float = Field(
+        0.0,
+        ge=0.0,
+        le=0.9,
+        description="Share of a frame's light that is still the previous picture's, as of a slow panel.",
+    )
+    bump: BumpSettings = Field(
+        default=BumpSettings(), description="{device: …, frame: …, px: …}: a device is knocked against once."
+    )
+    drift: DriftSettings = Field(
+        default=DriftSettings(), description="{device: …, px_per_frame: …}: a device turns slowly."
+    )
     projector_blur_px: float = Field(
-        0.5, ge=0.0, le=3.0, description="Standard deviation of the projector lens's blur in projector pixels."
+        0.5, ge=0.0, le=4.0, description="Standard deviation of the projector lens's blur in projector pixels."
     )
     camera_blur_px: float = Field(
         0.5, ge=0.0, le=3.0, description="Standard deviation of the camera lens's blur in camera pixels."

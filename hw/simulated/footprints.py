@@ -4,12 +4,12 @@ A pixel that sees one surface without the projector's light needs one ray. All o
 edges, shadows and fringes are averaged over the pixel's area.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage, sparse
 
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints, in_parallel
 from hw.simulated.arrays import Indices, sparse_matrix
 from hw.simulated.device import PlacedDevice
 from hw.simulated.illumination import SPILL_PX, ProjectorLight
@@ -18,6 +18,7 @@ from hw.simulated.picture import PictureOptics
 from hw.simulated.texture import Texture
 
 _CAMERA_VIGNETTING = 0.15
+_STRIP_PIXELS = 1 << 14  # small enough for its arrays to stay in cache
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,21 @@ class FootprintCaster:
     mesh: Mesh
     stand_in: Indices
     samples: int
+
+    def moved(self, camera: PlacedDevice, projector: PlacedDevice) -> "FootprintCaster":
+        """The same with the devices elsewhere."""
+        return replace(self, camera=camera, light=replace(self.light, projector=projector))
+
+    def cast(self) -> Footprints:
+        """The footprints of all pixels of the camera."""
+        optics = self.camera.optics
+        step = max(1, _STRIP_PIXELS // optics.width)
+        strips = [range(row, min(row + step, optics.height)) for row in range(0, optics.height, step)]
+        parts = in_parallel(self.strip, strips)
+        return Footprints(
+            sparse.vstack([part.direct for part in parts], format="csr"),
+            sparse.vstack([part.indirect for part in parts], format="csr"),
+        )
 
     def strip(self, rows: range) -> Footprints:
         """The footprints of all pixels in some rows."""

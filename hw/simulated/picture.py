@@ -1,15 +1,16 @@
 """From the picture that a projector is shown to the light that leaves its lens."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from calib.numerics import Floats, Image
+from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Indices, Light
 
 _OVERSAMPLING = 3
-_BORDER = 3  # black projector pixels around the picture, for light that blur spills over its edges
+_BORDER = 12  # black projector pixels around the picture, for light that blur spills over its edges
 _PYRAMID_LEVELS = 7
 
 
@@ -22,6 +23,10 @@ class PictureOptics:
     gamma: float
     contrast: float
     blur_px: float
+
+    def under(self, settings: SimulatedRigSettings) -> "PictureOptics":
+        """Those of a projector of the same size with other settings."""
+        return replace(self, gamma=settings.gamma, contrast=settings.contrast, blur_px=settings.projector_blur_px)
 
     def linear(self, picture: Image) -> Light:
         """8-bit picture (H, W) → light (H, W) from 1 / contrast to 1."""

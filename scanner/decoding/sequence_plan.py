@@ -5,7 +5,7 @@ Everything that can be known before the first frame is worked out, or refused, h
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, inf
 
@@ -51,6 +51,13 @@ class GrayCode:
         shown = sum(1 << self.bits - 1 - bit for bit in {*self.normal, *self.inverse} - {self.base})
         base = words >> words.dtype.type(self.bits - 1 - self.base) & words.dtype.type(1)
         return words ^ base * words.dtype.type(shown)
+
+    def without_finest(self, count: int) -> "GrayCode":
+        """The code of longer cells that is left without its finest bits."""
+        bits = self.bits - count
+        normal, inverse = ({b: f for b, f in frames.items() if b < bits} for frames in (self.normal, self.inverse))
+        constant = self.constant >> count
+        return replace(self, bits=bits, cell=self.cell << count, normal=normal, inverse=inverse, constant=constant)
 
     @property
     def pairs(self) -> dict[int, tuple[int, int]]:
@@ -132,7 +139,8 @@ class AxisPlan:
 class SequencePlan:
     """The whole sequence. `white` and `black` are frame indices or None.
 
-    Frames are counted as if each pattern had one; `repeats` is how many it has, of different exposures.
+    Frames are counted as if each pattern had one; `repeats` is how many it has, of different exposures. `shown`: which
+    pattern each frame shows; one that was shown before tells what has changed since.
     """
 
     patterns: tuple[Pattern, ...]
@@ -140,12 +148,13 @@ class SequencePlan:
     y: AxisPlan
     white: int | None
     black: int | None
+    shown: tuple[int, ...]
     repeats: int = 1
 
     @property
     def frame_count(self) -> int:
         """How many frames the capture has."""
-        return self.repeats * len(self.patterns)
+        return self.repeats * len(self.shown)
 
     @property
     def axes(self) -> tuple[AxisPlan, AxisPlan]:
@@ -177,7 +186,7 @@ class SequencePlan:
 
     def name(self, frame: int) -> str:
         """A frame and its pattern, for messages."""
-        number = frame * self.repeats
+        number = self.shown.index(frame) * self.repeats
         return f"frame {number} ({describe(self.patterns[frame])})"
 
     def names(self, frames: Sequence[int]) -> str:
@@ -207,20 +216,15 @@ def plan_sequence(
 ) -> SequencePlan:
     """Sort a sequence by what its patterns measure on a projector of (width, height).
 
-    Of a rig that is `calibrated` one of the coordinates is enough. Raises InputError where a pattern appears twice, a
-    bit or shift is missing, or a coordinate is not determined.
+    Of a rig that is `calibrated` one of the coordinates is enough. Raises InputError where a bit or shift is missing,
+    or a coordinate is not determined.
     """
     index: dict[Pattern, int] = {}
-    for frame, pattern in enumerate(patterns):
-        if pattern in index:
-            raise InputError(
-                f"frames {index[pattern]} and {frame} have the same pattern, {describe(pattern)}; remove one"
-            )
-        index[pattern] = frame
+    shown = tuple(index.setdefault(pattern, len(index)) for pattern in patterns)
     width, height = projector_size
     x, y = _plan_axis("x", width, index), _plan_axis("y", height, index)
     _require_measured(x, y, calibrated=calibrated)
-    return SequencePlan(tuple(patterns), x, y, index.get(White()), index.get(Black()))
+    return SequencePlan(tuple(index), x, y, index.get(White()), index.get(Black()), shown)
 
 
 def _plan_axis(axis: Axis, length: int, index: Mapping[Pattern, int]) -> AxisPlan:

@@ -1,0 +1,245 @@
+"""How bright each frame is next to the others, from the light that several frames must show together.
+
+A pattern and its inverse add up to the same light as every other such pair; so do opposite steps of a fringe, or every
+three, or any odd number of steps that divide its cycle evenly. Where lamp, colour wheel, mains or exposure made frames
+brighter or darker, there are weights w with Σ w I = N · M at all pixels, M being the light that the groups have in
+common: a linear least-squares problem of as many unknowns as the group has frames, whatever the frames show. A rolling
+shutter makes them depend on the row. Stripes so fine that they lose light make all weights of a group larger, not their
+ratios, and ratios are all that is used.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Image
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.sequence_plan import Fringe
+
+# Smaller differences change hardly a bit, and a phase less than its noise.
+LEAST_DIFFERENCE = 0.015
+# The harmonic of as many cycles as a group has steps stays in its sum: relative to the fringe, at a gamma of 3.
+_HARMONICS = {2: 0.4, 3: 0.07}
+_MOST_MISTAKEN = 0.03
+_SIGNIFICANT = 5.0
+_BANDS = 32
+_FEWEST_PER_BAND = 64
+_FEWEST_PIXELS = 1000
+# A pair of which one frame is brighter by so much has a sum that goes with its difference by as much.
+_STEADY = LEAST_DIFFERENCE / 2
+# What bands may leave of the squared residuals of one weight for all rows: chance leaves 0.99, uneven phases 0.95.
+_BANDED = 0.85
+# How far the weights of a band may well be from those of the whole frame.
+_BAND_SIGMA = 0.2
+# Of a bit that one pixel in twelve sees change.
+_LEAST_VARIETY = 0.3
+# Darker pixels than this share of the median count less: theirs is noise.
+_FAINT = 0.25
+_OUTLYING = 4.0
+# Close to the largest level of the frames, which may be where the camera saturates.
+_SATURATED = 0.98
+# Pixels that swing less than this share of what the brightest few do are hardly lit.
+_LIT, _BRIGHT = 0.25, 0.98
+# Gains explain part of what the frames' sum is off, or they are none: a camera that is not linear is off as well.
+_UNEXPLAINED = 0.8
+
+
+@dataclass(frozen=True)
+class Places:
+    """The `rows` (P,) of some pixels of an image of `height`."""
+
+    rows: NDArray[np.int64]
+    height: int
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Brightness of the frames of a group, their geometric mean being 1: (frames, rows of the image), or (frames, 1)
+    where rows do not differ.
+    """
+
+    of_rows: Floats
+
+    @property
+    def matter(self) -> bool:
+        """Whether the frames differ enough to do harm."""
+        logs = np.log(self.of_rows)
+        return any(difference > LEAST_DIFFERENCE for difference in np.ptp(logs, axis=0).tolist())
+
+    @property
+    def are_banded(self) -> bool:
+        """Whether rows differ."""
+        return len(self.of_rows[0]) > 1
+
+    def at(self, rows: NDArray[np.int64]) -> Floats:
+        """(frames, P), or (frames, 1) where rows do not differ."""
+        return self.of_rows[:, rows] if self.are_banded else self.of_rows
+
+    def equalised(self, frame: int, image: Image) -> Image:
+        """One of the frames (H, W) as bright as the darkest of the group, of the same type."""
+        factors = self.of_rows.min(axis=0) / self.of_rows[frame]
+        result: Image = np.rint(image * factors.astype(np.float32)[:, None]).astype(image.dtype)
+        return result
+
+
+def gains_of_pair(levels: Floats32, common: Floats32, places: Places, lit: Bools) -> Gains:
+    """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,), at `lit` pixels."""
+    if _are_alike(levels, common, places):
+        return Gains(np.ones((2, 1)))
+    nothing = np.zeros((1, len(common)), np.float32)
+    return _gains([_weights(levels, common, places, nothing, lit, is_pair=True)])
+
+
+def _are_alike(levels: Floats32, common: Floats32, places: Places) -> bool:
+    """Whether the sum of a pair goes with its difference nowhere, as it does in steady light: quickly told."""
+    total, difference = levels[0] + levels[1], levels[0] - levels[1]
+    rest = total - common * (float(common @ total) / max(float(common @ common), 1e-12))
+    bands = np.searchsorted(places.rows * _BANDS // places.height, np.arange(_BANDS))
+    if bands[-1] >= len(rest):
+        return False
+    products, squares = (np.add.reduceat(difference * other, bands) for other in (rest, difference))
+    whole = abs(float(products.sum())) / max(float(squares.sum()), 1e-12)
+    return whole < _STEADY and float(np.median(np.abs(products) / np.maximum(squares, 1e-12))) < 2 * _STEADY
+
+
+def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places, lit: Bools) -> Gains:
+    """Those of the steps (N, P) of a fringe in even steps around the `common` light (P,), at `lit` pixels.
+
+    1 where few cycles are in view, so that the harmonics of a bent brightness curve could be taken for them.
+    """
+    order = np.argsort(np.mod(np.array(fringe.shifts) + 1e-9, 1))
+    count = len(order)
+    size = next((steps for steps in range(3, count + 1, 2) if count % steps == 0), 2)
+    groups = [order[first :: count // size] for first in range(count // size)]
+    back = np.argsort(np.concatenate(groups))
+    nothing = np.zeros((1, len(common)), np.float32)
+    guesses = [weights for weights, _ in (_weights(levels[g], common, places, nothing, lit) for g in groups)]
+    first = _gains([(weights, 0.0) for weights in guesses])
+    # The phases of frames that differ are not those of the fringe.
+    alike = (levels / first.of_rows[back].mean(axis=1, keepdims=True)).astype(np.float32)
+    cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
+    phase = np.arctan2(sine, cosine)
+    mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase[lit], size)
+    if mistaken > _MOST_MISTAKEN:
+        return Gains(np.ones((count, 1)))
+    harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
+    found = _gains([_weights(levels[group], common, places, harmonic, lit) for group in groups], mistaken)
+    return Gains(found.of_rows[back])
+
+
+def lit_by(swing: Floats32) -> Bools:
+    """Which pixels the patterns light up, from how much they change (P,)."""
+    lit: Bools = swing >= _LIT * np.quantile(swing, _BRIGHT)
+    return lit
+
+
+def _unevenness(phase: Floats32, size: int) -> float:
+    """How far phases (P,) are from evenly spread, where a harmonic of `size` cycles looks like the fringe itself."""
+    return max(abs(complex(np.mean(np.exp(1j * cycles * phase)))) for cycles in (size - 1, size + 1))
+
+
+def flicker_of(groups: Sequence[Gains]) -> float | None:
+    """Standard deviation of the brightness of frames, relative, about that of their groups; None without any."""
+    freedom = sum(len(gains.of_rows) - 1 for gains in groups)
+    squares = sum(float(np.sum(np.mean(np.log(gains.of_rows) ** 2, axis=1))) for gains in groups)
+    return sqrt(squares / freedom) if freedom else None
+
+
+def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0) -> Gains:
+    """From weights (frames, rows or 1) of groups that share their light, and how wrong each and all of them may be."""
+    rows = max(weights.shape[1] for weights, _ in found)
+    weights = np.concatenate([np.broadcast_to(of_group, (len(of_group), rows)) for of_group, _ in found])
+    if np.any(weights <= 0) or np.ptp(np.log(weights)) <= max(error for _, error in found) + mistaken:
+        return Gains(np.ones((len(weights), 1)))
+    logs = -np.log(weights)
+    return Gains(np.exp(logs - logs.mean(axis=0)))
+
+
+def _weights(
+    levels: Floats32, common: Floats32, places: Places, harmonic: Floats32, lit: Bools, *, is_pair: bool = False
+) -> tuple[Floats, float]:
+    """(frames, rows of the image or 1), and how far they may be from the truth: infinitely if the pixels do not tell.
+
+    The mean of the frames is explained by the common light and the frames' distances from it. So what else is in the
+    mean, as `harmonic` (terms, P) of a bent brightness curve or lost light, is left over and pulls at nothing.
+    """
+    count = len(levels)
+    scale = 1 / np.maximum(common, np.float32(_FAINT * float(np.median(common)) + 1e-3))
+    mean = levels.mean(axis=0)
+    design: Floats = (np.concatenate([common[None], levels - mean]) * scale).T.astype(np.float64)
+    target: Floats = (mean * scale).astype(np.float64)
+    largest = levels.max(axis=0)
+    chosen = lit & (largest < _SATURATED * largest.max())
+    seen = design[chosen]
+    if len(seen) < _FEWEST_PIXELS or _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < _LEAST_VARIETY:
+        return np.ones((count, 1)), inf
+    for _ in range(2):
+        terms = _least_squares(design[chosen], target[chosen])
+        away = np.abs(target - design @ terms)
+        chosen &= away <= _OUTLYING * SIGMA_PER_MEDIAN * np.median(away[chosen]) + 1e-6
+    design, target, rows = design[chosen], target[chosen], places.rows[chosen]
+    left = _without(harmonic.T[chosen], target - design @ terms)
+    noise = float(np.mean(left**2)) + 1e-12
+    of_common = design[:, 0] * (design[:, 0] @ target / (design[:, 0] @ design[:, 0]))
+    if is_pair and noise > _UNEXPLAINED * np.mean((target - of_common) ** 2):
+        return np.ones((count, 1)), inf
+    # Noise in what explains draws its weights together: a share of them as large as it is next to what it explains.
+    spread = np.linalg.eigvalsh(design.T @ design / len(left))[1]
+    error = count * _SIGNIFICANT * sqrt(noise / (spread * len(left))) + 2 * noise / spread
+    bands = _bands(design, left, rows * _BANDS // places.height, noise)
+    if bands is None:
+        return _weights_from(terms[:, None]), error
+    centres = (np.arange(_BANDS) + 0.5) * places.height / _BANDS - 0.5
+    every_row = np.arange(places.height)
+    return _weights_from(np.array([np.interp(every_row, centres, term) for term in (terms + bands).T])), error
+
+
+def _without(terms: Floats32, values: Floats) -> Floats:
+    """What the terms (P, terms) do not explain of the values (P,)."""
+    rest: Floats = values - terms @ _least_squares(terms.astype(np.float64), values)
+    return rest
+
+
+def _weights_from(terms: Floats) -> Floats:
+    """Those with which the frames add up to the common light, from a M + Σ b (I − mean) = mean; (1 + frames, rows)."""
+    of_common, of_frames = terms[0], terms[1:]
+    weights: Floats = (1 / len(of_frames) - of_frames + of_frames.mean(axis=0)) / of_common
+    return weights
+
+
+def _bands(design: Floats, left: Floats, band: NDArray[np.int64], noise: float) -> Floats | None:
+    """How far the terms of each band of rows are from those of all (bands, terms); None if they are not, or unknown.
+
+    `band` (P,) rises.
+    """
+    starts = np.searchsorted(band, np.arange(_BANDS))
+    counts = np.diff(np.append(starts, len(band)))
+    if counts.min() < _FEWEST_PER_BAND:
+        return None
+    squares = np.add.reduceat(design[:, :, None] * design[:, None, :], starts)
+    products = np.add.reduceat(design * left[:, None], starts)
+    prior = np.eye(design.shape[1]) * noise / _BAND_SIGMA**2
+    found = np.linalg.solve(squares + prior, products[..., None])[..., 0].astype(np.float64)
+    explained = 2 * np.sum(found * products) - np.einsum("bi,bij,bj", found, squares, found)
+    means = np.add.reduceat(design, starts) / counts[:, None]
+    is_told = np.median(_variety(np.diagonal(squares, axis1=1, axis2=2) / counts[:, None], means)) > _LEAST_VARIETY
+    return found if is_told and explained > (1 - _BANDED) * noise * len(left) else None
+
+
+def _variety(squares: Floats, means: Floats) -> Floats:
+    """How much the frames' distances from their mean vary over pixels, given their mean squares and means (…, terms).
+
+    0 if each is alike everywhere, as inside one stripe, where it cannot be told from the common light; 1 if each is as
+    often above as below.
+    """
+    variety: Floats = np.min(1 - means[..., 1:] ** 2 / np.maximum(squares[..., 1:], 1e-12), axis=-1)
+    return variety
+
+
+def _least_squares(design: Floats, target: Floats) -> Floats:
+    """The terms (N,) of a design (P, N) of few columns, which need not be independent: their smallest."""
+    terms: Floats = np.linalg.pinv(design.T @ design, rcond=1e-9, hermitian=True) @ (design.T @ target)
+    return terms
