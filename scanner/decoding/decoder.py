@@ -165,7 +165,7 @@ class Decoder:
                 with suspecting(oddities):
                     matches, reasons = _match(plan, maps, brightest, self._one_axis)
                 odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
-        darkness = too_dark(self._texture, seen.noise)
+        darkness = too_dark(seen.levels, seen.noise)
         told = warnings_of(reasons, learnt.modulation, seen.flicker, darkness)
         return Decoding(
             matches,
