@@ -17,14 +17,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from calib.arrays import Bools, Floats, Image
+from calib.numerics import Bools, Floats, Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.truth import GroundTruth
-from scanner.decode import Decoder, Decoding
-from scanner.patterns import draw
-from scanner.presets import PRESETS, PresetName
+from scanner.decoding import Decoder, Decoding
+from scanner.patterns import PRESETS, PresetName, draw
 
 CAMERA, PROJECTOR = (1224, 1024), (854, 480)
 CELL_PX = 16

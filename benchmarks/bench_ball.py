@@ -16,7 +16,7 @@ import numpy as np
 from hw.settings import SimulatedRigSettings
 from hw.simulated.room import draw_room
 from hw.simulated.truth import true_calibration
-from scanner.cli import main as scan
+from scanner.commands.main import main as scan
 
 ROOM_SIM = Path(__file__).parents[1] / "configs" / "room-sim.yaml"
 

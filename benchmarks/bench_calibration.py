@@ -16,9 +16,9 @@ from itertools import repeat
 import numpy as np
 from cramer_rao import bound
 
-from calib.likelihood import Knowledge
+from calib.refinement import Knowledge
 from calib.refusal import RefusalError
-from calib.selfcalibration import Method, PrincipalPoint, SelfCalibration, self_calibrate, self_calibrate_jointly
+from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self_calibrate, self_calibrate_jointly
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_captures
 
 CAMERA_SIZE = (PAPER_CAMERA.width, PAPER_CAMERA.height)

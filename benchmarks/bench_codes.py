@@ -15,13 +15,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from scanner.decode import MaskReason
+from scanner.decoding import MaskReason
 from scanner.errors import InputError
-from scanner.patterns import Code
-from scanner.presets import PRESETS, PresetName
+from scanner.patterns import PRESETS, Code, PresetName
 
-sys.path.append(str(Path(__file__).parents[1] / "tests" / "decode"))
-from synthetic_capture import Scene
+sys.path.append(str(Path(__file__).parents[1]))
+from tests.support.synthetic_capture import Scene
 
 CODES: tuple[Code, ...] = ("gray", "xor", "both")
 CELL_PX = 8

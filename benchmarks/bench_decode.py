@@ -27,9 +27,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from calib.arrays import Image
-from scanner.decode import Decoder
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Image
+from scanner.decoding import Decoder, Floats32
 from scanner.patterns import Pattern, draw, gray_sequence, phase_sequence, sequence_for
 
 _INDIRECT = 0.1

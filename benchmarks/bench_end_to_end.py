@@ -27,37 +27,37 @@ from rich.console import Console
 from rich.table import Table
 from stopwatch import Duration, Stopwatch
 
-from calib.arrays import Image
-from calib.camera import Intrinsics
+from calib.geometry import Intrinsics
+from calib.numerics import Image
 from calib.synthetic import PAPER_CAMERA, look_at
 from hw.rig import Frame
-from scanner import report
 from scanner.capture import Stream
-from scanner.config import Config
-from scanner.decoding.arrays import Floats32
-from scanner.findings import Scan
+from scanner.configuration import Config
+from scanner.decoding import Floats32
 from scanner.patterns import Pattern, sequence_for
 from scanner.pipeline import decode, reconstruct
+from scanner.reporting import page as report
+from scanner.results import Scan
 
 CAMERA = replace(PAPER_CAMERA, distortion=(-0.02, 0.0, 0.0, 0.0, 0.0))
 PROJECTOR = Intrinsics(1920, 1200, (950.0, 950.0), (955.0, 640.0), (-0.01, 0.0, 0.0, 0.0, 0.0))
 TOTAL, LIMIT_S = "from the last frame to everything saved", 4.0
 WRITING = "Writing the result"
 ALONE = {
-    "coordinates of all pixels": "scanner.decode.coordinate_maps",
-    "faces": "scanner.calibrating.find_faces",
-    "cells": "calib.selfcalibration.into_cells",
-    "paper's objective": "calib.selfcalibration.family_of",
-    "sweep": "calib.refine.sweep_one",
-    "its minima": "calib.refine.explore",
-    "refinement": "calib.refine.settle",
-    "triangulation": "scanner.cloud.organise",
-    "surface": "scanner.cloud.surface",
+    "coordinates of all pixels": "scanner.decoding.decoder.coordinate_maps",
+    "faces": "scanner.reconstruction.calibrate.find_faces",
+    "cells": "calib.self_calibration.rig.into_cells",
+    "paper's objective": "calib.self_calibration.rig.family_of",
+    "sweep": "calib.refinement.refine.sweep_one",
+    "its minima": "calib.refinement.refine.explore",
+    "refinement": "calib.refinement.refine.settle",
+    "triangulation": "calib.pointcloud.organised_cloud.organise",
+    "surface": "calib.pointcloud.organised_cloud.surface",
 }
 BESIDE = {
-    "matches file": "scanner.findings.write_matches",
-    "cloud file": "scanner.findings.write_ply",
-    "report, all of it": "scanner.findings.write_report",
+    "matches file": "scanner.results.records.write_matches",
+    "cloud file": "scanner.results.records.write_ply",
+    "report, all of it": "scanner.results.records.write_report",
 }
 _CAMERA_AT, _PROJECTOR_AT = np.array([1.9, 2.3, 1.5]), np.array([2.3, 1.9, 1.8])
 _UP = np.array([0.0, 0.0, 1.0])

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.faces import find_faces
-from calib.matches import Matches
+from calib.geometry import Matches
+from calib.plane_segmentation import find_faces
 from calib.refusal import RefusalError
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calib"))
-from scenes import Scene, Score, box_on_table, furnished_room, score
+sys.path.append(str(Path(__file__).parents[1]))
+from tests.support.scenes import Scene, Score, box_on_table, furnished_room, score
 
 
 def measure(name: str, scene: Scene) -> Score | None:

@@ -18,20 +18,16 @@ import numpy as np
 from bench_rooms import cloud_error, decoded
 from scipy.spatial import cKDTree
 
-from calib.alignment import find_order
-from calib.arrays import Floats
-from calib.corner import Corner
-from calib.corner_view import View
-from calib.faces import find_faces
-from calib.matches import Matches
+from calib.geometry import Corner, Matches
+from calib.numerics import Floats
+from calib.plane_segmentation import find_faces
+from calib.pointcloud import Cloud, MergedCloud, View, build_cloud, find_order, merged
 from calib.refusal import RefusalError
-from calib.selfcalibration import PrincipalPoint, SelfCalibration, self_calibrate, self_calibrate_jointly
+from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate, self_calibrate_jointly
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
-from scanner.cloud import Cloud, build_cloud
-from scanner.merged_cloud import MergedCloud, merged
-from scanner.merging import brightness, consistency
 from scanner.quantities import intrinsic_errors_percent
+from scanner.reconstruction import brightness, consistency
 
 WALLS_OFF_DEG = 0.3
 CENTRE_SIGMA_OF_WIDTH = 0.03

@@ -19,10 +19,9 @@ from hw.errors import DeviceError
 from hw.loopback.launcher import loopback_rig
 from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.open_rig import open_rig
-from scanner.capture import capture
-from scanner.config import Config, load_config
-from scanner.decode import Decoder
-from scanner.recording import record
+from scanner.capture import capture, record
+from scanner.configuration import Config, load_config
+from scanner.decoding import Decoder
 
 CONFIG = Path("configs/room-loopback.yaml")
 

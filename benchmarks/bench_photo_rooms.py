@@ -15,11 +15,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calib.camera import Intrinsics
+from calib.geometry import Intrinsics
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
-from scanner.calibration_file import read_calibration
-from scanner.cli import main as scan
+from scanner.commands.main import main as scan
+from scanner.io import read_calibration
 
 SIZE = (1600, 1200)
 PICTURE = (64, 36)  # of the projector, which stays dark

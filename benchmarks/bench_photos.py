@@ -19,12 +19,11 @@ import numpy as np
 from cramer_rao import bound_of_photos
 from peer_photos import PEERS, two_view
 
-from calib.camera import Intrinsics
-from calib.matches import Matches
-from calib.photos import calibrate_photos
+from calib.geometry import Intrinsics, Matches
+from calib.plane_segmentation import find_sparse_faces
 from calib.refusal import RefusalError
-from calib.sparse_faces import find_sparse_faces
-from calib.synthetic_photos import PhotoOptions, SyntheticPhotos, random_photos
+from calib.self_calibration import calibrate_photos
+from calib.synthetic import PhotoOptions, SyntheticPhotos, random_photos
 
 NOISE_PX = 0.3
 WINDOW = (1120, 840)  # of a crop

@@ -12,16 +12,15 @@ import time
 
 import numpy as np
 
-from calib.faces import find_faces
-from calib.matches import Matches
+from calib.geometry import Matches, intersect
+from calib.plane_segmentation import find_faces
 from calib.refusal import RefusalError
-from calib.selfcalibration import Method, PrincipalPoint, SelfCalibration, self_calibrate
-from calib.triangulation import intersect
+from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self_calibrate
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.truth import GroundTruth
-from scanner.decode import Decoder, Decoding
+from scanner.decoding import Decoder, Decoding
 from scanner.patterns import draw, sequence_for
 from scanner.quantities import intrinsic_errors_percent
 

@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calib.cells import into_cells
-from calib.paper import objective_for, search
-from calib.selfcalibration import PrincipalPoint, paper_trials, self_calibrate
+from calib.closed_form import objective_for, search
+from calib.refinement import into_cells
+from calib.self_calibration import PrincipalPoint, paper_trials, self_calibrate
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
 CAMERA_SIZE = (PAPER_CAMERA.width, PAPER_CAMERA.height)

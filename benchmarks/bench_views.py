@@ -17,12 +17,10 @@ from itertools import repeat
 import numpy as np
 from cramer_rao import bound
 
-from calib.calibration import Calibration
-from calib.camera import Intrinsics
-from calib.likelihood import Knowledge
-from calib.matches import Matches
+from calib.geometry import Calibration, Intrinsics, Matches
+from calib.refinement import Knowledge
 from calib.refusal import RefusalError
-from calib.selfcalibration import PrincipalPoint, self_calibrate
+from calib.self_calibration import PrincipalPoint, self_calibrate
 from calib.synthetic import CaptureOptions, SyntheticCapture, random_capture
 
 CAMERA_SIZE, PROJECTOR_SIZE = (2448, 2048), (854, 480)

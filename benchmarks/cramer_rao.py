@@ -4,15 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.camera import Intrinsics
-from calib.cells import Cells
-from calib.likelihood import Knowledge, evaluate
-from calib.matches import Matches
-from calib.model import CAMERA, PROJECTOR, Pose, State, predict
-from calib.photos import anywhere
-from calib.synthetic import SyntheticCapture
-from calib.synthetic_photos import SyntheticPhotos
-from calib.valley import covariance_of
+from calib.geometry import Intrinsics, Matches
+from calib.refinement import CAMERA, PROJECTOR, Cells, Knowledge, Pose, State, covariance_of, evaluate, predict
+from calib.self_calibration import anywhere
+from calib.synthetic import SyntheticCapture, SyntheticPhotos
 
 _SAMPLE = 3000
 

@@ -8,10 +8,7 @@ import importlib.util
 
 import numpy as np
 
-from calib.calibration import Calibration
-from calib.camera import Intrinsics
-from calib.matches import Matches
-from calib.triangulation import intersect
+from calib.geometry import Calibration, Intrinsics, Matches, intersect
 
 HELD, FREE = "PP at the centre", "PP free"
 PEERS = (HELD, FREE) if importlib.util.find_spec("pycolmap") else ()

@@ -1,13 +1,14 @@
 """Write docs/configuration.md from the schema that checks configurations:  python docs/make_configuration.py
 
-The meaning of a key is its description in scanner/config.py or hw/settings.py; a test fails while the file is stale.
+The meaning of a key is its description in scanner/configuration/schema.py or hw/settings.py; a test fails
+while the file is stale.
 """
 
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from scanner.config import Config
+from scanner.configuration import Config
 
 TARGET = Path(__file__).parent / "configuration.md"
 

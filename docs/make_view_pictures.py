@@ -12,13 +12,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calib.arrays import Floats
-from calib.camera import Intrinsics
-from calib.matches import Matches
+from calib.geometry import Intrinsics, Matches
+from calib.numerics import Floats
 from calib.refusal import RefusalError
-from calib.selfcalibration import PrincipalPoint, self_calibrate
+from calib.self_calibration import PrincipalPoint, self_calibrate
 from calib.synthetic import look_at
-from scanner.reporting.maps import FACE_COLOURS
+from scanner.rendering import FACE_COLOURS
 
 TARGET = Path(__file__).parent / "images" / "views.png"
 CAMERA = Intrinsics(1224, 1024, (895.0, 895.0), (628.0, 527.0))

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.arrays import Bools, Floats, Image
+from calib.numerics import Bools, Floats, Image
 from hw.errors import DeviceError, FrameLostError, OverexposedError
 from hw.rig import Frame, Projector
 

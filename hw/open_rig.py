@@ -5,7 +5,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from types import ModuleType
 
-from calib.calibration import Calibration
+from calib.geometry import Calibration
 from hw.errors import DeviceError
 from hw.exposures import whole_periods
 from hw.projector_process import ScreenProjector

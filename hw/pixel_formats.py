@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Image
+from calib.numerics import Image
 
 Bytes = NDArray[np.uint8]
 

@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from calib.arrays import Image
+from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.screens import Screen, choose_screen
 

@@ -13,7 +13,7 @@ import numpy as np
 import pyglet
 from pyglet import gl
 
-from calib.arrays import Image
+from calib.numerics import Image
 from hw.screens import Screen
 
 _IDLE_S = 0.05  # how often a window without orders looks after its events

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from itertools import cycle
 from typing import Protocol, runtime_checkable
 
-from calib.arrays import Image
+from calib.numerics import Image
 from hw.errors import DeviceError
 
 

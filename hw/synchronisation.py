@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, cycle
 from typing import Protocol
 
-from calib.arrays import Image
+from calib.numerics import Image
 from hw.errors import DeviceError, FrameLostError
 from hw.flashes import LOST_ADVICE, Flashes
 from hw.rig import Camera, Frame, Projector, Rig, exposure_control

@@ -8,26 +8,19 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from calib.arrays import Bools
-from calib.calibration import Calibration
+from calib.geometry import Calibration
+from calib.numerics import Bools
+from calib.pointcloud import build_cloud
 from calib.refusal import RefusalError
 from hw.open_rig import open_rig
 from hw.settings import RigSettings
-from scanner.calibrating import refuse_foreign, refuse_misfit, self_calibration
-from scanner.calibration_file import write_calibration
-from scanner.capture import Stream, capture
-from scanner.cloud import build_cloud
-from scanner.config import Config
-from scanner.decode import Decoder
-from scanner.findings import Findings, Scan, identity, save, set_aside
-from scanner.merging import merge
-from scanner.places import next_place
-from scanner.progress import Progress
-from scanner.recording import Recording, record
-from scanner.report import CaptureFacts
-from scanner.result import CAPTURE_FOLDER, TRUTH_FILE
-from scanner.scale import scaled
-from scanner.terminal import Terminal
+from scanner.capture import CaptureFacts, Recording, Stream, capture, identity, next_place, record
+from scanner.configuration import Config
+from scanner.decoding import Decoder
+from scanner.io import write_calibration
+from scanner.reconstruction import merge, refuse_foreign, refuse_misfit, save, scaled, self_calibration, set_aside
+from scanner.results import CAPTURE_FOLDER, TRUTH_FILE, Findings, Scan
+from scanner.ui import Progress, Terminal
 
 
 def scan(

@@ -3,6 +3,7 @@
 import os
 import shutil
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-# As the application does (scanner/__init__.py); with several test processes on two cores it matters even more.
+# As the command does (scanner/commands/main.py); with several test processes on two cores it matters even more.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # No test is timed: the first example may wait for a compiler, any for a busy machine.
@@ -44,3 +45,11 @@ def browser() -> Iterator["Browser"]:
         launched = playwright.chromium.launch(executable_path=chromium, args=list(_FLAGS))
         yield launched
         launched.close()
+
+
+@pytest.fixture
+def capture_folder(tmp_path: Path) -> Path:
+    """The smallest capture folder."""
+    from tests.support.small_capture import write_capture  # loads NumPy, after what is set above
+
+    return write_capture(tmp_path / "room")

@@ -17,10 +17,10 @@ from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import place_room
 from hw.simulated.truth import true_calibration
-from scanner.calibration_file import read_calibration, write_calibration
-from scanner.config import load_config
-from scanner.result import CALIBRATION_FILE, TRUTH_FILE
-from scanner.summary import truth_line
+from scanner.configuration import load_config
+from scanner.io import read_calibration, write_calibration
+from scanner.quantities import truth_line
+from scanner.results import CALIBRATION_FILE, TRUTH_FILE
 
 
 def main() -> int:

@@ -16,7 +16,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Image
+from calib.numerics import Image
 from hw.simulated.arrays import Light
 
 _HEADER_WORDS = 25

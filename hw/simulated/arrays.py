@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from calib.arrays import Floats
+from calib.numerics import Floats
 
 Light = NDArray[np.float32]
 Indices = NDArray[np.int64]

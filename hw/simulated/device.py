@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import Bools, Floats
+from calib.numerics import Bools, Floats
 
 _KNOTS = 4096
 _MARGIN = 1.5  # the lens is modelled out to this multiple of the image's half diagonal

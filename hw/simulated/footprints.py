@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage, sparse
 
-from calib.arrays import Bools, Floats, Ints
-from calib.parallel import in_parallel
+from calib.numerics import Bools, Floats, Ints, in_parallel
 from hw.simulated.arrays import Indices, sparse_matrix
 from hw.simulated.device import PlacedDevice
 from hw.simulated.illumination import SPILL_PX, ProjectorLight

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.arrays import Floats
+from calib.numerics import Floats
 from hw.simulated.shapes import Block, Sphere
 
 # Furniture reaches this far into floor, wall or the box below, so that no gap lets light through.

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from calib.arrays import Bools, Floats, Ints
-from calib.parallel import in_parallel
+from calib.numerics import Bools, Floats, Ints, in_parallel
 from hw.simulated.arrays import Indices, Light, sparse_matrix
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.mesh import Mesh

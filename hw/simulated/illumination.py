@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Floats, Ints
+from calib.numerics import Floats, Ints
 from hw.simulated.device import PlacedDevice
 from hw.simulated.scene import Scene
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.spatial import cKDTree
 
-from calib.arrays import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints
 from hw.simulated.arrays import Indices, Light
 from hw.simulated.gather import Gathered
 from hw.simulated.mesh import Mesh

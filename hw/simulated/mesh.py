@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Floats, Ints
+from calib.numerics import Floats, Ints
 from hw.simulated.arrays import Indices
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.scene import Scene

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.arrays import Floats
+from calib.numerics import Floats
 from hw.settings import PasserSettings
 from hw.simulated.device import PlacedDevice
 from hw.simulated.shapes import Block

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from calib.arrays import Floats, Image
+from calib.numerics import Floats, Image
 from hw.settings import PanelSettings, SimulatedRigSettings
 from hw.simulated.arrays import Indices, Light
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Floats
+from calib.numerics import Floats
 from hw.simulated.device import Optics, PlacedDevice
 
 # The paper's rig (section 5.1), at its full camera resolution.

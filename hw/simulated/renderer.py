@@ -6,7 +6,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from calib.arrays import Floats, Image
+from calib.numerics import Floats, Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.device import PlacedDevice

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.arrays import Image
+from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Frame
 from hw.simulated.arrays import Light

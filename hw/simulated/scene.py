@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints
 from hw.simulated.shapes import Block, Sphere
 
 # Rays from a surface start this far off it, in units of the ray's length: beyond rounding, below anything visible.

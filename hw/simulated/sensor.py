@@ -6,7 +6,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from calib.arrays import Image
+from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 

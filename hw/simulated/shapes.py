@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.arrays import Image
-from calib.calibration import Calibration
+from calib.geometry import Calibration
+from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.device import PlacedDevice

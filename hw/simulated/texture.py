@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Floats, Ints
+from calib.numerics import Floats, Ints
 from hw.simulated.scene import Scene
 
 _FINE_M = 0.0025

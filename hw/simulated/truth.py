@@ -4,9 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Floats, Ints
-from calib.calibration import Calibration
-from calib.camera import Intrinsics
+from calib.geometry import Calibration, Intrinsics
+from calib.numerics import Floats, Ints
 from hw.simulated.device import Optics
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.renderer import Renderer

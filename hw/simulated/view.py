@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Floats
+from calib.numerics import Floats
 from hw.simulated.device import PlacedDevice
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.scene import Label, Scene

@@ -19,12 +19,12 @@ from scanner.checking.light import Light, light_rows, photograph_light
 from scanner.checking.pictures import contrast_picture, coverage_picture, saturation_picture
 from scanner.checking.report import CheckReport, CheckRow, Pixels, State
 from scanner.checking.response import measure_ramp, response_row
-from scanner.config import Config
-from scanner.decode import MaskReason
-from scanner.findings import Findings
-from scanner.given_captures import read_captures
+from scanner.configuration import Config
+from scanner.decoding import MaskReason
 from scanner.patterns import Pattern, phase_sequence
-from scanner.progress import Progress
+from scanner.reconstruction import read_captures
+from scanner.results import Findings
+from scanner.ui import Progress
 
 OnRow = Callable[[CheckRow], None]
 

@@ -11,7 +11,7 @@ from hw.rig import Rig
 from hw.settings import AravisRigSettings
 from hw.synchronisation import SynchronisedRig
 from scanner.checking.report import CheckRow, State
-from scanner.config import Config
+from scanner.configuration import Config
 
 # Frames that are lost are taken again, which costs time only; so many say that something is wrong.
 _MANY_RETAKEN = 0.1

@@ -6,8 +6,8 @@ import yaml
 
 from scanner.checking.pictures import write_pictures
 from scanner.checking.report import CheckReport
-from scanner.pattern_file import FORMAT
-from scanner.result import OutputFolder
+from scanner.patterns import FORMAT
+from scanner.results import OutputFolder
 
 CHECK_FILE = "check.yaml"
 

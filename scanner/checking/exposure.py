@@ -5,12 +5,12 @@ from math import floor
 
 import numpy as np
 
-from calib.fit_statistics import robust_sigma
+from calib.numerics import robust_sigma
 from hw.rig import ExposureControl, Rig
 from scanner.checking.light import CLIPPED, Light, flicker_of, photograph_light
 from scanner.checking.limits import LEAST_SHARE
 from scanner.checking.report import CheckRow, State
-from scanner.decoding.advice import MUCH_FLICKER
+from scanner.decoding import MUCH_FLICKER
 
 _NAME = "exposure"
 # Shiny spots may clip: so small a share of the lit pixels is masked without loss.

@@ -12,8 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.arrays import Bools, Floats, Ints
-from calib.fit_statistics import robust_sigma
+from calib.numerics import Bools, Floats, Ints, robust_sigma
 from scanner.checking.fringes import Fringe, cell_size
 from scanner.patterns import Axis
 

@@ -5,7 +5,7 @@ from math import exp, pi
 
 import numpy as np
 
-from calib.arrays import Floats
+from calib.numerics import Floats
 from scanner.checking.focus import BlurSamples, Lenses
 from scanner.checking.limits import LEAST_AMPLITUDE
 from scanner.checking.report import CheckRow, State

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Floats, Image
+from calib.numerics import Floats, Image
 from hw.rig import Frame
 from scanner.checking.light import grey
 from scanner.patterns import Axis, Pattern, Phase

@@ -6,12 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import Bools, Floats, Image
-from calib.fit_statistics import robust_sigma
+from calib.numerics import Bools, Floats, Image, robust_sigma
 from hw.rig import Rig
 from scanner.checking.limits import LEAST_AMPLITUDE, TOLERATED_LOSS
 from scanner.checking.report import CheckRow, State
-from scanner.decoding.advice import MUCH_FLICKER
+from scanner.decoding import MUCH_FLICKER
 
 # A signal counts from five standard deviations on, as in the decoder.
 _SEEN = 5.0

@@ -6,13 +6,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calib.arrays import Bools, Floats
+from calib.numerics import Bools, Floats
 from scanner.checking.fringes import Fringe, cell_size, smoothed
 from scanner.checking.light import Light
 from scanner.checking.report import Pixels
-from scanner.images import write_png
+from scanner.io import write_png
 from scanner.patterns import Axis
-from scanner.reporting.maps import BLUE, ORANGE, SKY_BLUE, VERMILION, VIRIDIS, photograph, shaded
+from scanner.rendering import BLUE, ORANGE, SKY_BLUE, VERMILION, VIRIDIS, photograph, shaded
 
 _OPACITY = 0.45
 _LEGEND_PX = 34

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Floats
+from calib.numerics import Floats
 from hw.rig import Rig
 from scanner.checking.light import Light, grey
 from scanner.checking.report import CheckRow, State
-from scanner.projector_response import ProjectorResponse
+from scanner.patterns import ProjectorResponse
 
 _NAME = "response"
 # 255 = 15 × 17: the levels are whole numbers, and as many as a smooth curve needs.

@@ -5,26 +5,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Bools, Floats
-from calib.refusal import RefusalError
-from calib.remarks import FURTHER_CAPTURE
-from calib.selfcalibration import SelfCalibration
-from calib.trust import USEFUL_SIGMA
-from calib.wording import RIG
+from calib.diagnostics import FURTHER_CAPTURE, USEFUL_SIGMA
+from calib.numerics import Bools, Floats
+from calib.refusal import RIG, RefusalError
+from calib.self_calibration import SelfCalibration
 from hw.rig import Rig
-from scanner.calibrating import self_calibration
 from scanner.capture import capture
 from scanner.checking.fringes import FringeMeter
 from scanner.checking.limits import LEAST_SHARE
 from scanner.checking.report import CheckRow, State
-from scanner.config import Config
-from scanner.decode import Decoding, MaskReason
+from scanner.configuration import Config
+from scanner.decoding import Decoding, MaskReason
 from scanner.errors import InputError
-from scanner.findings import Findings, Scan
-from scanner.patterns import Pattern
+from scanner.patterns import PRESETS, Pattern, Preset, PresetName
 from scanner.pipeline import decode
-from scanner.presets import PRESETS, Preset, PresetName
-from scanner.progress import Progress
+from scanner.reconstruction import self_calibration
+from scanner.results import Findings, Scan
+from scanner.ui import Progress
 
 _QUICK: PresetName = "quick"
 _VIEW, _COVERAGE = "view", "coverage"

@@ -4,13 +4,12 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from scanner import pipeline
-from scanner.calibrating import refuse_impossible
 from scanner.commands import options
 from scanner.commands.outcome import show_outcome
-from scanner.config import load_config
-from scanner.given_captures import read_captures
-from scanner.result import new_result
-from scanner.terminal import Terminal
+from scanner.configuration import load_config
+from scanner.reconstruction import read_captures, refuse_impossible
+from scanner.results import new_result
+from scanner.ui import Terminal
 
 
 def add_arguments(parser: ArgumentParser) -> None:

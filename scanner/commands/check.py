@@ -19,11 +19,9 @@ from scanner.checking.document import write_check
 from scanner.checking.report import CheckReport
 from scanner.checking.table import table_of
 from scanner.commands import options
-from scanner.config import load_config
-from scanner.config_file import set_keys
-from scanner.log import keep_off_the_terminal
-from scanner.result import refuse_occupied
-from scanner.terminal import Terminal
+from scanner.configuration import load_config, set_keys
+from scanner.results import refuse_occupied
+from scanner.ui import Terminal, keep_off_the_terminal
 
 # Of a microsecond no camera knows more, and of the light no average.
 _EXPOSURE_DIGITS, _LIGHT_DIGITS = 1, 5

@@ -10,7 +10,7 @@ from hw.open_rig import import_aravis
 from hw.projector_process import list_screens
 from hw.screens import Screen
 from scanner.commands import options
-from scanner.terminal import Terminal
+from scanner.ui import Terminal
 
 _PREFERRED_FORMATS = ("Mono8", "BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8")
 

@@ -4,10 +4,10 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from scanner.commands import options
+from scanner.commands.options import default_path
 from scanner.errors import InputError
-from scanner.exporting.colmap import DEFAULT_POINTS
-from scanner.exporting.formats import FORMATS, Request
-from scanner.terminal import Terminal
+from scanner.exporting import DEFAULT_POINTS, FORMATS, Request
+from scanner.ui import Terminal
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -38,10 +38,3 @@ def run(args: Namespace) -> None:
     with terminal.step("Exporting"):
         told = target.write(Request(args.result, out, args.overwrite, args.points or DEFAULT_POINTS))
     terminal.show(*told, f"Written: {out}")
-
-
-def default_path(result: Path, ending: str) -> Path:
-    """Beside the result, named after it: a result folder itself stays as the scan left it."""
-    folder = result.resolve()
-    name = f"{folder.name}{ending}"
-    return folder.parent / name if result.name in ("", ".", "..") else result.parent / name

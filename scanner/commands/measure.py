@@ -8,16 +8,13 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from scanner.commands import options
-from scanner.commands.export import default_path
+from scanner.commands.options import default_path
 from scanner.errors import InputError
-from scanner.exporting.output import new_file, refuse_existing
-from scanner.finished_scan import read_finished_scan
-from scanner.measuring.document import MEASURE_FILE, write_document
-from scanner.measuring.figure import FIGURE_FILE, write_figure
-from scanner.measuring.measure import measure
-from scanner.measuring.table import tables
-from scanner.terminal import Terminal
-from scanner.units import parse_length
+from scanner.io import new_file, refuse_existing
+from scanner.measuring import FIGURE_FILE, MEASURE_FILE, measure, tables, write_document, write_figure
+from scanner.quantities import parse_length
+from scanner.results import read_finished_scan
+from scanner.ui import Terminal
 
 _ASSUMED_ANGLES = (
     "Note: what the calibration took for granted about these angles (corner.squareness_deg) is in them; a ball or a "

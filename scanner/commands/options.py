@@ -31,3 +31,10 @@ def add_masks(parser: ArgumentParser) -> None:
 def add_quiet(parser: ArgumentParser) -> None:
     """`--quiet`."""
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def default_path(result: Path, ending: str) -> Path:
+    """Beside the result, named after it: a result folder itself stays as the scan left it."""
+    folder = result.resolve()
+    name = f"{folder.name}{ending}"
+    return folder.parent / name if result.name in ("", ".", "..") else result.parent / name

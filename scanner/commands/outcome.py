@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-from scanner.findings import Scan
-from scanner.result import CALIBRATION_FILE, CLOUD_FILE, MERGED_FILE, REPORT_FILE
-from scanner.summary import calibration_table, truth_line
-from scanner.terminal import Terminal
+from scanner.quantities import calibration_table, truth_line
+from scanner.results import CALIBRATION_FILE, CLOUD_FILE, MERGED_FILE, REPORT_FILE, Scan
+from scanner.ui import Terminal
 
 
 def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:

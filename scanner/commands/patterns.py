@@ -3,10 +3,10 @@
 from argparse import ArgumentParser, Namespace
 
 from scanner.commands import options
-from scanner.config import load_config
-from scanner.pattern_file import write_sequence
-from scanner.result import OutputFolder
-from scanner.terminal import Terminal
+from scanner.configuration import load_config
+from scanner.patterns import write_sequence
+from scanner.results import OutputFolder
+from scanner.ui import Terminal
 
 
 def add_arguments(parser: ArgumentParser) -> None:

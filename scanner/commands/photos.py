@@ -8,17 +8,15 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from calib.matches import Matches
+from calib.geometry import Matches
 from scanner.commands import options
 from scanner.commands.outcome import show_outcome
-from scanner.config import load_config
+from scanner.configuration import load_config
 from scanner.errors import InputError
-from scanner.given_captures import read_captures
-from scanner.masks import read_masks
-from scanner.photos.photo import Photo, read_photos
-from scanner.photos.reconstruct import PhotoOptions, principal_point, reconstruct_photos, refuse_unsuitable
-from scanner.result import new_result
-from scanner.terminal import Terminal
+from scanner.photos import Photo, PhotoOptions, principal_point, read_photos, reconstruct_photos, refuse_unsuitable
+from scanner.reconstruction import read_captures, read_masks
+from scanner.results import new_result
+from scanner.ui import Terminal
 
 
 def add_arguments(parser: ArgumentParser) -> None:

@@ -3,19 +3,17 @@
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from calib.calibration import Calibration
+from calib.geometry import Calibration
 from scanner import pipeline
-from scanner.calibrating import refuse_impossible
-from scanner.calibration_file import read_calibration
+from scanner.capture import Recording, open_capture
 from scanner.commands import options
 from scanner.commands.outcome import show_outcome
-from scanner.config import load_config
+from scanner.configuration import load_config
 from scanner.errors import InputError
-from scanner.given_captures import read_captures
-from scanner.masks import read_masks
-from scanner.recording import Recording, open_capture
-from scanner.result import CAPTURE_FOLDER, default_out, new_result
-from scanner.terminal import Terminal
+from scanner.io import read_calibration
+from scanner.reconstruction import read_captures, read_masks, refuse_impossible
+from scanner.results import CAPTURE_FOLDER, default_out, new_result
+from scanner.ui import Terminal
 
 
 def add_arguments(parser: ArgumentParser) -> None:

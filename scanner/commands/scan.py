@@ -3,16 +3,14 @@
 from argparse import ArgumentParser, Namespace
 
 from scanner import pipeline
-from scanner.calibrating import refuse_impossible
+from scanner.capture import check_places
 from scanner.commands import options
 from scanner.commands.outcome import show_outcome
-from scanner.config import load_config
+from scanner.configuration import load_config
 from scanner.errors import InputError
-from scanner.given_captures import read_captures
-from scanner.masks import read_masks
-from scanner.places import check_places
-from scanner.result import default_out, new_result
-from scanner.terminal import Terminal
+from scanner.reconstruction import read_captures, read_masks, refuse_impossible
+from scanner.results import default_out, new_result
+from scanner.ui import Terminal
 
 
 def add_arguments(parser: ArgumentParser) -> None:

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from scanner.terminal import Terminal
+from scanner.ui import Terminal
 from scanner.viewing.opening import add_address, require_viser
 
 

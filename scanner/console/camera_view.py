@@ -13,8 +13,7 @@ from hw.settings import AravisRigSettings, RigSettings
 from scanner.console.picture import HISTOGRAM_BINS, exposed, histogram, shown
 from scanner.console.settings import Picture
 from scanner.quantities import percent
-from scanner.reporting.maps import data_uri
-from scanner.reporting.png import Pixels
+from scanner.rendering import Pixels, data_uri
 
 _EVERY_S = 0.15  # a page and a network have to keep up
 _LONGEST_MS = 10_000.0

@@ -12,7 +12,7 @@ from scanner.console.results import earlier_results
 from scanner.console.settings import Settings
 from scanner.console.texts import rows_text, status_text
 from scanner.console.worker import Activity, Status, Worker
-from scanner.failures import failure_of
+from scanner.ui import failure_of
 from scanner.viewing.panel import ResultPanel
 from scanner.viewing.result import ViewedResult
 from scanner.viewing.server import add_readable_fonts

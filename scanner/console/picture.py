@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Bools, Floats, Image
-from scanner.decoding.saturation import saturation_level
+from calib.numerics import Bools, Floats, Image
+from scanner.decoding import saturation_level
 
 # Okabe and Ito's vermilion: told from every grey by every kind of colour vision.
 CLIPPED_COLOUR = (213, 94, 0)

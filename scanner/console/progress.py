@@ -33,7 +33,7 @@ class Stage:
 
 
 class StagedProgress:
-    """`scanner.progress.Progress` for a page: tells `on_stage`, and shows frames that go by to `on_frame`.
+    """`scanner.ui.progress.Progress` for a page: tells `on_stage`, and shows frames that go by to `on_frame`.
 
     Raises CancelledError between two frames, and before a step, once `cancelled` is set.
     """

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from scanner.matches_file import MATCHES_FILE
-from scanner.result import LOG_FILE
+from scanner.io import MATCHES_FILE
+from scanner.results import LOG_FILE
 
 SCANS = Path("scans")
 

@@ -4,7 +4,7 @@ import logging
 
 from scanner.console.page import ConsolePage
 from scanner.console.settings import Settings
-from scanner.terminal import Terminal
+from scanner.ui import Terminal
 from scanner.viewing.server import invite, serving, wait
 
 log = logging.getLogger(__name__)

@@ -3,12 +3,10 @@
 from pathlib import Path
 
 from scanner import pipeline
-from scanner.calibrating import refuse_impossible
 from scanner.console.settings import Settings
-from scanner.findings import Scan
-from scanner.given_captures import read_captures
-from scanner.progress import Progress
-from scanner.result import default_out, new_result
+from scanner.reconstruction import read_captures, refuse_impossible
+from scanner.results import Scan, default_out, new_result
+from scanner.ui import Progress
 
 
 def scan(settings: Settings, progress: Progress) -> Path:

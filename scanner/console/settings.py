@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scanner.config import Config, load_config
+from scanner.configuration import Config, load_config
 from scanner.patterns import Black, Pattern, Phase, White, draw
 
 

@@ -15,7 +15,7 @@ from scanner.checking.report import CheckReport, CheckRow
 from scanner.console.progress import CancelledError, Stage, StagedProgress
 from scanner.console.scanning import scan
 from scanner.console.settings import Settings, drawn
-from scanner.failures import failure_of
+from scanner.ui import failure_of
 
 _FRAME_S = 0.2  # no more live frames than this: a page and a network have to keep up
 _LEAVING_S = 30.0

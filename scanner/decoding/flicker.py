@@ -10,7 +10,7 @@ import numpy as np
 
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.medians import medians
-from scanner.decoding.plan import SequencePlan
+from scanner.decoding.sequence_plan import SequencePlan
 
 _FEWEST = 3
 

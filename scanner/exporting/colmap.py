@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import Floats, Ints
-from calib.camera import Intrinsics
-from scanner.exporting.output import new_file, refuse_existing
-from scanner.finished_scan import FinishedScan
+from calib.geometry import Intrinsics
+from calib.numerics import Floats, Ints
+from scanner.io import new_file, refuse_existing
+from scanner.results import FinishedScan
 
 COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 CAMERA_ID, PROJECTOR_ID = 1, 2

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arrays import Floats
+from calib.numerics import Floats
 from scanner.errors import InputError
-from scanner.finished_scan import FinishedScan
+from scanner.results import FinishedScan
 
 _Z_UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 

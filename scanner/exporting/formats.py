@@ -10,11 +10,9 @@ from scanner.exporting.e57 import refuse_without_pye57, write_e57
 from scanner.exporting.glb import write_glb
 from scanner.exporting.mesh import Mesh, build_mesh, write_mesh_obj, write_mesh_ply
 from scanner.exporting.opencv import write_opencv
-from scanner.exporting.output import new_file
-from scanner.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
-from scanner.result import CLOUD_FILE
-from scanner.scale import UNKNOWN_UNIT
-from scanner.units import metres_per, unit_name
+from scanner.io import new_file
+from scanner.quantities import UNKNOWN_UNIT, metres_per, unit_name
+from scanner.results import CLOUD_FILE, FinishedScan, read_calibration_of, read_finished_scan
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Floats, Ints
-from calib.image_mesh import SeenPoints, image_triangles
+from calib.numerics import Floats, Ints
+from calib.pointcloud import SeenPoints, image_triangles
 from scanner.errors import InputError
-from scanner.finished_scan import FinishedScan
+from scanner.results import FinishedScan
 
 # The camera's axes (x right, y down, z forward) turned to x right, y up, z backward, as glTF's cameras look.
 Y_UP_FROM_CAMERA = np.array([1.0, -1.0, -1.0])

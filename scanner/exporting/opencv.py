@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calib.calibration import Calibration
+from calib.geometry import Calibration
 
 _EXPLANATION = """Pixel centres are at integer coordinates; x right, y down, z forward.
 X_projector = R X_camera + T: camera and projector are the first and the second camera of stereoRectify.

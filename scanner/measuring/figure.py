@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.arrays import Floats
-from calib.pixel_index import NONE, index_grid, without_gaps
+from calib.numerics import Floats
+from calib.pointcloud import NONE, index_grid, without_gaps
 from scanner.measuring.measurements import FitErrors, Measurements
-from scanner.measuring.shown import ShownUnit, shown_unit
+from scanner.quantities import ShownUnit, shown_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

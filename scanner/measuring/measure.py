@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from calib.arrays import Floats
-from calib.point_noise import point_covariances
+from calib.numerics import Floats
+from calib.pointcloud import point_covariances
 from scanner.errors import InputError
-from scanner.finished_scan import FinishedScan
 from scanner.measuring.measurements import DistanceMeasurement, Measurements
 from scanner.measuring.planes import measure_faces
 from scanner.measuring.spheres import centre_distances, measure_spheres
+from scanner.results import FinishedScan
 
 PixelPair = tuple[float, float, float, float]
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Floats, Ints
+from calib.numerics import Floats, Ints
 
 # Share of the points that a form error speaks of; the rest may be strays.
 FORM_SHARE = 0.997

@@ -4,11 +4,10 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.arrays import Floats, Ints
-from calib.fit_plane import dihedral_angle_rad, fit_plane
-from calib.fit_statistics import blocks
+from calib.numerics import Floats, Ints, blocks
+from calib.pointcloud import dihedral_angle_rad, fit_plane
 from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, FitErrors
-from scanner.reporting.maps import FACE_NAMES
+from scanner.quantities import FACE_NAMES
 
 # Neighbouring points of a face err alike; squares of this share of the camera's image width count as independent.
 _ALIKE_OF_WIDTH = 1 / 64

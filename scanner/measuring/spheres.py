@@ -4,16 +4,12 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.arrays import Bools, Floats, Ints
-from calib.find_sphere import OrganisedPoints, find_sphere, image_radius_px
-from calib.fit_sphere import Sphere, fit_sphere
-from calib.fit_statistics import blocks, robust_sigma
-from calib.pixel_index import density
+from calib.numerics import Bools, Floats, Ints, blocks, robust_sigma
+from calib.pointcloud import OrganisedPoints, Sphere, density, find_sphere, fit_sphere, image_radius_px
 from calib.refusal import NoMeasurementError
-from scanner.finished_scan import FinishedScan
 from scanner.measuring.measurements import DistanceMeasurement, FitErrors, SphereMeasurement
-from scanner.measuring.shown import shown_unit
-from scanner.quantities import percent
+from scanner.quantities import percent, shown_unit
+from scanner.results import FinishedScan
 
 # Points farther than this share of the radius from the surface are of something in front of the ball.
 _GATE = 0.2

@@ -6,8 +6,7 @@ from rich import box
 from rich.table import Table
 
 from scanner.measuring.measurements import FitErrors, Measurements, SphereMeasurement
-from scanner.measuring.shown import ShownUnit, shown_unit
-from scanner.quantities import plain
+from scanner.quantities import ShownUnit, plain, shown_unit
 
 
 def tables(measured: Measurements) -> Iterator[Table]:

@@ -6,13 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Bools, Floats, Image
-from calib.calibration import Calibration
-from calib.camera import Intrinsics
-from calib.matches import Matches
-from calib.triangulation import intersect
+from calib.geometry import Calibration, Intrinsics, Matches, intersect
+from calib.numerics import Bools, Floats, Image
+from calib.pointcloud import surface
 from scanner.photos.photo import Photo
-from scanner.surface import surface
 
 _LONGEST_SIDE = 1600  # of what is matched: beyond it memory and time grow, and detail hardly does
 _BLOCK = 5

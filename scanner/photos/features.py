@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Bools, Floats, Ints
-from calib.arrays import Image as Pixels
-from calib.matches import Matches
+from calib.geometry import Matches
+from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Image as Pixels
 from calib.refusal import RefusalError
 
 _MOST_FEATURES = 8_000

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
 
-from calib.arrays import Image as Pixels
+from calib.numerics import Image as Pixels
 from scanner.errors import InputError
-from scanner.images import read_image
+from scanner.io import read_image
 
 _FULL_FRAME_DIAGONAL_MM = 43.2666  # of 36 × 24 mm, to which the 35 mm equivalent refers (CIPA DCG-001)
 _LONGEST_MM = 10_000

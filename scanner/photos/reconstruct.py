@@ -10,29 +10,22 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arrays import Bools
-from calib.corner import Corner
-from calib.corner_view import View
-from calib.matches import Matches
-from calib.photos import anywhere, calibrate_photos
+from calib.geometry import Corner, Matches
+from calib.numerics import Bools
+from calib.plane_segmentation import find_alike, find_sparse_faces
+from calib.pointcloud import View, build_cloud, merged
 from calib.refusal import RefusalError
-from calib.selfcalibration import PrincipalPoint
-from calib.sparse_faces import find_alike, find_sparse_faces
-from scanner.calibrating import refuse_few, refuse_misfit
-from scanner.cloud import build_cloud
-from scanner.config import Config, ScaleSettings
+from calib.self_calibration import PrincipalPoint, anywhere, calibrate_photos
+from scanner.capture import CaptureFacts
+from scanner.configuration import Config, ScaleSettings
 from scanner.errors import InputError
-from scanner.findings import Findings, Scan, save
-from scanner.masks import label_by_masks
-from scanner.merged_cloud import merged
+from scanner.io import write_ply
 from scanner.photos.dense import dense_cloud
 from scanner.photos.features import find_features, match_features, refuse_unrelated
 from scanner.photos.photo import Photo
-from scanner.ply import write_ply
-from scanner.report import CaptureFacts
-from scanner.result import DENSE_FILE
-from scanner.scale import scaled
-from scanner.terminal import Terminal
+from scanner.reconstruction import label_by_masks, refuse_few, refuse_misfit, save, scaled
+from scanner.results import DENSE_FILE, Findings, Scan
+from scanner.ui import Terminal
 
 _EXIF_SIGMA = 0.05  # EXIF focal lengths are rounded to millimetres, and those of zoom lenses are nominal
 

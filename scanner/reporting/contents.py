@@ -1,50 +1,20 @@
 """What a report is made from."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import Image, Ints
-from calib.calibration import Calibration
-from calib.matches import Matches
-from calib.pixel_index import NONE
+from calib.geometry import Calibration, Matches
+from calib.numerics import Image, Ints
+from calib.pointcloud import NONE, Cloud, MergedCloud
 from calib.refusal import RefusalError
-from calib.selfcalibration import SelfCalibration
-from scanner.cloud import Cloud
-from scanner.decode import Decoding
-from scanner.merged_cloud import MergedCloud
-from scanner.patterns import Pattern
-from scanner.reporting.reduction import cells_over, one_in_cells, places_within
+from calib.self_calibration import SelfCalibration
+from scanner.capture import CaptureFacts
+from scanner.decoding import Decoding
+from scanner.rendering import cells_over, one_in_cells, places_within
 
 _MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
-
-
-@dataclass(frozen=True)
-class CaptureFacts:
-    """How the capture was taken: sizes are (width, height); what is not known is left out.
-
-    `identity` names devices and whatever else the recording says about itself. `exposure_us`: the frames' exposures.
-    `photos`: what stands for the projector is the camera at a second place.
-    """
-
-    camera_size: tuple[int, int]
-    projector_size: tuple[int, int]
-    patterns: tuple[Pattern, ...] = ()
-    identity: Mapping[str, str] = field(default_factory=dict)
-    exposure_us: tuple[float, ...] = ()
-    photos: bool = False
-
-    @property
-    def pixels(self) -> str:
-        """What residuals are measured in."""
-        return "px" if self.photos else "projector px"
-
-    @property
-    def second(self) -> str:
-        """The device whose rays meet those of the camera."""
-        return "second photo" if self.photos else "projector"
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Floats
-from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement
-from scanner.measuring.planes import measure_faces
-from scanner.measuring.shown import shown_unit
-from scanner.quantities import Quantity
+from calib.numerics import Floats
+from scanner.measuring import AngleMeasurement, FaceMeasurement, measure_faces
+from scanner.quantities import Quantity, shown_unit
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import ScaledMap, picture

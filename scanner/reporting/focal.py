@@ -5,16 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from markupsafe import Markup
 
-from calib.arrays import Floats
-from calib.calibration import Calibration
-from calib.camera import Intrinsics
-from calib.cells import into_cells
-from calib.homography import TooFewMatchesError
-from calib.likelihood import Knowledge
-from calib.matches import Matches
-from calib.paper import Objective, exact_search, objective_for
-from calib.selfcalibration import paper_trials
-from calib.sweep import family_of
+from calib.closed_form import Objective, exact_search, objective_for
+from calib.geometry import Calibration, Intrinsics, Matches, TooFewMatchesError
+from calib.numerics import Floats
+from calib.refinement import Knowledge, family_of, into_cells
+from calib.self_calibration import paper_trials
 from scanner.reporting import plots
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.plots import local_minima

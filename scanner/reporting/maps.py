@@ -1,58 +1,41 @@
 """Maps over the camera's image, as pictures for a web page: faces, depth, residuals, mask reasons."""
 
-import base64
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Bools, Floats, Image, Ints
-from calib.camera import Intrinsics
-from calib.corner import Corner
-from calib.matches import Matches
-from scanner.reporting.png import IndexedPicture, Pixels, png_of
-from scanner.reporting.reduction import Map, averaged, extent, labels_on_grid
+from calib.geometry import Corner, Intrinsics, Matches
+from calib.numerics import Bools, Floats, Ints
+from scanner.quantities import FACE_NAMES
+from scanner.rendering import (
+    FACE_COLOURS,
+    LONGEST_SIDE,
+    Colour,
+    IndexedPicture,
+    Map,
+    Pixels,
+    as_pixels,
+    averaged,
+    between,
+    css_colour,
+    extent,
+    labels_on_grid,
+    part_of,
+    reduced_size,
+)
 
-# Okabe & Ito (2008): told apart by every kind of colour vision, and in print.
-ORANGE, SKY_BLUE, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
-BLUE, VERMILION, PURPLE, GREY = (0, 114, 178), (213, 94, 0), (204, 121, 167), (140, 140, 140)
-FACE_COLOURS = (ORANGE, SKY_BLUE, GREEN)
-FACE_NAMES = ("A", "B", "C")
-CATEGORY_COLOURS = (VERMILION, SKY_BLUE, YELLOW, PURPLE, GREEN, ORANGE, BLUE, GREY)
-
-LONGEST_SIDE = 1000
 _FACE_OPACITY = 0.5
 # Noise compresses badly; this many steps are as many as an eye tells apart in a map of it.
 _RESIDUAL_STEPS = 25
 _EDGE_SAMPLES = 400
 _SAMPLE = 100_000
 
-Colour = tuple[int, int, int]
 
-
-def _part_of(colour_map: int, first: int, last: int) -> Pixels:
-    """A part of one of OpenCV's colour maps, RGB (n, 3)."""
-    shades = cv2.applyColorMap(np.arange(first, last + 1, dtype=np.uint8)[:, None], colour_map)
-    return np.ascontiguousarray(shades[:, 0, ::-1])
-
-
-def _between(low: Colour, middle: Colour, high: Colour) -> Pixels:
-    """Shades from one colour to another through a third, RGB (n, 3)."""
-    places = np.linspace(0, 2, 255)
-    return _as_pixels(np.stack([np.interp(places, (0, 1, 2), ends) for ends in zip(low, middle, high, strict=True)], 1))
-
-
-def _as_pixels(values: Floats) -> Pixels:
-    return np.ascontiguousarray(np.rint(values), dtype=np.uint8)
-
-
-# All of them can be told from a white and from a black page, and by every kind of colour vision.
-# Whole tables, dark to bright; both have the same order of shades to every kind of colour vision.
-VIRIDIS, CIVIDIS = _part_of(cv2.COLORMAP_VIRIDIS, 0, 255), _part_of(cv2.COLORMAP_CIVIDIS, 0, 255)
-_DEPTHS = _part_of(cv2.COLORMAP_VIRIDIS, 30, 247)
-_SIGMAS = _part_of(cv2.COLORMAP_CIVIDIS, 25, 255)
-_SIGNED = _between((0, 84, 166), (226, 226, 226), (186, 62, 0))
+_DEPTHS = part_of(cv2.COLORMAP_VIRIDIS, 30, 247)
+_SIGMAS = part_of(cv2.COLORMAP_CIVIDIS, 25, 255)
+_SIGNED = between((0, 84, 166), (226, 226, 226), (186, 62, 0))
 
 
 @dataclass(frozen=True)
@@ -74,43 +57,10 @@ class Overlay:
     letters: tuple[tuple[str, float, float], ...]
 
 
-def data_uri(picture: Pixels | IndexedPicture, *, jpeg: bool = False) -> str:
-    """RGBA (H, W, 4), or one with a palette, as a data URI; with `jpeg`, for photographs, it must be RGB."""
-    kind, encoded = ("jpeg", _jpeg_of(picture)) if jpeg else ("png", png_of(picture))
-    return f"data:image/{kind};base64,{base64.b64encode(encoded).decode('ascii')}"
-
-
-def _jpeg_of(picture: Pixels | IndexedPicture) -> bytes:
-    assert not isinstance(picture, IndexedPicture)
-    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-    written, encoded = cv2.imencode(".jpeg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 85])
-    assert written, "OpenCV encodes JPEG in every build"
-    return encoded.tobytes()
-
-
-def css_colour(colour: Colour) -> str:
-    """#rrggbb."""
-    return "#{:02x}{:02x}{:02x}".format(*colour)
-
-
-def photograph(texture: Image) -> Pixels:
-    """The camera's image of the lit scene for the eye: RGB (H, W, 3), reduced, stretched and brightened."""
-    small = cv2.resize(texture, _reduced_size(texture.shape[1], texture.shape[0]), interpolation=cv2.INTER_AREA)
-    levels = np.arange(np.iinfo(texture.dtype).max + 1)
-    white = max(1.0, float(np.percentile(small[::2, ::2], 99.5)))
-    shown = _as_pixels(255 * np.clip(levels / white, 0, 1) ** (1 / 1.8))[small]
-    return np.ascontiguousarray(shown[..., ::-1] if shown.ndim == 3 else cv2.cvtColor(shown, cv2.COLOR_GRAY2RGB))
-
-
-def _reduced_size(width: int, height: int, longest_side: int = LONGEST_SIDE) -> tuple[int, int]:
-    factor = min(1.0, longest_side / max(width, height))
-    return max(1, round(width * factor)), max(1, round(height * factor))
-
-
 def face_labels(matches: Matches, camera: tuple[int, int]) -> Pixels:
     """Which face is where, 1, 2, 3, or 0 for none: the image of the `camera` (width, height), reduced."""
     assert matches.face is not None
-    return labels_on_grid(matches.camera_px, matches.face, camera, _reduced_size(*camera))
+    return labels_on_grid(matches.camera_px, matches.face, camera, reduced_size(*camera))
 
 
 def faces_over(background: Pixels, labels: Pixels) -> Pixels:
@@ -121,7 +71,7 @@ def faces_over(background: Pixels, labels: Pixels) -> Pixels:
         np.maximum(covered, _closed(labels == face) * np.uint8(face), out=covered)
     greys = np.repeat(np.arange(256.0)[:, None], 3, axis=1)
     shades = [greys, *((1 - _FACE_OPACITY) * greys + _FACE_OPACITY * np.array(colour) for colour in FACE_COLOURS)]
-    painted: Pixels = _as_pixels(np.concatenate(shades))[covered * np.uint16(256) + grey]
+    painted: Pixels = as_pixels(np.concatenate(shades))[covered * np.uint16(256) + grey]
     return painted
 
 
@@ -181,15 +131,9 @@ def _cropped(values: Map) -> Map:
     return values[max(0, top - margin) : bottom + margin + 1, max(0, left - margin) : right + margin + 1]
 
 
-def shaded(share: NDArray[np.floating], shades: Pixels) -> Pixels:
-    """RGB (..., 3) of shares from 0 to 1 (...), by a table of shades."""
-    count = len(shades)
-    return np.asarray(shades[np.minimum(share * count, count - 1).astype(np.intp)], np.uint8)
-
-
 def _reduced(values: Map, longest_side: int = LONGEST_SIDE) -> Map:
     """A map (H, W) with NaN for nothing, reduced by averaging what is there."""
-    return averaged(values, _reduced_size(values.shape[1], values.shape[0], longest_side))
+    return averaged(values, reduced_size(values.shape[1], values.shape[0], longest_side))
 
 
 def _painted(values: Map, low: float, high: float, shades: Pixels, steps: int = 255) -> IndexedPicture:
@@ -239,6 +183,6 @@ def category_map(categories: Pixels, colours: dict[int, Colour]) -> IndexedPictu
     palette = np.zeros((256, 4), dtype=np.uint8)
     for number, colour in colours.items():
         palette[number] = (*colour, 255)
-    size = _reduced_size(categories.shape[1], categories.shape[0])
+    size = reduced_size(categories.shape[1], categories.shape[0])
     small = cv2.resize(categories, size, interpolation=cv2.INTER_NEAREST)
     return IndexedPicture(np.asarray(small, np.uint8), palette)

@@ -6,8 +6,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from calib.arrays import Floats
-from calib.selfcalibration import Profile
+from calib.numerics import Floats
+from calib.self_calibration import Profile
 from scanner.reporting.svg import Plot, Scale
 
 _HISTOGRAM_BINS = 81

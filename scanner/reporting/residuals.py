@@ -7,16 +7,13 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from calib.arrays import Floats
-from calib.calibration import Calibration
-from calib.corner import Corner
-from calib.matches import Matches
-from calib.spatial_correlation import SpatialCorrelation, spatial_correlation
-from scanner.cloud import Cloud, CloudStatistics
+from calib.geometry import Calibration, Corner, Matches
+from calib.numerics import Floats, SpatialCorrelation, spatial_correlation
+from calib.pointcloud import Cloud, CloudStatistics
 from scanner.quantities import percent
+from scanner.rendering import LONGEST_SIDE, places_within
 from scanner.reporting import maps, plots
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.reduction import places_within
 from scanner.reporting.sections import LegendEntry, ScaledMap, picture
 
 # Blur and noise of a decoder reach a few pixels; squares of this share of the image's width are beyond that.
@@ -98,7 +95,7 @@ def misses(report: ReportInput) -> Misses | None:
     residual_px = cloud.residual_px.ravel()[close].astype(np.float64)
     every = max(1, ceil(len(pixel) / _TESTED))
     found = spatial_correlation(pixel[::every], residual_px[::every], _cell_px(report.capture.camera_size))
-    painted = _map(cloud.residual_px, limit, "misses of the rays", maps.LONGEST_SIDE)
+    painted = _map(cloud.residual_px, limit, "misses of the rays", LONGEST_SIDE)
     residuals = Residuals(
         ((painted, ""),),
         plots.residual_histogram([residual_px], statistics.decoder_px, limit, f"miss ({report.capture.pixels})"),

@@ -6,14 +6,32 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.arrays import Floats
-from scanner.decode import Decoding, MaskReason
+from calib.numerics import Floats
+from scanner.capture import CaptureFacts
+from scanner.decoding import Decoding, MaskReason
 from scanner.patterns import Gray, Pattern, Phase, Xor
-from scanner.quantities import Quantity, corner_quantities, device_quantities, percent, pose_quantities
-from scanner.rendering import render, rig_frusta, standard_views
+from scanner.quantities import FACE_NAMES, Quantity, corner_quantities, device_quantities, percent, pose_quantities
+from scanner.rendering import (
+    BLUE,
+    FACE_COLOURS,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY_BLUE,
+    VERMILION,
+    YELLOW,
+    IndexedPicture,
+    Pixels,
+    css_colour,
+    data_uri,
+    photograph,
+    render,
+    rig_frusta,
+    standard_views,
+)
 from scanner.reporting import maps
-from scanner.reporting.contents import CaptureFacts, ReportInput
-from scanner.reporting.png import IndexedPicture, Pixels
+from scanner.reporting.contents import ReportInput
 
 _VIEW_SIZES = {"oblique": (960, 640), "top": (560, 400), "front": (560, 400)}
 _STEP = 8  # of rows and columns, which tell as well as all how bright an image is
@@ -29,14 +47,14 @@ _CORNER_CAPTIONS = {
     "front": "",
 }
 _REASONS = {
-    MaskReason.KEPT: ("matched", maps.GREEN),
-    MaskReason.DARK: ("no light from the projector", maps.GREY),
-    MaskReason.SATURATED: ("saturated: lower the exposure", maps.VERMILION),
-    MaskReason.UNDECIDED: ("too little contrast to decide a bit", maps.YELLOW),
-    MaskReason.INCONSISTENT: ("codes and fringes contradict each other", maps.PURPLE),
-    MaskReason.OUTSIDE: ("a code that no projector pixel has", maps.SKY_BLUE),
-    MaskReason.ISOLATED: ("at an occlusion edge, or alone", maps.ORANGE),
-    MaskReason.INDIRECT: ("lit more by other surfaces than by the projector", maps.BLUE),
+    MaskReason.KEPT: ("matched", GREEN),
+    MaskReason.DARK: ("no light from the projector", GREY),
+    MaskReason.SATURATED: ("saturated: lower the exposure", VERMILION),
+    MaskReason.UNDECIDED: ("too little contrast to decide a bit", YELLOW),
+    MaskReason.INCONSISTENT: ("codes and fringes contradict each other", PURPLE),
+    MaskReason.OUTSIDE: ("a code that no projector pixel has", SKY_BLUE),
+    MaskReason.ISOLATED: ("at an occlusion edge, or alone", ORANGE),
+    MaskReason.INDIRECT: ("lit more by other surfaces than by the projector", BLUE),
 }
 
 
@@ -115,7 +133,7 @@ def faces(report: ReportInput) -> Faces | None:
     width, height = report.capture.camera_size
     labels = maps.face_labels(report.matches, (width, height))
     texture = np.full((height, width), 128, dtype=np.uint8) if report.texture is None else report.texture
-    painted = maps.faces_over(maps.photograph(texture), labels)
+    painted = maps.faces_over(photograph(texture), labels)
     overlay = maps.face_overlay(
         labels,
         (width, height),
@@ -127,8 +145,8 @@ def faces(report: ReportInput) -> Faces | None:
         picture(painted, "the camera's image with the faces of the corner in colour", jpeg=True),
         overlay,
         tuple(
-            LegendEntry(maps.css_colour(colour), f"face {name}", f"{count:,} matches")
-            for name, colour, count in zip(maps.FACE_NAMES, maps.FACE_COLOURS, counts, strict=True)
+            LegendEntry(css_colour(colour), f"face {name}", f"{count:,} matches")
+            for name, colour, count in zip(FACE_NAMES, FACE_COLOURS, counts, strict=True)
         ),
     )
 
@@ -137,7 +155,7 @@ def scene(report: ReportInput) -> Picture | None:
     """The camera's image of the lit scene, where no faces were found to show in it."""
     if report.texture is None or len(report.on_faces):
         return None
-    return picture(maps.photograph(report.texture), "the camera's image under white light", jpeg=True)
+    return picture(photograph(report.texture), "the camera's image under white light", jpeg=True)
 
 
 def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
@@ -147,7 +165,7 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
         return ()
     forward = np.array([0.0, 0.0, 1.0])
     views = standard_views(forward, upright(report))
-    frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(report), maps.BLUE, maps.VERMILION)
+    frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(report), BLUE, VERMILION)
 
     def show(name: str) -> Picture:
         return picture(
@@ -203,7 +221,7 @@ def mask(decoding: Decoding | None) -> Mask | None:
         ),
         tuple(
             LegendEntry(
-                maps.css_colour(_REASONS[reason][1]),
+                css_colour(_REASONS[reason][1]),
                 _REASONS[reason][0],
                 percent(counts[reason] / decoding.reasons.size),
             )
@@ -283,4 +301,4 @@ def _kind(pattern: Pattern) -> str:
 
 def picture(pixels: Pixels | IndexedPicture, alt: str, *, caption: str = "", jpeg: bool = False) -> Picture:
     """Pixels as an image for the page; `jpeg` for photographs."""
-    return Picture(maps.data_uri(pixels, jpeg=jpeg), pixels.shape[1], pixels.shape[0], alt, caption)
+    return Picture(data_uri(pixels, jpeg=jpeg), pixels.shape[1], pixels.shape[0], alt, caption)

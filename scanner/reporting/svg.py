@@ -6,7 +6,7 @@ from math import ceil, floor, log10
 import numpy as np
 from markupsafe import Markup, escape
 
-from calib.arrays import Floats
+from calib.numerics import Floats
 
 # One unit is one pixel where the plot is narrowest, so that the page's font sizes hold in it.
 WIDTH, HEIGHT = 680, 290

@@ -6,16 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.matches import NO_FACE, Matches
-from calib.model import CAMERA, PROJECTOR
-from calib.pixel_index import NONE
-from calib.selfcalibration import SelfCalibration
-from calib.triangulation import intersect
-from calib.uncertainty import Uncertainty
+from calib.diagnostics import Uncertainty
+from calib.geometry import NO_FACE, Matches, intersect
+from calib.pointcloud import NONE
+from calib.refinement import CAMERA, PROJECTOR
+from calib.self_calibration import SelfCalibration
 from scanner.quantities import plain
+from scanner.rendering import cells_over, one_in_cells
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.reduction import cells_over, one_in_cells
 from scanner.reporting.sections import ScaledMap, picture
 
 # Sigmas vary smoothly over the image, apart from the noise of single matches: so many of them draw the map.

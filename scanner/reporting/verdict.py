@@ -1,17 +1,14 @@
 """Can one trust this result? The answer in plain words, from the numbers."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from calib.calibration import Calibration
-from scanner.cloud import CloudStatistics
+from calib.geometry import Calibration
+from calib.pointcloud import CloudStatistics
 from scanner.quantities import intrinsic_errors_percent, percent
 from scanner.reporting.contents import ReportInput
-
-Grade = Literal["good", "fair", "refused"]
+from scanner.results import Verdict
 
 # A focal length that errs by one per cent bends a room by about as much as its walls are off square.
 _MEASUREMENT_GRADE = 0.01
@@ -35,16 +32,6 @@ _LOOK_AT_THE_MISSES = (
     "distortion, or capture the corner again from another place."
 )
 _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and that nothing has moved since it was made."
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """`headline` answers the question, `reasons` say why, `advice` what to do next ('' for nothing)."""
-
-    grade: Grade
-    headline: str
-    reasons: tuple[str, ...]
-    advice: str = ""
 
 
 def verdict(report: ReportInput) -> Verdict:

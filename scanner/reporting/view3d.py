@@ -9,11 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Floats
-from scanner.cloud import Cloud
-from scanner.merged_cloud import MergedCloud
-from scanner.rendering import frustum
-from scanner.reporting import maps
+from calib.numerics import Floats
+from calib.pointcloud import Cloud, MergedCloud
+from scanner.quantities import FACE_NAMES
+from scanner.rendering import FACE_COLOURS, Colour, css_colour, frustum
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import FRUSTUM_LENGTH, typical_depth, upright
 
@@ -120,7 +119,7 @@ def _outlines(report: ReportInput, cloud: Cloud | MergedCloud) -> list[dict[str,
     if report.cloud is not None and to_cloud:
         # The capture of this page is the last one.
         lines += [
-            {"colour": maps.css_colour(colour), "text": name, "closed": True, "at": _moved(outline, to_cloud[-1])}
+            {"colour": css_colour(colour), "text": name, "closed": True, "at": _moved(outline, to_cloud[-1])}
             for name, colour, outline in _faces(report, report.cloud)
         ]
     camera = frustum(calibration.camera, length)
@@ -134,11 +133,11 @@ def _outlines(report: ReportInput, cloud: Cloud | MergedCloud) -> list[dict[str,
     return lines
 
 
-def _faces(report: ReportInput, cloud: Cloud) -> list[tuple[str, maps.Colour, Floats]]:
+def _faces(report: ReportInput, cloud: Cloud) -> list[tuple[str, Colour, Floats]]:
     """Name, colour and convex outline (n, 3) of each labelled face, in the camera's frame."""
     sample, found = report.sample, []
     height, width = cloud.points.shape[:2]
-    for label, (name, colour) in enumerate(zip(maps.FACE_NAMES, maps.FACE_COLOURS, strict=True)):
+    for label, (name, colour) in enumerate(zip(FACE_NAMES, FACE_COLOURS, strict=True)):
         on = np.flatnonzero(sample.face == label)
         on = on[:: max(1, len(on) // _HULL_SAMPLE)]
         column, row = np.rint(sample.camera_px[on]).astype(np.int64).T

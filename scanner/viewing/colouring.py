@@ -6,9 +6,9 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Floats
-from scanner.measuring.shown import shown_unit
-from scanner.reporting.maps import CIVIDIS, FACE_COLOURS, FACE_NAMES, GREY, shaded
+from calib.numerics import Floats
+from scanner.quantities import FACE_NAMES, shown_unit
+from scanner.rendering import CIVIDIS, FACE_COLOURS, GREY, shaded
 from scanner.viewing.result import ViewedCloud
 
 _NAMED_SHADES = ("dark blue", "grey", "yellow")

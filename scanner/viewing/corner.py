@@ -4,13 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Floats
-from calib.calibration import Calibration
-from calib.corner import Corner
-from calib.matches import Matches
-from calib.triangulation import intersect
-from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement
-from scanner.measuring.planes import measure_faces
+from calib.geometry import Calibration, Corner, Matches, intersect
+from calib.numerics import Floats
+from scanner.measuring import AngleMeasurement, FaceMeasurement, measure_faces
 from scanner.viewing.decimation import shuffled
 
 # Planes through so many points are as good to look at as through all, and known at once.

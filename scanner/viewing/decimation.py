@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.arrays import Ints
+from calib.numerics import Ints
 
 # What a laptop without a graphics card of its own still turns smoothly, and what is sent in a second.
 DEFAULT_SHOWN = 500_000

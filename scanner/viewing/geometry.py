@@ -5,8 +5,8 @@ from math import floor, log10
 
 import numpy as np
 
-from calib.arrays import Floats
-from calib.camera import Intrinsics
+from calib.geometry import Intrinsics
+from calib.numerics import Floats
 from scanner.viewing.decimation import shuffled
 from scanner.viewing.result import ViewedCloud
 

@@ -5,7 +5,7 @@ from threading import Lock
 
 import viser
 
-from scanner.failures import failure_of
+from scanner.ui import failure_of
 from scanner.viewing.colouring import Colouring, possible_colourings
 from scanner.viewing.decimation import DEFAULT_SHOWN, statement
 from scanner.viewing.result import ViewedCloud, ViewedResult

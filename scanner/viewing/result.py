@@ -9,23 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calib.arrays import Floats
-from calib.calibration import Calibration
-from calib.corner import Corner
-from calib.point_noise import point_covariances
-from calib.uncertainty import Uncertainty
-from scanner.calibration_file import read_calibration
-from scanner.cloud_file import CloudPoints, read_cloud
-from scanner.confidence import read_uncertainty, read_verdict
+from calib.diagnostics import Uncertainty
+from calib.geometry import Calibration, Corner
+from calib.numerics import Floats
+from calib.pointcloud import point_covariances
+from scanner.capture import open_capture
 from scanner.errors import InputError
-from scanner.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
-from scanner.images import read_image
-from scanner.matches_file import read_matches
+from scanner.io import CloudPoints, read_calibration, read_cloud, read_image, read_matches
 from scanner.patterns import White
-from scanner.recording import open_capture
-from scanner.reporting import maps
-from scanner.reporting.verdict import Verdict
-from scanner.result import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, CLOUD_FILE, MERGED_FILE, TRUTH_FILE
+from scanner.rendering import photograph
+from scanner.results import (
+    CALIBRATION_FILE,
+    CAPTURE_FOLDER,
+    CAPTURES_FOLDER,
+    CLOUD_FILE,
+    MERGED_FILE,
+    TRUTH_FILE,
+    FinishedScan,
+    Verdict,
+    read_calibration_of,
+    read_finished_scan,
+    read_uncertainty,
+    read_verdict,
+)
 from scanner.viewing.corner import MeasuredCorner, measured_corner, triangulated
 from scanner.viewing.decimation import shuffled
 
@@ -202,7 +208,7 @@ def _picture(folder: Path, cloud: CloudPoints, calibration: Calibration) -> NDAr
     try:
         recording = open_capture(folder / CAPTURE_FOLDER)
         white = next(path for path, shown in zip(recording.files, recording.patterns, strict=True) if shown == White())
-        return maps.photograph(read_image(recording.folder / white))
+        return photograph(read_image(recording.folder / white))
     except (InputError, StopIteration):
         camera = calibration.camera
         seen = np.zeros((camera.height, camera.width, 3), np.uint8)
@@ -210,4 +216,4 @@ def _picture(folder: Path, cloud: CloudPoints, calibration: Calibration) -> NDAr
         column, row = np.rint(camera.project(cloud.points[some])).T
         inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
         seen[row[inside].astype(np.int64), column[inside].astype(np.int64)] = cloud.colours[some[inside], ::-1]
-        return maps.photograph(seen)
+        return photograph(seen)

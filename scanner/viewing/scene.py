@@ -8,9 +8,9 @@ import viser
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import Floats
-from scanner.measuring.shown import shown_unit
-from scanner.reporting.maps import BLUE, FACE_COLOURS, VERMILION
+from calib.numerics import Floats
+from scanner.quantities import shown_unit
+from scanner.rendering import BLUE, FACE_COLOURS, VERMILION
 from scanner.viewing.colouring import Colouring, coloured
 from scanner.viewing.geometry import (
     FIELD_OF_VIEW_RAD,

@@ -8,7 +8,7 @@ from threading import Event
 
 import viser
 
-from scanner.terminal import Terminal
+from scanner.ui import Terminal
 from scanner.viewing.opening import address, free_port, warning
 
 # Some of the client's own texts are smaller than 12 px or too pale; its units follow the root's font.

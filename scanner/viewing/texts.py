@@ -2,11 +2,9 @@
 
 from collections.abc import Iterator
 
-from calib.calibration import Calibration
-from scanner.measuring.shown import shown_unit
-from scanner.quantities import Quantity, device_quantities, pose_quantities
-from scanner.reporting.verdict import Verdict
-from scanner.summary import truth_line
+from calib.geometry import Calibration
+from scanner.quantities import Quantity, device_quantities, pose_quantities, shown_unit, truth_line
+from scanner.results import Verdict
 from scanner.viewing.corner import FITTED_POINTS, MeasuredCorner
 
 _SIGNS = {"good": "✓", "fair": "◐", "refused": "✕"}

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from scanner.terminal import Terminal
+from scanner.ui import Terminal
 from scanner.viewing.panel import ResultPanel
 from scanner.viewing.result import ViewedResult
 from scanner.viewing.server import add_readable_fonts, invite, serving, wait

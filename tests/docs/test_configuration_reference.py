@@ -5,11 +5,10 @@ from typing import Any
 import pytest
 import yaml
 
-from scanner.config import Config, load_config
+from scanner.configuration.schema import Config, load_config
 from scanner.errors import InputError
-from scanner.validation import known_keys
-
-ROOT = Path(__file__).parents[2]
+from scanner.io.validation import known_keys
+from tests.support.places import ROOT
 
 
 def module(path: Path) -> Any:

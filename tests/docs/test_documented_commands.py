@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 import yaml
-from documented import PAGES, ROOT, Documented, commands, commands_in, parse
 
-from scanner.cli import main
-from scanner.config import load_config
+from scanner.commands.main import main
+from scanner.configuration.schema import load_config
+from tests.support.documented import PAGES, ROOT, Documented, commands, commands_in, parse
 
 COMMANDS = commands()
 OURS = [command for command in COMMANDS if not command.foreign]

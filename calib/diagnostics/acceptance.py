@@ -1,0 +1,148 @@
+"""Whether a refined solution deserves to be used; what does not is refused with its reason."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.diagnostics.degeneracy import one_plane, reasons_in_images, reasons_in_space
+from calib.diagnostics.next_best_view import best_next_view
+from calib.numerics import Floats
+from calib.refinement import CAMERA, PROJECTOR, Cells, Fit, Knowledge, Refinement, Straightened, intrinsic_distance
+from calib.refusal import RefusalError, Wording
+
+USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley either
+_CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
+_TENSION_SIGMAS = 4.0
+_SIGNIFICANT = 0.9999
+_MISFIT_PX, _MISFIT_OF_NOISE = 0.1, 0.3
+_PLAUSIBLE_FOCALS = {"camera": (0.3, 4.0), "projector": (0.2, 10.0)}  # in image widths
+
+
+def no_corner(captures: Sequence[Cells], words: Wording) -> RefusalError:
+    """The refusal where no focal length makes a corner of the faces."""
+    return RefusalError(
+        "These three faces are not the picture of a square corner for any focal length of the camera"
+        + _because([reason for cells in captures for reason in reasons_in_images(cells)]),
+        "A face may be wrong, or be seen edge on. " + words.move,
+    )
+
+
+def refuse_degenerate(captures: Sequence[Cells], straightened: Sequence[Straightened], words: Wording) -> None:
+    """Raise RefusalError where two faces of a capture lie in one plane, as far as its noise can tell."""
+    for i, (cells, straight) in enumerate(zip(captures, straightened, strict=True)):
+        of = f" of {words.taken} {i + 1}" if len(captures) > 1 else ""
+        if reason := one_plane(cells, straight, words):
+            raise RefusalError(
+                f"The faces{of} are not those of a corner: {reason}.",
+                f"Look for a corner with three planes, and keep {words.both} well apart. " + words.move,
+            )
+
+
+def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
+    """Raise RefusalError where the solution is not determined, not the only one, or not of a square corner."""
+    fit, words = refinement.fit, knowledge.words
+    sigma = np.sqrt(np.diag(refinement.covariance))
+    relative = {"camera": float(sigma[CAMERA.start]), "projector": float(sigma[PROJECTOR.start])}
+    for device, value in relative.items():
+        if not value < USEFUL_SIGMA:
+            raise RefusalError(
+                f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
+                + _because(_reasons(refinement, words)),
+                _where_to_go(refinement, knowledge)
+                + " A principal point that is known, or a corner that is known to be square, also helps.",
+            )
+    centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
+    _refuse_ambiguous(fit, refinement.others, np.array([*relative.values(), *centre]), words)
+    for name, parameters, size in (
+        ("camera", fit.state.camera, knowledge.camera_size),
+        ("projector", fit.state.projector, knowledge.projector_size),
+    ):
+        field = float(parameters[0]) / max(size)
+        if not _PLAUSIBLE_FOCALS[name][0] < field < _PLAUSIBLE_FOCALS[name][1]:
+            raise RefusalError(
+                f"The solution has a {name} with a focal length of {field:.2g} image widths, which hardly any has"
+                + _because(_reasons(refinement, words)),
+                f"The faces may not be square to each other, or {words.unrelated}. " + words.move,
+            )
+    _refuse_misfit(refinement, words)
+    _refuse_skew(refinement, knowledge)
+
+
+def _where_to_go(refinement: Refinement, knowledge: Knowledge) -> str:
+    if knowledge.one_camera:
+        return f"{knowledge.words.move} {knowledge.words.again}"
+    view = best_next_view(refinement, knowledge)
+    if view is None or view.sigma > USEFUL_SIGMA:
+        return knowledge.words.move
+    return (
+        f"Capture this corner again with the rig moved {view.words}, and calibrate from both captures: the camera's "
+        f"focal length will then have a sigma of about {100 * view.sigma:.2g} %."
+    )
+
+
+def _refuse_misfit(refinement: Refinement, words: Wording) -> None:
+    for i, noise in enumerate(refinement.noise):
+        limit_px = _MISFIT_PX + _MISFIT_OF_NOISE * noise.match_px
+        if noise.smooth_px > limit_px:
+            which = f" of {words.taken} {i + 1}" if len(refinement.noise) > 1 else ""
+            raise RefusalError(
+                f"No corner explains the matches{which}: {noise.smooth_px:.2g} {words.pixels} of smooth misfit remain "
+                f"over the faces, where {words.smooth} leave less than {limit_px:.2g}.",
+                "What was taken for faces may be bent or wrong, or the lenses bend more than two radial terms allow "
+                "for. " + words.move,
+            )
+
+
+def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
+    off_square = np.degrees(refinement.fit.state.off_square)
+    limit = float(chi2.ppf(_SIGNIFICANT, off_square.size))
+    worst = off_square[int(np.argmax(np.linalg.norm(off_square, axis=1)))]
+    if refinement.tension > limit or np.linalg.norm(worst) > _TENSION_SIGMAS * knowledge.squareness_deg > 0:
+        seen = "" if knowledge.squareness_deg == 0 else f" (they seem to be off by {signed(worst)} degrees)"
+        raise RefusalError(
+            f"The faces are not square to each other{seen}, where "
+            + (
+                f"{knowledge.squareness_deg:g} degrees were allowed for"
+                if knowledge.squareness_deg
+                else "they should be"
+            )
+            + f": with the angles free, −2 log likelihood is lower by {refinement.tension:.0f}.",
+            "Choose another corner, or give a larger corner.squareness_deg.",
+        )
+
+
+def signed(values: Floats) -> str:
+    """Numbers with their signs, for a sentence."""
+    return ", ".join(f"{value:+.2f}" for value in values)
+
+
+def _refuse_ambiguous(best: Fit, others: Sequence[Fit], sigmas: Floats, words: Wording) -> None:
+    """`sigmas` (4,): in the units of `intrinsic_distance`."""
+    for other in others:
+        apart = intrinsic_distance(other.state, best.state)
+        if other.cost - best.cost < _CLEARLY_WORSE and np.any(apart > 2 * sigmas):
+            raise RefusalError(
+                f"Ambiguous: {_intrinsics(best)}, and {_intrinsics(other)}, explain this {words.taken} almost equally "
+                "well.",
+                words.again,
+            )
+
+
+def _intrinsics(fit: Fit) -> str:
+    camera, projector = fit.state.camera, fit.state.projector
+    if fit.state.one_camera:
+        return f"a focal length of {camera[0]:.0f} px with a principal point of ({camera[1]:.0f}, {camera[2]:.0f})"
+    return f"a camera focal length of {camera[0]:.0f} px with a projector of {projector[0]:.0f} px"
+
+
+def _reasons(refinement: Refinement, words: Wording) -> list[str]:
+    reasons = []
+    for i, cells in enumerate(refinement.captures):
+        reasons += reasons_in_images(cells) or reasons_in_space(refinement.fit.state, i, words)
+    return reasons
+
+
+def _because(reasons: list[str]) -> str:
+    unique = list(dict.fromkeys(reasons))
+    return f": {'; '.join(unique)}." if unique else "."

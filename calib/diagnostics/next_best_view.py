@@ -1,0 +1,149 @@
+"""What one more capture of the same corner would gain, and from where it should be taken.
+
+The rig is moved around the corner in thought; what it would see there, with the noise of the captures at hand, adds to
+what they say (the information matrices add up), and the covariance of the sum is what the capture would leave.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import FACES, unproject
+from calib.numerics import Floats
+from calib.refinement import (
+    CAMERA,
+    PER_POSE,
+    SHARED,
+    Cells,
+    Knowledge,
+    Pose,
+    Refinement,
+    State,
+    covariance_of,
+    evaluate,
+    inverse_of,
+    predict,
+)
+
+_TURNS_DEG = (-25.0, 0.0, 25.0)
+_DISTANCES = (0.75, 1.0, 1.3)
+_COLUMNS = 16
+_LEAST_SLANT = 0.12  # sine of the angle between a device's view of the vertex and a face
+_LEAST_SHARE = 0.03  # of the rays that both devices see, on each face
+
+
+@dataclass(frozen=True)
+class NextView:
+    """A capture that would help: the rig goes round the corner to the `right_deg` and `up_deg` (negative: left, down)
+    and to `distance` times today's; the relative sigma of the camera's focal length becomes `sigma`.
+    """
+
+    right_deg: float
+    up_deg: float
+    distance: float
+    sigma: float
+
+    @property
+    def words(self) -> str:
+        """Where to go, for a person who stands behind the camera."""
+        moves = [
+            f"{abs(angle):.0f}° to the {ways[angle < 0]}" if name == "right" else f"{abs(angle):.0f}° {ways[angle < 0]}"
+            for name, angle, ways in (
+                ("right", self.right_deg, ("right", "left")),
+                ("up", self.up_deg, ("upwards", "downwards")),
+            )
+            if angle
+        ]
+        if self.distance != 1.0:
+            moves.append(
+                f"{'closer, to' if self.distance < 1 else 'farther away, to'} {self.distance:g} × the distance"
+            )
+        return " and ".join([", ".join(moves[:-1]), moves[-1]] if len(moves) > 1 else moves)
+
+
+def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | None:
+    """The most useful move from the last capture; None if both devices would see all three faces from nowhere."""
+    state = refinement.fit.state
+    cells, level = refinement.captures[-1], refinement.noise[-1]
+    variance = float(np.median(level.variances(cells)) * len(cells))
+    best: NextView | None = None
+    for right, up, distance in product(_TURNS_DEG, _TURNS_DEG, _DISTANCES):
+        if right == up == 0:
+            continue
+        pose = moved_pose(state.poses[-1], right, up, distance)
+        seen = _seen(replace(state, poses=(*state.poses, pose)), knowledge)
+        if seen is None:
+            continue
+        sigma = _sigma_with(refinement, pose, seen, variance / len(seen), knowledge)
+        if best is None or sigma < best.sigma:
+            best = NextView(right, up, distance, sigma)
+    return best
+
+
+def moved_pose(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Pose:
+    """The corner's pose after the rig went round it: seen from the rig, the corner turns the other way about itself."""
+    # Camera's axes: x right, y down. Walking to the right turns the corner about y, climbing turns it about x.
+    turn = Rotation.from_euler("yx", [right_deg, up_deg], degrees=True).as_matrix()
+    return replace(pose, frame=pose.frame @ turn.T, vertex=distance * pose.vertex, planes=())
+
+
+def _seen(state: State, knowledge: Knowledge) -> Cells | None:
+    """Cells of the last capture's faces that both devices would see; None if a face is hardly among them."""
+    capture = len(state.poses) - 1
+    width, height = knowledge.camera_size
+    rows = max(2, round(_COLUMNS * height / width))
+    x, y = np.meshgrid(np.linspace(0, width - 1, _COLUMNS), np.linspace(0, height - 1, rows))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
+    rays, _ = unproject(state.camera, pixels)
+    normals = state.normals(capture)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depths = (normals @ state.poses[capture].vertex) / (rays @ normals.T)
+    slants = _slants(state, capture)
+    if np.any(slants * np.sign(_slants(state, capture - 1)) < _LEAST_SLANT):
+        return None  # the rig would stand in a wall, or see a face of the box from within
+    # Seen from inside, the nearest wall hides the others; from outside, the farthest of a box's planes is its face.
+    inside = bool(np.all(slants > 0))
+    depths = np.where(depths > 0, depths, np.inf if inside else -np.inf)
+    face = (np.argmin(depths, axis=1) if inside else np.argmax(depths, axis=1)).astype(np.int32)
+    predicted, _, both = predict(state, pixels, face, capture)
+    limits = np.array(knowledge.projector_size) - 1
+    with np.errstate(invalid="ignore"):
+        lit = np.all((predicted >= 0) & (predicted <= limits), axis=1) & np.all(both > 0, axis=1)
+    lit &= np.isfinite(predicted).all(axis=1)
+    if np.bincount(face[lit], minlength=len(FACES)).min() < _LEAST_SHARE * len(face):
+        return None
+    one = np.ones(int(lit.sum()))
+    return Cells(pixels[lit], predicted[lit], face[lit], one, one, 1.0, 0.0)
+
+
+def _slants(state: State, capture: int) -> Floats:
+    """Sines of the angles at which camera and projector see each face, (2, 3); negative from the side without legs."""
+    vertex = state.poses[capture].vertex
+    centres = np.stack([np.zeros(3), -state.rotation.T @ state.translation])
+    directions = centres - vertex
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    slants: Floats = directions @ state.normals(capture).T
+    return slants
+
+
+def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: float, knowledge: Knowledge) -> float:
+    """Relative sigma of the camera's focal length with a further capture of `cells`."""
+    state = refinement.fit.state
+    alone = replace(state, poses=(pose,), off_square=state.off_square[pose.corner][None])
+    alone = replace(alone, poses=(replace(pose, corner=0),))
+    prior = knowledge.prior(alone)
+    for column in np.flatnonzero(~refinement.prior.free[:SHARED]):  # lens terms that are left out
+        prior = prior.with_known(int(column))
+    flat = replace(prior, sigma=np.where(prior.free, np.inf, 0.0))
+    new = evaluate([cells], alone, flat, [np.full(len(cells), variance)]).information
+    kept = np.flatnonzero(prior.free)
+    shared = kept[kept < alone.size - PER_POSE]
+    # What is known of the shared columns now, as information: with a second capture the valley is short, so that the
+    # curvature at its lowest point says all.
+    known = state.columns(len(refinement.captures) - 1)[shared]
+    covariance = covariance_of(refinement.fit.information, refinement.prior.free)[np.ix_(known, known)]
+    total = new.copy()
+    total[np.ix_(shared, shared)] += inverse_of(covariance)
+    return float(np.sqrt(covariance_of(total, prior.free)[CAMERA.start, CAMERA.start]))

@@ -1,0 +1,83 @@
+"""What a person should know about a refined solution, in sentences."""
+
+import numpy as np
+
+from calib.diagnostics.acceptance import signed
+from calib.diagnostics.next_best_view import best_next_view
+from calib.refinement import CAMERA, Knowledge, Refinement
+
+# How the note on what a further capture would gain begins.
+FURTHER_CAPTURE = "A further capture of this corner"
+
+_WORTH_A_CAPTURE = 0.7
+_TERMS = ("no radial term", "one radial term", "two radial terms")
+
+
+def notes_on(refinement: Refinement, knowledge: Knowledge) -> tuple[str, ...]:
+    """Assumptions, what the data said about them, and what stays unexplained."""
+    return (
+        *_on_squareness(refinement, knowledge),
+        *(() if knowledge.one_camera else _on_next_view(refinement, knowledge)),
+        *(_on_one_lens(refinement) if knowledge.one_camera else _on_lenses(refinement)),
+        *_on_noise(refinement, knowledge),
+    )
+
+
+def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
+    if knowledge.squareness_deg == 0:
+        return [
+            "The corner was taken as exactly square: 0.1 degrees off would move the focals by 1 to 3 %, "
+            "which the sigmas do not contain."
+        ]
+    off = np.degrees(refinement.fit.state.off_square)
+    seen = "; ".join(signed(angles) for angles in off)
+    notes = [
+        f"The faces were allowed to be off square by {knowledge.squareness_deg:g} degrees (1 sigma); they seem to be "
+        f"off by {seen} degrees."
+    ]
+    sameness = refinement.sameness
+    if sameness and not sameness.same:
+        notes.append(
+            f"These captures do not show the same corner: with shared angles they fit worse by {sameness.cost:.0f} in "
+            f"−2 log likelihood, where {sameness.limit:.0f} is the most that chance explains. Each was given its own."
+        )
+    return notes
+
+
+def _on_next_view(refinement: Refinement, knowledge: Knowledge) -> list[str]:
+    """What a further capture would gain, where there is something to gain."""
+    sigma = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]))
+    view = best_next_view(refinement, knowledge)
+    if view is None or view.sigma > _WORTH_A_CAPTURE * sigma:
+        return []
+    return [
+        f"{FURTHER_CAPTURE}, the rig moved {view.words}, would lower the sigma of the camera's focal "
+        f"length from {100 * sigma:.2g} % to about {100 * view.sigma:.2g} %."
+    ]
+
+
+def _on_lenses(refinement: Refinement) -> list[str]:
+    camera, projector = refinement.lens_order.terms
+    return [
+        f"Lenses: {_TERMS[camera]} for the camera, {_TERMS[projector]} for the projector (by the evidence; probability "
+        f"{100 * refinement.lens_order.probability:.0f} %)."
+    ]
+
+
+def _on_one_lens(refinement: Refinement) -> list[str]:
+    terms, probability = refinement.lens_order.terms[0], refinement.lens_order.probability
+    return [f"Lens: {_TERMS[terms]} (by the evidence; probability {100 * probability:.0f} %)."]
+
+
+def _on_noise(refinement: Refinement, knowledge: Knowledge) -> list[str]:
+    notes = []
+    for i, (cells, noise) in enumerate(zip(refinement.captures, refinement.noise, strict=True)):
+        of = f"{knowledge.words.taken.capitalize()} {i + 1}: " if len(refinement.captures) > 1 else ""
+        if noise.inflation > 1:
+            notes.append(
+                f"{of}Residuals are wavy: smooth errors over a face, {np.sqrt(noise.inflation):.1f} times those that "
+                f"independent matches leave; the sigmas contain it."
+            )
+        if cells.rejected > 0.01:
+            notes.append(f"{of}{100 * cells.rejected:.1f} % of the matches on the faces were left out as outliers.")
+    return notes

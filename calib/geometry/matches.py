@@ -1,0 +1,74 @@
+"""Which projector pixel lit which camera pixel."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.numerics import Bools, Floats, Ints, in_pieces
+
+NO_FACE = -1
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Corresponding points.
+
+    `camera_px`, `projector_px`: (N, 2). `face`: (N,) labels, `NO_FACE` for points on none of them (the default);
+    0, 1, 2 are the corner's faces. `sigma_px`: (N,) standard deviation of each coordinate of `projector_px`, or None.
+
+    Millions of matches may be kept in single precision, where a decoder knows no more. What is taken out of them by an
+    index is in double precision: arithmetic begins with that.
+
+    Raises ValueError if shapes differ or a number is not finite.
+    """
+
+    camera_px: Floats
+    projector_px: Floats
+    face: Ints | None = None
+    sigma_px: Floats | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.camera_px)
+        for name, value, shape in (
+            ("camera_px", self.camera_px, (n, 2)),
+            ("projector_px", self.projector_px, (n, 2)),
+            ("face", self.face, (n,)),
+            ("sigma_px", self.sigma_px, (n,)),
+        ):
+            if value is None:
+                continue
+            if value.shape != shape:
+                raise ValueError(f"{name} must have the shape {shape}, found {value.shape}")
+            if not _is_finite(value):
+                raise ValueError(f"{name} must hold finite numbers, found NaN or infinity")
+        if self.sigma_px is not None and np.any(self.sigma_px <= 0):
+            raise ValueError("sigma_px must be positive")
+
+    def __len__(self) -> int:
+        return len(self.camera_px)
+
+    def __getitem__(self, chosen: Bools | Ints | slice) -> "Matches":
+        """The matches at a mask, indices or a slice, in double precision."""
+        if not isinstance(chosen, slice) and chosen.dtype == np.bool_:
+            chosen = np.flatnonzero(chosen)  # several times as fast as the mask itself
+        return Matches(
+            self.camera_px[chosen].astype(np.float64, copy=False),
+            self.projector_px[chosen].astype(np.float64, copy=False),
+            None if self.face is None else self.face[chosen],
+            None if self.sigma_px is None else self.sigma_px[chosen].astype(np.float64, copy=False),
+        )
+
+    def with_faces(self, face: Ints) -> "Matches":
+        """The same matches with other face labels (N,)."""
+        return replace(self, face=face)
+
+    def on_face(self, label: int) -> "Matches":
+        """The matches with one face label."""
+        if self.face is None:
+            raise ValueError("these matches have no face labels")
+        return self[self.face == label]
+
+
+def _is_finite(values: Floats | Ints) -> bool:
+    """Whether all numbers (N, …) are, piece by piece, for there may be millions."""
+    return all(in_pieces(len(values), lambda at: bool(np.isfinite(values[at]).all())))

@@ -1,0 +1,17 @@
+"""Numbers and arrays: types, compiled loops, pieces and threads, robust statistics, least squares. Not geometry."""
+
+from calib.numerics.array_types import Bools, Floats, Image, Ints
+from calib.numerics.chunks import by_columns, in_pieces
+from calib.numerics.jit import compiled
+from calib.numerics.levenberg_marquardt import minimise
+from calib.numerics.morans_i import SpatialCorrelation, spatial_correlation
+from calib.numerics.parallel import in_parallel, in_slices
+from calib.numerics.robust_statistics import (
+    MEDIAN_LENGTH,
+    SIGMA_PER_MEDIAN,
+    biweight,
+    blocks,
+    robust_covariance,
+    robust_sigma,
+)
+from calib.numerics.sampling import evenly

@@ -1,0 +1,67 @@
+"""What fits of surfaces to points have in common: weights that outliers lose, and an honest covariance."""
+
+import numpy as np
+
+from calib.numerics.array_types import Floats, Ints
+
+# The median absolute deviation of normal deviates is their standard deviation over this.
+SIGMA_PER_MEDIAN = 1.4826
+# Tukey's constant for 95 % efficiency with normal errors.
+_TUKEY = 4.685
+
+
+def robust_sigma(residual: Floats) -> float:
+    """Standard deviation of residuals (N,) around zero, outliers left aside; 0 for none."""
+    return SIGMA_PER_MEDIAN * float(np.median(np.abs(residual))) if len(residual) else 0.0
+
+
+def biweight(residual: Floats) -> Floats:
+    """Tukey's weights (N,), 1 for a residual of zero and 0 beyond 4.7 robust sigmas."""
+    weights: Floats = np.clip(1 - _relative(residual) ** 2, 0, None) ** 2
+    return weights
+
+
+def _biweight_slope(residual: Floats) -> Floats:
+    """Derivative of weight times residual by the residual, (N,)."""
+    u2 = _relative(residual) ** 2
+    return np.where(u2 < 1, (1 - u2) * (1 - 5 * u2), 0.0)
+
+
+def _relative(residual: Floats) -> Floats:
+    """Residuals over the distance at which Tukey's weights vanish, (N,)."""
+    scale = _TUKEY * robust_sigma(residual)
+    if scale == 0.0:
+        return np.where(residual == 0.0, 0.0, np.inf)
+    relative: Floats = residual / scale
+    return relative
+
+
+def robust_covariance(jacobian: Floats, residual: Floats, cluster: Ints) -> Floats:
+    """Covariance (P, P) of a fit with Tukey's weights whose errors are alike within a cluster.
+
+    `jacobian` (N, P), `residual` (N,), `cluster` (N,) labels from 0. That of Huber's M-estimators (1981, section 6.3)
+    with the scores summed over each cluster, as Liang and Zeger (1986) do: points that err alike, as neighbouring
+    pixels do, count as what they are worth together. It needs some ten clusters; with two or fewer it is infinite.
+    """
+    weight = biweight(residual)
+    scores = (weight * residual)[:, None] * jacobian
+    count = int(cluster.max()) + 1
+    totals = np.stack([np.bincount(cluster, column, count) for column in scores.T], axis=1)
+    occupied = int(np.count_nonzero(np.bincount(cluster, weight > 0, count)))
+    normal = (_biweight_slope(residual)[:, None] * jacobian).T @ jacobian
+    if occupied <= 2 or np.linalg.matrix_rank(normal) < len(normal):
+        return np.full_like(normal, np.inf)
+    bread = np.linalg.inv(normal)
+    covariance: Floats = occupied / (occupied - 1) * bread @ (totals.T @ totals) @ bread
+    return covariance
+
+
+def blocks(pixel: Ints, side_px: int) -> Ints:
+    """The square of so many pixels that each pixel (N, 2) is in, as labels (N,) from 0 without gaps."""
+    column, row = np.moveaxis(pixel // side_px, -1, 0)
+    labels: Ints = np.unique(row * (int(column.max()) + 1) + column, return_inverse=True)[1].astype(np.int64)
+    return labels
+
+
+# The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).
+MEDIAN_LENGTH = 1.1774

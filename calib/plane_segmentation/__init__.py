@@ -1,0 +1,5 @@
+"""Which matches lie on which plane, and which three planes are the faces of a corner."""
+
+from calib.plane_segmentation.faces import find_faces
+from calib.plane_segmentation.plane_extraction import NO_PLANE
+from calib.plane_segmentation.sparse_faces import find_alike, find_sparse_faces

@@ -1,0 +1,198 @@
+"""Which three of the planes found can be the faces of a cuboid corner.
+
+For a trial focal length of the camera three planes give one corner in closed form, and with it the projector's
+intrinsic matrix (the paper, sections 3.1 and 3.2). Three planes that are not perpendicular give a projector with
+oblong or skewed pixels, or one that sees the walls from behind, whatever the focal length.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from calib.closed_form import decompose
+from calib.geometry import CornerImage, corner_planes, homogeneous
+from calib.numerics import Floats, Ints
+from calib.plane_segmentation.plane_parallax import TwoView
+from calib.plane_segmentation.segmentation import Segments
+
+# Lengths are in units of half the image's width, as in calib.plane_segmentation.plane_parallax: 0.4 to 4 image widths.
+_FOCALS = np.geomspace(0.8, 8.0, 96)
+_MATRICES = _FOCALS[:, None, None] * np.diag([1.0, 1.0, 0.0]) + np.diag([0.0, 0.0, 1.0])
+_INVERSES = np.asarray(np.linalg.inv(_MATRICES))
+_CANDIDATES = 10
+_REGULAR_SHARE = 0.01
+_ANGLE_SIGMA_DEG = 1.0
+# Standard deviations: of the logarithm of the pixels' aspect and of the skew, for walls that are a little off square
+# and a principal point that is not quite at the image's centre …
+_SQUARE_SIGMA = 0.01
+# … of the projector's principal point (a projector's lens is shifted), and of the logarithms of both focal lengths.
+_CENTRE_SIGMA = (0.25, 0.5)
+_LOG_FOCAL, _LOG_FOCAL_SIGMA = np.log(2.2), 0.8
+# A projector whose pixels come out further from square than this was not looking at a corner.
+_MOST_OFF_SQUARE = 0.03
+_LEAST_IN_FRONT = 0.98
+_PARALLEL_DEG = 2.0
+_LEAST_OF_NEARER = 0.25
+
+
+@dataclass(frozen=True)
+class Triple:
+    """`planes`: indices of three planes; `off_square`: how far from square the projector's pixels come out (the root
+    of the sum of squares of log-aspect and skew); `direction_sigma_deg`: how well the directions of the three are
+    known, the worst of them; `score`: the larger the better. `inverse` (n, 3): unit normal over distance of every plane
+    from the camera, up to a common scale, if these three are a corner.
+    """
+
+    planes: tuple[int, int, int]
+    off_square: float
+    direction_sigma_deg: float
+    score: float
+    inverse: Floats
+
+
+def corner_triples(segments: Segments, camera_px: Floats) -> list[Triple]:
+    """All triples of the planes that can be a corner, best first; `camera_px` (M, 2): the surfels.
+
+    Preferred are planes with many surfels, and a triple whose calibration makes other planes parallel or perpendicular
+    to each other, too: furniture mostly is.
+    """
+    view, planes, label = segments.view, segments.planes, segments.label
+    x = _sample(view, planes, label, camera_px)
+    share = np.bincount(label[label >= 0], minlength=len(planes)) / len(label)
+    found = []
+    for chosen in combinations(range(min(len(planes), _CANDIDATES)), 3):
+        index = list(chosen)
+        fit = _best_fit(view, planes[index], [x[i] for i in index], planes[share > _REGULAR_SHARE])
+        if fit is not None and fit.off_square < _MOST_OFF_SQUARE:
+            sigma = max(_direction_sigma_deg(fit, planes[i], segments.covariance[i]) for i in index)
+            inverse = (planes - fit.at_infinity) * np.array([fit.focal, fit.focal, 1.0])
+            score = fit.likelihood + float(np.sum(np.log(share[index])))
+            found.append(Triple(chosen, fit.off_square, sigma, score, inverse))
+    return sorted(found, key=lambda triple: -triple.score)
+
+
+def outermost(triples: list[Triple], segments: Segments) -> Triple:
+    """The best triple (the first), or one with planes parallel to its own but farther from the camera.
+
+    A room has one outermost corner, but many that the fronts of cupboards and the sides of boxes form with its walls:
+    captures from different places then agree on the corner. A farther plane counts if it is not much smaller.
+    """
+    best = triples[0]
+    size = np.bincount(segments.label[segments.label >= 0], minlength=len(segments.planes))
+    inverse_distance = np.linalg.norm(best.inverse, axis=1)
+    unit = best.inverse / inverse_distance[:, None]
+
+    def stands_for(other: int, own: int) -> bool:
+        parallel = unit[other] @ unit[own] > np.cos(np.radians(_PARALLEL_DEG))
+        farther = inverse_distance[other] <= inverse_distance[own]
+        return bool(parallel and farther and size[other] >= _LEAST_OF_NEARER * size[own])
+
+    standing_for = [
+        triple
+        for triple in triples
+        if all(any(stands_for(other, own) for other in triple.planes) for own in best.planes)
+    ]
+    return min(standing_for, key=lambda triple: float(np.prod(inverse_distance[list(triple.planes)])))
+
+
+def _sample(view: TwoView, planes: Floats, label: Ints, camera_px: Floats) -> list[Floats]:
+    """Ideal homogeneous camera points of up to some fifty surfels of each plane."""
+    sample = []
+    for plane in range(len(planes)):
+        members = camera_px[label == plane]
+        sample.append(homogeneous(view.camera.ideal(members[:: max(1, len(members) // 50)])))
+    return sample
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """The most likely corner for three planes: the camera's focal length, the parallax `at_infinity` (3,)."""
+
+    focal: float
+    at_infinity: Floats
+    off_square: float
+    likelihood: float
+
+
+def _best_fit(view: TwoView, planes: Floats, x: list[Floats], others: Floats) -> _Fit | None:
+    """Try all focals and both corners for three planes (3, 3) with image points x; None if they cannot be a corner.
+
+    `others` (n, 3): planes of the same scene.
+    """
+    # Where two planes have the same parallax is the image of their edge; the three edges meet by construction.
+    lines = np.roll(planes, -1, axis=0) - np.roll(planes, -2, axis=0)
+    lines = lines / np.linalg.norm(lines, axis=1, keepdims=True)
+    image = CornerImage(np.linalg.svd(lines)[2][2], lines)
+    normals, rays = corner_planes(image, _INVERSES)
+    normals, rays = normals.reshape(-1, 3, 3), np.concatenate([rays, rays])  # both solutions
+    real = np.flatnonzero(np.isfinite(normals).all(axis=(1, 2)))
+    if not len(real):  # most triples, whatever the focal
+        return None
+    focal, matrices, inverses = (of[real % len(_FOCALS)] for of in (_FOCALS, _MATRICES, _INVERSES))
+    normals, rays = normals[real], rays[real]
+    with np.errstate(all="ignore"):
+        # Inverse depth of face S at image point x is weights_S · x.
+        weights = np.einsum("nsi,nij->nsj", normals, inverses) / np.einsum("nsi,ni->ns", normals, rays)[..., None]
+        at_infinity, projector, positive = _transfer(view, planes, weights, matrices, x)
+        off_square = np.hypot(np.log(projector[:, 0, 0] / projector[:, 1, 1]), projector[:, 0, 1] / projector[:, 0, 0])
+        cost = (off_square / _SQUARE_SIGMA) ** 2 + np.sum((projector[:, :2, 2] / _CENTRE_SIGMA) ** 2, axis=1)
+        for length in (focal, projector[:, 0, 0]):
+            cost += ((np.log(length) - _LOG_FOCAL) / _LOG_FOCAL_SIGMA) ** 2
+        likelihood = _regularity(at_infinity, focal, others) - cost / 2
+    likelihood = np.where(np.isfinite(likelihood) & (positive > _LEAST_IN_FRONT), likelihood, -np.inf)
+    best = int(np.argmax(likelihood))
+    if not np.isfinite(likelihood[best]):
+        return None
+    return _Fit(float(focal[best]), at_infinity[best], float(off_square[best]), float(likelihood[best]))
+
+
+def _direction_sigma_deg(fit: _Fit, plane: Floats, covariance: Floats) -> float:
+    """Standard deviation of the direction of a plane (3,) with covariance (3, 3), along its worst axis."""
+    scale = np.array([fit.focal, fit.focal, 1.0])
+    normal = (plane - fit.at_infinity) * scale
+    length = np.linalg.norm(normal)
+    across = np.eye(3) - np.outer(normal, normal) / length**2
+    worst = np.linalg.eigvalsh(across @ (covariance * np.outer(scale, scale)) @ across)[-1]
+    return float(np.degrees(np.sqrt(worst) / length))
+
+
+def _regularity(at_infinity: Floats, focal: Floats, planes: Floats) -> Floats:
+    """Log-likelihood (n,) of the angles between planes (m, 3), each of 0° or 90° or else anything, in cameras of focal
+    length `focal` (n,) with the plane at infinity (n, 3).
+    """
+    normals = (planes - at_infinity[:, None]) * np.stack([focal, focal, np.ones_like(focal)], axis=1)[:, None]
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    first, second = np.triu_indices(len(planes), 1)
+    cosine = np.abs(np.sum(normals[:, first] * normals[:, second], axis=2))
+    angle = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
+    off = np.minimum(angle, 90 - angle)
+    regular = np.exp(-((off / _ANGLE_SIGMA_DEG) ** 2) / 2) * np.sqrt(2 / np.pi) / _ANGLE_SIGMA_DEG
+    likelihood: Floats = np.sum(np.log((regular + 1 / 45) / 2), axis=1)
+    return likelihood
+
+
+def _transfer(
+    view: TwoView, planes: Floats, weights: Floats, matrices: Floats, x: list[Floats]
+) -> tuple[Floats, Floats, Floats]:
+    """From corners with inverse depths `weights` (n, 3, 3) in cameras `matrices` (n, 3, 3): the parallax v∞ of the
+    plane at infinity (n, 3), the projector's K (n, 3, 3), and the share (n,) of the faces' points x that both devices
+    have in front of them.
+
+    v_S = v∞ + s · weights_S with one s for all faces, and the homography A + e v∞ᵀ at infinity is K_p R K⁻¹.
+    """
+    apart_v = planes - np.roll(planes, 1, axis=0)
+    apart_w = weights - np.roll(weights, 1, axis=1)
+    scale = np.sum(apart_w * apart_v, axis=(1, 2)) / np.sum(apart_w**2, axis=(1, 2))
+    at_infinity = planes[0] - scale[:, None] * weights[:, 0]
+    homography = view.homography(at_infinity)
+    motion = np.concatenate([homography @ matrices, (scale[:, None] * view.epipole)[..., None]], axis=2)
+    projector, _, _ = decompose(motion)
+    # With det(K R) > 0 the third coordinate of H x is depth in the projector over depth in the camera.
+    orientation = np.sign(np.linalg.det(motion[:, :, :3]))
+    seen = []
+    for face in range(3):
+        inverse_depth = weights[:, face] @ x[face].T
+        third_row = homography[:, 2] + (scale * view.epipole[2])[:, None] * weights[:, face]
+        seen.append((inverse_depth > 0) & (orientation[:, None] * (third_row @ x[face].T) > 0))
+    return at_infinity, projector, np.concatenate(seen, axis=1).mean(axis=1)

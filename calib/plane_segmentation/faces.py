@@ -1,0 +1,135 @@
+"""Dense matches → planar faces, and which three of them form the corner. No calibration, no masks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import NO_FACE, Matches
+from calib.numerics import Floats, Ints
+from calib.plane_segmentation.corner_hypotheses import Triple, corner_triples, outermost
+from calib.plane_segmentation.labelling import label_matches, looked_up
+from calib.plane_segmentation.plane_extraction import NO_PLANE
+from calib.plane_segmentation.segmentation import Segments, segment
+from calib.plane_segmentation.surfels import make_surfels
+from calib.refusal import RefusalError
+
+_SEED = 20240
+_FEWEST_MATCHES = 1500
+_FEWEST_SURFELS = 60
+_LEAST_SMOOTH = 0.1
+_NOTABLE_PX = 0.3
+# Stated as if surfels erred independently; errors of neighbours are alike, so the true one is several times larger.
+_MOST_DIRECTION_SIGMA_DEG = 0.2
+
+
+@dataclass(frozen=True)
+class Plane:
+    """`homography` (3, 3): camera → projector, for pixels from which the estimated lens distortion has been removed;
+    `matches`: how many lie on it; `face`: 0, 1 or 2 if it is a face of the corner.
+    """
+
+    homography: Floats
+    matches: int
+    face: int | None
+
+
+@dataclass(frozen=True)
+class Faces:
+    """`matches`: labelled 0, 1, 2 on the corner's faces (0 the largest) and −1 elsewhere. `planes`: every plane found,
+    largest first. `plane` (N,): which of these each match lies on, −1 for none.
+    """
+
+    matches: Matches
+    planes: tuple[Plane, ...]
+    plane: Ints
+
+
+def find_faces(matches: Matches, camera_size: tuple[int, int], projector_size: tuple[int, int]) -> Faces:
+    """Segment matches (N) into planes and choose the three that form a cuboid corner; sizes are (width, height).
+
+    Raises RefusalError if there are fewer than three planes or no three of them can be a corner.
+    """
+    if len(matches) < _FEWEST_MATCHES:
+        raise RefusalError(
+            f"Only {len(matches)} matches: too few to find planes in (at least {_FEWEST_MATCHES} are needed).",
+            "Check that camera and projector see the same part of the room, light and exposure; or label the faces.",
+        )
+    rng = np.random.default_rng(_SEED)
+    surfels = make_surfels(matches, camera_size, rng)
+    if len(surfels) < max(_FEWEST_SURFELS, _LEAST_SMOOTH * surfels.tried):
+        raise RefusalError(
+            "The matches are not smooth: neighbouring camera pixels are matched to scattered projector pixels.",
+            "Check focus, exposure, and that the frames belong to the patterns they are listed with.",
+        )
+    segments = segment(surfels, camera_size, projector_size, rng)
+    if len(segments.planes) < 3:
+        raise _too_few(segments)
+    triples = corner_triples(segments, surfels.camera_px)
+    certain = [triple for triple in triples if triple.direction_sigma_deg < _MOST_DIRECTION_SIGMA_DEG]
+    if not certain:
+        raise _no_corner(segments, triples)
+    plane, counts = label_matches(matches, surfels, segments, rng)
+    return _faces(matches, segments, plane, counts, outermost(certain, segments).planes)
+
+
+def _too_few(segments: Segments) -> RefusalError:
+    share, uneven = np.mean(segments.label >= 0), _unevenness(segments)
+    if len(segments.planes) == 0:
+        return RefusalError(
+            f"No plane was found in the matches{uneven}.",
+            "Capture the corner of a room with little in front of it.",
+        )
+    if len(segments.planes) == 1:
+        return RefusalError(
+            f"Only one plane was found, with {share:.0%} of the matches{uneven}: a flat wall, or a projector that "
+            "stands where the camera stands.",
+            "Turn to the corner of a room so that two walls and the floor or ceiling are lit, "
+            "and keep camera and projector apart.",
+        )
+    return RefusalError(
+        f"Only two planes were found, with {share:.0%} of the matches{uneven}; a corner has three.",
+        "Tilt the rig so that the floor or ceiling is lit as well as both walls, each over a good part of the picture.",
+    )
+
+
+def _no_corner(segments: Segments, triples: list[Triple]) -> RefusalError:
+    advice = "Capture the corner of a room, or three faces of a box, with all three faces large in the picture."
+    found, uneven = f"{len(segments.planes)} planes were found", _unevenness(segments)
+    if not triples:
+        return RefusalError(f"{found}{uneven}, but no three of them are perpendicular to each other.", advice)
+    sigma = min(triple.direction_sigma_deg for triple in triples)
+    return RefusalError(
+        f"{found}{uneven}; three could be perpendicular, but are too small or too uneven to tell (by {sigma:.1f}°).",
+        advice,
+    )
+
+
+def _unevenness(segments: Segments) -> str:
+    if segments.model_px < _NOTABLE_PX:
+        return ""
+    return f" (surfaces or decoding deviate from planes by some {segments.model_px:.1f} projector pixels)"
+
+
+def _faces(matches: Matches, segments: Segments, plane: Ints, counts: Ints, corner: tuple[int, int, int]) -> Faces:
+    view, planes = segments.view, segments.planes
+    order = np.argsort(-counts, kind="stable")
+    # The last entry is for matches on none.
+    rank, face_of = np.full(len(planes) + 1, NO_PLANE, np.int32), np.full(len(planes) + 1, NO_FACE, np.int32)
+    rank[order] = np.arange(len(order))
+    face_of[[index for index in order if index in corner]] = (0, 1, 2)
+    to_camera, to_projector = _pixel_scale(view.camera.size_px), _pixel_scale(view.projector.size_px)
+    listed = []
+    for index in order:
+        homography = np.linalg.inv(to_projector) @ view.homography(planes[index]) @ to_camera
+        face = int(face_of[index])
+        listed.append(
+            Plane(homography / np.linalg.norm(homography), int(counts[index]), None if face == NO_FACE else face)
+        )
+    ranks, faces = looked_up(plane, rank, face_of)
+    return Faces(matches.with_faces(faces), tuple(listed), ranks)
+
+
+def _pixel_scale(size_px: tuple[int, int]) -> Floats:
+    """Pixels → the coordinates of calib.plane_segmentation.plane_parallax, (3, 3)."""
+    width, height = size_px
+    return np.array([[2 / width, 0, -(width - 1) / width], [0, 2 / width, -(height - 1) / width], [0, 0, 1.0]])

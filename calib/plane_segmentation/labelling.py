@@ -1,0 +1,124 @@
+"""The plane of every match, once the planes are known: one of those near it, if it fits that one and no other."""
+
+import cv2
+import numpy as np
+
+from calib.geometry import Matches
+from calib.numerics import Floats, Ints, compiled, in_pieces
+from calib.plane_segmentation.segmentation import Segments
+from calib.plane_segmentation.surfels import Surfels
+
+_GATE = 3.7  # a 2-D normal error of more sigmas than that: 1 in 940
+# A match that two planes explain is given to neither unless one is e^4.5 times as likely.
+_CLEARER_BY = 9.0
+_SAMPLE = 100_000
+
+
+def label_matches(
+    matches: Matches, surfels: Surfels, segments: Segments, rng: np.random.Generator
+) -> tuple[Ints, Ints]:
+    """The plane of each match, (N,): a plane of its surfel or of a neighbouring one, that it fits within the noise; n,
+    the number of planes, for none. And how many matches each plane has, (n,).
+    """
+    view, homographies = segments.view, segments.view.homography(segments.planes)
+    near = _near(surfels, segments.label, len(homographies))
+    cell_sigma, scale = _cell_sigma(surfels), _scale(matches, surfels, rng)
+    plane = np.empty(len(matches), np.int32)
+
+    def label(at: slice) -> Ints:
+        cell = surfels.grid.cell(matches.camera_px[at])
+        sigma = cell_sigma.take(cell) if matches.sigma_px is None else scale * matches.sigma_px[at].astype(np.float64)
+        _label(
+            view.camera.ideal(matches.camera_px[at]),
+            view.projector.ideal(matches.projector_px[at]),
+            cell,
+            sigma,
+            segments.model_px,
+            view.projector.unit_px,
+            homographies,
+            near,
+            plane[at],
+        )
+        return np.bincount(plane[at], minlength=len(homographies) + 1)[:-1]
+
+    counts: Ints = np.sum(in_pieces(len(matches), label), axis=0)
+    return plane, counts
+
+
+def looked_up(plane: Ints, first: Ints, second: Ints) -> tuple[Ints, Ints]:
+    """What two tables (n + 1,) have for each match's plane (N,)."""
+    found = np.empty((2, len(plane)), np.int32)
+    in_pieces(len(plane), lambda at: _look_up(plane[at], first, second, found[0, at], found[1, at]))
+    return found[0], found[1]
+
+
+def _near(surfels: Surfels, label: Ints, planes: int) -> Ints:
+    """The planes in or beside each cell, (cells, n), filled up with n."""
+    grid = surfels.grid
+    image = np.zeros((planes, grid.rows * grid.columns), np.uint8)
+    on_plane = label >= 0
+    image[label[on_plane], surfels.cell[on_plane]] = 1
+    kernel = np.ones((3, 3), np.uint8)
+    dilated = np.stack([cv2.dilate(one.reshape(grid.rows, grid.columns), kernel).ravel() for one in image], axis=1)
+    near: Ints = np.sort(np.where(dilated > 0, np.arange(planes, dtype=np.int32), np.int32(planes)), axis=1)
+    return near
+
+
+def _cell_sigma(surfels: Surfels) -> Floats:
+    """Scatter of a match in each cell, in pixels; the usual one where a cell has no surfel of its own."""
+    usual = np.median(surfels.sigma_px)
+    sigma = np.full(surfels.grid.rows * surfels.grid.columns, usual)
+    # A cell that straddles an edge looks noisier than it is.
+    sigma[surfels.cell] = np.minimum(surfels.sigma_px, 3 * usual)
+    return sigma
+
+
+def _scale(matches: Matches, surfels: Surfels, rng: np.random.Generator) -> float:
+    """By how much matches scatter more than their own sigmas say."""
+    sigma = matches.sigma_px
+    if sigma is None:
+        return 1.0
+    if len(sigma) > _SAMPLE:
+        sigma = sigma[rng.integers(0, len(sigma), _SAMPLE)]
+    return float(np.median(surfels.sigma_px) / np.median(sigma))
+
+
+@compiled
+def _label(
+    x: Floats,
+    u: Floats,
+    cell: Ints,
+    sigma_px: Floats,
+    model_px: float,
+    unit_px: float,
+    homographies: Floats,
+    near: Ints,
+    plane: Ints,
+) -> None:
+    """Ideal points x, u (N, 2) → `plane` (N,)."""
+    h, none = homographies, len(homographies)
+    for i in range(len(x)):
+        x0, x1, u0, u1, c = x[i, 0], x[i, 1], u[i, 0], u[i, 1], cell[i]
+        per_variance = unit_px * unit_px / (sigma_px[i] * sigma_px[i] + model_px * model_px)
+        best, second, found = np.inf, np.inf, none
+        for candidate in range(none):
+            p = near[c, candidate]
+            if p == none:
+                break
+            per_third = 1.0 / (h[p, 2, 0] * x0 + h[p, 2, 1] * x1 + h[p, 2, 2])
+            off0 = (h[p, 0, 0] * x0 + h[p, 0, 1] * x1 + h[p, 0, 2]) * per_third - u0
+            off1 = (h[p, 1, 0] * x0 + h[p, 1, 1] * x1 + h[p, 1, 2]) * per_third - u1
+            error = (off0 * off0 + off1 * off1) * per_variance
+            if error < best:
+                best, second, found = error, best, p
+            elif error < second:
+                second = error
+        if best > _GATE * _GATE or second < best + _CLEARER_BY:
+            found = none
+        plane[i] = found
+
+
+@compiled
+def _look_up(plane: Ints, first: Ints, second: Ints, of_first: Ints, of_second: Ints) -> None:
+    for i in range(len(plane)):
+        of_first[i], of_second[i] = first[plane[i]], second[plane[i]]

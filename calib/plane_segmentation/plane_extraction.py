@@ -1,0 +1,124 @@
+"""Surfels → planes: which of them have a parallax that is one affine function of the image."""
+
+import cv2
+import numpy as np
+
+from calib.numerics import Floats, Ints
+from calib.plane_segmentation.region_growing import grow, local_planes
+from calib.plane_segmentation.surfel_observations import Evidence
+from calib.plane_segmentation.surfels import Surfels
+
+NO_PLANE = -1
+_SEEDS = 80
+_GATE, _GATE_3D = 3.5, 4.5  # in sigmas: for one number, and for the length of three
+_MOST_PLANES = 16
+# A plane that holds fewer surfels than this, or this share of all, is of no use to a calibration.
+_FEWEST_SURFELS, _LEAST_SHARE = 12, 0.004
+# The standard deviation, in sigmas, of errors that fill the gate evenly is 2.
+_MOST_SCATTER = 1.3
+_CLOSE = 15.0
+
+
+def find_planes(surfels: Surfels, evidence: Evidence, rng: np.random.Generator) -> tuple[Floats, Ints]:
+    """Planes (n, 3), largest first, and which plane each surfel lies on, (M,), NO_PLANE for none."""
+    seeds, covariance, usable = local_planes(surfels, evidence.rows, _GATE)
+    fewest = _fewest(len(surfels))
+    across = np.abs(evidence.across)
+    free = across < _GATE + 3 * np.median(across * evidence.sigma) / evidence.sigma
+    planes: list[Floats] = []
+    while len(planes) < _MOST_PLANES and np.any(free & usable):
+        pool = np.flatnonzero(free & usable)
+        picked = pool[rng.permutation(len(pool))[:_SEEDS]]
+        left = np.flatnonzero(free)
+        plane, inlier = grow(evidence.rows.take(left, axis=1), seeds[picked], covariance[picked], _GATE)
+        if np.count_nonzero(inlier) < fewest:
+            usable[picked] = False
+            continue
+        planes.append(plane)
+        free[left[inlier]] = False
+    if not planes:
+        return np.empty((0, 3)), np.full(len(surfels), NO_PLANE, np.int32)
+    return _assign(surfels, evidence, np.stack(planes))
+
+
+def _fewest(surfels: int) -> int:
+    return max(_FEWEST_SURFELS, round(_LEAST_SHARE * surfels))
+
+
+def _assign(surfels: Surfels, evidence: Evidence, planes: Floats) -> tuple[Floats, Ints]:
+    """Give each surfel to the plane that fits it best, drop planes and places with too few; as `find_planes`."""
+    fewest, error = _fewest(len(surfels)), _errors(evidence, planes)
+    while True:
+        label = np.argmin(error, axis=0).astype(np.int32)
+        label[error.min(axis=0) > 1] = NO_PLANE
+        label = _without_islands(surfels, label, len(planes))
+        counts = np.bincount(label[label >= 0], minlength=len(planes))
+        if counts.min() >= fewest:
+            break
+        # The smallest goes first: its surfels may belong to one that is short of a few.
+        smallest = np.argmin(counts)
+        planes, error = np.delete(planes, smallest, axis=0), np.delete(error, smallest, axis=0)
+        if len(planes) == 0:
+            return planes, np.full(len(surfels), NO_PLANE, np.int32)
+    order = np.argsort(-counts, kind="stable")
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order))
+    return planes[order], np.where(label >= 0, rank[label], NO_PLANE).astype(np.int32)
+
+
+def without_uneven(evidence: Evidence, planes: Floats, label: Ints) -> tuple[Floats, Ints]:
+    """Drop planes whose surfels scatter over all of the tolerance: patches of a curved or bumpy surface, which end
+    where the surface leaves the tolerance and not where a plane ends.
+    """
+    if len(planes) == 0:
+        return planes, label
+    error = evidence.off_own(planes, label)
+    kept = [plane for plane in range(len(planes)) if np.std(error[label == plane]) < _MOST_SCATTER]
+    renumbered = np.full(len(planes) + 1, NO_PLANE, np.int32)
+    renumbered[kept] = np.arange(len(kept))
+    return planes[kept], renumbered[label]
+
+
+def covariances(evidence: Evidence, label: Ints, planes: int) -> Floats:
+    """Covariance of each of so many planes, (n, 3, 3), from the surfels on it."""
+    information = np.zeros((planes, 3, 3))
+    for plane in range(planes):
+        x = evidence.rows[1:4, label == plane]
+        information[plane] = x @ x.T
+    # Large instead of infinite along what surfels in one line leave open.
+    ridge = 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    inverse: Floats = np.linalg.inv(information + ridge)
+    return inverse
+
+
+def spill(evidence: Evidence, planes: Floats, label: Ints) -> float:
+    """How many surfels lie close to the three largest planes without lying on them, relative to those that do.
+
+    Next to nothing for planes; more than half if the tolerance cuts uneven surfaces into slices; infinite if there are
+    no planes.
+    """
+    if len(planes) == 0:
+        return np.inf
+    largest = np.argsort(-np.bincount(label[label >= 0], minlength=len(planes)), kind="stable")[:3]
+    error = np.abs(evidence.off(planes[largest]))
+    close = int(np.count_nonzero((error < _CLOSE) & (label != largest[:, None])))
+    return close / max(1, int(np.count_nonzero(np.isin(label, largest))))
+
+
+def _errors(evidence: Evidence, planes: Floats) -> Floats:
+    """How far each surfel is from each plane, (n, M): the sum of squares of its three numbers over the gate's."""
+    value, slope_x, slope_y = (evidence.off(planes, number) ** 2 for number in range(3))
+    return (value + slope_x + slope_y) / _GATE_3D**2
+
+
+def _without_islands(surfels: Surfels, label: Ints, planes: int) -> Ints:
+    """Take away labels of pieces of fewer than four connected cells: chance agreements, as along a crease."""
+    grid = surfels.grid
+    kept = label.copy()
+    for plane in range(planes):
+        image = np.zeros(grid.rows * grid.columns, np.uint8)
+        image[surfels.cell[label == plane]] = 1
+        _, component, stats, _ = cv2.connectedComponentsWithStats(image.reshape(grid.rows, grid.columns))
+        small = stats[:, cv2.CC_STAT_AREA] < 4
+        kept[(label == plane) & small[component.ravel()[surfels.cell]]] = NO_PLANE
+    return kept

@@ -1,0 +1,65 @@
+"""Surfels → planes of one scene, with the epipolar geometry and the lenses that they share."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Floats, Ints
+from calib.plane_segmentation.fundamental_matrix import first_geometry, largest_plane
+from calib.plane_segmentation.planar_bundle_adjustment import refine
+from calib.plane_segmentation.plane_extraction import covariances, find_planes, spill, without_uneven
+from calib.plane_segmentation.plane_parallax import TwoView
+from calib.plane_segmentation.surfel_observations import gather_evidence
+from calib.plane_segmentation.surfels import Surfels
+
+# Standard deviation of what lens model, decoder and uneven walls leave, to begin with: the first that explains whole
+# surfaces. Afterwards it is measured.
+_FIRST_MODELS_PX = (0.15, 0.6, 2.4)
+_LEAST_MODEL_PX = 0.05
+_MOST_SPILL = 0.25
+
+
+@dataclass(frozen=True)
+class Segments:
+    """`planes` (n, 3), largest first, and their `covariance` (n, 3, 3); `label` (M,): the plane of each surfel;
+    `model_px`: standard deviation of the surfels about their planes beyond their noise; `spill`
+    as in plane_extraction.py.
+    """
+
+    view: TwoView
+    planes: Floats
+    covariance: Floats
+    label: Ints
+    model_px: float
+    spill: float
+
+
+def segment(
+    surfels: Surfels, camera_size: tuple[int, int], projector_size: tuple[int, int], rng: np.random.Generator
+) -> Segments:
+    """Planes at the tightest tolerance that does not cut surfaces into slices."""
+    view = first_geometry(surfels, largest_plane(surfels, camera_size, projector_size, rng), rng)
+    for model_px in _FIRST_MODELS_PX:
+        found = _segment_within(surfels, view, model_px, rng)
+        if found.spill < _MOST_SPILL:
+            break
+    return found
+
+
+def _segment_within(surfels: Surfels, view: TwoView, model_px: float, rng: np.random.Generator) -> Segments:
+    evidence = gather_evidence(surfels, view, model_px)
+    planes, label = find_planes(surfels, evidence, rng)
+    if len(planes) > 0:
+        # With both lenses from the planes the tolerance can be tight: nearly coplanar ones come apart.
+        view, planes = refine(surfels, label, view, planes, 2 * model_px, rng)
+        evidence = gather_evidence(surfels, view, model_px)
+        off_px = np.abs(evidence.off_own(planes, label) * evidence.sigma)[label >= 0]
+        model_px = max(_LEAST_MODEL_PX, 1.5 * float(np.median(off_px)))
+        evidence = gather_evidence(surfels, view, model_px)
+        planes, label = find_planes(surfels, evidence, rng)
+    sliced = spill(evidence, planes, label)
+    planes, label = without_uneven(evidence, planes, label)
+    if len(planes) > 0:
+        view, planes = refine(surfels, label, view, planes, 2 * model_px, rng)
+        evidence = gather_evidence(surfels, view, model_px)
+    return Segments(view, planes, covariances(evidence, label, len(planes)), label, model_px, sliced)

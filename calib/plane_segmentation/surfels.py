@@ -1,0 +1,144 @@
+"""Dense matches → surfels: small cells of the camera's image, each with an affine map into the projector's image.
+
+A few thousand surfels carry what millions of matches say about planes. Fitting them robustly rejects stray matches,
+and cells that straddle the edge of an object.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import Matches
+from calib.numerics import Floats, Ints, compiled
+from calib.plane_segmentation.affine_ransac import MOST_PER_CELL, fit_cells
+
+_MATCHES_PER_CELL = (20, 40)  # few where there are few matches at all
+_WANTED_CELLS = 3000
+_FEWEST_PER_CELL = 8
+_MOST_CELLS = 9000
+_TRIALS = 10
+_SAMPLE = 100_000
+_FEWEST_INLIERS = 0.6
+# How much noisier than usual a cell may be, and what is never too noisy.
+_MOST_SCATTER, _ALLOWED_SCATTER_PX = 8.0, 0.1
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Square cells of `side_px` over the camera's image, `columns` × `rows` of them."""
+
+    side_px: float
+    columns: int
+    rows: int
+
+    def cell(self, camera_px: Floats) -> Ints:
+        """The cell of each pixel (N, 2) → (N,)."""
+        cell = np.empty(len(camera_px), np.int32)
+        _cell(np.ascontiguousarray(camera_px), self.side_px, self.columns, self.rows, cell)
+        return cell
+
+
+@dataclass(frozen=True)
+class Surfels:
+    """Around `camera_px` (M, 2), projector = `projector_px` (M, 2) + `jacobian` (M, 2, 2) · (camera − `camera_px`).
+
+    `cell` (M,): where on `grid`. `sigma_px` (M,): scatter of a match about the map, in projector pixels. `spread`
+    (M, 2, 2): Σ (camera − mean)(camera − mean)ᵀ over the matches behind a surfel, `count` (M,) of them. `tried`: how
+    many cells had enough matches.
+    """
+
+    grid: Grid
+    cell: Ints
+    camera_px: Floats
+    projector_px: Floats
+    jacobian: Floats
+    sigma_px: Floats
+    spread: Floats
+    count: Ints
+    tried: int
+
+    def __len__(self) -> int:
+        return len(self.cell)
+
+
+def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.Generator) -> Surfels:
+    """Cells are as small as the density of the matches allows, and so large that there are at most some thousands."""
+    grid, density = _choose_grid(matches, camera_size)
+    wanted = _MATCHES_PER_CELL[1] / (density * grid.side_px**2)
+    chosen = np.arange(len(matches))
+    if wanted < 1:
+        # One of each so many in a row, for every match to have the same chance.
+        steps = np.arange(int(wanted * len(matches)))
+        chosen = ((steps + rng.random(len(steps))) / wanted).astype(np.int64)
+    camera_px, projector_px = (
+        pixels.take(chosen, axis=0).astype(np.float64) for pixels in (matches.camera_px, matches.projector_px)
+    )
+    order, start = _by_cell(grid.cell(camera_px), grid.rows * grid.columns)
+    there = np.minimum(np.diff(start), MOST_PER_CELL)
+    cell = np.flatnonzero(there >= _FEWEST_PER_CELL).astype(np.int32)
+    there, picks = there[cell], (rng.random((_TRIALS, 3, len(cell))) * there[cell]).astype(np.int32)
+    fits = fit_cells(camera_px, projector_px, order, start[cell], there, picks)
+    # Two coordinates per match, six parameters.
+    scatter = fits.square / np.maximum(2 * fits.count - 6, 1)
+    good = (fits.count >= _FEWEST_PER_CELL) & (fits.count > _FEWEST_INLIERS * there)
+    good &= _least_eigenvalue(fits.spread) > fits.count * (grid.side_px / 12) ** 2
+    # Matches that scatter more than the cell is wide in the projector are not neighbours there.
+    span = np.einsum("mij,mjk,mik->m", fits.jacobian, fits.spread, fits.jacobian) / (2 * np.maximum(fits.count, 1))
+    good &= scatter < span
+    # Nor does a cell that straddles an edge have one affine map.
+    good &= scatter < _MOST_SCATTER**2 * np.median(scatter) + _ALLOWED_SCATTER_PX**2
+    return Surfels(
+        grid,
+        cell[good],
+        fits.mean[good],
+        fits.value[good],
+        fits.jacobian[good],
+        np.sqrt(scatter[good]),
+        fits.spread[good],
+        fits.count[good],
+        len(cell),
+    )
+
+
+def _least_eigenvalue(matrices: Floats) -> Floats:
+    """Of symmetric matrices (N, 2, 2)."""
+    a, b, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    least: Floats = (a + d) / 2 - np.hypot((a - d) / 2, b)
+    return least
+
+
+def _choose_grid(matches: Matches, camera_size: tuple[int, int]) -> tuple[Grid, float]:
+    width, height = camera_size
+    # Halve the cells until the matches no longer fill them: what is then covered is where there are matches.
+    coarse = Grid(max(width, height) / 24, 24, 24)
+    some = matches.camera_px[:: max(1, len(matches) // _SAMPLE)]
+    covered = np.count_nonzero(np.bincount(coarse.cell(some))) * coarse.side_px**2
+    density = len(matches) / covered
+    per_cell = np.clip(len(matches) / _WANTED_CELLS, *_MATCHES_PER_CELL)
+    side = float(np.sqrt(max(per_cell / density, covered / _MOST_CELLS)))
+    return Grid(side, int(np.ceil(width / side)), int(np.ceil(height / side))), density
+
+
+def _by_cell(cell: Ints, cells: int) -> tuple[Ints, Ints]:
+    """The matches (N,) cell by cell, in their order, and where each cell starts, (cells + 1,)."""
+    start = np.zeros(cells + 1, np.int32)
+    np.cumsum(np.bincount(cell, minlength=cells), out=start[1:])
+    order = np.empty(len(cell), np.int32)
+    _sort(cell, start[:-1].copy(), order)
+    return order, start
+
+
+@compiled
+def _cell(camera_px: Floats, side_px: float, columns: int, rows: int, cell: Ints) -> None:
+    # Pixel centres are whole numbers: the image begins at −0.5.
+    for i in range(len(cell)):
+        column, row = int((camera_px[i, 0] + 0.5) / side_px), int((camera_px[i, 1] + 0.5) / side_px)
+        cell[i] = min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
+
+
+@compiled
+def _sort(cell: Ints, place: Ints, order: Ints) -> None:
+    """`place` (cells,): where the next match of each cell goes."""
+    for i in range(len(cell)):
+        order[place[cell[i]]] = i
+        place[cell[i]] += 1

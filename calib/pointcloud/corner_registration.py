@@ -1,0 +1,220 @@
+"""Several views of one corner: which of its three legs is which.
+
+A corner's faces are numbered alike up to a cyclic order, which angles of exactly 90 degrees do not tell: turned by a
+third about its diagonal, a square corner is the same. What else the views saw tells the orders apart: where one view
+looked through the air there is nothing that another could have seen; what is painted on the walls is the same in both;
+and a rig is seldom moved and turned on its side at once.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from operator import itemgetter
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from calib.numerics import Bools, Floats, Ints
+from calib.pointcloud.corner_view import View, cells_of
+
+_TURNS = (0, 1, 2)
+# Of the distance: neighbouring points are one patch, one piece of evidence; depths that differ by less are the same.
+_PATCH, _SAME_DEPTH = 0.02, 0.01
+# A patch in the other's line of sight is a mistake of the decoder or a thing that was moved, else a refutation. Patches
+# are not independent, so each counts for far less than it would alone.
+_NATS_PER_PATCH = 0.5
+# Of the distance: pixels of the pictures of the walls that are compared; what is dark here and there for want of light
+# is evened out over a window of so many.
+_WALL_PIXEL, _WINDOW = 0.005, 15
+# Of the pixels of these pictures, as many as this one are worth one that is independent of the others.
+_ALIKE_NEIGHBOURS = 50.0
+_UPRIGHT_SIGMA = np.radians(45.0)
+# One order has to be 1000 times as likely as the next.
+_DECIDED_NATS = float(np.log(1000.0))
+_MOST_REFUTED = 0.5
+_MOST_BEGUN = 3**6
+
+
+@dataclass(frozen=True)
+class Order:
+    """How the axes of several views' corners belong together.
+
+    `turns`: for each view, what `View.in_corner` is to be given. `nats`: log of how much likelier this order is than
+    the next. `refuted`: share of the patches off the walls, where both views could see, that the other view looked
+    through; with the right order of one unchanged scene it is small.
+    """
+
+    turns: tuple[int, ...]
+    nats: float
+    refuted: float
+
+    @property
+    def decided(self) -> bool:
+        """Whether the views themselves determine the order."""
+        return self.nats >= _DECIDED_NATS and not self.contradictory
+
+    @property
+    def contradictory(self) -> bool:
+        """Whether even in this order the views do not show one unchanged scene."""
+        return self.refuted > _MOST_REFUTED
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Patches of one view as another one saw them: `refuted` of all; of those off the walls also `confirmed`."""
+
+    refuted: int
+    refuted_off_walls: int
+    confirmed_off_walls: int
+
+
+def find_order(views: Sequence[View], angles_nats: float = 0.0) -> Order:
+    """The likeliest order of the axes of two or more views, and how sure it is.
+
+    `angles_nats`: by how much the angles of the corner favour the order in which the views come.
+    """
+    patches = [_patches(view) for view in views]
+    pixel = _WALL_PIXEL * float(np.median([view.distance for view in views]))
+    walls = [_pictures_of_walls(view, pixel) for view in views]
+    costs, seen = {}, {}
+    for i, j in combinations(range(len(views)), 2):
+        for turn in _TURNS:
+            both = _seen_by(views[i], patches[j], turn), _seen_by(views[j], patches[i], -turn)
+            seen[i, j, turn] = both
+            costs[i, j, turn] = (
+                _NATS_PER_PATCH * sum(each.refuted for each in both)
+                + _cost_of_paint(walls[i], walls[j], turn)
+                + _cost_of_tilt(views[i], views[j], turn)
+                + (angles_nats if turn else 0.0)
+            )
+
+    (best, least), (_, next_least), *_ = _cheapest(costs, len(views))
+    chosen = [each for i, j in combinations(range(len(views)), 2) for each in seen[i, j, (best[j] - best[i]) % 3]]
+    refuted = sum(each.refuted_off_walls for each in chosen)
+    confirmed = sum(each.confirmed_off_walls for each in chosen)
+    return Order(_upright(views, best), next_least - least, refuted / max(1, refuted + confirmed))
+
+
+def _cheapest(costs: Mapping[tuple[int, int, int], float], count: int) -> list[tuple[tuple[int, ...], float]]:
+    """Turns of `count` views, the first being 0, with the sums of their pairs' costs, cheapest first.
+
+    View by view, of which only the most promising are continued: all of them for up to seven views.
+    """
+    begun: list[tuple[tuple[int, ...], float]] = [((0,), 0.0)]
+    for j in range(1, count):
+        longer = [
+            ((*turns, turn), cost + sum(costs[i, j, (turn - turns[i]) % 3] for i in range(j)))
+            for turns, cost in begun
+            for turn in _TURNS
+        ]
+        begun = sorted(longer, key=itemgetter(1))[:_MOST_BEGUN]
+    return begun
+
+
+def _upright(views: Sequence[View], turns: tuple[int, ...]) -> tuple[int, ...]:
+    """The same order, numbered so that the last axis is the one that is most upright in the cameras' images."""
+    up = np.mean([_up(view, turn) for view, turn in zip(views, turns, strict=True)], axis=0)
+    shift = 2 - int(np.argmax(np.abs(up)))
+    return tuple((turn + shift) % 3 for turn in turns)
+
+
+def _up(view: View, turn: int) -> Floats:
+    """The camera's up in the corner's frame, (3,)."""
+    up: Floats = np.roll(view.axes @ np.array([0.0, -1.0, 0.0]), turn)
+    return up
+
+
+def _cost_of_tilt(a: View, b: View, turn: int) -> float:
+    angle = np.arccos(np.clip(_up(a, 0) @ _up(b, turn), -1, 1))
+    return float(0.5 * (angle / _UPRIGHT_SIGMA) ** 2)
+
+
+@dataclass(frozen=True)
+class _Patches:
+    """One point (N, 3) for each patch, in the corner's frame; `off_walls` (N,): clearly before the three faces."""
+
+    points: Floats
+    off_walls: Bools
+
+
+def _patches(view: View) -> _Patches:
+    points = view.in_corner(view.points[view.there].astype(np.float64))
+    size = _PATCH * view.distance
+    _, first = np.unique(cells_of(points, size), return_index=True)
+    return _Patches(points[first], np.min(np.abs(points[first]), axis=1) > size)
+
+
+def _seen_by(view: View, patches: _Patches, turn: int) -> _Seen:
+    """`turn`: that of the patches' corner relative to the view's."""
+    points = view.in_camera(np.roll(patches.points, turn, axis=1))
+    nearest, farthest, sees = view.depths_around(points)
+    z = points[:, 2]
+    through = sees & (nearest > (1 + _SAME_DEPTH) * z)
+    meets = sees & ~through & (farthest > (1 - _SAME_DEPTH) * z)
+    off = patches.off_walls
+    return _Seen(int(through.sum()), int((through & off).sum()), int((meets & off).sum()))
+
+
+@dataclass(frozen=True)
+class _Wall:
+    """What is painted on a face, as a picture over its two other axes: logarithms of the brightness, (h, w), without
+    what varies slowly, for that is the light. `known` (h, w): where a point was; `origin` (2,): the first pixel's
+    place.
+    """
+
+    paint: Floats
+    known: Bools
+    origin: Ints
+
+    def within(self, low: Ints, high: Ints) -> tuple[Floats, Bools]:
+        """Paint, and where it is known, from place `low` (2,) up to `high` (2,), which the picture contains."""
+        rows, columns = (slice(*ends) for ends in zip(low - self.origin, high - self.origin, strict=True))
+        return self.paint[rows, columns], self.known[rows, columns]
+
+
+def _pictures_of_walls(view: View, pixel: float) -> list[_Wall] | None:
+    """One for each face; None where the brightness is not known."""
+    if view.brightness is None or not view.there.any() or pixel == 0:
+        return None
+    points = view.in_corner(view.points[view.there].astype(np.float64))
+    light = np.log(np.maximum(view.brightness[view.there].astype(np.float64), 1.0))
+    walls = []
+    for face in range(3):
+        on_wall = np.abs(points[:, face]) < _SAME_DEPTH * view.distance
+        places = np.floor(points[on_wall][:, [(face + 1) % 3, (face + 2) % 3]] / pixel).astype(np.int64)
+        walls.append(_picture_of_wall(places, light[on_wall]))
+    return walls
+
+
+def _picture_of_wall(places: Ints, light: Floats) -> _Wall:
+    """From whole-numbered places (N, 2) and the logarithm of the brightness there, (N,)."""
+    origin = places.min(axis=0, initial=0)
+    height, width = places.max(axis=0, initial=0) - origin + 1
+    flat = (places[:, 0] - origin[0]) * width + places[:, 1] - origin[1]
+    count = np.bincount(flat, minlength=height * width).reshape(height, width)
+    total = np.bincount(flat, light, minlength=height * width).reshape(height, width)
+    known = count > 0
+    mean = total / np.maximum(count, 1)
+    around = uniform_filter(mean, _WINDOW) / np.maximum(uniform_filter(known.astype(np.float64), _WINDOW), 1e-9)
+    return _Wall(np.where(known, mean - around, 0.0), known, origin)
+
+
+def _cost_of_paint(a: list[_Wall] | None, b: list[_Wall] | None, turn: int) -> float:
+    """−log likelihood of the correlation r of the walls' pictures: ½ n log(1 − r²), if r is positive."""
+    if a is None or b is None:
+        return 0.0
+    products, count = np.zeros(3), 0
+    for face in range(3):
+        first, second = a[(face + turn) % 3], b[face]
+        low = np.maximum(first.origin, second.origin)
+        high = np.minimum(first.origin + first.paint.shape, second.origin + second.paint.shape)
+        if np.any(high <= low):
+            continue
+        (x, known_x), (y, known_y) = first.within(low, high), second.within(low, high)
+        x, y = x[known_x & known_y], y[known_x & known_y]
+        products += [x @ y, x @ x, y @ y]
+        count += len(x)
+    if not products[1] * products[2] > 0:
+        return 0.0
+    correlation = min(max(0.0, products[0] / np.sqrt(products[1] * products[2])), 0.99)
+    return float(0.5 * count / _ALIKE_NEIGHBOURS * np.log(1 - correlation**2))

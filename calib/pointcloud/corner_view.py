@@ -1,0 +1,87 @@
+"""What one capture saw of a corner, and its points in the corner's frame and in the camera's."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Corner, Intrinsics
+from calib.numerics import Bools, Floats, Ints
+
+
+@dataclass(frozen=True)
+class View:
+    """What one capture saw of a corner.
+
+    `points` (H, W, 3) in the camera's frame on its pixel grid, NaN where there is none; `brightness` (H, W), or None;
+    `corner` in the same frame and unit.
+    """
+
+    points: NDArray[np.float32]
+    brightness: NDArray[np.float32] | None
+    camera: Intrinsics
+    corner: Corner
+
+    @cached_property
+    def axes(self) -> Floats:
+        """Right-handed orthonormal rows (3, 3) nearest to the corner's legs, in the camera's frame.
+
+        The nearest rotation (Schönemann 1966); legs that are numbered the left-handed way round change places first.
+        """
+        legs = self.corner.legs
+        u, _, vt = np.linalg.svd(legs if np.linalg.det(legs) > 0 else legs[[0, 2, 1]])
+        nearest: Floats = u @ vt
+        return nearest
+
+    @cached_property
+    def there(self) -> Bools:
+        """Which pixels have a point, (H, W)."""
+        return np.isfinite(self.points[..., 2])
+
+    @cached_property
+    def distance(self) -> float:
+        """Median distance of the points from the camera."""
+        return float(np.median(np.linalg.norm(self.points[self.there], axis=1))) if self.there.any() else 0.0
+
+    def in_corner(self, points: Floats, turn: int = 0) -> Floats:
+        """Points (N, 3) of the camera's frame in the corner's; `turn` renumbers its axes cyclically."""
+        return np.roll((points - self.corner.vertex) @ self.axes.T, turn, axis=1)
+
+    def in_camera(self, points: Floats, turn: int = 0) -> Floats:
+        """The inverse of `in_corner`."""
+        points_in_camera: Floats = np.roll(points, -turn, axis=1) @ self.axes + self.corner.vertex
+        return points_in_camera
+
+    def depths_around(self, points: Floats) -> tuple[Floats, Floats, Bools]:
+        """Least and greatest depth in the 3 × 3 pixels around the images of points (N, 3) of the camera's frame.
+
+        And whether there is any, (N,).
+        """
+        pixels = self.camera.project(points)
+        with np.errstate(invalid="ignore"):
+            sees = (points[:, 2] > 0) & np.all(
+                (pixels >= 0) & (pixels <= np.array(self.there.shape[::-1]) - 1.0), axis=1
+            )
+        column, row = np.rint(pixels[sees]).astype(np.int64).T
+        height, width = self.there.shape
+        around = np.stack(
+            [
+                self.points[np.clip(row + dy, 0, height - 1), np.clip(column + dx, 0, width - 1), 2]
+                for dy, dx in product((-1, 0, 1), repeat=2)
+            ]
+        )
+        nearest, farthest = np.full(len(points), np.nan), np.full(len(points), np.nan)
+        nearest[sees] = np.fmin.reduce(around)
+        farthest[sees] = np.fmax.reduce(around)
+        return nearest, farthest, np.isfinite(nearest)
+
+
+def cells_of(points: Floats, size: float) -> Ints:
+    """A number for the cube of a grid with edges of `size` that each point (N, 3) is in, (N,)."""
+    cell = np.floor(points / size).astype(np.int64) if len(points) else np.zeros((0, 3), np.int64)
+    cell -= cell.min(axis=0, initial=0)
+    extent = cell.max(axis=0, initial=0) + 1
+    numbers: Ints = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
+    return numbers

@@ -1,0 +1,160 @@
+"""Least-squares planes through the window around every pixel of a grid of points.
+
+A plane n·X = 1 is affine in the image, 1/z = n_x x/z + n_y y/z + n_z, and there the noise is uniform. All that a fit
+needs are sums over the window: of 1, x/z, y/z, 1/z, and of their products with each other. The sums slide down the
+image with the rows, and along each row.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Floats, compiled, in_slices
+
+Floats32 = NDArray[np.float32]
+
+LARGEST_WINDOW = 15  # its points can be counted in a byte
+FEWEST_NEIGHBOURS = 4
+# Spread of a window's pixels along its narrow side, in px²; a full window has 4, a single row 0.
+_NARROWEST = 0.5
+# What a strip of a tile's width needs stays in the processor's cache.
+_STRIP_ROWS, _TILE_COLUMNS = 64, 256
+
+
+@dataclass(frozen=True)
+class WindowPlanes:
+    """`normals` (H, W, 3) and `roughness` (H, W) in footprints, NaN where no plane could be fitted.
+
+    `count` (H, W): how many points the window of a point has, itself included; 0 where there is no point.
+    """
+
+    normals: Floats32
+    roughness: Floats32
+    count: NDArray[np.uint8]
+
+
+def window_planes(points: Floats32, focal_px: float, window: int) -> WindowPlanes:
+    """Planes through windows, odd and at most `LARGEST_WINDOW`, of points (H, W, 3), NaN where there is none."""
+    points = np.ascontiguousarray(points)
+    height, width = points.shape[:2]
+    normals, roughness = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
+    count = np.empty((height, width), np.uint8)
+
+    def fit(rows: slice) -> None:
+        for left in range(0, width, _TILE_COLUMNS):
+            right = min(left + _TILE_COLUMNS, width)
+            _fit_tile(points, rows.start, rows.stop, left, right, window // 2, focal_px, normals, roughness, count)
+
+    in_slices(height, _STRIP_ROWS, fit)
+    return WindowPlanes(normals, roughness, count)
+
+
+@compiled
+def _fit_tile(
+    points: Floats32,
+    top: int,
+    bottom: int,
+    left: int,
+    right: int,
+    half: int,
+    focal_px: float,
+    normals: Floats32,
+    roughness: Floats32,
+    count: NDArray[np.uint8],
+) -> None:
+    """Fill in what `WindowPlanes` has of rows from `top` to `bottom`, columns from `left` to `right`."""
+    window, width = 2 * half + 1, right - left
+    terms = np.zeros((window + 1, 4, width + 2 * half))  # of as many rows, in turn; the last stays zero
+    sums, totals = np.zeros((10, width + 2 * half)), np.empty((10, width))
+    normal, rough = np.empty((3, width)), np.empty(width)
+    for row in range(top - half, bottom + half):
+        place = row % window
+        entering = terms[place]
+        leaving = entering.copy()
+        entering[:] = 0.0
+        if 0 <= row < len(points):
+            _see(points[row], left - half, focal_px, entering)
+        _slide(sums, entering, leaving)
+        y = row - half
+        if y >= top:
+            _add_along(sums, totals, window)
+            centre = terms[y % window]
+            _solve(totals, centre[0, half:], centre[3, half:], focal_px, normal, rough)
+            for axis in range(3):
+                for i in range(width):
+                    normals[y, left + i, axis] = normal[axis, i]
+            for i in range(width):
+                roughness[y, left + i] = rough[i]
+            for i in range(width):
+                count[y, left + i] = np.uint8(totals[0, i] * centre[0, half + i] + 0.5)
+
+
+@compiled
+def _see(row: Floats32, left: int, focal_px: float, terms: Floats) -> None:
+    """Fill in 1, x/z, y/z in pixels, and 1/z (4, N) of the points from column `left`; zero where there is none."""
+    for i in range(max(0, -left), min(terms.shape[1], len(row) - left)):
+        inverse = 1.0 / np.float64(row[left + i, 2])
+        there = np.abs(inverse) < np.inf
+        terms[0, i] = 1.0 if there else 0.0
+        terms[1, i] = focal_px * row[left + i, 0] * inverse if there else 0.0
+        terms[2, i] = focal_px * row[left + i, 1] * inverse if there else 0.0
+        terms[3, i] = inverse if there else 0.0
+
+
+@compiled
+def _slide(sums: Floats, entering: Floats, leaving: Floats) -> None:
+    """Let the terms (4, N) of one row enter the sums (10, N) of their products, and those of another leave."""
+    number = 0
+    for j in range(4):
+        for k in range(j, 4):
+            products, a, b, c, d = sums[number], entering[j], entering[k], leaving[j], leaving[k]
+            for i in range(len(products)):
+                products[i] += a[i] * b[i] - c[i] * d[i]
+            number += 1
+
+
+@compiled
+def _add_along(sums: Floats, totals: Floats, window: int) -> None:
+    """Sums over so many neighbours (10, N + window − 1) → (10, N)."""
+    for number in range(0, len(sums), 2):  # two at a time, for each addition waits for the one before
+        one, other = sums[number], sums[number + 1]
+        total, another = 0.0, 0.0
+        for i in range(window - 1):
+            total += one[i]
+            another += other[i]
+        for i in range(totals.shape[1]):
+            total += one[i + window - 1]
+            another += other[i + window - 1]
+            totals[number, i] = total
+            totals[number + 1, i] = another
+            total -= one[i]
+            another -= other[i]
+
+
+@compiled
+def _solve(
+    totals: Floats, there: Floats, inverse_depth: Floats, focal_px: float, normal: Floats, roughness: Floats
+) -> None:
+    """Normals (3, N) of planes from windows' sums (10, N), and from which pixels are `there` (N,)."""
+    normal_x, normal_y, normal_z = normal[0], normal[1], normal[2]
+    sum_1, sum_x, sum_y, sum_w, sum_xx = totals[0], totals[1], totals[2], totals[3], totals[4]
+    sum_xy, sum_xw, sum_yy, sum_yw, sum_ww = totals[5], totals[6], totals[7], totals[8], totals[9]
+    for i in range(len(roughness)):
+        share = 1.0 / sum_1[i]
+        x, y, w = sum_x[i] * share, sum_y[i] * share, sum_w[i] * share
+        xx, xy, yy = sum_xx[i] * share - x * x, sum_xy[i] * share - x * y, sum_yy[i] * share - y * y
+        xw, yw, ww = sum_xw[i] * share - x * w, sum_yw[i] * share - y * w, sum_ww[i] * share - w * w
+        scale = 1.0 / (xx * yy - xy * xy)
+        a, b = (yy * xw - xy * yw) * scale, (xx * yw - xy * xw) * scale
+        c = w - a * x - b * y
+        narrow = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
+        fits = (there[i] > 0.0) & (sum_1[i] > FEWEST_NEIGHBOURS + 0.5) & (narrow > _NARROWEST)
+        length = np.sqrt((a * a + b * b) * focal_px * focal_px + c * c)
+        facing = -1.0 / length if fits else np.nan
+        normal_x[i] = a * focal_px * facing
+        normal_y[i] = b * focal_px * facing
+        normal_z[i] = c * facing
+        # A depth error of one footprint, z / f, changes 1/z by 1 / (f z).
+        rough = np.sqrt(max(ww - a * xw - b * yw, 0.0)) * focal_px / inverse_depth[i]
+        roughness[i] = rough if fits else np.nan

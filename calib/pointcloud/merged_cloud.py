@@ -1,0 +1,95 @@
+"""Clouds of several captures in one frame, that of the corner which all of them see."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Bools, Floats, Ints, in_pieces
+from calib.pointcloud.corner_view import View
+from calib.pointcloud.organised_cloud import Cloud
+from calib.pointcloud.voxel_grid import nearest_in_voxels
+
+
+@dataclass(frozen=True)
+class MergedCloud:
+    """Points in the corner's frame: origin at the vertex, axes along the legs, z along the most upright one.
+
+    `points` (N, 3) in `unit`, `colours` (N, 3) RGB, `normals` (N, 3) facing the camera that saw the point. `grid`: at
+    most one point in each cube with this edge. `turns`: for each capture, as of `View.in_corner`; `from_cameras`: for
+    each the pose (3, 4) that takes points of its camera's frame there.
+    """
+
+    points: NDArray[np.float32]
+    colours: NDArray[np.uint8]
+    normals: NDArray[np.float32]
+    unit: str
+    grid: float
+    turns: tuple[int, ...]
+    from_cameras: tuple[Floats, ...]
+
+    @property
+    def there(self) -> Bools:
+        """Which points are there, (N,): all."""
+        return np.ones(len(self.points), dtype=np.bool_)
+
+
+def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...]) -> MergedCloud:
+    """All clouds in the corner's frame; of points in one cube of the grid the one that is nearest to its camera.
+
+    The grid's edge is the distance between neighbouring camera pixels at the captures' median distance.
+    """
+    pixels = [np.flatnonzero(cloud.there) for cloud in clouds]
+    ends = np.cumsum([len(pixel) for pixel in pixels])
+    points, distance = np.empty((ends[-1], 3)), np.empty(ends[-1])
+    for cloud, view, turn, pixel, end in zip(clouds, views, turns, pixels, ends, strict=True):
+        own = slice(end - len(pixel), end)
+        _place(cloud, view, turn, pixel, points[own], distance[own])
+    grid = float(np.median([view.distance / np.mean(view.camera.focal_px) for view in views]))
+    kept = nearest_in_voxels(points, distance, grid)
+    normals, colours = np.empty((len(kept), 3), np.float32), np.empty((len(kept), 3), np.uint8)
+    for cloud, view, turn, pixel, end in zip(clouds, views, turns, pixels, ends, strict=True):
+        first = end - len(pixel)
+        own = slice(*np.searchsorted(kept, (first, end)))
+        _dress(cloud, view, turn, pixel.take(kept[own] - first), normals[own], colours[own])
+    return MergedCloud(
+        points.take(kept, axis=0).astype(np.float32),
+        colours,
+        normals,
+        clouds[0].unit,
+        grid,
+        turns,
+        tuple(_pose(view, turn) for view, turn in zip(views, turns, strict=True)),
+    )
+
+
+def _place(cloud: Cloud, view: View, turn: int, pixel: Ints, points: Floats, distance: Floats) -> None:
+    """Fill in the points (N, 3) of a cloud's pixels (N,) in the corner's frame, and their distances (N,)."""
+    seen = cloud.points.reshape(-1, 3)
+
+    def fill(at: slice) -> None:
+        in_camera = seen.take(pixel[at], axis=0).astype(np.float64)
+        points[at] = view.in_corner(in_camera, turn)
+        distance[at] = np.linalg.norm(in_camera, axis=1)
+
+    in_pieces(len(pixel), fill)
+
+
+def _dress(
+    cloud: Cloud, view: View, turn: int, pixel: Ints, normals: NDArray[np.float32], colours: NDArray[np.uint8]
+) -> None:
+    """Fill in the normals (N, 3), in the corner's frame, and the colours (N, 3) of a cloud's pixels (N,)."""
+    seen, painted = cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)
+
+    def fill(at: slice) -> None:
+        normals[at] = np.roll(seen.take(pixel[at], axis=0) @ view.axes.T, turn, axis=1)
+        colours[at] = painted.take(pixel[at], axis=0)
+
+    in_pieces(len(pixel), fill)
+
+
+def _pose(view: View, turn: int) -> Floats:
+    """The pose (3, 4) of a view's camera in the corner's frame."""
+    moved = view.in_corner(np.vstack([np.zeros(3), np.eye(3)]), turn)
+    return np.column_stack([(moved[1:] - moved[0]).T, moved[0]])

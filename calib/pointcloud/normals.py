@@ -1,0 +1,118 @@
+"""The surface through a grid of points: normals, and the points that lie on no surface at all.
+
+Almost everywhere a plane is fitted through a pixel's window, in inverse depth. Where the window crosses an occlusion
+edge, or holds too few points, the nearest neighbours in space are used instead: they lie on the pixel's own side of the
+edge.
+
+Lengths are judged in footprints: the distance that one pixel's step covers at the point's depth on a surface facing
+the camera. That makes them independent of the unit and of the scene's size.
+"""
+
+from dataclasses import dataclass
+from math import cos, radians
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from calib.numerics import Bools, Floats
+from calib.pointcloud.local_plane_fit import FEWEST_NEIGHBOURS, LARGEST_WINDOW, WindowPlanes, window_planes
+
+_SMALLEST_WINDOW = 7
+_WANTED_NORMAL_RAD = 0.05
+_NEIGHBOURS = 12
+# A surface seen at more than 85° from its normal cannot be told from an occlusion edge.
+_STEEPEST = 1 / cos(radians(85.0))
+_OUTLIER_SIGMAS = 6.0
+_SAMPLE = 200_000
+
+
+@dataclass(frozen=True)
+class Surface:
+    """`normals` (H, W, 3): of unit length and facing the camera, NaN where there is no point.
+
+    `isolated` (H, W): points without neighbours on a common surface.
+    """
+
+    normals: NDArray[np.float32]
+    isolated: Bools
+
+
+def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
+    """Normals of points (H, W, 3) on the camera's grid, NaN where there is none; `focal_px` is the camera's."""
+    planes, window = window_planes(points, focal_px, _SMALLEST_WINDOW), _SMALLEST_WINDOW
+    there = planes.count > 0
+    isolated = np.zeros(there.shape, dtype=np.bool_)
+    if not there.any():
+        return Surface(planes.normals, isolated)
+    noise, filled = _typical(planes)
+    wider = _window_for(noise, filled)
+    if wider > window:
+        planes, window = window_planes(points, focal_px, wider), wider
+        noise, filled = _typical(planes)
+    normals = planes.normals
+    hard = np.flatnonzero(there & ~(planes.roughness <= max(1.0, _OUTLIER_SIGMAS * noise)))
+    if len(hard):
+        spacing, cloud = max(1.0, window / float(np.sqrt(filled))), points.reshape(-1, 3)
+        reach = max(_STEEPEST * spacing, _OUTLIER_SIGMAS * noise) * cloud[hard, 2].astype(np.float64) / focal_px
+        marked = np.zeros(there.shape, np.uint8)
+        marked.flat[hard] = 1
+        nearby = np.asarray(cv2.dilate(marked, np.ones((2 * window + 1, 2 * window + 1), np.uint8)))
+        around = np.flatnonzero(there & (nearby > 0))
+        normals.reshape(-1, 3)[hard], isolated.flat[hard] = _neighbour_planes(cloud[hard], cloud[around], reach)
+    return Surface(normals, isolated)
+
+
+def scattered_surface(points: NDArray[np.float32]) -> Surface:
+    """The same of points that are too far apart for windows: every one counts, normals come from its neighbours."""
+    there = np.isfinite(points[..., 2])
+    normals = np.full_like(points, np.nan)
+    if there.any():
+        scattered = points[there]
+        normals[there] = _neighbour_planes(scattered, scattered, np.full(len(scattered), np.inf))[0]
+    return Surface(normals, np.zeros(there.shape, dtype=np.bool_))
+
+
+def _typical(planes: WindowPlanes) -> tuple[float, float]:
+    """The roughness of an ordinary window, in footprints, and how many points it has; of some of the windows."""
+    counts = planes.count.ravel()
+    places = np.arange(0, len(counts), max(1, int(np.count_nonzero(counts)) // _SAMPLE))
+    places = places[counts[places] > 0]
+    roughness, count = planes.roughness.ravel()[places], counts[places]
+    fitted = roughness[np.isfinite(roughness)]
+    return float(np.median(fitted)) if len(fitted) else 0.0, float(np.median(count))
+
+
+def _window_for(noise: float, count: float) -> int:
+    """The window, odd, in which points this rough give normals good to `_WANTED_NORMAL_RAD`.
+
+    A line through n points spread evenly over w px has a slope that errs by noise √12 / (w √n); `count` is that of the
+    smallest window, n grows with w².
+    """
+    per_side = float(np.sqrt(count)) / _SMALLEST_WINDOW
+    width = float(np.sqrt(np.sqrt(12.0) * noise / (_WANTED_NORMAL_RAD * per_side)))
+    return int(np.clip(2 * round((width - 1) / 2) + 1, _SMALLEST_WINDOW, LARGEST_WINDOW))
+
+
+def _neighbour_planes(
+    points: NDArray[np.float32], cloud: NDArray[np.float32], reach: Floats
+) -> tuple[NDArray[np.float32], Bools]:
+    """Normals (M, 3) of `points` (M, 3) from their nearest neighbours in `cloud`, and which of them have too few.
+
+    Neighbours farther than `reach` (M,) are on another surface.
+    """
+    tree = cKDTree(cloud, balanced_tree=False, compact_nodes=False)
+    distance, index = tree.query(points, k=_NEIGHBOURS + 1, workers=-1)
+    near = (distance <= reach[:, None]).astype(np.float64)
+    offsets: Floats = cloud[np.minimum(index, len(cloud) - 1)].astype(np.float64) - points[:, None]
+    weight: Floats = near.sum(axis=1)
+    mean = np.einsum("mk,mki->mi", near, offsets) / weight[:, None]
+    centred = (offsets - mean[:, None]) * near[..., None]
+    spread, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", centred, centred))
+    toward_camera = -points.astype(np.float64) / np.linalg.norm(points, axis=1, keepdims=True)
+    # Points on a line, or alone, have no normal of their own.
+    normals: Floats = np.where((spread[:, 1] > 0.01 * spread[:, 2])[:, None], axes[:, :, 0], toward_camera)
+    normals *= np.where(np.sum(normals * toward_camera, axis=1) < 0, -1.0, 1.0)[:, None]
+    isolated: Bools = weight < FEWEST_NEIGHBOURS + 1
+    return normals.astype(np.float32), isolated

@@ -1,0 +1,147 @@
+"""Matches → points on the camera's pixel grid: of those that share a pixel, the one whose rays meet best."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Calibration, Matches, intersect_rays
+from calib.numerics import Floats, Ints, by_columns, compiled, in_pieces, in_slices
+from calib.pointcloud.ray_residuals import Misses, expected_misses
+
+_SAMPLE = 100_000
+_CACHED = 1 << 13  # matches for which all that lies between stays in the processor's cache
+_STRIP_ROWS = 64
+# Places in the array of counts.
+_OUTSIDE, _BEHIND, _DISAGREEING, _SHARED, _FATES = 0, 1, 2, 3, 4
+
+
+@dataclass(frozen=True)
+class Organised:
+    """What became of matches: all of them are kept, or counted by why they were not.
+
+    `points` (H, W, 3) in the camera's frame, NaN where there is none; `residual_px` (H, W): that of the point, or of
+    one that was dropped for it, NaN where no rays met. `outside_image`, `behind`, `disagreeing`, `shared_pixel`: as of
+    `CloudStatistics`. `misses`: what was expected; `trend_px`: root mean square of their smooth part.
+    """
+
+    points: NDArray[np.float32]
+    residual_px: NDArray[np.float32]
+    outside_image: int
+    behind: int
+    disagreeing: int
+    shared_pixel: int
+    misses: Misses
+    trend_px: float
+
+
+def organise(matches: Matches, calibration: Calibration) -> Organised:
+    """Triangulate every match, judge whether its rays meet, and put its point at the camera's pixel."""
+    count, shape = len(matches), (calibration.camera.height, calibration.camera.width)
+    misses = _expected_misses(matches, calibration)
+    points, residual_px = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
+
+    def clear(rows: slice) -> None:
+        points[rows] = np.nan
+        residual_px[rows] = np.nan
+
+    def place(at: slice) -> tuple[Ints, float]:
+        fates, squared_trend = np.zeros(_FATES, np.int64), 0.0
+        for start in range(at.start, at.stop, _CACHED):
+            some = slice(start, min(start + _CACHED, at.stop))
+            camera_px = by_columns(matches.camera_px[some])
+            met = intersect_rays(camera_px, matches.projector_px[some], calibration)
+            trend_px = misses.trend_px(camera_px, met.foot_px, calibration)
+            squared_trend += _place(
+                camera_px.T, met.points.T, met.residual_px, trend_px, misses.limit_px, points, residual_px, fates
+            )
+        return fates, squared_trend
+
+    in_slices(shape[0], _STRIP_ROWS, clear)
+    # Otherwise two threads could put two points at one pixel at the same time.
+    side_by_side = _row_by_row(matches, calibration.camera.width)
+    placed = in_pieces(count, place) if side_by_side else [place(slice(0, count))]
+    fates = np.stack([fates for fates, _ in placed]).sum(axis=0)
+    agreeing = count - int(fates[[_OUTSIDE, _BEHIND, _DISAGREEING]].sum())
+    squared_trend = sum(squared for _, squared in placed)
+    return Organised(
+        points,
+        residual_px,
+        int(fates[_OUTSIDE]),
+        int(fates[_BEHIND]),
+        int(fates[_DISAGREEING]),
+        int(fates[_SHARED]),
+        misses,
+        float(np.sqrt(squared_trend / max(agreeing, 1))),
+    )
+
+
+def _expected_misses(matches: Matches, calibration: Calibration) -> Misses:
+    """From a sample: of millions of matches, so many say as much."""
+    step = max(1, len(matches) // _SAMPLE)
+    camera_px = by_columns(matches.camera_px[::step])
+    met = intersect_rays(camera_px, matches.projector_px[::step], calibration)
+    there = met.in_front
+    return expected_misses(camera_px[there], met.foot_px[there], met.residual_px[there], calibration)
+
+
+def _row_by_row(matches: Matches, width: int) -> bool:
+    """Whether matches are in the order of their camera's pixels, one for each, as a decoder gives them."""
+
+    def in_order(at: slice) -> bool:
+        return _increase(matches.camera_px[max(0, at.start - 1) : at.stop], width)
+
+    return all(in_pieces(len(matches), in_order))
+
+
+@compiled
+def _increase(camera_px: Floats, width: int) -> bool:
+    """Whether the numbers of pixels (N, 2) increase."""
+    last, wrong = -np.inf, 0
+    for i in range(len(camera_px)):
+        number = np.rint(camera_px[i, 1]) * width + np.rint(camera_px[i, 0])
+        wrong += number <= last
+        last = number
+    return wrong == 0
+
+
+@compiled
+def _place(
+    camera_px: Floats,
+    points: Floats,
+    residual_px: Floats,
+    trend_px: Floats,
+    limit_px: float,
+    grid: NDArray[np.float32],
+    grid_residual_px: NDArray[np.float32],
+    fates: Ints,
+) -> float:
+    """Put points (3, N) of camera pixels (2, N) on the grid, count those that are not kept.
+
+    Returns the sum of the squared trends of those that agree.
+    """
+    height, width = grid_residual_px.shape
+    squared_trend = 0.0
+    for i in range(len(residual_px)):
+        column, row, residual = np.rint(camera_px[0, i]), np.rint(camera_px[1, i]), residual_px[i]
+        if not (0 <= column < width and 0 <= row < height):
+            fates[_OUTSIDE] += 1
+        elif not np.isfinite(residual):
+            fates[_BEHIND] += 1
+        else:
+            x, y = int(column), int(row)
+            taken = not np.isnan(grid[y, x, 2])
+            # Where few matches hold the trend it may stray; rays that meet without its help are never dropped.
+            agrees = min(abs(residual - trend_px[i]), abs(residual)) <= limit_px
+            if agrees:
+                squared_trend += trend_px[i] * trend_px[i]
+                fates[_SHARED] += taken
+            else:
+                fates[_DISAGREEING] += 1
+            rounded = np.float32(residual)
+            if not taken or (agrees and abs(rounded) < abs(grid_residual_px[y, x])):
+                grid_residual_px[y, x] = rounded
+                if agrees:
+                    for axis in range(3):
+                        grid[y, x, axis] = points[axis, i]
+    return squared_trend

@@ -1,0 +1,65 @@
+"""A plane through points: least squares of the distances that outliers do not sway, with its covariance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Floats, Ints, biweight, robust_covariance
+
+_STEPS = 20
+_CONVERGED = 1e-10
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The points X with `normal` · X = `offset`; `normal` (3,) has unit length and faces the origin, so offset < 0.
+
+    `normal_covariance` (3, 3), singular along the normal. `residual` (N,): signed distance of each point, positive on
+    the origin's side.
+    """
+
+    normal: Floats
+    offset: float
+    normal_covariance: Floats
+    residual: Floats
+
+
+def fit_plane(points: Floats, cluster: Ints) -> Plane:
+    """Minimise the points' (N, 3) distances from the plane with Tukey's weights.
+
+    `cluster` (N,): labels from 0 of points whose errors may be alike. Raises ValueError for fewer than three points, or
+    if they are in a line.
+    """
+    if len(points) < 3:
+        raise ValueError(f"a plane needs three points, found {len(points)}")
+    weight, normal = np.ones(len(points)), np.zeros(3)
+    for _ in range(_STEPS):
+        centre = np.average(points, axis=0, weights=weight)
+        from_centre = points - centre
+        spread, axes = np.linalg.eigh((weight[:, None] * from_centre).T @ from_centre)
+        if not spread[1] > 1e-12 * spread[2]:
+            raise ValueError("the points are in a line, which many planes go through")
+        previous, normal = normal, axes[:, 0]
+        residual = from_centre @ normal
+        weight = biweight(residual)
+        if 1 - abs(previous @ normal) < _CONVERGED**2:
+            break
+    # In the plane's own axes the distance is off by a turn about either of them, or by a shift.
+    jacobian = np.column_stack([from_centre @ axes[:, 1:], np.ones(len(points))])
+    turns = robust_covariance(jacobian, residual, cluster)[:2, :2]
+    covariance = axes[:, 1:] @ turns @ axes[:, 1:].T
+    offset = float(normal @ centre)
+    sign = -1.0 if offset > 0 else 1.0
+    return Plane(sign * normal, sign * offset, covariance, sign * residual)
+
+
+def dihedral_angle_rad(first: Plane, second: Plane) -> tuple[float, float]:
+    """The angle between two faces, on the side of the origin, and its standard deviation, in radians.
+
+    In a room that is the angle of its corner; of a box seen from outside, its own angle is the full turn's rest.
+    """
+    cosine = float(np.clip(first.normal @ second.normal, -1, 1))
+    sine = float(np.sqrt(1 - cosine**2))
+    by_first, by_second = second.normal, first.normal
+    variance = by_first @ first.normal_covariance @ by_first + by_second @ second.normal_covariance @ by_second
+    return float(np.pi - np.arccos(cosine)), float(np.sqrt(variance)) / max(sine, 1e-12)

@@ -1,0 +1,101 @@
+"""Do the two rays of a match meet? Which misses are disagreements, and which are the calibration's.
+
+A miss has two causes. What the calibration leaves unexplained (mostly its lens model) varies smoothly over both
+images; what the decoder got wrong does not. Only the second is a reason to drop a point, so the smooth part is
+estimated from the matches themselves and taken off before judging.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import Calibration
+from calib.numerics import Floats, by_columns, compiled, robust_sigma
+
+_TREND_TERMS = 19
+_TREND_SAMPLE = 5_000
+_TREND_ITERATIONS = 10
+# Of normally distributed misses one in 500 million lies beyond six standard deviations.
+_OUTLIER_SIGMAS = 6.0
+# A wrong bit or fringe order moves a match by whole projector pixels; below one pixel it is noise, never a mistake.
+_FINEST_MISTAKE_PX = 1.0
+
+
+@dataclass(frozen=True)
+class Misses:
+    """What misses are to be expected: a smooth trend over both images, the calibration's, and noise, the decoder's.
+
+    `trend` (_TREND_TERMS,): coefficients of the cubics; `noise_px`: standard deviation of what remains; `limit_px`:
+    beyond it the rays of a match disagree. In projector pixels.
+    """
+
+    trend: Floats
+    noise_px: float
+    limit_px: float
+
+    def trend_px(self, camera_px: Floats, foot_px: Floats, calibration: Calibration) -> Floats:
+        """The smooth part of the misses (N,) of points at pixels (N, 2) of both devices."""
+        return _trend(self.trend, camera_px, foot_px, calibration)
+
+
+def expected_misses(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> Misses:
+    """Tell the decoder's noise from the calibration's smooth error.
+
+    `camera_px`, `foot_px` (N, 2) and `residual_px` (N,) of points in front of both devices, a sample from all over the
+    image. The scale is the median absolute deviation from the trend, so the limit follows the capture and needs no
+    setting.
+    """
+    trend = _smooth_trend(camera_px, foot_px, residual_px, calibration)
+    if not len(residual_px):
+        return Misses(trend, 0.0, _FINEST_MISTAKE_PX)
+    noise = robust_sigma(residual_px - _trend(trend, camera_px, foot_px, calibration))
+    return Misses(trend, noise, max(_OUTLIER_SIGMAS * noise, _FINEST_MISTAKE_PX))
+
+
+def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> Floats:
+    """A cubic in the camera's plus a cubic in the projector's coordinates, fitted robustly (Huber's weights)."""
+    solution: Floats = np.zeros(_TREND_TERMS)
+    count = len(residual_px)
+    if not count:
+        return solution
+    solution[0] = np.median(residual_px)
+    if count < 20 * _TREND_TERMS:
+        return solution
+    sample = np.random.default_rng(0).permutation(count)[:_TREND_SAMPLE]
+    camera_px, foot_px, observed = camera_px[sample], foot_px[sample], residual_px[sample]
+    one_term_each = np.eye(_TREND_TERMS)
+    basis = np.stack([_trend(term, camera_px, foot_px, calibration) for term in one_term_each])
+    solution[0] = np.median(observed)
+    for _ in range(_TREND_ITERATIONS):
+        error = np.abs(observed - solution @ basis)
+        huber = 1.5 * robust_sigma(error) + 1e-12
+        weighted = basis * (huber / np.maximum(huber, error))
+        # On a single plane the two images are one homography apart and the terms nearly dependent: least norm then.
+        solution = np.asarray(np.linalg.lstsq(weighted @ basis.T, weighted @ observed, rcond=1e-10)[0])
+    return solution
+
+
+def _trend(coefficients: Floats, camera_px: Floats, foot_px: Floats, calibration: Calibration) -> Floats:
+    """A constant and two cubics (_TREND_TERMS,) at pixels (N, 2) of both devices, scaled to −1 … 1: (N,)."""
+    camera, projector = calibration.camera, calibration.projector
+    scale = (2 / camera.width, 2 / camera.height, 2 / projector.width, 2 / projector.height)
+    trend = np.empty(len(camera_px))
+    _cubics(by_columns(camera_px).T, by_columns(foot_px).T, scale, tuple(coefficients.tolist()), trend)
+    return trend
+
+
+@compiled
+def _cubics(
+    camera_px: Floats, foot_px: Floats, scale: tuple[float, ...], coefficients: tuple[float, ...], trend: Floats
+) -> None:
+    """Fill in a constant, then x^i y^j up to degree 3, at pixels (2, N) of the camera, and of the projector."""
+    constant, ax, ay, axx, axy, ayy, axxx, axxy, axyy, ayyy, bx, by, bxx, bxy, byy, bxxx, bxxy, bxyy, byyy = (
+        coefficients
+    )
+    camera_x, camera_y, foot_x, foot_y = camera_px[0], camera_px[1], foot_px[0], foot_px[1]
+    for i in range(len(trend)):
+        x, y = camera_x[i] * scale[0] - 1.0, camera_y[i] * scale[1] - 1.0
+        camera = x * (ax + x * (axx + x * axxx + y * axxy) + y * (axy + y * axyy)) + y * (ay + y * (ayy + y * ayyy))
+        x, y = foot_x[i] * scale[2] - 1.0, foot_y[i] * scale[3] - 1.0
+        projector = x * (bx + x * (bxx + x * bxxx + y * bxxy) + y * (bxy + y * bxyy)) + y * (by + y * (byy + y * byyy))
+        trend[i] = constant + camera + projector

@@ -1,0 +1,129 @@
+"""Where in a cloud on the camera's pixel grid is a sphere of known radius?
+
+Random sample consensus (Fischler and Bolles 1981), with samples spread over the image: around seeds that are less than
+half the sphere's image apart, three points of a ring, through which there is one sphere of that radius that bulges
+towards the camera. Its score is the share of the sphere's image, sampled evenly, in which there is a point on it. Of a
+plane that is a quarter.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import Intrinsics
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Ints
+from calib.pointcloud.pixel_index import NONE, without_gaps
+
+# A smaller image has too few points for a shape.
+_SMALLEST_IMAGE_PX = 4.0
+_RING, _SAMPLES_PER_SEED = 0.6, 8
+# The outer part of the image is left out: there points are missing, or err most.
+_SCORED, _SCORED_POINTS = 0.85, 80
+_LEAST_SHARE = 0.6
+# Points count as on the sphere within this share of its radius: a scale that is some per cent wrong shall not hide it.
+_TOLERANCE, _TOLERANCE_SIGMAS, _LARGEST_TOLERANCE = 0.05, 3.0, 0.2
+_BATCH = 8192
+
+
+@dataclass(frozen=True)
+class OrganisedPoints:
+    """`points` (N, 3) in the camera's frame; `index` (H, W): which of them each pixel has, `NONE` for none."""
+
+    points: Floats
+    index: Ints
+    camera: Intrinsics
+
+    def at(self, pixels: Floats) -> Ints:
+        """Indices of the points at pixels (..., 2), rounded; `NONE` where there is none or outside of the image."""
+        with np.errstate(invalid="ignore"):
+            inside = np.all((pixels > -0.5) & (pixels < (self.camera.width - 0.5, self.camera.height - 0.5)), axis=-1)
+        column, row = np.moveaxis(np.rint(np.where(inside[..., None], pixels, 0)).astype(np.int64), -1, 0)
+        return np.where(inside, self.index[row, column], NONE)
+
+
+def find_sphere(cloud: OrganisedPoints, radius: float, free: Bools, rng: np.random.Generator) -> Floats | None:
+    """The centre (3,) of the sphere of this radius that the most of its image agrees with, or None if there is none.
+
+    Only points that are `free` (N,) take part.
+    """
+    index = np.where((cloud.index != NONE) & free[cloud.index], cloud.index, NONE)
+    noise = _depth_noise(OrganisedPoints(cloud.points, index, cloud.camera))
+    cloud = OrganisedPoints(cloud.points, without_gaps(index), cloud.camera)
+    best, best_share = None, _LEAST_SHARE
+    for centres in _candidates(cloud, radius, rng):
+        shares = _shares(cloud, centres, radius, noise)
+        if len(shares) and shares.max() > best_share:
+            best, best_share = centres[int(np.argmax(shares))], float(shares.max())
+    return best
+
+
+def image_radius_px(camera: Intrinsics, depth: Floats, radius: float) -> Floats:
+    """Radius in pixels of a sphere's image at depths (N,)."""
+    pixels: Floats = np.mean(camera.focal_px) * radius / depth
+    return pixels
+
+
+def _depth_noise(cloud: OrganisedPoints) -> float:
+    """Standard deviation of depth at a depth of 1 from second differences along the rows; it grows with the square."""
+    left, middle, right = cloud.index[:, :-2], cloud.index[:, 1:-1], cloud.index[:, 2:]
+    there = (left != NONE) & (middle != NONE) & (right != NONE)
+    z = cloud.points[:, 2]
+    bend = (z[left[there]] - 2 * z[middle[there]] + z[right[there]]) / z[middle[there]] ** 2
+    return SIGMA_PER_MEDIAN * float(np.median(np.abs(bend))) / np.sqrt(6) if len(bend) else 0.0
+
+
+def _seeds(cloud: OrganisedPoints, radius: float) -> Ints:
+    """Points on lattices whose step is a quarter to half of what the sphere's image would measure there, (S,)."""
+    row, column = np.nonzero(cloud.index != NONE)
+    seed = cloud.index[row, column]
+    image = image_radius_px(cloud.camera, cloud.points[seed, 2], radius)
+    step = 2 ** np.floor(np.log2(np.maximum(image, 2) / 2)).astype(np.int64)
+    chosen = (image >= _SMALLEST_IMAGE_PX) & (row % step == step // 2) & (column % step == step // 2)
+    seeds: Ints = seed[chosen]
+    return seeds
+
+
+def _candidates(cloud: OrganisedPoints, radius: float, rng: np.random.Generator) -> list[Floats]:
+    """Centres in batches (M, 3) of the spheres through three points of a ring around each seed."""
+    seeds = np.repeat(_seeds(cloud, radius), _SAMPLES_PER_SEED)
+    batches = []
+    for start in range(0, len(seeds), _BATCH):
+        seed = seeds[start : start + _BATCH]
+        ring = _RING * image_radius_px(cloud.camera, cloud.points[seed, 2], radius)
+        angle = rng.uniform(0, 2 * np.pi, len(seed))[:, None] + 2 * np.pi / 3 * np.arange(3)
+        offset = ring[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        corner = cloud.at(cloud.camera.project(cloud.points[seed])[:, None] + offset)
+        corner = corner[np.all(corner != NONE, axis=1)]
+        batches.append(_centres(cloud.points[corner], radius))
+    return batches
+
+
+def _centres(triples: Floats, radius: float) -> Floats:
+    """Centres of spheres through triples (M, 3, 3) of points, behind them as seen from the origin; fewer if some are
+    too far apart."""
+    a, b, c = np.moveaxis(triples, 1, 0)
+    ab, ac = b - a, c - a
+    normal = np.cross(ab, ac)
+    size2 = np.sum(normal**2, axis=1)
+    ab2, ac2 = np.sum(ab**2, axis=1)[:, None], np.sum(ac**2, axis=1)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to_centre = (np.cross(normal, ab) * ac2 + np.cross(ac, normal) * ab2) / (2 * size2)[:, None]
+        height2 = radius**2 - np.sum(to_centre**2, axis=1)
+        away = normal * (np.sign(np.sum(normal * a, axis=1)) / np.sqrt(size2))[:, None]
+    good = height2 > 0
+    centres: Floats = (a + to_centre)[good] + np.sqrt(height2[good])[:, None] * away[good]
+    return centres
+
+
+def _shares(cloud: OrganisedPoints, centres: Floats, radius: float, noise: float) -> Floats:
+    """The share of each sphere's image in which there is a point on the sphere, (M,)."""
+    count = np.arange(_SCORED_POINTS) + 0.5
+    spiral = np.sqrt(count / _SCORED_POINTS), np.pi * (1 + np.sqrt(5)) * count  # evenly over a disc (Vogel 1979)
+    disc = _SCORED * spiral[0][:, None] * np.stack([np.cos(spiral[1]), np.sin(spiral[1])], axis=-1)
+    image = image_radius_px(cloud.camera, centres[:, 2], radius)
+    point = cloud.at(cloud.camera.project(centres)[:, None] + image[:, None, None] * disc)
+    off = np.abs(np.linalg.norm(cloud.points[point] - centres[:, None], axis=2) - radius)
+    tolerance = np.maximum(_TOLERANCE * radius, _TOLERANCE_SIGMAS * noise * centres[:, 2] ** 2)
+    tolerance = np.minimum(tolerance, _LARGEST_TOLERANCE * radius)
+    shares: Floats = np.mean((point != NONE) & (off < tolerance[:, None]), axis=1)
+    return shares

@@ -1,0 +1,51 @@
+"""Points thinned out: of those in one cube of a grid, a single one."""
+
+import numpy as np
+
+from calib.numerics import Bools, Floats, Ints, compiled
+
+_INDEX_BITS = 32
+_INDEX, _TAG = (1 << _INDEX_BITS) - 1, (1 << 31) - 1
+# Teschner et al., "Optimized spatial hashing", 2003; and 2⁶⁴ over the golden ratio, as a signed number (Knuth).
+_PRIMES = (73856093, 19349663, 83492791)
+_GOLDEN = -7046029254386353131
+
+
+def nearest_in_voxels(points: Floats, distance: Floats, size: float) -> Ints:
+    """Of finite points (N, 3) in each cube of a grid with edges of `size`, the one with the least `distance` (N,).
+
+    Their indices in order, (M,); of several that are equally near it is the first. Up to 2³² points.
+    """
+    slots = np.zeros(1 << int(np.ceil(np.log2(1.5 * len(points) + 1))), np.int64)
+    _enter(points, distance, size, slots)
+    kept = np.zeros(len(points), np.bool_)
+    _mark(slots, kept)
+    return np.flatnonzero(kept)
+
+
+@compiled
+def _enter(points: Floats, distance: Floats, size: float, slots: Ints) -> None:
+    """Enter points into a hash table with open addressing: in each slot a tag and a point's index from 1, or 0."""
+    last = len(slots) - 1
+    for i in range(len(points)):
+        x, y, z = np.floor(points[i, 0] / size), np.floor(points[i, 1] / size), np.floor(points[i, 2] / size)
+        mixed = ((int(x) * _PRIMES[0]) ^ (int(y) * _PRIMES[1]) ^ (int(z) * _PRIMES[2])) * _GOLDEN
+        slot, tag = (mixed >> _INDEX_BITS) & last, mixed & _TAG
+        while slots[slot] != 0:
+            other = (slots[slot] & _INDEX) - 1
+            if slots[slot] >> _INDEX_BITS == tag and (
+                x == np.floor(points[other, 0] / size)
+                and y == np.floor(points[other, 1] / size)
+                and z == np.floor(points[other, 2] / size)
+            ):
+                break
+            slot = (slot + 1) & last
+        if slots[slot] == 0 or distance[i] < distance[(slots[slot] & _INDEX) - 1]:
+            slots[slot] = (tag << _INDEX_BITS) | (i + 1)
+
+
+@compiled
+def _mark(slots: Ints, kept: Bools) -> None:
+    for entry in slots:
+        if entry != 0:
+            kept[(entry & _INDEX) - 1] = True

@@ -1,0 +1,24 @@
+"""The maximum-likelihood estimate: matches in cells, the model, its Jacobian, the sweep, the profile, lens terms."""
+
+from calib.refinement.distortion_from_planes import Straightened
+from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins
+from calib.refinement.further_planes import with_further_planes
+from calib.refinement.likelihood import Fit, Knowledge, Prior, evaluate
+from calib.refinement.match_cells import Cells, into_cells
+from calib.refinement.parameters import (
+    CAMERA,
+    PER_CORNER,
+    PER_POSE,
+    PROJECTOR,
+    ROTATION,
+    SHARED,
+    TRANSLATION,
+    Pose,
+    State,
+    intrinsic_distance,
+    predict,
+)
+from calib.refinement.photo_starts import photo_family
+from calib.refinement.profile_likelihood import covariance_of, inverse_of
+from calib.refinement.refine import Refinement, explore, refine, settle, thin
+from calib.refinement.shared_corner import is_anticlockwise, oriented, reflected

@@ -1,0 +1,179 @@
+"""The camera's focal length swept over its whole range: at each trial the best fit of everything else.
+
+Seen along the focal length the likelihood has several minima: a twin whose focals are a quarter too long can fit almost
+as well. At each trial the paper's transfer gives a start, so that no minimum depends on a guess.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from calib.closed_form import Objective, Transfer, objective_for
+from calib.numerics import Floats
+from calib.refinement.distortion_from_planes import Straightened, straighten
+from calib.refinement.likelihood import Fit, Knowledge, evaluate
+from calib.refinement.match_cells import Cells
+from calib.refinement.parameters import CAMERA, PROJECTOR, Pose, State
+from calib.refinement.profile_minimiser import relax
+
+SWEEP_CELLS = 200
+HOPELESS = 4.0  # minima with this many times the lowest cost are not followed
+_SIGMA_PX = 0.05  # what a decoder typically leaves unexplained; the measured value takes its place afterwards
+_TOLERANCE, _STEPS = 1.0, 10
+
+
+class Starts(Protocol):
+    """Where the sweep starts from."""
+
+    def starts(self, focal_px: Floats) -> list[list[State]]:
+        """For each focal (n,) some states."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """The paper's one-dimensional family of solutions for one capture, from `straightened` matches."""
+
+    objective: Objective
+    straightened: Straightened
+
+    def starts(self, focal_px: Floats) -> list[list[State]]:
+        """For each camera focal (n,) the solutions, at most two, that put the matches in front of both devices."""
+        transfers, in_front = self.objective.forward(focal_px, nearest=True)
+        usable = in_front & np.isfinite(transfers.matrix).all(axis=(1, 2))
+        count = len(focal_px)
+        return [
+            [self._state(transfers, i, float(focal)) for i in (trial, count + trial) if usable[i]]
+            for trial, focal in enumerate(focal_px)
+        ]
+
+    def _state(self, transfers: Transfer, i: int, focal: float) -> State:
+        """Solution number i as a state: exactly square, with one radial term for each lens."""
+        baseline = np.linalg.norm(transfers.translation[i])
+        matrix = transfers.matrix[i]
+        projector_focal = np.sqrt(matrix[0, 0] * matrix[1, 1])
+        bends = self.straightened.camera_bend * focal**2, self.straightened.projector_bend * projector_focal**2
+        return State(
+            np.array([focal, *self.objective.principal_point_px, bends[0], 0.0]),
+            np.array([projector_focal, matrix[0, 2], matrix[1, 2], bends[1], 0.0]),
+            transfers.rotation[i],
+            transfers.translation[i] / baseline,
+            np.zeros((1, 3)),
+            (Pose(transfers.normals[i], transfers.vertex[i] / baseline),),
+        )
+
+
+def family_of(cells: Cells, knowledge: Knowledge) -> Family:
+    """Prepare the family for one capture. Raises TooFewMatchesError below four cells on a face."""
+    width, height = knowledge.projector_size
+    straightened = straighten(cells, knowledge.principal_point_px, ((width - 1) / 2, (height - 1) / 2))
+    return Family(objective_for(straightened.matches, knowledge.principal_point_px), straightened)
+
+
+def sweep_one(cells: Cells, family: Starts, focal_px: Floats, knowledge: Knowledge) -> list[Fit | None]:
+    """The best fit of one capture with the focal held at each trial (n,); None where there is none.
+
+    Up to three starts for each: both of the paper's solutions, which may lie on other branches, and the fit at the
+    trial before.
+    """
+    fits: list[Fit | None] = []
+    last: State | None = None
+    hopeless = np.inf
+    for focal, starts in zip(focal_px, family.starts(focal_px), strict=True):
+        fit = _best([cells], starts, last, float(focal), knowledge, hopeless)
+        if fit:
+            last, hopeless = fit.state, min(hopeless, HOPELESS * (fit.cost + len(cells)))
+        fits.append(fit)
+    return fits
+
+
+def sweep_jointly(
+    captures: Sequence[Cells], alone: Sequence[Sequence[Fit | None]], focal_px: Floats, knowledge: Knowledge
+) -> list[Fit | None]:
+    """The best joint fit at each trial (n,) from the fits of each capture alone; None where there is none.
+
+    Together captures never fit better than each alone, so trials that are hopeless already without the bond of the
+    common rig are left out.
+    """
+    fits: list[Fit | None] = [None] * len(focal_px)
+    bounds = np.array([sum(fit.cost if fit else np.inf for fit in trial) for trial in zip(*alone, strict=True)])
+    lowest, count = np.inf, sum(len(cells) for cells in captures)
+    for trial in np.argsort(bounds):
+        if not bounds[trial] < HOPELESS * (lowest + count):
+            break
+        states = [fit.state for fits_alone in alone if (fit := fits_alone[trial])]
+        solved = [i for i, fit in enumerate(fits) if fit]
+        nearest = fits[min(solved, key=lambda i: abs(i - trial))] if solved else None
+        starts = _most_promising(captures, [_combined(shared, states) for shared in states], knowledge)
+        fit = _best(captures, starts, nearest.state if nearest else None, float(focal_px[trial]), knowledge)
+        fits[trial] = fit
+        lowest = min(lowest, fit.cost if fit else np.inf)
+    return fits
+
+
+def twins(cells: Cells, family: Starts, fit: Fit, knowledge: Knowledge) -> list[Fit]:
+    """Fits at the focal of a fit of one capture, from both of the paper's solutions there."""
+    (starts,) = family.starts(np.array([fit.state.camera[0]]))
+    prior = knowledge.prior(fit.state).holding(CAMERA.start)
+    variances = [np.full(len(cells), _SIGMA_PX**2)]
+    return [relax([cells], state, prior, variances) for state in starts]
+
+
+def minima(sweep: Sequence[Fit | None]) -> list[Fit]:
+    """Local minima of a sweep along the focal length, ends included, best first, without the hopeless ones."""
+    fits = [fit for fit in sweep if fit]
+    costs = np.array([np.inf, *(fit.cost for fit in fits), np.inf])
+    low = [fit for i, fit in enumerate(fits) if costs[i + 1] <= costs[i] and costs[i + 1] <= costs[i + 2]]
+    low.sort(key=_cost)
+    count = sum(len(residual) for residual in low[0].residuals) if low else 0
+    return [fit for fit in low if fit.cost <= HOPELESS * (low[0].cost + count)]
+
+
+def at_focal(state: State, focal: float) -> State:
+    """A state moved to another camera focal, the projector's in proportion."""
+    step = np.zeros(state.size)
+    step[CAMERA.start] = step[PROJECTOR.start] = np.log(focal / state.camera[0])
+    return state.moved(step)
+
+
+def _best(
+    captures: Sequence[Cells],
+    starts: list[State],
+    last: State | None,
+    focal: float,
+    knowledge: Knowledge,
+    hopeless: float = np.inf,
+) -> Fit | None:
+    """The best of the fits, with the focal held, from the starts and from the fit at another trial.
+
+    Rough where the cost is above `hopeless`.
+    """
+    tried = starts + ([at_focal(last, focal)] if last else [])
+    if not tried:
+        return None
+    prior = knowledge.prior(tried[0]).holding(CAMERA.start)
+    variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
+    best: Fit | None = None
+    for state in reversed(tried):  # the fit at another trial is mostly the one to beat
+        ceiling = min(best.cost, hopeless) if best else hopeless
+        fit = relax(captures, state, prior, variances, tolerance=_TOLERANCE, steps=_STEPS, ceiling=ceiling)
+        if fit.cost < (best.cost if best else np.inf):
+            best = fit
+    return best
+
+
+def _most_promising(captures: Sequence[Cells], starts: list[State], knowledge: Knowledge) -> list[State]:
+    prior = knowledge.prior(starts[0])
+    variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
+    return sorted(starts, key=lambda state: evaluate(captures, state, prior, variances).cost)[:1]
+
+
+def _cost(fit: Fit) -> float:
+    return fit.cost
+
+
+def _combined(shared: State, alone: Sequence[State]) -> State:
+    """All captures, each with its own corner, before the rig of one of them."""
+    poses = tuple(replace(state.poses[0], corner=i) for i, state in enumerate(alone))
+    return replace(shared, off_square=np.concatenate([state.off_square for state in alone]), poses=poses)

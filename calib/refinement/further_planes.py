@@ -1,0 +1,119 @@
+"""Planes beside the corner that are parallel or perpendicular to its faces: further constraints, with a test.
+
+The top of a box is level with the floor, the front of a cupboard stands along a wall. Each such plane is square to the
+corner within half a degree or so, and its homography is one more measurement of the rig. Which planes qualify is seen
+from a solution without them; one that then pulls at the angles is left out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.geometry import FACES, Matches, nearest_depths, unproject
+from calib.numerics import Floats, Ints, compiled
+from calib.refinement.match_cells import Cells, into_cells, joined
+from calib.refinement.parameters import FurtherPlane, State
+
+SIGMA_DEG = 0.5  # how square furniture stands to walls, and boxes to themselves
+_CANDIDATE_DEG = 2.0
+_LEAST_MATCHES = 400
+_TENSION = 3.0  # sigmas of a tilt
+
+
+def with_further_planes(
+    captures: Sequence[Cells], matches: Sequence[Matches], planes: Sequence[Ints], state: State
+) -> tuple[list[Cells], State]:
+    """Captures with the cells of further planes, labelled 3 and up, and the state with those planes.
+
+    `planes`: for each capture, which plane each match (N,) is on, −1 for none; those that hold faces are passed over.
+    """
+    extended, poses = [], []
+    for i, (cells, points, label) in enumerate(zip(captures, matches, planes, strict=True)):
+        pose = state.poses[i]
+        for candidate in _candidates(points, label):
+            part = into_cells(points, (candidate,), label)
+            plane = _square_plane(part, state, i)
+            if plane is not None:
+                number = len(FACES) + len(pose.planes)
+                pose = replace(pose, planes=(*pose.planes, plane))
+                cells = joined(cells, replace(part, plane=np.full(len(part), number, np.int32)))
+        extended.append(cells)
+        poses.append(pose)
+    return extended, replace(state, poses=tuple(poses))
+
+
+def strained(state: State) -> list[tuple[int, int]]:
+    """(capture, number of the plane among its further ones) of planes that are not as square as they should be."""
+    return [
+        (i, j)
+        for i, pose in enumerate(state.poses)
+        for j, plane in enumerate(pose.planes)
+        if np.any(np.abs(plane.tilt) > _TENSION * np.array(plane.tilt_sigma))
+    ]
+
+
+def without(captures: Sequence[Cells], state: State, planes: list[tuple[int, int]]) -> tuple[list[Cells], State]:
+    """Captures and state without some of the further planes."""
+    reduced, poses = [], []
+    for i, (cells, pose) in enumerate(zip(captures, state.poses, strict=True)):
+        left = [j for j in range(len(pose.planes)) if (i, j) not in planes]
+        number = np.full(len(FACES) + len(pose.planes), -1, np.int32)
+        number[[*FACES, *(len(FACES) + j for j in left)]] = np.arange(len(FACES) + len(left))
+        renumbered = replace(cells, plane=number[cells.plane])
+        reduced.append(renumbered[renumbered.plane >= 0])
+        poses.append(replace(pose, planes=tuple(pose.planes[j] for j in left)))
+    return reduced, replace(state, poses=tuple(poses))
+
+
+def _candidates(matches: Matches, plane: Ints) -> list[int]:
+    """Planes with enough matches, none of which is on a face."""
+    assert matches.face is not None
+    counts = np.zeros((max(int(plane.max(initial=-1)), 0) + 1, 2), np.int64)
+    _count(np.ascontiguousarray(plane, np.int32), np.ascontiguousarray(matches.face, np.int32), counts)
+    return [int(label) for label in np.flatnonzero((counts[:, 0] >= _LEAST_MATCHES) & (counts[:, 1] == 0))]
+
+
+@compiled
+def _count(plane: Ints, face: Ints, counts: Ints) -> None:
+    """For each plane (P, 2) the number of matches on it, and of those that are on a face as well."""
+    for i in range(len(plane)):
+        if plane[i] >= 0:
+            counts[plane[i], 0] += 1
+            counts[plane[i], 1] += face[i] >= 0
+
+
+def _square_plane(cells: Cells, state: State, capture: int) -> FurtherPlane | None:
+    """The plane through the cells' points, if it is parallel or perpendicular to a face; None if it is not."""
+    pose = state.poses[capture]
+    rays, _ = unproject(state.camera, cells.camera_px)
+    depth = depths(state, rays, cells.projector_px)
+    if not np.all(depth > 0):
+        return None
+    points = rays * depth[:, None]
+    centre = points.mean(axis=0)
+    normal: Floats = pose.frame @ np.linalg.svd(points - centre)[2][2]
+    angles = np.degrees(np.arcsin(np.minimum(np.abs(normal), 1.0)))  # from each face: 90 parallel, 0 perpendicular
+    parallel, across = int(np.argmax(angles)), int(np.argmin(angles))
+    sigma = float(np.radians(SIGMA_DEG))
+    if angles[parallel] > 90 - _CANDIDATE_DEG:
+        axes, sigmas = np.roll(np.eye(3), -parallel, axis=0), (sigma, sigma)
+    elif angles[across] < _CANDIDATE_DEG:
+        level = normal.copy()
+        level[across] = 0.0
+        level /= np.linalg.norm(level)
+        upright = np.eye(3)[across]
+        axes, sigmas = np.stack([level, np.cross(upright, level), upright]), (np.inf, sigma)
+    else:
+        return None
+    if normal @ axes[0] < 0:
+        normal = -normal
+    tilt = axes[1:] @ normal / (axes[0] @ normal)
+    height = float((normal @ pose.frame) @ (centre - pose.vertex))
+    return FurtherPlane(axes, tilt, height, sigmas)
+
+
+def depths(state: State, rays: Floats, projector_px: Floats) -> Floats:
+    """Depths (N,) along the camera's rays (N, 3) at which they come nearest to the projector's."""
+    directions, _ = unproject(state.projector, projector_px)
+    return nearest_depths(rays @ state.rotation.T, directions, state.translation)[0]

@@ -1,0 +1,202 @@
+"""Many matches on a plane → few equivalent ones, so that the refinement costs the same for 10⁴ and 10⁷ matches.
+
+Over a cell of some tens of camera pixels the mean deviation from the plane's homography carries everything that the
+cell's matches say. What a lens does beyond the homography is curved within a cell; a polynomial that follows it keeps
+the mean from being biased by that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from calib.geometry import FACES, Matches, TooFewMatchesError, homography_between, mapped, normalisation
+from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, evenly, in_parallel
+from calib.refinement.cell_sums import Extent, Raster, Reference, extents, polynomial_at, slots, sums_over_cells
+from calib.refinement.image_polynomial import CONIC, TERMS, coefficients_of, monomials
+
+_CELLS_PER_PLANE = 200
+_SAMPLE = 20_000
+_TYPICAL_SAMPLE = 100_000
+_SMALL_SAMPLE = 1_000
+_SPARSE = 0.2
+_OUTLIER_SIGMAS = 4.0
+_CUTS = 4
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Means of matches over cells of the camera image.
+
+    `camera_px`, `projector_px`: (M, 2). `plane`: (M,) the label of the matches. `sigma_px`: (M,) standard error of each
+    coordinate of `projector_px` if matches err independently; `coarseness`: (M,) the stated sigma of the cell's matches
+    over that of a typical match, 1 if none is stated. `noise_px`: scatter of a typical match. `rejected`: share of
+    matches that were left out as outliers.
+    """
+
+    camera_px: Floats
+    projector_px: Floats
+    plane: Ints
+    sigma_px: Floats
+    coarseness: Floats
+    noise_px: float
+    rejected: float
+
+    def __len__(self) -> int:
+        return len(self.plane)
+
+    def as_matches(self) -> Matches:
+        """The means on the faces as matches."""
+        return Matches(self.camera_px, self.projector_px, np.where(self.plane < len(FACES), self.plane, -1))
+
+    def __getitem__(self, chosen: Bools | slice) -> "Cells":
+        """The cells at a mask or slice."""
+        return Cells(
+            self.camera_px[chosen],
+            self.projector_px[chosen],
+            self.plane[chosen],
+            self.sigma_px[chosen],
+            self.coarseness[chosen],
+            self.noise_px,
+            self.rejected,
+        )
+
+
+def joined(a: Cells, b: Cells) -> Cells:
+    """The cells of both; noise and rejected share are those of the first."""
+    return replace(
+        a,
+        camera_px=np.concatenate([a.camera_px, b.camera_px]),
+        projector_px=np.concatenate([a.projector_px, b.projector_px]),
+        plane=np.concatenate([a.plane, b.plane]),
+        sigma_px=np.concatenate([a.sigma_px, b.sigma_px]),
+        coarseness=np.concatenate([a.coarseness, b.coarseness]),
+    )
+
+
+def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | None = None) -> Cells:
+    """Average the matches with each label over cells, without those that deviate from the others around them.
+
+    `plane` (N,): other labels than those of the faces. Raises TooFewMatchesError if a label has fewer than four.
+    """
+    label = matches.face if plane is None else plane
+    if label is None:
+        raise ValueError("these matches have no face labels")
+    slot = slots(labels)
+    reach = extents(matches.camera_px, label, slot)
+    for name, extent in zip(labels, reach, strict=True):
+        if extent.count < 4:
+            raise TooFewMatchesError(f"face {name} has {extent.count} matches; a homography needs at least four")
+    typical = _typical_sigma(matches, np.isin(label, labels))
+    samples = [matches[evenly(label == name, _SAMPLE)] for name in labels]
+    references = in_parallel(lambda sample: _reference(sample, typical), samples)
+    rasters = [_raster(extent) for extent in reach]
+    limits = [(_OUTLIER_SIGMAS * reference.sigma) ** 2 for reference in references]
+    sums = sums_over_cells(matches, label, slot, references, rasters, limits, typical)
+    means = [_means(*each) for each in zip(labels, sums, samples, references, rasters, strict=True)]
+
+    squares, freedom = (sum(mean.scatter[i] for mean in means) for i in (0, 1))
+    noise = max(float(np.sqrt(squares / max(freedom, 1.0))), 1e-6)
+    return Cells(
+        np.concatenate([mean.camera_px for mean in means]),
+        np.concatenate([mean.projector_px for mean in means]),
+        np.concatenate([mean.plane for mean in means]),
+        noise / np.sqrt(np.concatenate([mean.weight for mean in means])),
+        np.concatenate([mean.coarseness for mean in means]),
+        noise,
+        1.0 - sum(mean.kept for mean in means) / sum(extent.count for extent in reach),
+    )
+
+
+def _typical_sigma(matches: Matches, chosen: Bools) -> float:
+    """The sigma that a match of weight 1 has: the median of what is stated for (some of) them, 1 if nothing is."""
+    if matches.sigma_px is None:
+        return 1.0
+    return float(np.median(matches.sigma_px[evenly(chosen, _TYPICAL_SAMPLE)]))
+
+
+@dataclass(frozen=True)
+class _Means:
+    """Of one plane, by cells (M,); `scatter`: sum of squared deviations of both coordinates, degrees of freedom."""
+
+    camera_px: Floats
+    projector_px: Floats
+    plane: Ints
+    weight: Floats
+    coarseness: Floats
+    scatter: tuple[float, float]
+    kept: int
+
+
+def _means(label: int, sums: Floats, sample: Matches, reference: Reference, raster: Raster) -> _Means:
+    """The means over the cells of one plane from the sums over them."""
+    count = sums[:, 0]
+    # A cell far emptier than the one that a typical match is in holds stray labels, not a piece of the plane.
+    full = np.sort(count[count > 0])
+    typical = full[np.searchsorted(np.cumsum(full), full.sum() / 2)]
+    filled = np.flatnonzero(count >= max(1.0, _SPARSE * typical))
+    sums = sums[filled]
+    count, weight = sums[:, 0], sums[:, 1]
+    camera_px, offset = sums[:, 2:4] / weight[:, None], sums[:, 4:6] / weight[:, None]
+    return _Means(
+        camera_px,
+        reference.straight(camera_px) + offset - _bias(sample, reference, raster)[filled],
+        np.full(len(filled), label, np.int32),
+        weight,
+        np.sqrt(count / weight),
+        (float(sums[:, 6].sum()), max(2.0 * count.sum() - 2 * TERMS, 1.0)),
+        int(count.sum()),
+    )
+
+
+def _bias(sample: Matches, reference: Reference, raster: Raster) -> Floats:
+    """By how much the polynomial's mean over a cell's matches exceeds its value at their mean, (cells, 2)."""
+    cell, size = raster.number(sample.camera_px), len(raster)
+    count = np.maximum(np.bincount(cell, minlength=size), 1)[:, None]
+
+    def mean(values: Floats) -> Floats:
+        return np.stack([np.bincount(cell, column, minlength=size) for column in values.T], axis=1) / count
+
+    return mean(reference.curved(sample.camera_px)) - reference.curved(mean(sample.camera_px))
+
+
+def _reference(sample: Matches, typical_sigma_px: float) -> Reference:
+    """Homography and polynomial through a plane's matches, whatever a minority of them says."""
+    weight = np.ones(len(sample)) if sample.sigma_px is None else (typical_sigma_px / sample.sigma_px) ** 2
+    inside = _near_a_homography(sample)
+    homography = homography_between(sample.camera_px[inside], sample.projector_px[inside])
+    offset = sample.projector_px - mapped(homography, sample.camera_px)
+    scale = normalisation(sample.camera_px)
+    terms = monomials(sample.camera_px, scale).T
+    if inside.sum() < 3 * TERMS:
+        terms[CONIC:] = 0.0  # too few matches for more
+    for _ in range(_CUTS):
+        coefficients = coefficients_of(terms, offset, weight * inside)
+        deviation = offset - polynomial_at(coefficients, scale, sample.camera_px)
+        size = np.sqrt(weight * (deviation[:, 0] ** 2 + deviation[:, 1] ** 2))
+        # A polynomial through few matches follows them; its freedom is given back.
+        freedom = max(1.0 - np.count_nonzero(terms.any(axis=1)) / max(inside.sum(), 1), 0.1)
+        sigma = max(float(np.median(size[inside])) / MEDIAN_LENGTH / np.sqrt(freedom), 1e-9)
+        inside = size <= _OUTLIER_SIGMAS * sigma
+    return Reference(homography, scale, coefficients, sigma)
+
+
+def _near_a_homography(sample: Matches) -> Bools:
+    """Matches (N,) that one homography explains as well as it does most (least median of squares)."""
+    every = np.ones(len(sample), bool)
+    few = sample[:: max(1, len(sample) // _SMALL_SAMPLE)]
+    homography, _ = cv2.findHomography(few.camera_px, few.projector_px, cv2.LMEDS) if len(few) > 4 else (None, None)
+    if homography is None:
+        return every
+    size = np.linalg.norm(sample.projector_px - mapped(np.asarray(homography, np.float64), sample.camera_px), axis=1)
+    near: Bools = size <= 2 * _OUTLIER_SIGMAS * np.median(size) / MEDIAN_LENGTH
+    return near
+
+
+def _raster(extent: Extent) -> Raster:
+    low, high = extent.low, extent.high
+    # The share of the bounding box that a face fills is unknown; half is typical of a corner's faces.
+    side = max(1.0, float(np.sqrt(np.prod(np.maximum(high - low, 1.0)) / (2 * _CELLS_PER_PLANE))))
+    columns, rows = (int(reach / side) + 1 for reach in high - low)
+    return Raster(low, side, columns, rows)

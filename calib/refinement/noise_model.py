@@ -1,0 +1,76 @@
+"""What the residuals themselves say of their noise: beyond what independent matches would leave, and at long waves."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.numerics import MEDIAN_LENGTH, Floats
+from calib.refinement.image_polynomial import CUBIC, monomials
+from calib.refinement.match_cells import Cells
+
+_SIGNIFICANT = 0.99
+_LEAST_CELLS = 3 * CUBIC  # on a plane, for its long waves to be told from its short ones
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Of one capture: the scatter of a match; τ, what stays unexplained in the mean of a cell; the root mean square of
+    the residuals' long waves; κ, by how much their variance exceeds what cells that err independently would leave.
+
+    Parameters are moved by long waves only, so κ is the factor by which their variances are larger.
+    """
+
+    match_px: float
+    systematic_px: float
+    smooth_px: float
+    inflation: float
+
+    def variances(self, cells: Cells) -> Floats:
+        """κ (σ² + τ²) of each coordinate of each cell, (M,)."""
+        return self.inflation * _independent(cells, self.systematic_px)
+
+
+def noise_of(cells: Cells, residual: Floats, absorbed: float) -> Noise:
+    """Measured on the residuals (M, 2) of a fit that used up `absorbed` degrees of freedom of this capture."""
+    systematic_px = _systematic(residual / cells.coarseness[:, None], cells.sigma_px / cells.coarseness)
+    independent = _independent(cells, systematic_px)
+    return Noise(cells.noise_px, systematic_px, *_long_waves(cells, residual, independent, absorbed))
+
+
+def _independent(cells: Cells, systematic_px: float) -> Floats:
+    variance: Floats = cells.sigma_px**2 + (systematic_px * cells.coarseness) ** 2
+    return variance
+
+
+def _systematic(residual: Floats, sigma_px: Floats) -> float:
+    """τ such that the residuals (M, 2) have the median size that variances σ² + τ² predict (robust, in px)."""
+    size, variance = np.linalg.norm(residual, axis=1), sigma_px**2
+    low, high = 0.0, 2 * float(np.median(size)) + 1e-12
+    for _ in range(50):
+        middle = (low + high) / 2
+        relative = size / np.sqrt(variance + middle**2)
+        low, high = (middle, high) if np.median(relative) > MEDIAN_LENGTH else (low, middle)
+    return high if high > 1e-3 * float(np.median(sigma_px)) else 0.0
+
+
+def _long_waves(cells: Cells, residual: Floats, variance: Floats, absorbed: float) -> tuple[float, float]:
+    """Root mean square of the residuals' projection on cubic polynomials over each plane, in px, and κ.
+
+    κ is the projection's χ² over its degrees of freedom, or 1 where that is no more than chance.
+    """
+    total, freedom, squares = 0.0, -absorbed, 0.0
+    for plane in np.unique(cells.plane):
+        members = cells.plane == plane
+        if members.sum() < _LEAST_CELLS:
+            continue
+        root = 1 / np.sqrt(variance[members])[:, None]
+        waves, _ = np.linalg.qr(monomials(cells.camera_px[members])[:, :CUBIC] * root)
+        amplitudes = waves.T @ (residual[members] * root)
+        total += float(np.sum(amplitudes**2))
+        squares += float(np.sum((waves @ amplitudes / root) ** 2))
+        freedom += 2 * CUBIC
+    smooth_px = float(np.sqrt(squares / len(cells)))
+    if freedom <= 0 or total < chi2.ppf(_SIGNIFICANT, freedom):
+        return smooth_px, 1.0
+    return smooth_px, total / freedom

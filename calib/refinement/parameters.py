@@ -1,0 +1,274 @@
+"""The true parameters of a rig before corners, what they predict of each match, and the exact derivatives.
+
+A camera pixel is unprojected, its ray meets the plane that it is on, and the point is projected into the projector.
+Lengths are in baselines: |translation| = 1. Both lenses have two radial terms.
+
+Columns of every step, gradient and Hessian: camera log f, x_0, y_0, k1, k2; the same for the projector; rotation (3);
+direction of the translation (2); three angles off square for each corner; then, for each pose of a corner, its rotation
+(3), its vertex (3, as a share of its distance), and for each further plane two tilts and its height; then, for each
+further photo, its rotation (3), the direction of its translation (2) and the logarithm of that one's length.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import FACES, Motion, rotation_about, tangent_basis
+from calib.geometry import radial_distortion as lens
+from calib.numerics import Floats, Ints
+from calib.refinement.reprojection_jacobians import chain, face_normals, meet, move
+
+CAMERA, PROJECTOR = slice(0, 5), slice(5, 10)
+ROTATION, TRANSLATION = slice(10, 13), slice(13, 15)
+SHARED = 15
+PER_CORNER, PER_POSE, PER_PLANE, PER_MOTION = 3, 6, 3, 6
+
+_MOTION = np.arange(ROTATION.start, TRANSLATION.stop, dtype=np.int32)
+
+
+@dataclass(frozen=True)
+class FurtherPlane:
+    """A plane that is parallel or perpendicular to a face, roughly.
+
+    `axes` (3, 3): unit rows in the coordinates of the corner's frame, the plane's normal and two directions to tilt
+    it towards; `tilt` (2,) small; `height`: how far the corner's vertex is behind the plane, in baselines.
+    """
+
+    axes: Floats
+    tilt: Floats
+    height: float
+    tilt_sigma: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a corner is in one capture: `frame` (3, 3), unit rows along the legs; `vertex` (3,); camera's frame.
+
+    `corner` says which of the state's corners it is. `planes` are seen beside its three faces.
+    """
+
+    frame: Floats
+    vertex: Floats
+    corner: int = 0
+    planes: tuple[FurtherPlane, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return PER_POSE + PER_PLANE * len(self.planes)
+
+
+@dataclass(frozen=True)
+class State:
+    """`camera`, `projector`: (5,) f, x_0, y_0, k1, k2. `rotation` (3, 3), `translation` (3,) of unit length.
+
+    `off_square` (G, 3): for each corner the angles in radians by which the faces (B, C), (C, A), (A, B) are off square.
+    `one_camera`: the second device is the first at another place. The camera's columns then move both, and those of the
+    projector say nothing. There is one pose, that of the corner before the first photo. Capture 0 pairs it with a
+    second photo, capture 1 and up with one of the `further` photos each.
+    """
+
+    camera: Floats
+    projector: Floats
+    rotation: Floats
+    translation: Floats
+    off_square: Floats
+    poses: tuple[Pose, ...]
+    one_camera: bool = False
+    further: tuple[Motion, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return self._starts[-1] + PER_MOTION * len(self.further)
+
+    @cached_property
+    def _starts(self) -> tuple[int, ...]:
+        """First column of each pose, and the column behind the last pose."""
+        starts = [SHARED + PER_CORNER * len(self.off_square)]
+        for pose in self.poses:
+            starts.append(starts[-1] + pose.size)
+        return tuple(starts)
+
+    def angle_columns(self, corner: int) -> slice:
+        """Columns of a corner's angles."""
+        return slice(SHARED + PER_CORNER * corner, SHARED + PER_CORNER * (corner + 1))
+
+    def pose(self, capture: int) -> Pose:
+        """Where the corner is in a capture."""
+        return self.poses[0 if self.one_camera else capture]
+
+    def pose_columns(self, capture: int) -> slice:
+        """Columns of a capture's pose and further planes."""
+        pose = 0 if self.one_camera else capture
+        return slice(self._starts[pose], self._starts[pose + 1])
+
+    def motion(self, capture: int) -> Motion:
+        """From the camera to the second device of a capture."""
+        if self.one_camera and capture:
+            return self.further[capture - 1]
+        return Motion(self.rotation, self.translation)
+
+    def motion_columns(self, capture: int) -> Ints:
+        """Columns of a capture's motion: rotation (3), direction (2), and with further photos the length."""
+        if not (self.one_camera and capture):
+            return _MOTION
+        start = self._starts[-1] + PER_MOTION * (capture - 1)
+        return np.arange(start, start + PER_MOTION, dtype=np.int32)
+
+    def columns(self, capture: int) -> Ints:
+        """The columns that a capture depends on, in the order of `predict`'s Jacobian."""
+        places, motion = np.arange(self.size, dtype=np.int32), self.motion_columns(capture)
+        return np.concatenate(
+            [
+                places[: ROTATION.start],
+                motion[:5],
+                places[self.angle_columns(self.pose(capture).corner)],
+                places[self.pose_columns(capture)],
+                motion[5:],
+            ]
+        )
+
+    def count(self, capture: int) -> int:
+        """Number of columns that a capture depends on."""
+        return SHARED + PER_CORNER + self.pose(capture).size + bool(self.one_camera and capture)
+
+    def moved(self, step: Floats) -> "State":
+        """The state after a step (size,) in the columns' coordinates."""
+        motion = self.motion(0).moved(step[self.motion_columns(0)])
+        camera = _moved_device(self.camera, step[CAMERA])
+        return replace(
+            self,
+            camera=camera,
+            projector=camera if self.one_camera else _moved_device(self.projector, step[PROJECTOR]),
+            rotation=motion.rotation,
+            translation=motion.translation,
+            off_square=self.off_square + step[SHARED : self._starts[0]].reshape(-1, PER_CORNER),
+            poses=tuple(_moved_pose(pose, step[self.pose_columns(i)]) for i, pose in enumerate(self.poses)),
+            further=tuple(each.moved(step[self.motion_columns(i)]) for i, each in enumerate(self.further, start=1)),
+        )
+
+    def step_to(self, other: "State") -> Floats:
+        """The step (size,) from here to a state of the same layout not too far away."""
+        step = other.additive() - self.additive()
+        for i in range(1 + len(self.further)):
+            columns = self.motion_columns(i)
+            step[columns] = self.motion(i).step_to(other.motion(i))[: len(columns)]
+        for i, (pose, there) in enumerate(zip(self.poses, other.poses, strict=True)):
+            part = step[self.pose_columns(i)]
+            part[:3] = Rotation.from_matrix(there.frame.T @ pose.frame).as_rotvec()
+            part[3:PER_POSE] = (there.vertex - pose.vertex) / np.linalg.norm(pose.vertex)
+            part[PER_POSE + 2 :: PER_PLANE] = [
+                b.height - a.height for a, b in zip(pose.planes, there.planes, strict=True)
+            ]
+        return step
+
+    def additive(self) -> Floats:
+        """The columns that may have a prior, as numbers that a step adds to, (size,); zero for rotations and such."""
+        values = np.zeros(self.size)
+        for columns, device in ((CAMERA, self.camera), (PROJECTOR, self.projector)):
+            values[columns] = device
+            values[columns.start] = np.log(device[0])
+        values[SHARED : self._starts[0]] = self.off_square.ravel()
+        for i, pose in enumerate(self.poses):
+            for j, plane in enumerate(pose.planes):
+                start = self._starts[i] + PER_POSE + PER_PLANE * j
+                values[start : start + 2] = plane.tilt
+        return values
+
+    @property
+    def followed(self) -> Ints:
+        """For each column the one that it moves with, (size,): itself, unless both devices are one camera."""
+        followed = np.arange(self.size, dtype=np.int32)
+        if self.one_camera:
+            followed[PROJECTOR] = followed[CAMERA]
+        return followed
+
+    def normals(self, capture: int = 0) -> Floats:
+        """Unit normals of the faces in the camera's frame, (3, 3) rows."""
+        pose = self.pose(capture)
+        return face_normals(self.off_square[pose.corner], pose.frame)[0]
+
+    def legs(self, capture: int = 0) -> Floats:
+        """Unit directions of the edges in the camera's frame, (3, 3) rows."""
+        normals = self.normals(capture)
+        legs = np.cross(np.roll(normals, -1, axis=0), np.roll(normals, -2, axis=0))
+        legs *= np.sign(np.sum(legs * normals, axis=1))[:, None]
+        unit: Floats = legs / np.linalg.norm(legs, axis=1, keepdims=True)
+        return unit
+
+
+def intrinsic_distance(a: State, b: State) -> Floats:
+    """(4,): differences of the logarithms of both focals, and of the projector's centre in its focals; not negative."""
+    focals = np.log([a.camera[0] / b.camera[0], a.projector[0] / b.projector[0]])
+    centre = (a.projector[1:3] - b.projector[1:3]) / b.projector[0]
+    distance: Floats = np.abs(np.concatenate([focals, centre]))
+    return distance
+
+
+def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> tuple[Floats, Floats, Floats]:
+    """Where matches at camera pixels (N, 2) on planes (N,) of a capture fall in the projector, with derivatives.
+
+    Planes 0, 1, 2 are the corner's faces, 3 and up the pose's further planes. Returns projector pixels (N, 2), the
+    Jacobian (N, 2, columns) by `state.columns(capture)`, and depths (N, 2) in both devices (not positive where the
+    prediction means nothing).
+    """
+    motion, vertex = state.motion(capture), state.pose(capture).vertex
+    plane = np.ascontiguousarray(plane, np.int32)
+    by_columns = np.zeros((len(plane), 3, state.count(capture)))
+    corner, pose = slice(SHARED, SHARED + PER_CORNER), slice(SHARED + PER_CORNER, None)
+    filled = (by_columns[:, :, part] for part in (CAMERA, corner, pose))
+
+    rays, rays_by_camera = lens.unproject(state.camera, camera_px)
+    met, depth = meet(rays, rays_by_camera, plane, *_planes(state, capture), vertex, *filled)
+    by_translation = _by_translation(state, capture)
+    moved, by_columns = move(met, by_columns, motion.rotation, motion.translation, by_translation, ROTATION.start)
+    pixels, by_moved, by_projector = lens.project(state.projector, moved)
+    jacobian = chain(by_moved, by_columns, by_projector, (CAMERA if state.one_camera else PROJECTOR).start)
+    return pixels, jacobian, np.array([depth, moved[:, 2]]).T
+
+
+def _by_translation(state: State, capture: int) -> Floats:
+    """How a capture's translation changes with its columns, (3, columns)."""
+    motion = state.motion(capture)
+    by_columns = np.zeros((3, state.count(capture)))
+    by_columns[:, TRANSLATION] = motion.length * tangent_basis(motion.translation / motion.length)
+    if state.one_camera and capture:
+        by_columns[:, -1] = motion.translation  # by the logarithm of its length
+    return by_columns
+
+
+def _planes(state: State, capture: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """The planes of a capture in the camera's frame: unit normals (P, 3) of faces and further planes, heights (P,).
+
+    Then the normals' derivatives by the corner's angles (P, 3 angles, 3) and by a further plane's tilts (P, 2, 3).
+    """
+    pose = state.pose(capture)
+    count = len(FACES) + len(pose.planes)
+    normals, heights = np.empty((count, 3)), np.zeros(count)
+    by_angles, by_tilts = np.zeros((count, 3, 3)), np.zeros((count, 2, 3))
+    normals[: len(FACES)], by_angles[: len(FACES)] = face_normals(state.off_square[pose.corner], pose.frame)
+    for i, plane in enumerate(pose.planes, start=len(FACES)):
+        tilted = plane.axes[0] + plane.tilt @ plane.axes[1:]
+        length = np.linalg.norm(tilted)
+        unit = tilted / length
+        normals[i], heights[i] = unit @ pose.frame, plane.height
+        by_tilts[i] = (plane.axes[1:] - np.outer(plane.axes[1:] @ unit, unit)) / length @ pose.frame
+    return normals, heights, by_angles, by_tilts
+
+
+def _moved_device(device: Floats, step: Floats) -> Floats:
+    moved: Floats = device + step
+    moved[0] = device[0] * np.exp(step[0])
+    return moved
+
+
+def _moved_pose(pose: Pose, step: Floats) -> Pose:
+    planes = tuple(
+        replace(plane, tilt=plane.tilt + part[:2], height=plane.height + float(part[2]))
+        for plane, part in zip(pose.planes, step[PER_POSE:].reshape(-1, PER_PLANE), strict=True)
+    )
+    distance = np.sqrt(pose.vertex @ pose.vertex)
+    return Pose(pose.frame @ rotation_about(step[:3]).T, pose.vertex + step[3:PER_POSE] * distance, pose.corner, planes)

@@ -1,0 +1,210 @@
+"""Maximum-likelihood refinement of one rig from one or more captures, started from the paper's one-dimensional family.
+
+At each focal of a sweep the paper's transfer gives a start and everything else converges in a few steps. Every minimum
+of that profile is then refined with the focal free, and all of them are compared. How noisy the matches are, and how
+many terms the lenses have, is measured on the way.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.geometry import Corner
+from calib.numerics import Floats
+from calib.refinement.distortion_model_selection import LensOrder, choose_lens_order
+from calib.refinement.focal_sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
+from calib.refinement.further_planes import strained, without
+from calib.refinement.likelihood import Fit, Knowledge, Prior
+from calib.refinement.match_cells import Cells
+from calib.refinement.noise_model import Noise, noise_of
+from calib.refinement.parameters import SHARED, State, intrinsic_distance
+from calib.refinement.profile_likelihood import Valley, covariance_of, walk
+from calib.refinement.profile_minimiser import minimise
+from calib.refinement.shared_corner import Sameness, oriented, tie
+
+# Cells of all captures and a state → the same with further planes.
+Further = Callable[[Sequence[Cells], State], tuple[list[Cells], State]]
+
+_SAME_SOLUTION = 0.01  # of both focals and, relative to them, the projector's centre: minima this close are one
+_NOISE_ROUNDS = 3
+_ANY_ANGLE_DEG = 10.0
+_ROUGH = 0.3  # tolerance in cost where only residuals or costs are looked at
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """The refined solution and what is known of it.
+
+    `captures`: the cells, labelled alike where they show one corner, with the `noise` of each. `prior`: of the final
+    fit, lens terms that are left out being known to be zero. `covariance` (size, size) in the model's columns, zero for
+    fixed ones. `others`: further minima, best first. `valley`: the cost along the camera's focal length. `tension`:
+    what the assumption on the corner's angles costs. `sameness`: whether the captures show one corner.
+    """
+
+    captures: tuple[Cells, ...]
+    noise: tuple[Noise, ...]
+    prior: Prior
+    fit: Fit
+    covariance: Floats
+    others: tuple[Fit, ...]
+    lens_order: LensOrder
+    valley: Valley
+    tension: float
+    sameness: Sameness | None
+
+    def corner(self, capture: int) -> Corner:
+        """The corner in the camera's frame of a capture, in baselines."""
+        return Corner(self.fit.state.pose(capture).vertex, self.fit.state.legs(capture))
+
+
+def refine(
+    captures: Sequence[Cells],
+    families: Sequence[Family],
+    focal_px: Floats,
+    knowledge: Knowledge,
+    *,
+    same: bool,
+    further: Further | None = None,
+) -> Refinement | None:
+    """Sweep the trial focals (n,), refine every minimum, compare. None where no trial gives real corners.
+
+    `same`: several captures are taken to show one corner, unless their residuals tell otherwise. `further`: adds planes
+    beside the corners to captures and state.
+    """
+    thinned = [thin(cells) for cells in captures]
+    alone = [sweep_one(*pair, focal_px, knowledge) for pair in zip(thinned, families, strict=True)]
+    sweep = alone[0] if len(captures) == 1 else sweep_jointly(thinned, alone, focal_px, knowledge)
+    starts = minima(sweep)
+    if not starts:
+        return None
+    if len(captures) == 1:
+        # Beside the best, the sweep knows nothing of a second solution at the same focal: the corner turned inside out.
+        starts += twins(thinned[0], families[0], starts[0], knowledge)
+    fits = [oriented(thinned, fit) for fit in explore(thinned, starts, knowledge)]
+    sameness = None
+    if same and len(captures) > 1:
+        captures, fits, sameness = tie(captures, thinned, fits, knowledge)
+    return settle(captures, fits, knowledge, sameness=sameness, further=further)
+
+
+def thin(cells: Cells) -> Cells:
+    """As few cells as a sweep needs."""
+    return cells[:: max(1, len(cells) // SWEEP_CELLS)]
+
+
+def settle(
+    captures: Sequence[Cells],
+    fits: Sequence[Fit],
+    knowledge: Knowledge,
+    *,
+    sameness: Sameness | None = None,
+    further: Further | None = None,
+) -> Refinement | None:
+    """The solution with its uncertainty, from different minima (best first) of some or all of the cells.
+
+    None where none of them is left with all cells.
+    """
+    unassuming = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG).prior(fits[0].state)
+    noise = _measured(captures, fits[0], unassuming)
+    variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
+    prior = knowledge.prior(fits[0].state)
+    fits = _distinct([minimise(captures, fit.state, prior, variances) for fit in fits])
+    if not fits:
+        return None
+    best, *others = fits
+    tension = best.cost - minimise(captures, best.state, unassuming, variances, tolerance=_ROUGH).cost
+
+    if further is not None and not others:
+        captures, best, prior = _with_planes(captures, best, knowledge, noise, further)
+        variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
+
+    lens_order = choose_lens_order(best, covariance_of(best.information, prior.free), prior)
+    for column in lens_order.zero:
+        prior = prior.with_known(column)
+    best = minimise(captures, _without(best.state, lens_order.zero), prior, variances)
+    valley = walk(captures, best, prior, variances)
+    covariance = valley.covariance(best, prior.free) + lens_order.spread
+    if sameness and sameness.same:
+        covariance[:SHARED, :SHARED] += sameness.spread
+    return Refinement(
+        tuple(captures),
+        noise,
+        prior,
+        best,
+        _of_all_columns(covariance, best.state),
+        tuple(others),
+        lens_order,
+        valley,
+        tension,
+        sameness,
+    )
+
+
+def _of_all_columns(covariance: Floats, state: State) -> Floats:
+    """The covariance (size, size), columns that move with others having theirs."""
+    followed = state.followed
+    every: Floats = covariance[np.ix_(followed, followed)]
+    return every
+
+
+def _with_planes(
+    captures: Sequence[Cells], best: Fit, knowledge: Knowledge, noise: Sequence[Noise], further: Further
+) -> tuple[Sequence[Cells], Fit, Prior]:
+    """Captures, fit and prior with those further planes that turn out as square as they should be."""
+    cells, state = further(captures, best.state)
+    while True:
+        prior = knowledge.prior(state)
+        variances = [level.variances(each) for each, level in zip(cells, noise, strict=True)]
+        fit = minimise(cells, state, prior, variances)
+        refuted = strained(fit.state)
+        if not refuted:
+            return cells, fit, prior
+        cells, state = without(cells, fit.state, refuted)
+
+
+def explore(captures: Sequence[Cells], starts: list[Fit], knowledge: Knowledge) -> list[Fit]:
+    """The different minima, best first, that the starts (best first) lead to and that deserve a closer look."""
+    prior = knowledge.prior(starts[0].state)
+    variances = _levels(starts[0])
+    best = minimise(captures, starts[0].state, prior, variances)
+    ceiling = HOPELESS * best.cost
+    fits = _distinct([best, *(minimise(captures, fit.state, prior, variances, ceiling=ceiling) for fit in starts[1:])])
+    return [fit for fit in fits if fit.cost <= HOPELESS * fits[0].cost]
+
+
+def _measured(captures: Sequence[Cells], fit: Fit, prior: Prior) -> tuple[Noise, ...]:
+    """The noise of each capture, by a prior that leaves the angles open: no assumption on them may pass for noise.
+
+    `fit`: to some or all of the cells.
+    """
+    levels = [float(variance[0]) for variance in _levels(fit)]
+    variances = [np.full(len(cells), level) for cells, level in zip(captures, levels, strict=True)]
+    noise: tuple[Noise, ...] = ()
+    for _ in range(_NOISE_ROUNDS):
+        fit = minimise(captures, fit.state, prior, variances, tolerance=_ROUGH)
+        absorbed = np.count_nonzero(prior.free) / len(captures)
+        noise = tuple(noise_of(*pair, absorbed) for pair in zip(captures, fit.residuals, strict=True))
+        variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
+    return noise
+
+
+def _levels(fit: Fit) -> list[Floats]:
+    """For each capture one variance (M,) for all cells: that of the residuals."""
+    return [np.full(len(residual), max(float(np.mean(residual**2)), 1e-12)) for residual in fit.residuals]
+
+
+def _distinct(fits: list[Fit]) -> list[Fit]:
+    """Different solutions, best first."""
+    distinct: list[Fit] = []
+    for fit in sorted((fit for fit in fits if np.isfinite(fit.cost)), key=lambda fit: fit.cost):
+        if all(np.max(intrinsic_distance(fit.state, other.state)) > _SAME_SOLUTION for other in distinct):
+            distinct.append(fit)
+    return distinct
+
+
+def _without(state: State, zero: tuple[int, ...]) -> State:
+    """A state with some columns set to zero."""
+    step = np.zeros(state.size)
+    step[list(zero)] = -state.additive()[list(zero)]
+    return state.moved(step)

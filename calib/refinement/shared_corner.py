@@ -1,0 +1,203 @@
+"""Several captures of one corner share its angles, whatever order their faces were found in.
+
+Each capture's faces are numbered clockwise around the vertex; which of the three comes first is then all that is open
+between captures. It is found from the angles themselves, and that they are shared at all is tested by what sharing
+costs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.geometry import FACES, leg_signs, unproject
+from calib.numerics import Floats
+from calib.refinement.likelihood import Fit, Knowledge
+from calib.refinement.match_cells import Cells
+from calib.refinement.parameters import PER_CORNER, SHARED, State
+from calib.refinement.profile_likelihood import covariance_of
+from calib.refinement.profile_minimiser import minimise
+from calib.refusal import RefusalError
+
+_MOST_CAPTURES = 8
+_CLOSER_LOOKS = 9
+_SIGNIFICANT = 0.999
+_CLOSE = 12.0  # in cost of a part of the cells; orders that cost more than that are out
+
+
+@dataclass(frozen=True)
+class Sameness:
+    """Whether captures show one corner.
+
+    `same`: the verdict. `shifts`: for each capture, the number of its face s is (s + shift) mod 3 in the others' order.
+    `cost`: by how much the cost rises when the angles are shared; `limit`: what it may. `lead`: by how much the next
+    best order of the faces costs more; small where the corner is too square to tell. `spread` (SHARED, SHARED): the
+    covariance that the other orders' answers add to what all captures share.
+    """
+
+    same: bool
+    shifts: tuple[int, ...]
+    cost: float
+    limit: float
+    lead: float
+    spread: Floats
+
+
+def tie(
+    captures: Sequence[Cells], thinned: Sequence[Cells], fits: list[Fit], knowledge: Knowledge
+) -> tuple[Sequence[Cells], list[Fit], Sameness | None]:
+    """Captures relabelled alike, fits with one shared corner, best first, and how well that explains the matches.
+
+    `fits`: of the thinned captures, each with a corner of its own, best first. Where sharing is refuted, captures and
+    fits come back as they were. With exactly square corners there is nothing to share, nor to be told.
+    """
+    if knowledge.squareness_deg == 0:
+        return captures, fits, None
+    if len(captures) > _MOST_CAPTURES:
+        raise RefusalError(
+            f"{len(captures)} captures of one corner were given; at most {_MOST_CAPTURES} can be put in order.",
+            "Calibrate from fewer of them, or say corner.same: false.",
+        )
+    levels = [max(float(np.mean(r**2)), 1e-12) for r in fits[0].residuals]
+    trials = [
+        _in_order(thinned, _shared(fit.state, shifts), shifts, knowledge, levels)
+        for fit in fits
+        for shifts in _promising(fit, knowledge)
+    ]
+    trials.sort(key=_cost)
+    apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), _variances(thinned, levels))
+    raised = trials[0].fit.cost - apart.cost
+    limit = float(chi2.ppf(_SIGNIFICANT, PER_CORNER * (len(captures) - 1)))
+    # All cells tell orders apart that a part of them does not.
+    close = [trial for trial in trials if trial.fit.cost < trials[0].fit.cost + _CLOSE]
+    whole = sorted(
+        (_in_order(captures, trial.fit.state, trial.shifts, knowledge, levels) for trial in close), key=_cost
+    )
+    shifts = whole[0].shifts
+    lead = min(
+        [trial.fit.cost - whole[0].fit.cost for trial in whole if trial.shifts != shifts]
+        + [trial.fit.cost - trials[0].fit.cost for trial in trials if trial not in close],
+        default=np.inf,
+    )
+    sameness = Sameness(raised < limit, shifts, raised, limit, lead, _spread(whole))
+    if not sameness.same:
+        return captures, fits, sameness
+    in_order = [relabel(cells, shift) for cells, shift in zip(captures, shifts, strict=True)]
+    first = [trial.fit for trial in whole if trial.shifts == shifts]
+    return in_order, [*first, *(t.fit for t in trials if t.shifts == shifts and t not in close)], sameness
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """The fit of captures whose faces are numbered on by `shifts`."""
+
+    fit: Fit
+    shifts: tuple[int, ...]
+
+
+def _in_order(
+    captures: Sequence[Cells], start: State, shifts: tuple[int, ...], knowledge: Knowledge, levels: Sequence[float]
+) -> _Trial:
+    relabelled = [relabel(cells, shift) for cells, shift in zip(captures, shifts, strict=True)]
+    return _Trial(minimise(relabelled, start, knowledge.prior(start), _variances(captures, levels)), shifts)
+
+
+def _variances(captures: Sequence[Cells], levels: Sequence[float]) -> list[Floats]:
+    return [np.full(len(cells), level) for cells, level in zip(captures, levels, strict=True)]
+
+
+def _cost(trial: _Trial) -> float:
+    return trial.fit.cost
+
+
+def _spread(trials: Sequence[_Trial]) -> Floats:
+    """Σ wᵢ dᵢ dᵢᵀ with dᵢ from the first to the best fit of each order, and wᵢ its probability, (SHARED, SHARED)."""
+    best = {trial.shifts: trial.fit for trial in reversed(trials)}
+    first = trials[0].fit
+    weights = np.exp([(first.cost - fit.cost) / 2 for fit in best.values()])
+    apart = np.stack([first.state.step_to(fit.state)[:SHARED] for fit in best.values()])
+    spread: Floats = (apart * (weights / weights.sum())[:, None]).T @ apart
+    return spread
+
+
+def relabel(cells: Cells, shift: int) -> Cells:
+    """The same cells, faces numbered on by `shift`."""
+    return replace(cells, plane=np.where(cells.plane < len(FACES), (cells.plane + shift) % 3, cells.plane))
+
+
+def is_anticlockwise(cells: Cells, vertex: Floats) -> bool:
+    """Whether the faces 0, 1, 2 follow each other anticlockwise around the `vertex` (3,) in the camera's image."""
+    around = [cells.camera_px[cells.plane == face].mean(axis=0) * vertex[2] - vertex[:2] for face in FACES]
+    angles = np.array([np.arctan2(y, x) for x, y in around])
+    # y points down, so angles grow clockwise.
+    return bool((angles[1] - angles[0]) % (2 * np.pi) > (angles[2] - angles[0]) % (2 * np.pi))
+
+
+def reflected(cells: Cells) -> Cells:
+    """The same cells, the faces 1 and 2 exchanged."""
+    return replace(cells, plane=np.where((cells.plane == 1) | (cells.plane == 2), 3 - cells.plane, cells.plane))
+
+
+def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
+    """The same fit, every leg pointing along its faces: only then do angles mean the same in all captures."""
+    state = fit.state
+    flips = np.ones(state.size)
+    off_square, poses = state.off_square.copy(), []
+    for i, (cells, pose) in enumerate(zip(captures, state.poses, strict=True)):
+        on_faces = cells.plane < len(FACES)
+        normals = state.normals(i)[cells.plane[on_faces]]
+        rays, _ = unproject(state.camera, cells.camera_px[on_faces])
+        points = (normals @ pose.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
+        signs = leg_signs(state.legs(i), pose.vertex, points)
+        # Turning one leg round turns the signs of both angles that its face has with the others.
+        turned = np.prod(signs) * signs
+        off_square[pose.corner] *= turned
+        flips[state.angle_columns(pose.corner)] = turned
+        poses.append(replace(pose, frame=pose.frame * signs[:, None]))
+    state = replace(state, off_square=off_square, poses=tuple(poses))
+    return replace(
+        fit, state=state, gradient=fit.gradient * flips, information=fit.information * np.outer(flips, flips)
+    )
+
+
+def _promising(fit: Fit, knowledge: Knowledge) -> list[tuple[int, ...]]:
+    """Orders of the faces, at most `_CLOSER_LOOKS`, that agree best with the angles of each capture alone.
+
+    Holding the angles equal costs dᵀ (D Σ Dᵀ)⁻¹ d, d = D a being their differences and Σ the covariance of the angles a
+    without the prior.
+    """
+    count = len(fit.state.poses)
+    free = knowledge.prior(fit.state).free
+    covariance = covariance_of(fit.information, free)
+    angles = slice(fit.state.angle_columns(0).start, fit.state.angle_columns(count - 1).stop)
+    covariance = covariance[angles, angles]
+    orders = [(0, *later) for later in product(range(3), repeat=count - 1)]
+
+    def cost(shifts: tuple[int, ...]) -> float:
+        differences = _differences(shifts)
+        apart = differences @ fit.state.off_square.ravel()
+        return float(apart @ np.linalg.pinv(differences @ covariance @ differences.T, hermitian=True) @ apart)
+
+    return sorted(orders, key=cost)[:_CLOSER_LOOKS]
+
+
+def _differences(shifts: tuple[int, ...]) -> Floats:
+    """D (3 (C − 1), 3 C): the angles of each capture but the first, in the first's order, minus those of the first."""
+    differences = np.zeros((3 * (len(shifts) - 1), 3 * len(shifts)))
+    for i, shift in enumerate(shifts[1:]):
+        rows = slice(3 * i, 3 * i + 3)
+        differences[rows, :3] = -np.eye(3)
+        differences[rows, 3 * (i + 1) : 3 * (i + 2)] = np.roll(np.eye(3), shift, axis=0)
+    return differences
+
+
+def _shared(state: State, shifts: tuple[int, ...]) -> State:
+    """A state whose captures show one corner, with the mean of their angles."""
+    angles = [np.roll(off, shift) for off, shift in zip(state.off_square, shifts, strict=True)]
+    poses = tuple(
+        replace(pose, frame=np.roll(pose.frame, shift, axis=0), corner=0)
+        for pose, shift in zip(state.poses, shifts, strict=True)
+    )
+    return replace(state, off_square=np.mean(angles, axis=0)[None], poses=poses)

@@ -1,0 +1,157 @@
+"""Photos of one corner by one unchanged camera → its intrinsics, or a refusal with a reason (the paper's section 5.3).
+
+The model is that of a rig whose two devices are the same camera (`State.one_camera`): the likelihood, its profile along
+the focal length, the order of the lens, the covariance and the refusals are those of the rig. Nothing but the start is
+different, and that the principal point need not be known: two photos measure ten numbers for eight unknowns.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from calib.diagnostics import (
+    calibration_of,
+    no_corner,
+    notes_on,
+    refuse_degenerate,
+    refuse_untrustworthy,
+    sigmas_by_name,
+    uncertainty_of,
+)
+from calib.geometry import Corner, Matches, Motion, TooFewMatchesError, before_the_matches, unproject
+from calib.numerics import Floats, Ints
+from calib.refinement import (
+    PER_CORNER,
+    PER_POSE,
+    SHARED,
+    Cells,
+    Fit,
+    Knowledge,
+    Refinement,
+    State,
+    evaluate,
+    explore,
+    into_cells,
+    minima,
+    oriented,
+    photo_family,
+    settle,
+    sweep_one,
+    thin,
+    twins,
+)
+from calib.refusal import PHOTOS, RefusalError
+from calib.self_calibration.rig import PrincipalPoint, Profile, SelfCalibration, sweep_trials
+
+# A photo may be a crop: its principal point is known to be somewhere in it, and that is all.
+_CROP_SIGMA_OF_WIDTH = 0.2
+_HIDDEN = 16  # fits of the sweep that are followed beside its minima
+
+
+def anywhere(size: tuple[int, int]) -> PrincipalPoint:
+    """What is known of the principal point of a photo (width, height) that may have been cropped."""
+    width, height = size
+    return PrincipalPoint(((width - 1) / 2, (height - 1) / 2), _CROP_SIGMA_OF_WIDTH * width)
+
+
+def calibrate_photos(
+    pairs: Sequence[Matches],
+    size: tuple[int, int],
+    *,
+    principal_point: PrincipalPoint | None = None,
+    squareness_deg: float = 0.3,
+    focal_px: tuple[float, float] | None = None,
+) -> tuple[SelfCalibration, ...]:
+    """Calibrate the camera of photos of (width, height) from the matches of the first with each of the others.
+
+    `pairs`: with faces 0, 1, 2 of one corner, `camera_px` in the first photo and `projector_px` in the other one.
+    `principal_point`: `anywhere` by default. `focal_px`: focal length and its standard deviation, where it is to be
+    used as a prior. Returns one solution for each pair, the camera being both of its devices, in that pair's own
+    baselines.
+
+    Raises RefusalError where no trustworthy answer can be had.
+    """
+    point = principal_point or anywhere(size)
+    knowledge = Knowledge(size, size, point.px, point.sigma_px, squareness_deg, one_camera=True, focal_px=focal_px)
+    try:
+        cells = [into_cells(matches) for matches in pairs]
+        families = [photo_family(each, knowledge) for each in cells]
+    except TooFewMatchesError as error:
+        raise RefusalError(f"The corner's faces hold too few matches: {error}.", PHOTOS.move) from error
+    refuse_degenerate(cells, [family.straightened for family in families], PHOTOS)
+    thinned = [thin(each) for each in cells]
+    sweep = sweep_one(thinned[0], families[0], sweep_trials(size), knowledge)
+    starts = minima(sweep)
+    if starts:
+        # A true valley narrower than the trials' spacing loses to a broad wrong one at every trial.
+        hidden = [fit for at in sweep if at for fit in twins(thinned[0], families[0], at, knowledge)]
+        starts += sorted(hidden, key=lambda fit: fit.cost)[:_HIDDEN]
+        level = max(float(np.mean(starts[0].residuals[0] ** 2)), 1e-12)
+        starts = sorted((_with_all(thinned, fit, knowledge, level) for fit in starts), key=lambda fit: fit.cost)
+        fits = [oriented(thinned[:1], fit) for fit in explore(thinned, starts, knowledge)]
+        refinement = settle(cells, fits, knowledge)
+    if not starts or refinement is None:
+        raise no_corner(cells, PHOTOS)
+    refuse_untrustworthy(refinement, knowledge)
+    return _solutions(refinement, knowledge, pairs)
+
+
+def _solutions(refinement: Refinement, knowledge: Knowledge, pairs: Sequence[Matches]) -> tuple[SelfCalibration, ...]:
+    state, notes = refinement.fit.state, notes_on(refinement, knowledge)
+    profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
+    solutions = []
+    for i, matches in enumerate(pairs):
+        alone, covariance = _one_pair(refinement, i)
+        sigmas = sigmas_by_name(alone, covariance)
+        calibration = calibration_of(alone, knowledge.camera_size, knowledge.camera_size, sigmas)
+        corner, residual_px = before_the_matches(Corner(alone.poses[0].vertex, alone.legs(0)), calibration, matches)
+        columns = _columns_of_pair(state, i)
+        information = refinement.fit.information[np.ix_(columns, columns)]
+        prior = knowledge.prior(alone)
+        uncertainty = uncertainty_of(alone, covariance, information, prior, refinement.noise[i].match_px)
+        solutions.append(
+            SelfCalibration(calibration, matches, corner, profile, residual_px, "refined", notes, uncertainty)
+        )
+    return tuple(solutions)
+
+
+def _one_pair(refinement: Refinement, pair: int) -> tuple[State, Floats]:
+    """A pair's own two-photo state, in its own baselines, with the covariance of its columns."""
+    state = refinement.fit.state
+    motion, pose = state.motion(pair), state.poses[0]
+    alone = replace(
+        state,
+        rotation=motion.rotation,
+        translation=motion.translation / motion.length,
+        poses=(replace(pose, vertex=pose.vertex / motion.length),),
+        further=(),
+    )
+    columns = _columns_of_pair(state, pair)
+    return alone, refinement.covariance[np.ix_(columns, columns)]
+
+
+def _columns_of_pair(state: State, pair: int) -> Ints:
+    """The columns of the joint state that stand for those of a pair's own; a further photo's distance is none."""
+    return state.columns(pair)[: SHARED + PER_CORNER + PER_POSE]
+
+
+def _with_all(pairs: Sequence[Cells], fit: Fit, knowledge: Knowledge, variance: float) -> Fit:
+    """A fit of the first pair with the places of all further photos, from the points that it gives."""
+    state = replace(fit.state, further=tuple(_placed(cells, fit.state) for cells in pairs[1:]))
+    return evaluate(pairs, state, knowledge.prior(state), [np.full(len(cells), variance) for cells in pairs])
+
+
+def _placed(cells: Cells, state: State) -> Motion:
+    """Where a further photo was taken from, by its matches with the first and the planes that those are on."""
+    normals = state.normals()[cells.plane]
+    rays, _ = unproject(state.camera, cells.camera_px)
+    points = (normals @ state.poses[0].vertex / np.sum(normals * rays, axis=1))[:, None] * rays
+    seen, _ = unproject(state.camera, cells.projector_px)
+    placed, rotation, translation = cv2.solvePnP(
+        points, np.ascontiguousarray(seen[:, :2]), np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
+    )
+    if not placed:
+        return Motion(state.rotation, state.translation)
+    return Motion(np.asarray(cv2.Rodrigues(rotation)[0], np.float64), np.asarray(translation, np.float64).ravel())

@@ -1,0 +1,251 @@
+"""Matches on three faces → a calibration with its uncertainty, or a refusal with a reason."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.closed_form import Objective, objective_for, search
+from calib.diagnostics import (
+    Uncertainty,
+    calibration_of,
+    no_corner,
+    notes_on,
+    refuse_degenerate,
+    refuse_untrustworthy,
+    sigmas_by_name,
+    uncertainty_of,
+)
+from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
+from calib.numerics import Floats, Ints
+from calib.refinement import Knowledge, family_of, into_cells, is_anticlockwise, refine, reflected, with_further_planes
+from calib.refusal import RIG, RefusalError
+
+Method = Literal["refined", "paper"]
+
+# Trial focals, in units of the longer side of the camera's image: from a 120° to a 14° field of view.
+_SHORTEST, _LONGEST = 0.3, 4.0
+_PAPER_TRIALS, _SWEEP_TRIALS = 64, 24
+
+_CLOSED_CYCLE = 0.1  # paper's objective, in camera focals
+
+
+@dataclass(frozen=True)
+class PrincipalPoint:
+    """What is known of the camera's principal point: `px` (x, y) with a standard deviation; 0 means exactly."""
+
+    px: tuple[float, float]
+    sigma_px: float
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The curve over the camera's focal length that was searched: `focal_px`, `cost` (n,); what `cost` is in words."""
+
+    focal_px: Floats
+    cost: Floats
+    cost_name: str
+
+
+@dataclass(frozen=True)
+class SelfCalibration:
+    """A calibration found from the corner alone, in units of the baseline (|t| = 1).
+
+    `matches` are labelled with their faces, `corner` is in the camera's frame, `residual_px` is the root mean square
+    reprojection error of a match in the projector, `notes` are things that a person should know. `uncertainty` is None
+    for a method that knows none. `order_nats`: of captures of one corner, by how much its angles make the order in
+    which the faces are numbered likelier than any other; 0 where they do not tell.
+    """
+
+    calibration: Calibration
+    matches: Matches
+    corner: Corner
+    profile: Profile
+    residual_px: float
+    method: Method
+    notes: tuple[str, ...] = ()
+    uncertainty: Uncertainty | None = None
+    order_nats: float = 0.0
+
+
+def self_calibrate(
+    matches: Matches,
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+    *,
+    principal_point: PrincipalPoint,
+    method: Method = "refined",
+    squareness_deg: float = 0.3,
+    plane: Ints | None = None,
+) -> SelfCalibration:
+    """Calibrate both devices from matches labelled with the corner's faces 0, 1, 2.
+
+    `method` 'paper' is the published one-dimensional search: it takes the principal point as exact and the corner as
+    square and knows no sigma. 'refined' is the maximum-likelihood solution with lens terms; `squareness_deg` is the
+    standard deviation of the angles between the faces around 90° (0: exactly square). `plane` (N,): which plane each
+    match is on, as at `self_calibrate_jointly`.
+
+    Raises RefusalError where no trustworthy answer can be had.
+    """
+    if method == "paper":
+        try:
+            return _by_paper(objective_for(matches, principal_point.px), matches, camera_size, projector_size)
+        except TooFewMatchesError as error:
+            raise _too_few(error) from error
+    (found,) = self_calibrate_jointly(
+        [matches],
+        camera_size,
+        projector_size,
+        principal_point=principal_point,
+        squareness_deg=squareness_deg,
+        planes=None if plane is None else [plane],
+    )
+    return found
+
+
+def self_calibrate_jointly(
+    captures: Sequence[Matches],
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+    *,
+    principal_point: PrincipalPoint,
+    squareness_deg: float = 0.3,
+    same: bool = True,
+    planes: Sequence[Ints] | None = None,
+) -> tuple[SelfCalibration, ...]:
+    """Calibrate one unchanged rig from several captures, by maximum likelihood; one result for each, all of one rig.
+
+    `planes`: for each capture, which plane each match (N,) is on, −1 for none, as `Faces.plane` says; those beside the
+    faces that are parallel or perpendicular to them are constraints, too.
+
+    `same`: the captures show one corner, so they share its angles; tested, and dropped with a note where the matches
+    refute it. The faces of all results are then numbered alike, so that their corners are one frame.
+
+    Raises RefusalError where no trustworthy answer can be had.
+    """
+    knowledge = Knowledge(camera_size, projector_size, principal_point.px, principal_point.sigma_px, squareness_deg)
+    try:
+        return _by_refinement(captures, knowledge, same=same, planes=planes)
+    except TooFewMatchesError as error:
+        raise _too_few(error) from error
+
+
+def _too_few(error: TooFewMatchesError) -> RefusalError:
+    return RefusalError(f"The corner's faces hold too few matches: {error}.", RIG.move)
+
+
+def paper_trials(camera_size: tuple[int, int]) -> Floats:
+    """The camera focals (n,) that the paper's search samples, for a camera of (width, height)."""
+    return _trials(camera_size, _PAPER_TRIALS)
+
+
+def sweep_trials(camera_size: tuple[int, int]) -> Floats:
+    """The camera focals (n,) at which the refinement starts, for a camera of (width, height)."""
+    return _trials(camera_size, _SWEEP_TRIALS)
+
+
+def _trials(camera_size: tuple[int, int], count: int) -> Floats:
+    trials: Floats = np.geomspace(_SHORTEST * max(camera_size), _LONGEST * max(camera_size), count)
+    return trials
+
+
+def _by_paper(
+    objective: Objective,
+    matches: Matches,
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+) -> SelfCalibration:
+    solution = search(objective, paper_trials(camera_size))
+    if solution is None:
+        raise no_corner([into_cells(matches)], RIG)
+    low, high = solution.focal_px[1], solution.focal_px[-2]
+    if not low < solution.best_focal_px < high:
+        raise RefusalError(
+            f"The objective has no minimum for camera focal lengths between {low:.0f} and {high:.0f} px.", RIG.move
+        )
+    lowest = float(np.min(solution.objective))
+    if lowest > _CLOSED_CYCLE * solution.best_focal_px:
+        raise RefusalError(
+            f"The transfer between the devices does not close: the objective's minimum is {lowest:.0f} px.", RIG.move
+        )
+    best = solution.best
+    baseline = float(np.linalg.norm(best.translation[0]))
+    matrix = best.matrix[0]
+    calibration = Calibration(
+        Intrinsics(*camera_size, (solution.best_focal_px,) * 2, objective.principal_point_px),
+        Intrinsics(
+            *projector_size,
+            (float(matrix[0, 0]), float(matrix[1, 1])),
+            (float(matrix[0, 2]), float(matrix[1, 2])),
+        ),
+        best.rotation[0],
+        best.translation[0] / baseline,
+    )
+    corner, residual_px = before_the_matches(Corner(best.vertex[0] / baseline, best.normals[0]), calibration, matches)
+    return SelfCalibration(
+        calibration,
+        matches,
+        corner,
+        Profile(solution.focal_px, solution.objective, "objective E (px)"),
+        residual_px,
+        "paper",
+        (
+            "The paper's method knows neither lens distortion nor uncertainty: in simulated rooms it errs by 0.2 to "
+            "16 %. It is there for comparison; 'method: refined' is the one to use.",
+        ),
+    )
+
+
+def _by_refinement(
+    captures: Sequence[Matches], knowledge: Knowledge, *, same: bool, planes: Sequence[Ints] | None
+) -> tuple[SelfCalibration, ...]:
+    cells = [into_cells(matches) for matches in captures]
+    families = [family_of(each, knowledge) for each in cells]
+    if len(captures) > 1:
+        vertices = [family.objective.camera_image.vertex for family in families]
+        turned = [is_anticlockwise(each, vertex) for each, vertex in zip(cells, vertices, strict=True)]
+        cells = [reflected(each) if turn else each for each, turn in zip(cells, turned, strict=True)]
+        families = [family_of(each, knowledge) for each in cells]
+    refuse_degenerate(cells, [family.straightened for family in families], RIG)
+    trials = sweep_trials(knowledge.camera_size)
+    further = None if planes is None else lambda cells, state: with_further_planes(cells, captures, planes, state)
+    refinement = refine(cells, families, trials, knowledge, same=same, further=further)
+    if refinement is None:
+        raise no_corner(cells, RIG)
+    refuse_untrustworthy(refinement, knowledge)
+    fit = refinement.fit
+    calibration = calibration_of(
+        fit.state,
+        knowledge.camera_size,
+        knowledge.projector_size,
+        sigmas_by_name(fit.state, refinement.covariance),
+    )
+    notes = notes_on(refinement, knowledge)
+    profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
+    sameness = refinement.sameness
+    order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
+    results = []
+    for i, matches in enumerate(captures):
+        if len(captures) > 1:
+            shift = sameness.shifts[i] if sameness and sameness.same else 0
+            matches = _renumbered(matches, reflect=turned[i], shift=shift)
+        corner, residual_px = before_the_matches(refinement.corner(i), calibration, matches)
+        uncertainty = uncertainty_of(
+            fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px
+        )
+        results.append(
+            SelfCalibration(
+                calibration, matches, corner, profile, residual_px, "refined", notes, uncertainty, order_nats
+            )
+        )
+    return tuple(results)
+
+
+def _renumbered(matches: Matches, *, reflect: bool, shift: int) -> Matches:
+    """Face labels as the refinement numbered them on."""
+    face = matches.face
+    assert face is not None
+    if reflect:
+        face = np.where(face > 0, 3 - face, face)
+    return matches.with_faces(np.where(face >= 0, (face + shift) % 3, face).astype(np.int32))

@@ -1,0 +1,12 @@
+"""Corners with known truth, made without anything that the estimators use."""
+
+from calib.synthetic.captures import (
+    PAPER_CAMERA,
+    PAPER_PROJECTOR,
+    CaptureOptions,
+    SyntheticCapture,
+    look_at,
+    random_capture,
+    random_captures,
+)
+from calib.synthetic.photos import PhotoOptions, SyntheticPhotos, random_photos

@@ -1,0 +1,188 @@
+"""Matches of a made-up corner, straight from 3-D points: what tests and benchmarks calibrate.
+
+Nothing here is shared with the solver: points are laid on three walls and projected into both devices; the camera
+pixels are then perturbed or not, the projector pixels always are.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Calibration, Corner, Intrinsics, Matches
+from calib.numerics import Floats, Ints
+
+
+@dataclass(frozen=True)
+class SyntheticCapture:
+    """Matches and everything that is true of them."""
+
+    matches: Matches
+    calibration: Calibration
+    corner: Corner
+
+
+# The rig of the paper (its section 5.1), at its full camera resolution.
+PAPER_CAMERA = Intrinsics(2448, 2048, (1791.1, 1791.1), (1256.3, 1054.3))
+PAPER_PROJECTOR = Intrinsics(854, 480, (1247.3, 1247.3), (377.1, 234.0))
+
+
+def look_at(eye: Floats, target: Floats, up: Floats, roll: float = 0.0) -> Floats:
+    """Rotation (3, 3) from the world into a device at `eye` that looks at `target`; `roll` in radians."""
+    z = target - eye
+    z = z / np.linalg.norm(z)
+    x = np.cross(z, up)
+    x = x / np.linalg.norm(x)
+    frame = np.stack([x, np.cross(z, x), z])
+    return Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix() @ frame
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """What is drawn: lengths in metres; `roll` standard deviation of each device's roll in radians.
+
+    `noise_px` is the standard deviation of each coordinate of the projector pixel; `outliers` the share of matches that
+    are replaced by random ones (face −1); each wall's direction is turned by a normal angle of `walls_off_deg`.
+    `slants`: ranges of the direction from the vertex to the camera along the three legs. `forward`: angle in radians
+    between the baseline and the line to the vertex, across it if None. `least_share`: of the matches on each wall.
+    `parallel_m`: the third wall is instead parallel to the first, that far in front of it.
+    """
+
+    camera: Intrinsics = PAPER_CAMERA
+    projector: Intrinsics = PAPER_PROJECTOR
+    count: int = 50_000
+    noise_px: float = 0.1
+    distance: tuple[float, float] = (1.5, 4.0)
+    baseline: tuple[float, float] = (0.3, 0.8)
+    roll: float = 0.1
+    walls_off_deg: float = 0.0
+    outliers: float = 0.0
+    slants: tuple[tuple[float, float], ...] = ((0.25, 1.0),) * 3
+    forward: float | None = None
+    least_share: float = 0.1
+    parallel_m: float | None = None
+
+
+def random_capture(
+    rng: np.random.Generator, options: CaptureOptions | None = None, *, attempts: int = 1000, **changes: Any
+) -> SyntheticCapture:
+    """A corner seen from a random place in its room, sampled on a jittered grid over the projector's image.
+
+    Draws again until each wall holds its least share of the matches; ValueError after `attempts`. `changes`: options
+    by name.
+    """
+    (capture,) = random_captures(rng, 1, options, attempts=attempts, **changes)
+    return capture
+
+
+def random_captures(
+    rng: np.random.Generator,
+    number: int,
+    options: CaptureOptions | None = None,
+    *,
+    same: bool = True,
+    attempts: int = 1000,
+    **changes: Any,
+) -> list[SyntheticCapture]:
+    """Captures by one rig of one corner from random places, or of different corners; faces in a random order each."""
+    options = replace(options or CaptureOptions(), **changes)
+    legs, rig = _random_legs(rng, options.walls_off_deg), None
+    captures: list[SyntheticCapture] = []
+    while len(captures) < number:
+        attempts -= 1
+        if attempts < 0:
+            raise ValueError("no view of the corner that both devices see")
+        capture = _one_capture(rng, options, legs, rig)
+        if capture is None:
+            continue
+        rig = capture.calibration
+        captures.append(capture if number == 1 else _in_another_order(capture, rng.permutation(3)))
+        legs = legs if same else _random_legs(rng, options.walls_off_deg)
+    return captures
+
+
+def _random_legs(rng: np.random.Generator, walls_off_deg: float) -> Floats:
+    legs = np.eye(3) + np.radians(walls_off_deg) * np.array(
+        [[0, rng.normal(), 0], [0, 0, rng.normal()], [rng.normal(), 0, 0]]
+    )
+    unit: Floats = legs / np.linalg.norm(legs, axis=1, keepdims=True)
+    return unit
+
+
+def _in_another_order(capture: SyntheticCapture, order: Ints) -> SyntheticCapture:
+    """The same capture, face s numbered order[s]."""
+    face = capture.matches.face
+    assert face is not None
+    legs = np.empty((3, 3))
+    legs[order] = capture.corner.legs
+    renumbered = np.where(face >= 0, order[face], face).astype(np.int32)
+    return replace(capture, matches=capture.matches.with_faces(renumbered), corner=Corner(capture.corner.vertex, legs))
+
+
+def _one_capture(
+    rng: np.random.Generator, options: CaptureOptions, legs_world: Floats, rig: Calibration | None
+) -> SyntheticCapture | None:
+    camera, projector, count = options.camera, options.projector, options.count
+    # World: vertex at the origin, room in the positive octant, z up.
+    direction = rng.uniform(*np.transpose(options.slants))
+    camera_eye = rng.uniform(*options.distance) * direction / np.linalg.norm(direction)
+    up = np.array([0.0, 0.0, 1.0])
+    spread = 0.05 * np.linalg.norm(camera_eye)
+    world_to_camera = look_at(camera_eye, rng.normal(0, spread, 3), up, rng.normal(0, options.roll))
+    if rig is None:
+        aside = np.cross(direction, rng.normal(size=3))
+        aside /= np.linalg.norm(aside)
+        if options.forward is not None:
+            ahead = direction / np.linalg.norm(direction) * rng.choice([-1.0, 1.0])
+            aside = np.cos(options.forward) * ahead + np.sin(options.forward) * aside
+        projector_eye = camera_eye + rng.uniform(*options.baseline) * aside
+        world_to_projector = look_at(projector_eye, rng.normal(0, spread, 3), up, rng.normal(0, options.roll))
+        rotation = world_to_projector @ world_to_camera.T
+        translation = world_to_projector @ (camera_eye - projector_eye)
+    else:
+        rotation, translation = rig.rotation, rig.translation
+        projector_eye = camera_eye - world_to_camera.T @ rotation.T @ translation
+    if np.any(projector_eye < 0.4 * np.transpose(options.slants)[0] * np.linalg.norm(projector_eye)):
+        return None
+
+    corner = Corner(-world_to_camera @ camera_eye, legs_world @ world_to_camera.T)
+
+    pixels = _jittered_grid(rng, projector, count)
+    normals, heights = corner.normals, corner.normals @ corner.vertex
+    if options.parallel_m is not None:
+        normals, heights = normals[[0, 1, 0]], heights[[0, 1, 0]] + np.array([0.0, 0.0, options.parallel_m])
+    points, face = _cast_rays(projector.unproject(pixels) @ rotation, -rotation.T @ translation, normals, heights)
+    camera_px = camera.project(points)
+    with np.errstate(invalid="ignore"):
+        seen = np.all((camera_px >= 0) & (camera_px <= (camera.width - 1, camera.height - 1)), axis=1)
+    camera_px, pixels, face = camera_px[seen], pixels[seen], face[seen]
+    if np.bincount(face, minlength=3).min() < max(options.least_share * count, 4):
+        return None
+
+    projector_px = pixels + rng.normal(0, options.noise_px, pixels.shape) if options.noise_px else pixels
+    wrong = rng.random(len(face)) < options.outliers
+    projector_px[wrong] = rng.uniform((0, 0), (projector.width, projector.height), (int(wrong.sum()), 2))
+    face = np.where(wrong, -1, face).astype(np.int32)
+    return SyntheticCapture(
+        Matches(camera_px, projector_px, face),
+        Calibration(camera, projector, rotation, translation, unit="m"),
+        corner,
+    )
+
+
+def _jittered_grid(rng: np.random.Generator, device: Intrinsics, count: int) -> Floats:
+    step = np.sqrt(device.width * device.height / count)
+    x, y = np.meshgrid(np.arange(0, device.width - 1, step), np.arange(0, device.height - 1, step))
+    grid = np.stack([x.ravel(), y.ravel()], axis=1)
+    return np.clip(grid + rng.uniform(0, step, grid.shape), 0, (device.width - 1, device.height - 1))
+
+
+def _cast_rays(directions: Floats, origin: Floats, normals: Floats, heights: Floats) -> tuple[Floats, Ints]:
+    """First wall n · X = height hit by each ray (N, 3) from `origin`: points (N, 3) and wall labels (N,)."""
+    with np.errstate(divide="ignore"):
+        lengths = (heights - normals @ origin) / (directions @ normals.T)
+    lengths[~(lengths > 0)] = np.inf
+    face = np.argmin(lengths, axis=1)
+    points = origin + lengths[np.arange(len(face)), face, None] * directions
+    return points, face.astype(np.int32)

@@ -1,0 +1,144 @@
+"""Matches of photos that one camera took of a made-up corner: what tests and benchmarks of photos calibrate.
+
+As in captures.py nothing is shared with the solver. A corner's points are laid out once and seen by all photos,
+and every photo errs on its own, the first included.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calib.geometry import Calibration, Corner, Intrinsics, Matches
+from calib.numerics import Bools, Floats, Ints
+from calib.synthetic.captures import look_at
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class PhotoOptions:
+    """What is drawn: lengths in distances of the first photo from the vertex.
+
+    `count`: matches of each further photo with the first; `noise_px` of each coordinate in every photo. `shift`: the
+    principal point is off the image's centre by up to that share of the width, as in a crop. `aim`: standard deviation
+    of the point that the camera looks at around the vertex. `least_share`: of the matches on each wall.
+    """
+
+    width: int = 1600
+    height: int = 1200
+    focal_px: tuple[float, float] = (1200.0, 2000.0)
+    distortion: float = 0.0
+    shift: float = 0.15
+    count: int = 2000
+    noise_px: float = 0.3
+    first_noise: bool = True
+    baseline: float = 0.3
+    photos: int = 2
+    roll: float = 0.1
+    aim: float = 0.05
+    walls_off_deg: float = 0.0
+    slants: tuple[float, float] = (0.25, 1.0)
+    least_share: float = 0.1
+
+
+@dataclass(frozen=True)
+class SyntheticPhotos:
+    """`pairs`: the matches of the first photo with each other one, and the calibration that is true of that pair
+    (|t| = 1). `corner`: in the first photo's frame, in baselines of the first pair.
+    """
+
+    pairs: tuple[tuple[Matches, Calibration], ...]
+    corner: Corner
+
+    @property
+    def camera(self) -> Intrinsics:
+        """The one camera."""
+        return self.pairs[0][1].camera
+
+
+def random_photos(
+    rng: np.random.Generator, options: PhotoOptions | None = None, *, attempts: int = 2000, **changes: Any
+) -> SyntheticPhotos:
+    """Photos of a corner from random places in its room; draws again until every wall holds its least share.
+
+    Raises ValueError after so many attempts. `changes`: options by name.
+    """
+    options = replace(options or PhotoOptions(), **changes)
+    for _ in range(attempts):
+        photos = _draw(rng, options)
+        if photos is not None:
+            return photos
+    raise ValueError("no view of the corner that all photos share")
+
+
+def _draw(rng: np.random.Generator, options: PhotoOptions) -> SyntheticPhotos | None:
+    camera = _camera(rng, options)
+    legs = np.eye(3) + np.radians(options.walls_off_deg) * np.array(
+        [[0, rng.normal(), 0], [0, 0, rng.normal()], [rng.normal(), 0, 0]]
+    )
+    legs /= np.linalg.norm(legs, axis=1, keepdims=True)
+    first = rng.uniform(*options.slants, 3)
+    first /= np.linalg.norm(first)
+    eyes = [first]
+    while len(eyes) < options.photos:
+        aside = np.cross(first, rng.normal(size=3))
+        eyes.append(first + options.baseline * aside / np.linalg.norm(aside))
+    if min(eye.min() for eye in eyes) < 0.1:
+        return None
+    rotations = [look_at(eye, rng.normal(0, options.aim, 3), _UP, rng.normal(0, options.roll)) for eye in eyes]
+    corner = Corner(-rotations[0] @ eyes[0], legs @ rotations[0].T)
+    pairs = []
+    for eye, world_to_second in zip(eyes[1:], rotations[1:], strict=True):
+        rotation = world_to_second @ rotations[0].T
+        translation = world_to_second @ (eyes[0] - eye)
+        matches = _matches(rng, options, camera, corner, rotation, translation)
+        if matches is None:
+            return None
+        pairs.append((matches, Calibration(camera, camera, rotation, translation / np.linalg.norm(translation))))
+    return SyntheticPhotos(tuple(pairs), Corner(corner.vertex / options.baseline, corner.legs))
+
+
+def _camera(rng: np.random.Generator, options: PhotoOptions) -> Intrinsics:
+    focal = float(rng.uniform(*options.focal_px))
+    x, y = rng.uniform(-options.shift, options.shift, 2) * options.width
+    centre = ((options.width - 1) / 2 + float(x), (options.height - 1) / 2 + float(y))
+    return Intrinsics(options.width, options.height, (focal, focal), centre, (options.distortion, 0.0, 0.0, 0.0, 0.0))
+
+
+def _matches(
+    rng: np.random.Generator,
+    options: PhotoOptions,
+    camera: Intrinsics,
+    corner: Corner,
+    rotation: Floats,
+    translation: Floats,
+) -> Matches | None:
+    """Random points of the first photo that the other sees, too; None if a wall has too few of them."""
+    pixels = rng.uniform((0, 0), (camera.width - 1, camera.height - 1), (4 * options.count, 2))
+    points, face = _cast(camera.unproject(pixels), corner)
+    second = camera.project(points @ rotation.T + translation)
+    seen = np.flatnonzero(_inside(second, camera))[: options.count]
+    face = face[seen]
+    if len(seen) < options.count or np.bincount(face, minlength=3).min() < options.least_share * options.count:
+        return None
+    first, second = pixels[seen], second[seen]
+    if options.first_noise:
+        first = first + rng.normal(0, options.noise_px, first.shape)
+    return Matches(first, second + rng.normal(0, options.noise_px, second.shape), face)
+
+
+def _cast(rays: Floats, corner: Corner) -> tuple[Floats, Ints]:
+    """The nearest wall that each ray (N, 3) meets: points (N, 3) and labels (N,)."""
+    with np.errstate(divide="ignore"):
+        depth = (corner.normals @ corner.vertex) / (rays @ corner.normals.T)
+    depth[~(depth > 0)] = np.inf
+    face = np.argmin(depth, axis=1)
+    points: Floats = depth[np.arange(len(rays)), face, None] * rays
+    return points, face.astype(np.int32)
+
+
+def _inside(pixels: Floats, camera: Intrinsics) -> Bools:
+    with np.errstate(invalid="ignore"):
+        inside: Bools = np.all((pixels >= 0) & (pixels <= (camera.width - 1, camera.height - 1)), axis=1)
+    return inside

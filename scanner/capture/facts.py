@@ -1,0 +1,61 @@
+"""What a recording says about itself: sizes, patterns, devices, exposures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from scanner.patterns import Pattern
+
+
+@dataclass(frozen=True)
+class CaptureFacts:
+    """How the capture was taken: sizes are (width, height); what is not known is left out.
+
+    `identity` names devices and whatever else the recording says about itself. `exposure_us`: the frames' exposures.
+    `photos`: what stands for the projector is the camera at a second place.
+    """
+
+    camera_size: tuple[int, int]
+    projector_size: tuple[int, int]
+    patterns: tuple[Pattern, ...] = ()
+    identity: Mapping[str, str] = field(default_factory=dict)
+    exposure_us: tuple[float, ...] = ()
+    photos: bool = False
+
+    @property
+    def pixels(self) -> str:
+        """What residuals are measured in."""
+        return "px" if self.photos else "projector px"
+
+    @property
+    def second(self) -> str:
+        """The device whose rays meet those of the camera."""
+        return "second photo" if self.photos else "projector"
+
+
+_NOT_ABOUT_DEVICES = {"format", "projector", "camera", "frames", "devices"}
+
+
+def identity(metadata: Mapping[str, object]) -> dict[str, str]:
+    """What a recording says about its devices and itself, as far as it fits on a line each."""
+    devices = metadata.get("devices")
+    named = {str(key): str(value) for key, value in devices.items()} if isinstance(devices, Mapping) else {}
+    named |= _synchronisation(metadata.get("synchronisation"))
+    others = {key: value for key, value in metadata.items() if key not in _NOT_ABOUT_DEVICES}
+    return named | {key: str(value) for key, value in others.items() if not isinstance(value, Mapping | list)}
+
+
+def _synchronisation(measured: object) -> dict[str, str]:
+    """What a rig of real devices has written down about taking turns, as far as it did."""
+    if not isinstance(measured, Mapping):
+        return {}
+    rows = {
+        "latency, from a flip to its light": _with_unit(measured.get("latency_ms"), "ms"),
+        "frames dropped, and taken again": measured.get("retriggered_frames"),
+        "time per frame": _with_unit(measured.get("ms_per_frame"), "ms"),
+        "of it over exposure and latency": _with_unit(measured.get("overhead_percent"), "%"),
+    }
+    return {name: str(value) for name, value in rows.items() if value is not None}
+
+
+def _with_unit(value: object, unit: str) -> str | None:
+    return None if value is None else f"{value} {unit}"

@@ -1,0 +1,253 @@
+"""The capture folder: `capture.yaml` and a frame for each pattern. Written as frames arrive, checked before use."""
+
+import os
+import shutil
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from errno import ENOSPC
+from io import FileIO
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, field_validator
+
+from calib.numerics import Image
+from hw.rig import Frame
+from scanner.capture.stream import Stream
+from scanner.errors import InputError
+from scanner.io import SUFFIXES, Entry, Whole, flow_yaml, read_image, read_yaml, validate, write_png
+from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, frame_line, pattern_to_dict, size_to_dict
+
+CAPTURE_FILE = "capture.yaml"
+
+
+def record(stream: Stream, folder: Path) -> Stream:
+    """The same stream; each frame is on disk, and listed in `capture.yaml`, before it is passed on.
+
+    What was captured when a later frame fails is therefore a valid capture of fewer frames. `folder` is made. Walking
+    through the frames raises OSError if the disk is full.
+    """
+    return replace(stream, frames=_recorded(stream, folder))
+
+
+def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
+    (folder / "frames").mkdir(parents=True)
+    with (folder / CAPTURE_FILE).open("wb", buffering=0) as listing:
+        _append(listing, _keys(_header(stream)) + "frames:\n")
+        for index, (pattern, frame) in enumerate(stream.frames):
+            file = f"frames/{index:03d}.png"
+            with _both_or_neither(listing, folder / file):
+                write_png(folder / file, frame.image)
+                _append(listing, frame_line(file, pattern, **_read_back(frame)))
+            yield pattern, frame
+        _append(listing, _keys(stream.account()))
+
+
+@contextmanager
+def _both_or_neither(listing: FileIO, image: Path) -> Iterator[None]:
+    """An image and its line in the listing belong together, also when Ctrl-C or a full disk comes between them."""
+    end = listing.tell()
+    try:
+        yield
+    except BaseException:
+        listing.truncate(end)
+        image.unlink(missing_ok=True)
+        raise
+
+
+def _append(listing: FileIO, text: str) -> None:
+    data = text.encode()
+    if listing.write(data) != len(data):
+        raise OSError(ENOSPC, os.strerror(ENOSPC), listing.name)
+
+
+def _keys(values: Mapping[str, object]) -> str:
+    return "".join(f"{key}: {flow_yaml(value)}\n" for key, value in values.items())
+
+
+def _header(stream: Stream) -> dict[str, object]:
+    return {
+        "format": FORMAT,
+        "projector": size_to_dict(stream.projector_size),
+        "camera": size_to_dict(stream.camera_size),
+        "captured": datetime.now(UTC).isoformat(timespec="seconds"),
+        **stream.metadata,
+    }
+
+
+def _read_back(frame: Frame) -> dict[str, float | int]:
+    values = {"exposure_us": frame.exposure_us, "timestamp_ns": frame.timestamp_ns}
+    return {key: value for key, value in values.items() if value is not None}
+
+
+class _SizeEntry(Entry):
+    width: Whole = Field(ge=1, le=65535)
+    height: Whole = Field(ge=1, le=65535)
+
+
+class _FrameEntry(Entry):
+    file: str = Field(min_length=1)
+    pattern: PatternEntry
+    exposure_us: object = None
+    timestamp_ns: object = None
+
+    @property
+    def read_back(self) -> tuple[float | None, int | None]:
+        """Exposure and time stamp; other programs may mean something else by these keys, which is no error."""
+        exposure_us = self.exposure_us if isinstance(self.exposure_us, float | int) and self.exposure_us > 0 else None
+        return exposure_us, self.timestamp_ns if isinstance(self.timestamp_ns, int) else None
+
+
+class _CaptureEntry(Entry):
+    format: Whole
+    projector: _SizeEntry
+    camera: _SizeEntry
+    frames: list[_FrameEntry] = Field(min_length=1)
+
+    @field_validator("format")
+    @classmethod
+    def _known_format(cls, number: int) -> int:
+        if number != FORMAT:
+            raise ValueError(f"this version reads format {FORMAT}, found {number}")
+        return number
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A capture on disk whose listing was checked; its images are read, and checked, one at a time.
+
+    `files` are the frames' paths relative to `folder`, one for each of `patterns`; `read_back` their exposures (µs) and
+    time stamps (ns) where known. `metadata` is all of `capture.yaml`.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    patterns: tuple[Pattern, ...]
+    projector_size: tuple[int, int]
+    camera_size: tuple[int, int]
+    metadata: Mapping[str, Any]
+    read_back: tuple[tuple[float | None, int | None], ...]
+
+    def stream(self) -> Stream:
+        """The capture as it once arrived. Walking through the frames raises InputError at the first bad image."""
+        return Stream(self.patterns, self.projector_size, self.camera_size, self._frames(), self.metadata)
+
+    def _frames(self) -> Iterator[tuple[Pattern, Frame]]:
+        first: Image | None = None
+        for pattern, file, read_back in zip(self.patterns, self.files, self.read_back, strict=True):
+            image = read_image(self.folder / file)
+            self._check_size(file, image)
+            first = image if first is None else first
+            if (image.dtype, image.shape) != (first.dtype, first.shape):
+                raise InputError(
+                    f"{self.folder / file}: expected {_kind(first)} like {self.files[0]}, found {_kind(image)}"
+                )
+            yield pattern, Frame(image, *read_back)
+
+    def _check_size(self, file: str, image: Image) -> None:
+        found = (image.shape[1], image.shape[0])
+        if found != self.camera_size:
+            swapped = "; are width and height swapped?" if found[::-1] == self.camera_size else ""
+            raise InputError(
+                f"{self.folder / file}: expected {self.camera_size[0]} × {self.camera_size[1]} pixels, the size of the "
+                f"camera in {CAPTURE_FILE}, found {found[0]} × {found[1]}{swapped}"
+            )
+
+    def copy_to(self, folder: Path) -> None:
+        """Copy the listing and the frames it lists into a new folder. Raises OSError."""
+        for file in (CAPTURE_FILE, *self.files):
+            target = folder / file
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(self.folder / file, target)
+
+
+def _kind(image: Image) -> str:
+    return f"{image.dtype.itemsize * 8}-bit {'grey' if image.ndim == 2 else 'colour'} images"
+
+
+def open_capture(path: Path) -> Recording:
+    """Read and check the listing of a capture folder (or the path of its `capture.yaml`).
+
+    Raises InputError for a missing or malformed listing, an unknown pattern, a pattern or file listed twice, a file
+    that is missing or outside the folder, and an image beside the frames that is not listed.
+    """
+    folder = path.parent if path.name == CAPTURE_FILE else path
+    listing = _listing_in(folder)
+    data = read_yaml(listing)
+    entry = validate(_CaptureEntry, data, str(listing))
+    files = tuple(frame.file for frame in entry.frames)
+    patterns = tuple(frame.pattern.pattern() for frame in entry.frames)
+    paths = tuple(_frame_path(listing, file) for file in files)
+    _refuse_repeats(listing, paths, "shows the file", files)
+    exposures_us = [frame.read_back[0] for frame in entry.frames]
+    shown = list(zip(patterns, exposures_us, strict=True))
+    _refuse_repeats(listing, shown, "shows the pattern", [flow_yaml(pattern_to_dict(p)) for p in patterns])
+    _refuse_extra_images(folder, set(paths))
+    return Recording(
+        folder,
+        files,
+        patterns,
+        (entry.projector.width, entry.projector.height),
+        (entry.camera.width, entry.camera.height),
+        data,
+        tuple(frame.read_back for frame in entry.frames),
+    )
+
+
+def _listing_in(folder: Path) -> Path:
+    listing = folder / CAPTURE_FILE
+    if listing.is_file():
+        return listing
+    if not folder.exists():
+        raise InputError(f"{folder}: no such capture folder")
+    if folder.name == SEQUENCE_FILE or (folder / SEQUENCE_FILE).is_file():
+        raise InputError(
+            f"{folder}: expected a capture, found a sequence of patterns to project: project its images, "
+            f"photograph each, and list the photographs with their patterns and the camera's size in a {CAPTURE_FILE}"
+        )
+    if (folder / "capture" / CAPTURE_FILE).is_file():
+        raise InputError(f"{folder}: expected a capture, found a result; its recording is {folder / 'capture'}")
+    raise InputError(f"{folder}: expected a capture folder, found no {CAPTURE_FILE} in it")
+
+
+def _frame_path(listing: Path, file: str) -> Path:
+    """Where a listed frame really is; it must be a file inside the capture folder, whatever links lead to it."""
+    if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file:
+        raise InputError(f"{listing}: frame {file!r} must be a path inside the capture folder")
+    root = listing.parent.resolve()
+    try:
+        path = (root / file).resolve()
+        found = "is no file" if path.exists() else "is missing"
+        is_file = path.is_file()
+    except (OSError, RuntimeError) as error:  # a name that is too long, links in a circle
+        raise InputError(f"{listing}: frame {file!r} cannot be found: {error}") from error
+    if not path.is_relative_to(root):
+        raise InputError(f"{listing}: frame {file!r} is a link that leads out of the capture folder")
+    if not is_file:
+        raise InputError(f"{listing}: frame {file!r} {found}")
+    return path
+
+
+def _refuse_repeats(listing: Path, values: Sequence[Hashable], what: str, names: Sequence[str]) -> None:
+    first_with: dict[Hashable, int] = {}
+    for index, value in enumerate(values):
+        if value in first_with:
+            raise InputError(f"{listing}: frame {index} {what} of frame {first_with[value]} again: {names[index]}")
+        first_with[value] = index
+
+
+def _refuse_extra_images(folder: Path, listed: set[Path]) -> None:
+    """An unlisted image among the frames means that listing and frames do not belong together.
+
+    Images beside `capture.yaml` itself are nobody's business.
+    """
+    root = folder.resolve()
+    for place in sorted({path.parent for path in listed} - {root}):
+        for path in sorted(place.iterdir()):
+            if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.resolve() not in listed:
+                raise InputError(
+                    f"{folder / CAPTURE_FILE}: the image {path.relative_to(root)} is not listed: list it with its "
+                    "pattern, or take it out of the frames' folder"
+                )

@@ -1,0 +1,32 @@
+"""From capture to capture: the rig is moved, by itself or by the operator."""
+
+from hw.errors import DeviceError
+from hw.moving import at_place, moves_by_itself
+from hw.settings import RigSettings
+from scanner.errors import InputError
+from scanner.ui import Terminal
+
+
+def check_places(settings: RigSettings, number: int, terminal: Terminal) -> None:
+    """Raise InputError if the rig cannot go to so many places, or nobody could be asked to move it."""
+    if number > 1 and not moves_by_itself(settings) and not terminal.can_ask:
+        raise InputError(
+            f"--captures {number} asks you to move the rig between captures, but the input is no terminal: run it in "
+            "one, or scan several times and put the results together with scan calibrate"
+        )
+    try:
+        at_place(settings, number - 1)
+    except DeviceError as error:
+        raise InputError(f"--captures {number}: {error}") from error
+
+
+def next_place(settings: RigSettings, step: int, number: int, terminal: Terminal) -> RigSettings | None:
+    """The rig where it takes capture `step` of `number` from; None if the operator has had enough."""
+    if step and not moves_by_itself(settings):
+        question = (
+            f"Capture {step} of {number} is done. Move the rig as a whole, so that it sees the same corner from "
+            "another side; then press Enter, or q and Enter to go on with what there is: "
+        )
+        if terminal.ask(question).strip().lower().startswith("q"):
+            return None
+    return at_place(settings, step)

@@ -1,0 +1,73 @@
+"""Rig and patterns → the stream that everything else consumes."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from hw.errors import DeviceError
+from hw.rig import Frame, Rig, exposure_control
+from scanner.patterns import Pattern, ProjectorResponse, draw
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Patterns and the frames that show them, one after the other; live, simulated or recorded looks the same.
+
+    `frames` can be walked through once. Sizes are (width, height). `metadata` holds further keys for the recording,
+    `account` those that are known only when the frames have been walked through.
+    """
+
+    patterns: tuple[Pattern, ...]
+    projector_size: tuple[int, int]
+    camera_size: tuple[int, int]
+    frames: Iterator[tuple[Pattern, Frame]]
+    metadata: Mapping[str, object] = field(default_factory=dict)
+    account: Callable[[], Mapping[str, object]] = dict
+
+
+def capture(
+    rig: Rig,
+    patterns: tuple[Pattern, ...],
+    exposures_us: tuple[float, ...] = (),
+    response: ProjectorResponse | None = None,
+) -> Stream:
+    """Project each pattern and grab a frame of it, or one at each of `exposures_us`, when the frame is asked for.
+
+    With a known `response` the projector is sent what makes its light proportional to the pattern. That is what the
+    recording's patterns describe: it does not matter to who reads it how the light came about.
+
+    Raises DeviceError if the camera cannot expose for what is wanted, or makes the same of two exposures. Walking
+    through `frames` raises DeviceError if a device fails or the camera delivers frames of another size.
+    """
+    if exposures_us:
+        _try_exposures(rig, exposures_us)
+    repeated = tuple(pattern for pattern in patterns for _ in exposures_us or (None,))
+    frames = _frames(rig, repeated, exposures_us, response)
+    devices = rig.identity if response is None else rig.identity | {"response": f"gamma {response.gamma:.2f}, undone"}
+    return Stream(repeated, rig.projector.size, rig.camera.size, frames, {"devices": devices}, rig.account)
+
+
+def _frames(
+    rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, ...], response: ProjectorResponse | None
+) -> Iterator[tuple[Pattern, Frame]]:
+    width, height = rig.camera.size
+    pictures = (draw(pattern, rig.projector.size) for pattern in patterns)
+    if response is not None:
+        pictures = (response.compensation[picture] for picture in pictures)
+    for pattern, frame in zip(patterns, rig.photograph(pictures, exposures_us), strict=True):
+        if frame.image.shape[:2] != (height, width):
+            found = f"{frame.image.shape[1]} × {frame.image.shape[0]}"
+            raise DeviceError(f"the camera says that its frames are {width} × {height}, but delivered one of {found}")
+        yield pattern, frame
+
+
+def _try_exposures(rig: Rig, exposures_us: tuple[float, ...]) -> None:
+    """What the camera cannot do is said before the first frame. Raises DeviceError."""
+    camera = exposure_control(rig.camera)
+    became = [camera.expose_for(exposure_us) for exposure_us in exposures_us]
+    for number, (wanted, found) in enumerate(zip(exposures_us, became, strict=True)):
+        if found in became[:number]:
+            other = exposures_us[became.index(found)]
+            raise DeviceError(
+                f"the camera makes the same of {other:g} and {wanted:g} µs in sequence.exposures_us, {found:.0f} µs: "
+                "exposures are whole numbers of the projector's refresh periods; choose some that are further apart"
+            )

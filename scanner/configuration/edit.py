@@ -1,0 +1,117 @@
+"""Changing single keys of a configuration file: everything else in it stays as it is, byte for byte."""
+
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from scanner.configuration.schema import Config
+from scanner.errors import InputError
+from scanner.io import flow_yaml, parse_yaml, read_text, validate
+
+BACKUP_SUFFIX = ".bak"
+_MARK = "\ufeff"  # of UTF-8, where a text editor has put one
+
+
+def set_keys(path: Path, values: Mapping[str, object]) -> Path:
+    """Set keys such as 'rig.exposure_us' in a configuration file; returns where the file as it was is kept.
+
+    The file is replaced as a whole or not at all. Raises InputError, with nothing changed, if the file cannot be read
+    or written, or if the text cannot be changed so that it means the same but for these keys.
+    """
+    real = path.resolve()
+    read_text(real)
+    with real.open(encoding="utf-8", newline="") as file:
+        text = file.read()
+    mark = _MARK if text.startswith(_MARK) else ""
+    changed = text.removeprefix(mark)
+    for key, value in values.items():
+        changed = with_key(changed, key, value, str(path))
+    validate(Config, parse_yaml(changed, str(path)), str(path))
+    backup = real.with_name(real.name + BACKUP_SUFFIX)
+    fresh = real.with_name(f".{real.name}.{os.getpid()}.partial")
+    try:
+        shutil.copy2(real, backup)
+        shutil.copy2(real, fresh)  # for its permissions
+        with fresh.open("w", encoding="utf-8", newline="") as file:
+            file.write(mark + changed)
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(real)
+    except OSError as error:
+        fresh.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be changed: {error.strerror}; it is as it was") from error
+    return backup
+
+
+def with_key(text: str, key: str, value: object, where: str) -> str:
+    """A YAML text in which 'section.name' has that value, and nothing else is changed. Raises InputError."""
+    section, name = key.split(".")
+    before = parse_yaml(text, where)
+    shown = flow_yaml(value)
+    changed = _changed(text, section, name, shown)
+    wanted = _with(before, section, name, value)
+    if changed is None or _parsed(changed, where) != wanted:
+        raise InputError(
+            f"{where}: '{key}' cannot be set without touching more of the file; write this line into '{section}:' "
+            f"yourself: {name}: {shown}"
+        )
+    return changed
+
+
+def _with(data: Any, section: str, name: str, value: object) -> dict[str, Any]:
+    given = data if isinstance(data, dict) else {}
+    inner = given.get(section)
+    return {**given, section: {**(inner if isinstance(inner, dict) else {}), name: value}}
+
+
+def _parsed(text: str, where: str) -> Any:
+    try:
+        return parse_yaml(text, where)
+    except InputError:
+        return None
+
+
+def _changed(text: str, section: str, name: str, shown: str) -> str | None:
+    """None where the text is of a form that is not understood."""
+    root = yaml.compose(text, yaml.SafeLoader)
+    newline = "\r\n" if "\r\n" in text else "\n"
+    if not isinstance(root, yaml.MappingNode) or root.flow_style:
+        return None
+    inner = _value_of(root, section)
+    if inner is None:
+        separator = "" if text.endswith("\n") else newline
+        return f"{text}{separator}{section}:{newline}  {name}: {shown}{newline}"
+    if not isinstance(inner, yaml.MappingNode) or not inner.value:
+        return None
+    old = _value_of(inner, name)
+    if old is not None:
+        begin, end = int(old.start_mark.index), _end_of(old, text)
+        return text[:begin] + (" " if begin == end else "") + shown + text[end:]
+    if inner.flow_style:
+        last = inner.value[-1][1]
+        end = _end_of(last, text)
+        return f"{text[:end]}, {name}: {shown}{text[end:]}"
+    # A block's new key goes before its first, on a line of its own with the same indentation.
+    first = inner.value[0][0].start_mark
+    return f"{text[: first.index]}{name}: {shown}{newline}{' ' * first.column}{text[first.index :]}"
+
+
+def _value_of(mapping: yaml.MappingNode, name: str) -> yaml.Node | None:
+    return next((value for key, value in mapping.value if getattr(key, "value", None) == name), None)
+
+
+def _end_of(node: yaml.Node, text: str) -> int:
+    """Where a value ends; a block's mark is at what follows it, beyond blank lines and comments."""
+    end = int(node.end_mark.index)
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style:
+        return max((_end_of(_last_of(node), text), int(node.start_mark.index)))
+    return end
+
+
+def _last_of(node: yaml.CollectionNode) -> yaml.Node:
+    last: yaml.Node | tuple[yaml.Node, yaml.Node] = node.value[-1]
+    return last[1] if isinstance(last, tuple) else last

@@ -1,0 +1,265 @@
+"""The configuration: YAML and `--set KEY=VALUE` → typed, validated, immutable settings."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from calib.self_calibration import PrincipalPoint
+from hw.settings import RigSettings
+from scanner.errors import InputError
+from scanner.io import Flag, Number, Pair, Section, Whole, parse_yaml, read_yaml, validate
+from scanner.patterns import PRESETS, Code, Pattern, Preset, PresetName, ProjectorResponse
+
+# Of an unknown camera only the image's centre is known; real principal points scatter around it by a few per cent.
+_CENTRE_SIGMA_OF_WIDTH = 0.03
+
+_LARGEST_SIDE_PX = 32768
+_MOST_EARLIER = 64
+
+Exposure = Annotated[Number, Field(gt=0, le=1e8)]
+Period = Annotated[Number, Field(ge=4, le=1024)]
+
+
+class _DeviceSettings(Section):
+    width: Whole | None = Field(default=None, ge=16, le=_LARGEST_SIDE_PX, description="Width of the image in pixels.")
+    height: Whole | None = Field(default=None, ge=16, le=_LARGEST_SIDE_PX, description="Height of the image in pixels.")
+
+    @model_validator(mode="after")
+    def _both_or_neither(self) -> "_DeviceSettings":
+        if (self.width is None) != (self.height is None):
+            raise ValueError("give both width and height, or neither")
+        return self
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """(width, height), or None if it is not given."""
+        return None if self.width is None or self.height is None else (self.width, self.height)
+
+
+class PrincipalPointSettings(Section):
+    """What is known of the camera's principal point: where it is, or only that it is near the image's centre."""
+
+    known: Pair | None = Field(
+        default=None, description="(x, y) in pixels, if it was measured; the centre of the top left pixel is (0, 0)."
+    )
+    prior: Literal["centre"] | None = Field(default=None, description="Where it is expected, if it was not measured.")
+    sigma_px: Number | None = Field(
+        default=None, gt=0, le=_LARGEST_SIDE_PX, description="How far from there it may be; default 3 % of the width."
+    )
+
+    @model_validator(mode="after")
+    def _known_or_prior(self) -> "PrincipalPointSettings":
+        if self.known is not None and (self.prior is not None or self.sigma_px is not None):
+            raise ValueError("give known: [x, y], or prior: centre with sigma_px, not both")
+        return self
+
+
+class CameraSettings(_DeviceSettings):
+    """The camera's image, and what is known of its optics."""
+
+    principal_point: PrincipalPointSettings = Field(
+        default=PrincipalPointSettings(), description="{known: [x, y]}, or {prior: centre, sigma_px: …}."
+    )
+
+
+class ProjectorSettings(_DeviceSettings):
+    """The projector's image, and how bright it makes its grey levels."""
+
+    response: tuple[Number, ...] | None = Field(
+        default=None,
+        min_length=2,
+        max_length=256,
+        description="Light at equally spaced grey levels, from 0 for black to 1 for white, as scan check measures it; "
+        "pictures are then sent so that fringes are true sines. Left out, the decoder straightens what gamma bends.",
+    )
+
+    @model_validator(mode="after")
+    def _rising(self) -> "ProjectorSettings":
+        if self.response is not None:
+            ProjectorResponse(self.response)
+        return self
+
+    @property
+    def known_response(self) -> ProjectorResponse | None:
+        """What scan check has measured, if it is in the configuration."""
+        return None if self.response is None else ProjectorResponse(self.response)
+
+
+class SequenceSettings(Section):
+    """Which patterns are projected; a key that is given overrides the preset."""
+
+    preset: PresetName = Field(default="standard", description="The sequence to start from.")
+    code: Code | None = Field(
+        default=None,
+        description="gray; or xor: the same cells in fine stripes, which bounced light does not turn over; or both, "
+        "which must agree with each other or one of them with the fringes.",
+    )
+    cell: Whole | None = Field(default=None, ge=1, le=1024, description="Finest Gray code stripe in projector pixels.")
+    inverses: Flag | None = Field(default=None, description="Whether each bit is followed by its inverse.")
+    periods: tuple[Period, ...] | None = Field(
+        default=None, min_length=1, max_length=8, description="Periods of the fringes in projector pixels."
+    )
+    shifts: Whole | None = Field(
+        default=None, ge=0, le=64, description="Steps of each fringe, 3 or more; 0 for no fringes."
+    )
+
+    exposures_us: tuple[Exposure, ...] = Field(
+        default=(), max_length=8, description="Exposures of each pattern; left out, the one that the rig is set to."
+    )
+
+    @model_validator(mode="after")
+    def _decodable(self) -> "SequenceSettings":
+        chosen = self._chosen
+        if chosen.shifts in (1, 2):
+            raise ValueError(f"shifts must be 3 or more, or 0 for no fringes, found {chosen.shifts}")
+        if len(set(chosen.periods)) < len(chosen.periods):
+            raise ValueError(f"periods must differ, found {', '.join(f'{period:g}' for period in chosen.periods)}")
+        if len(set(self.exposures_us)) < len(self.exposures_us) or len(self.exposures_us) == 1:
+            raise ValueError("exposures_us must be two or more that differ, or left out")
+        if chosen.shifts and chosen.cell > max(chosen.periods):
+            raise ValueError(
+                f"cell ({chosen.cell}) must not exceed the longest period ({max(chosen.periods)}), "
+                "or fringes look alike"
+            )
+        return self
+
+    @property
+    def _chosen(self) -> Preset:
+        keys = ("code", "cell", "inverses", "periods", "shifts")
+        return replace(
+            PRESETS[self.preset], **{key: value for key in keys if (value := getattr(self, key)) is not None}
+        )
+
+    def patterns(self, projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
+        """The sequence for a projector of (width, height)."""
+        return self._chosen.patterns(projector_size)
+
+
+class CornerSettings(Section):
+    """Prior knowledge of the corner."""
+
+    squareness_deg: Number = Field(
+        default=0.3, ge=0, le=10, description="Standard deviation of the faces' angles around 90°; 0 if exact."
+    )
+    same: Flag = Field(default=True, description="Whether several captures show the same corner.")
+
+
+class ScaleSettings(Section):
+    """One length that is known; without one, lengths are in units of the baseline."""
+
+    baseline_m: Number | None = Field(default=None, gt=0, le=1e4, description="Distance from camera to projector.")
+    camera_to_corner_m: Number | None = Field(
+        default=None, gt=0, le=1e4, description="Distance from the camera to the point where the three faces meet."
+    )
+
+    @model_validator(mode="after")
+    def _at_most_one(self) -> "ScaleSettings":
+        if self.baseline_m is not None and self.camera_to_corner_m is not None:
+            raise ValueError("give baseline_m or camera_to_corner_m, not both: one length fixes the scale")
+        return self
+
+
+class Config(Section):
+    """Everything that can be configured. What a command needs and does not find is an InputError when it asks."""
+
+    rig: RigSettings | None = Field(default=None, description="The devices.")
+    camera: CameraSettings = Field(default=CameraSettings(), description="The camera's image and optics.")
+    projector: ProjectorSettings = Field(default=ProjectorSettings(), description="The projector's image and response.")
+    sequence: SequenceSettings = Field(default=SequenceSettings(), description="The patterns to project.")
+    method: Literal["refined", "paper"] = Field(
+        default="refined", description="Maximum likelihood with lens distortion, or the paper's objective alone."
+    )
+    corner: CornerSettings = Field(default=CornerSettings(), description="What is known of the corner.")
+    scale: ScaleSettings | None = Field(default=None, description="A known length.")
+    earlier: tuple[Path, ...] = Field(
+        default=(),
+        max_length=_MOST_EARLIER,
+        description="Earlier results, or matches, of this unchanged rig to calibrate together with the new capture; "
+        "paths relative to this file.",
+    )
+
+    @property
+    def required_rig(self) -> RigSettings:
+        """The rig. Raises InputError if it is not configured."""
+        if self.rig is None:
+            raise InputError("the configuration has no 'rig': name the devices, as in rig: {backend: simulated}")
+        return self.rig
+
+    @property
+    def camera_size(self) -> tuple[int, int]:
+        """(width, height). Raises InputError if it is not configured."""
+        return _required_size("camera", self.camera.size)
+
+    @property
+    def projector_size(self) -> tuple[int, int]:
+        """(width, height). Raises InputError if it is not configured."""
+        return _required_size("projector", self.projector.size)
+
+    def principal_point(self, camera_size: tuple[int, int]) -> PrincipalPoint:
+        """What is known of the camera's principal point, for images of (width, height).
+
+        Raises InputError if a known point belongs to images of another size, or is nowhere near the image.
+        """
+        width, height = camera_size
+        setting = self.camera.principal_point
+        if setting.known is None:
+            sigma_px = setting.sigma_px or _CENTRE_SIGMA_OF_WIDTH * width
+            return PrincipalPoint(((width - 1) / 2, (height - 1) / 2), sigma_px)
+        if self.camera.size not in (None, camera_size):
+            raise InputError(
+                f"the configuration's camera is {_shown(self.camera_size)}, but the images are {_shown(camera_size)}: "
+                "camera.principal_point.known does not apply to them"
+            )
+        x, y = setting.known
+        if not (-width <= x <= 2 * width and -height <= y <= 2 * height):
+            raise InputError(
+                f"camera.principal_point.known is ({x:g}, {y:g}), far outside of the {_shown(camera_size)} image"
+            )
+        return PrincipalPoint((x, y), 0.0)
+
+
+def _required_size(device: str, size: tuple[int, int] | None) -> tuple[int, int]:
+    if size is None:
+        raise InputError(f"the configuration has no '{device}.width' and '{device}.height': give the size of its image")
+    return size
+
+
+def _shown(size: tuple[int, int]) -> str:
+    return f"{size[0]} × {size[1]}"
+
+
+def load_config(path: Path | None, overrides: Iterable[str] = ()) -> Config:
+    """Read a configuration (None: an empty one) and put `KEY=VALUE` overrides over it.
+
+    KEY is a dotted path, VALUE is YAML. Paths of earlier results may be relative to the configuration's folder; they
+    come back ready to be opened. Raises InputError for a missing or malformed file, an unknown key (naming the nearest
+    known one), a value that is impossible, or an override that is no KEY=VALUE.
+    """
+    data = {} if path is None else read_yaml(path)
+    for override in overrides:
+        _apply(override, data)
+    where = "configuration" if path is None else str(path)
+    config = validate(Config, data, where)
+    if path is None or not config.earlier:
+        return config
+    return config.model_copy(update={"earlier": tuple(path.parent / earlier for earlier in config.earlier)})
+
+
+def _apply(override: str, data: dict[str, Any]) -> None:
+    key, equals, text = override.partition("=")
+    if not equals or not re.fullmatch(r"\w+(\.\w+)*", key):
+        raise InputError(f"--set {override}: expected KEY=VALUE with a key such as camera.width")
+    *sections, name = key.split(".")
+    place = data
+    for section in sections:
+        inner = place.get(section)
+        if inner is None:
+            inner = place[section] = {}
+        if not isinstance(inner, dict):
+            raise InputError(f"--set {override}: '{section}' is a value, not a section, so it has no '{name}'")
+        place = inner
+    place[name] = parse_yaml(text, f"--set {override}")

@@ -1,0 +1,238 @@
+"""Frames folded into full-size images as they arrive, so that memory does not grow with their number.
+
+A Gray bit is one compare of two frames. A fringe is two differences, or two weighted sums. Frames wait, as they came,
+only for the one that they are compared with, or that gives their threshold.
+"""
+
+from collections import defaultdict
+from functools import cached_property
+from typing import Any, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Image, compiled
+from scanner.decoding.arrays import Component, Floats32, Words
+from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
+
+Planes = NDArray[np.uint8]
+_NO_BIT = np.uint8(0)
+
+
+class GrayFold:
+    """The code word of each pixel, with how far its bits were from their thresholds.
+
+    `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels; `contrast`
+    is None where fringes tell what is lit.
+    """
+
+    def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool) -> None:
+        self.code = code
+        self.contrast: Image | None = np.zeros(shape, dtype) if contrast else None
+        self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
+        planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
+        self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
+
+    def fold(self, bit: int, bright: Image, dark: Image, *, half: bool = False) -> None:
+        """Set a bit where `bright` is brighter than `dark`; `half` if one of them is the threshold between two."""
+        place, position = divmod(self.code.bits - 1 - bit, 8)
+        plane, largest = self._planes[place].reshape(-1), bright.dtype.type(np.iinfo(bright.dtype).max)
+        bright, dark = bright.reshape(-1), dark.reshape(-1)
+        _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, self.least.reshape(-1))
+        if self.contrast is not None:
+            _note_contrast(bright, dark, half, largest, self.contrast.reshape(-1))
+
+    @cached_property
+    def words(self) -> Words:
+        """(H, W): the plain Gray code's, bit 0 in place bits − 1, as in the pattern; once all frames are in."""
+        planes, self._planes = self._planes, []
+        if len(planes) == 1:
+            return self.code.relative_to_base(planes[0])
+        merged = cast(Words, cv2.merge(planes))
+        words: Words = merged.view("<u2" if len(planes) == 2 else "<u4")[..., 0]
+        return self.code.relative_to_base(words)
+
+
+class FringeFold:
+    """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
+
+    `cosine` and `sine` times `scale` are in grey levels. Of four equal shifts each is the difference of two frames, in
+    whole numbers, of which the first waits for the second; others are weighted sums.
+    """
+
+    def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
+        self.fringe = fringe
+        weights = fringe.weights[1:]
+        largest = float(np.abs(weights).max())
+        self._signs = np.rint(weights / largest).astype(np.int64)
+        opposite = all(sorted(signs) == [-1, 0, 0, 1] for signs in self._signs.tolist())
+        self._is_plain = opposite and bool(np.allclose(self._signs * largest, weights, atol=1e-9))
+        self._waiting: dict[int, Image] = {}
+        self.scale = largest if self._is_plain else 1.0
+        kept_as = np.dtype(np.float32) if not self._is_plain else np.dtype(np.int16 if dtype == np.uint8 else np.int32)
+        self.cosine: Component = np.zeros(shape, kept_as)
+        self.sine: Component = np.zeros(shape, kept_as)
+
+    def fold(self, step: int, frame: Image, peak: Image) -> None:
+        """Add the frame of one shift, and raise `peak` (H, W) to it: of frames that wait, when they are added."""
+        if not self._is_plain:
+            np.maximum(peak, frame, out=peak)
+            for component, weights in zip((self.cosine, self.sine), self.fringe.weights[1:], strict=True):
+                cv2.addWeighted(component, 1, frame, float(weights[step]), 0, dst=component, dtype=cv2.CV_32F)
+            return
+        number = int(np.flatnonzero(self._signs[:, step])[0])
+        other = self._waiting.pop(number, None)
+        if other is None:
+            self._waiting[number] = frame.copy()
+            return
+        component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
+        _subtract(frame.reshape(-1), other.reshape(-1), sign, component.reshape(-1), peak.reshape(-1))
+
+
+@compiled
+def _note_bit(
+    bright: Image, dark: Image, bit: np.uint8, half: bool, largest: np.unsignedinteger[Any], plane: Planes, least: Image
+) -> None:
+    """Set a bit where one frame is brighter than the other, and lower `least` to their difference; (P,).
+
+    Of the frame and a threshold half-way, the difference is doubled, as far as numbers go.
+    """
+    for i in range(len(bright)):
+        one, other = bright[i], dark[i]
+        plane[i] = plane[i] | (bit if one > other else _NO_BIT)
+        difference = one - other if one > other else other - one
+        if half:
+            difference = difference + difference if difference <= largest // 2 else largest
+        least[i] = difference if difference < least[i] else least[i]
+
+
+@compiled
+def _note_contrast(bright: Image, dark: Image, half: bool, largest: np.unsignedinteger[Any], contrast: Image) -> None:
+    """Raise `contrast` to the same difference; (P,)."""
+    for i in range(len(bright)):
+        one, other = bright[i], dark[i]
+        difference = one - other if one > other else other - one
+        if half:
+            difference = difference + difference if difference <= largest // 2 else largest
+        contrast[i] = difference if difference > contrast[i] else contrast[i]
+
+
+@compiled
+def _subtract(frame: Image, other: Image, sign: int, difference: Component, peak: Image) -> None:
+    """A frame less another, or the reverse, and the peaks raised to both; (P,)."""
+    for i in range(len(frame)):
+        difference[i] = sign * (np.int32(frame[i]) - np.int32(other[i]))
+        peak[i] = max(peak[i], max(frame[i], other[i]))
+
+
+class Accumulators:
+    """All that is kept at full size of the frames seen so far.
+
+    `brightest` (H, W): the white frame or, without one, the maximum over all frames. `log_exposure` (H, W): logarithm
+    of the pixels' exposures, relative to each other; None if they are all alike.
+    """
+
+    def __init__(self, plan: SequencePlan, first: Image) -> None:
+        self.plan = plan
+        self.log_exposure: Floats32 | None = None
+        shape = first.shape[0], first.shape[1]
+        self.codes = [
+            GrayFold(code, shape, first.dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
+        ]
+        self.fringes = [FringeFold(fringe, shape, first.dtype) for fringe in plan.fringes]
+        self.brightest: Image = np.zeros(shape, first.dtype)
+        self._white: Image | None = None
+        self._black: Image | None = None
+        self._fringe_peak: Image | None = np.zeros(shape, first.dtype) if plan.fringes else None
+        self._darkest: Image | None = first.copy() if _needs_midrange(plan) else None
+        self._threshold: Image | None = None
+        self._waiting: dict[int, Image] = {}
+        # The base of an XOR code may be a bit of a plain one, too.
+        self._pairs: dict[tuple[int, int], list[tuple[GrayFold, int]]] = defaultdict(list)
+        self._alone: dict[int, list[tuple[GrayFold, int]]] = defaultdict(list)
+        for fold in self.codes:
+            for bit, pair in fold.code.pairs.items():
+                self._pairs[pair].append((fold, bit))
+            for bit, frame in fold.code.unpaired.items():
+                self._alone[frame].append((fold, bit))
+        self._pair_of = {frame: pair for pair in self._pairs for frame in pair}
+        self._steps = {frame: (fold, step) for fold in self.fringes for step, frame in enumerate(fold.fringe.frames)}
+
+    def add(self, index: int, grey: Image) -> None:
+        """Fold in frame `index`, (H, W); what is kept of it is a copy."""
+        if index in self._steps:
+            fold, step = self._steps[index]
+            fold.fold(step, grey, self.peak)
+        elif index in self._pair_of:
+            self._add_of_pair(index, grey)
+        elif index in self._alone:
+            self._waiting[index] = grey.copy()
+        elif index == self.plan.white:
+            self._white = self.brightest = grey.copy()
+        else:
+            self._black = grey.copy()
+        if self.plan.white is None:
+            np.maximum(self.brightest, grey, out=self.brightest)
+        if self._darkest is not None:
+            np.minimum(self._darkest, grey, out=self._darkest)
+        self._fold_alone()
+
+    def finish(self) -> None:
+        """Fold in what waited for the whole sequence to give its threshold."""
+        if self._darkest is not None:
+            self._threshold = _mean(self.brightest, self._darkest)
+        self._fold_alone()
+
+    def forget_contrasts(self) -> None:
+        """Free the bits' distances from their thresholds where the fringes contradict wrong bits anyway."""
+        for axis in self.plan.axes:
+            for fold in self.codes:
+                if axis.corrects_bits and fold.code in axis.codes:
+                    fold.least = fold.least[:0].copy()
+
+    @property
+    def peak(self) -> Image:
+        """(H, W): the largest grey levels among the fringes, or among all frames where there are no fringes."""
+        return self.brightest if self._fringe_peak is None else self._fringe_peak
+
+    @cached_property
+    def middle(self) -> Image:
+        """(H, W): grey level half-way between lit and unlit, once all frames are in."""
+        black, self._black = self._black, None
+        return self.brightest // 2 if black is None else _mean(self.brightest, black)
+
+    def _add_of_pair(self, index: int, grey: Image) -> None:
+        normal, inverse = pair = self._pair_of[index]
+        other = self._waiting.pop(inverse if index == normal else normal, None)
+        if other is None:
+            self._waiting[index] = grey.copy()
+            return
+        bright, dark = (grey, other) if index == normal else (other, grey)
+        for fold, bit in self._pairs[pair]:
+            fold.fold(bit, bright, dark)
+        if self._alone and self._threshold is None:
+            self._threshold = _mean(bright, dark)
+
+    def _fold_alone(self) -> None:
+        """Fold in the bits without an inverse as soon as there is a threshold for them."""
+        if not self._alone:
+            return
+        if self._threshold is None and self._white is not None and self._black is not None:
+            self._threshold = _mean(self._white, self._black)
+        if self._threshold is None:
+            return
+        for index in [index for index in self._waiting if index in self._alone]:
+            frame = self._waiting.pop(index)
+            for fold, bit in self._alone[index]:
+                bright, dark = (self._threshold, frame) if bit in fold.code.inverse else (frame, self._threshold)
+                fold.fold(bit, bright, dark, half=True)
+
+
+def _needs_midrange(plan: SequencePlan) -> bool:
+    """Whether nothing but the extremes over all frames tells where a bit's threshold is."""
+    return any(code.unpaired for code in plan.codes) and not plan.complements
+
+
+def _mean(first: Image, second: Image) -> Image:
+    return cast(Image, cv2.addWeighted(first, 0.5, second, 0.5, 0))

@@ -1,0 +1,246 @@
+"""One projector coordinate from what was accumulated: code words, fringe components → coordinate, variance, reason."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import pi, sqrt
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools, compiled
+from scanner.decoding.arrays import Floats32, Reasons
+from scanner.decoding.axis_signals import Signals
+from scanner.decoding.code_voting import let_fringes_decide
+from scanner.decoding.edge_shift_correction import log_amplitude
+from scanner.decoding.gray_code import Interval, interval_of
+from scanner.decoding.mask_reasons import (
+    NOT_LIT,
+    UNCERTAIN,
+    MaskReason,
+    note_codes,
+    note_contrast,
+    note_indirect,
+    note_light,
+    note_orders,
+    note_turned_over,
+    reasons_of,
+)
+from scanner.decoding.noise_model import NoiseModel
+from scanner.decoding.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
+from scanner.decoding.sequence_plan import AxisPlan, Fringe
+from scanner.decoding.systematic_error import add_systematic
+
+# A signal counts from five standard deviations on: an unlit pixel passes by chance once in three million times.
+_SEEN = 5.0
+# One-sided 93 %. A bit this weak lies at the edge of its stripe, where a wrong one costs a single cell.
+_CERTAIN_BIT = 1.5
+# Smaller differences are rounding, compression and stray light, whatever the noise.
+_LEAST_DIFFERENCE = 5.0
+# How far beyond the projector's pixels noise may carry a coordinate.
+_EDGE_PX = 0.5
+_FAINTEST_POWER = np.float32(1e-6)
+_CYCLE = np.float32(2 * pi)
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """`value` in projector pixels with its `variance`, and the `reason` not to use it; arrays (H, W).
+
+    `log_amplitude`: of the finest fringes that are seen; None without fringes.
+    """
+
+    value: Floats32
+    variance: Floats32
+    reason: Reasons
+    log_amplitude: Floats32 | None = None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What codes and fringes of an axis say at each pixel, with squared amplitudes `powers` (fringes, P), `variances`
+    (fringes, P) of the coordinates by noise, and what speaks `against` them (P,), as flags.
+    """
+
+    interval: Interval
+    powers: Floats32
+    variances: Floats32
+    orders: Orders
+    against: Reasons
+
+    @property
+    def well_lit(self) -> Bools:
+        """(P,): the longest fringe is seen, and none is saturated."""
+        lit: Bools = self.against & np.uint8(NOT_LIT) == 0
+        return lit
+
+    @property
+    def certain(self) -> Bools:
+        """(P,): well lit, and with one order of the fringes that agrees, and no other."""
+        certain: Bools = self.against & np.uint8(NOT_LIT | UNCERTAIN) == 0
+        return certain
+
+
+@dataclass(frozen=True)
+class AxisDecoder:
+    """Turns signals into one coordinate.
+
+    `ripple`: per fringe, what to add to its phase (a table over a cycle), or None. `finest`: the number of the shortest
+    fringe that is seen where there is light.
+    """
+
+    plan: AxisPlan
+    noise: NoiseModel
+    saturation: float
+    ripple: tuple[Floats32 | None, ...]
+    tolerances: Tolerances
+    finest: int = 0
+
+    @cached_property
+    def _units_px2(self) -> list[float]:
+        """Per fringe, the variance of its coordinate where noise and amplitude are equal.
+
+        σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal shifts.
+        """
+        return [(fringe.period / (2 * pi) * fringe.noise_gain) ** 2 for fringe in self.plan.fringes]
+
+    @cached_property
+    def _darkest_px2(self) -> np.float32:
+        """The variance of the longest fringe where it is just seen; lenses blur the others more."""
+        return np.float32(largest_variance(self.plan.fringes[0], with_gray=bool(self.plan.codes)))
+
+    def decode(self, signals: Signals) -> Coordinate:
+        """The coordinate at every pixel of the signals."""
+        return self._from_fringes(signals) if self.plan.fringes else self._from_codes(signals)
+
+    def measure(self, signals: Signals) -> Measured:
+        """What the fringes say at every pixel, of an axis that has fringes."""
+        interval = interval_of(self.plan, signals.words, len(signals.middle))
+        shape = len(self.plan.fringes), len(signals.middle)
+        powers, variances, positions = (np.empty(shape, np.float32) for _ in range(3))
+        for k, unit in enumerate(self._units_px2):
+            cosine, sine = signals.fringe(k)
+            at_black, per_level = np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)
+            _amplitude(cosine, sine, signals.middle, at_black, per_level, powers[k], variances[k])
+            self._position(k, cosine, sine, positions[k])
+        wrapped = Wrapped(positions, variances)
+        orders = unwrap(self.plan, interval, wrapped, self.tolerances)
+        if self.plan.corrects_bits:
+            let_fringes_decide(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
+        against = np.empty(len(signals.middle), np.uint8)
+        note_codes(interval.outside, interval.contradictory, against)
+        note_orders(orders.agree, orders.unique, against)
+        note_indirect(powers[0], signals.brightest, signals.middle, against)
+        note_light(variances[0], self._darkest_px2, self._saturated(signals), against)
+        # No second period would contradict a bit that global light has turned over.
+        for least in () if self.plan.corrects_bits else signals.least:
+            note_turned_over(least, powers[0], signals.brightest, signals.middle, against)
+        return Measured(interval, powers, variances, orders, against)
+
+    def positions(self, signals: Signals) -> Floats32:
+        """(fringes, P): the position within the period in projector pixels."""
+        found = np.empty((len(self.plan.fringes), len(signals.middle)), np.float32)
+        for k, position in enumerate(found):
+            self._position(k, *signals.fringe(k), position)
+        return found
+
+    def _position(self, number: int, cosine: Floats32, sine: Floats32, position: Floats32) -> None:
+        cv2.phase(cosine[None], sine[None], position[None])
+        ripple = self.ripple[number]
+        if ripple is not None:
+            _straighten(position, ripple)
+        position *= np.float32(self.plan.fringes[number].period / (2 * pi))
+
+    def _saturated(self, signals: Signals) -> Bools:
+        # In the image's own type, for comparing bytes with a float converts them all.
+        peak = signals.peak
+        if self.saturation > np.iinfo(peak.dtype).max:
+            return np.zeros(peak.shape, np.bool_)
+        saturated: Bools = peak >= peak.dtype.type(self.saturation)
+        return saturated
+
+    def _from_fringes(self, signals: Signals) -> Coordinate:
+        measured = self.measure(signals)
+        coordinates, variances = measured.orders.coordinates, measured.variances
+        if len(coordinates) > 1:
+            usable = measured.certain
+            for fringe, variance in zip(self.plan.fringes, variances, strict=True):
+                usable &= variance <= np.float32(largest_variance(fringe))
+            periods = [fringe.period for fringe in self.plan.fringes]
+            add_systematic(periods, coordinates, variances, usable, signals.shape)
+        value, variance = coordinates[0].copy(), variances[0].copy()
+        for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
+            _average_in(of_fringe, own_variance, value, variance)
+        reason = reasons_of(measured.against)
+        centre, reach = np.float32((self.plan.length - 1) / 2), np.float32(self.plan.length / 2 + _EDGE_PX)
+        _note_beyond(value, centre, reach, np.uint8(MaskReason.OUTSIDE), reason)
+        brightness = log_amplitude(measured.powers[self.finest])
+        if signals.log_exposure is not None:
+            brightness -= signals.log_exposure
+        shape = signals.shape
+        return Coordinate(
+            value.reshape(shape), variance.reshape(shape), reason.reshape(shape), brightness.reshape(shape)
+        )
+
+    def _from_codes(self, signals: Signals) -> Coordinate:
+        interval = interval_of(self.plan, signals.words, len(signals.middle))
+        difference_sigma = np.float32(sqrt(2)) * self.noise.sigma(signals.middle)
+        least_certain = np.maximum(np.float32(_LEAST_DIFFERENCE), np.float32(_CERTAIN_BIT) * difference_sigma)
+        least_seen = np.maximum(np.float32(2 * _LEAST_DIFFERENCE), np.float32(_SEEN) * difference_sigma)
+        against = np.empty(len(signals.middle), np.uint8)
+        note_codes(interval.outside, interval.contradictory, against)
+        for least, contrast in zip(signals.least, signals.contrast, strict=True):
+            note_contrast(least, least_certain, contrast, least_seen, against)
+        # Evenly spread over the interval.
+        variance = np.float32(1 / 12) * (interval.high - interval.low) ** 2
+        shape = signals.shape
+        return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reasons_of(against).reshape(shape))
+
+
+def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
+    """The variance of a fringe that is just seen.
+
+    Where a Gray code goes with it, its single bits must be seen too: they have √2 of a frame's noise, and a contrast of
+    twice the fringe's amplitude.
+    """
+    needed = max(_SEEN, _SEEN / sqrt(2) / fringe.noise_gain) if with_gray else _SEEN
+    return (fringe.period / (2 * pi) / needed) ** 2
+
+
+@compiled
+def _amplitude(
+    cosine: Floats32,
+    sine: Floats32,
+    level: Floats32,
+    at_black: np.float32,
+    per_level: np.float32,
+    power: Floats32,
+    variance: Floats32,
+) -> None:
+    """The square of a fringe's amplitude, and the variance of its coordinate by noise, which grows with the level."""
+    for i in range(len(cosine)):
+        power[i] = max(cosine[i] * cosine[i] + sine[i] * sine[i], _FAINTEST_POWER)
+        variance[i] = (at_black + per_level * level[i]) / power[i]
+
+
+@compiled
+def _straighten(phase: Floats32, ripple: Floats32) -> None:
+    """Add a table over a cycle, whose length is a power of two."""
+    last, steps_per_radian = np.int32(len(ripple) - 1), np.float32(len(ripple)) / _CYCLE
+    for i in range(len(phase)):
+        phase[i] += ripple[np.int32(phase[i] * steps_per_radian) & last]
+
+
+@compiled
+def _average_in(coordinate: Floats32, own_variance: Floats32, value: Floats32, variance: Floats32) -> None:
+    """The mean, each by the inverse of its variance, and the variance of the mean: in place of `value`, `variance`."""
+    for i in range(len(value)):
+        share = variance[i] / (variance[i] + own_variance[i])
+        value[i] += share * (coordinate[i] - value[i])
+        variance[i] = share * own_variance[i]
+
+
+@compiled
+def _note_beyond(value: Floats32, centre: np.float32, reach: np.float32, outside: np.uint8, reason: Reasons) -> None:
+    """Give a reason to pixels that have none and are too far from the centre."""
+    for i in range(len(value)):
+        reason[i] = outside if (abs(value[i] - centre) > reach) & (reason[i] == 0) else reason[i]

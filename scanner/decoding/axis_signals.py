@@ -1,0 +1,84 @@
+"""What was accumulated, for one axis at some pixels, in the form in which it is decoded."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Image, compiled
+from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.arrays import Component, Floats32, Words
+from scanner.decoding.sequence_plan import AxisPlan
+
+
+@dataclass(frozen=True)
+class Signals:
+    """One axis at P pixels, which make up an image of `shape` (H, W), row after row.
+
+    `words`: per code, (P,). `least` (codes, P) unless fringes contradict wrong bits, and `contrast` (codes, P)
+    without fringes, as in `GrayFold`; else with no codes. `components` of each fringe, longest period first: (H, W)
+    each, which times its `scales` are in grey levels. `brightest`, `middle` (P,): grey level when lit, and half-way
+    between lit and unlit. `peak` (P,): largest among the fringes. `log_exposure` (P,): None if all are alike.
+    """
+
+    shape: tuple[int, int]
+    words: list[Words]
+    least: Floats32
+    contrast: Floats32
+    components: list[tuple[Component, Component]]
+    scales: list[float]
+    brightest: Floats32
+    middle: Floats32
+    peak: Image
+    log_exposure: Floats32 | None = None
+
+    def fringe(self, number: int) -> tuple[Floats32, Floats32]:
+        """The components A cos θ and A sin θ of a fringe in grey levels, (P,) each."""
+        cosine, sine = np.empty((2, len(self.middle)), np.float32)
+        for levels, component in zip((cosine, sine), self.components[number], strict=True):
+            # A part of an image is not in one piece, and a loop over what is not takes ten times as long.
+            flat = cast(Component, np.ascontiguousarray(component).reshape(-1))
+            _scale(flat, np.float32(self.scales[number]), levels)
+        return cosine, sine
+
+
+def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArray[Any]]) -> Iterator[Signals]:
+    """The accumulated signals of x, then of y, at pixels that `select` takes from an (H, W) image, as a 2-D array."""
+    middle, peak, log_exposure = select(accumulators.middle), select(accumulators.peak), accumulators.log_exposure
+    shape = middle.shape[0], middle.shape[1]
+    brightest, half_lit = _stack([select(accumulators.brightest), middle], shape)
+    exposure = None if log_exposure is None else select(log_exposure).reshape(-1)
+
+    def of_axis(axis: AxisPlan) -> Signals:
+        codes = [fold for fold in accumulators.codes if fold.code in axis.codes]
+        fringes = [fold for fold in accumulators.fringes if fold.fringe in axis.fringes]
+        return Signals(
+            shape,
+            [select(fold.words).reshape(-1) for fold in codes],
+            _stack([] if axis.corrects_bits else [select(fold.least) for fold in codes], shape),
+            _stack([select(fold.contrast) for fold in codes if fold.contrast is not None], shape),
+            [(select(fold.cosine), select(fold.sine)) for fold in fringes],
+            [fold.scale for fold in fringes],
+            brightest,
+            half_lit,
+            peak.reshape(-1),
+            exposure,
+        )
+
+    return map(of_axis, accumulators.plan.axes)
+
+
+@compiled
+def _scale(component: Component, scale: np.float32, levels: Floats32) -> None:
+    for i in range(len(levels)):
+        levels[i] = scale * np.float32(component[i])
+
+
+def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:
+    """Images of one shape, (images, P)."""
+    stack = np.empty((len(images), *shape), np.float32)
+    for row, image in zip(stack, images, strict=True):
+        row[:] = image
+    return stack.reshape(len(images), shape[0] * shape[1])

@@ -1,0 +1,132 @@
+"""One measurement per projector cell, for captures where only Gray codes tell a coordinate.
+
+All camera pixels with one code see the same small patch; its centre is better known than any of them is.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools, Floats, Image, Ints, compiled
+from scanner.decoding.arrays import Floats32
+
+# Mean square radius of the pixels of one code, in pixels²: at most this much plus the usual number of pixels (a compact
+# patch has a sixth of that number, a stripe of four times its width a third).
+_SMALLEST_SPREAD = 1.0
+# A cell of several pixels that has this much fewer than the fullest around it is cut off, and its centre is not the
+# cell's. Below `_COUNTABLE` pixels the numbers vary too much by themselves.
+_WHOLE = 0.75
+_COUNTABLE = 6
+
+
+@dataclass(frozen=True)
+class CellMatches:
+    """`camera_px`, `projector_px` (M, 2), `variance` (M,) of each projector coordinate.
+
+    `rejected` (H, W): pixels whose code also turns up elsewhere, so that one of them is wrong, or of cut-off cells.
+    """
+
+    camera_px: Floats
+    projector_px: Floats
+    variance: Floats
+    rejected: Bools
+
+
+def average_cells(kept: Bools, projector_px: Floats32, variance: Floats32, brightness: Image) -> CellMatches:
+    """Average the `kept` pixels (H, W) that share their `projector_px` (H, W, 2), weighted by `brightness` (H, W)."""
+    rejected = np.zeros(kept.shape, np.bool_)
+    if not kept.any():
+        return CellMatches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), rejected)
+    half_px, pixels = np.empty((2, np.count_nonzero(kept), 2), np.int32)
+    _list_pixels(kept, projector_px, half_px, pixels)
+    (across, number_x), (down, number_y) = (_numbered(half_px[:, axis]) for axis in (0, 1))
+    group = number_y[half_px[:, 1]] * np.int32(len(across)) + number_x[half_px[:, 0]]
+    counts = np.bincount(group, minlength=len(across) * len(down))
+    cells = np.flatnonzero(counts)
+    cell_y, cell_x = np.divmod(cells, len(across))
+    number = np.empty(len(counts), np.int32)
+    number[cells] = np.arange(len(cells), dtype=np.int32)
+    group, count = number[group], counts[cells]
+
+    weight, of_variance, square = np.zeros((3, len(cells)))
+    camera_px = np.zeros((len(cells), 2))
+    _add_up(pixels, group, brightness.astype(np.float32), variance, weight, camera_px, of_variance)
+    camera_px /= weight[:, None]
+    _add_squares(pixels, group, camera_px, square)
+    good = square / count <= _SMALLEST_SPREAD + np.median(count)
+    good &= _is_whole(cell_x, cell_y, count)
+    _reject(pixels, group, good, rejected)
+    centre_px = np.stack([across[cell_x], down[cell_y]], axis=1)
+    return CellMatches(camera_px[good], centre_px[good], (of_variance / count**2)[good], rejected)
+
+
+def _numbered(half_px: Ints) -> tuple[Floats, Ints]:
+    """The different centres of cells, rising, and the number among them of each by its half pixels (N,).
+
+    Like numpy.unique, without sorting millions of numbers.
+    """
+    there = np.bincount(half_px) > 0
+    number: Ints = np.cumsum(there, dtype=np.int32) - np.int32(1)
+    return (np.flatnonzero(there) - 1) / 2.0, number
+
+
+@compiled
+def _list_pixels(kept: Bools, projector_px: Floats32, half_px: Ints, pixels: Ints) -> None:
+    """Of the kept pixels (N, 2) each: coordinates in half pixels of the projector from −0.5 on, where the axis begins;
+    column and row.
+    """
+    height, width = kept.shape
+    n = 0
+    for row in range(height):
+        for column in range(width):
+            if kept[row, column]:
+                for axis in range(2):
+                    half_px[n, axis] = int(2 * projector_px[row, column, axis] + 1.5)
+                pixels[n, 0], pixels[n, 1] = column, row
+                n += 1
+
+
+@compiled
+def _add_up(
+    pixels: Ints,
+    group: Ints,
+    brightness: Floats32,
+    variance: Floats32,
+    weight: Floats,
+    camera_px: Floats,
+    of_variance: Floats,
+) -> None:
+    """Sums by groups: of weights, of weighted pixels, of variances."""
+    for n in range(len(group)):
+        (column, row), into = pixels[n], group[n]
+        by = brightness[row, column] + 1.0
+        weight[into] += by
+        camera_px[into, 0] += by * column
+        camera_px[into, 1] += by * row
+        of_variance[into] += variance[row, column]
+
+
+@compiled
+def _add_squares(pixels: Ints, group: Ints, camera_px: Floats, square: Floats) -> None:
+    """Sums by groups of squared distances from `camera_px`."""
+    for n in range(len(group)):
+        into = group[n]
+        across, down = pixels[n, 0] - camera_px[into, 0], pixels[n, 1] - camera_px[into, 1]
+        square[into] += across * across + down * down
+
+
+@compiled
+def _reject(pixels: Ints, group: Ints, good: Bools, rejected: Bools) -> None:
+    for n in range(len(group)):
+        rejected[pixels[n, 1], pixels[n, 0]] = not good[group[n]]
+
+
+def _is_whole(cell_x: Ints, cell_y: Ints, count: Ints) -> Bools:
+    if np.median(count) < _COUNTABLE:
+        return np.ones(len(count), np.bool_)
+    grid = np.zeros((int(cell_y.max()) + 1, int(cell_x.max()) + 1), np.float32)
+    grid[cell_y, cell_x] = count
+    fullest = cv2.dilate(grid, np.ones((3, 3), np.uint8))
+    whole: Bools = count >= _WHOLE * fullest[cell_y, cell_x]
+    return whole

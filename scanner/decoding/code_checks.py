@@ -1,0 +1,160 @@
+"""Does each frame of a Gray code show the bit that the capture says?
+
+Exchanged bits decode to numbers like any others. But between neighbouring cells a Gray code changes in one bit only:
+where camera pixels next to each other differ in a single bit, their cells must be next to each other.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import sqrt
+
+import numpy as np
+
+from calib.numerics import Bools, Image, Ints, compiled
+from scanner.decoding.accumulators import GrayFold
+from scanner.decoding.arrays import Words
+from scanner.decoding.gray_code import cell_numbers
+from scanner.decoding.lines import lines_of
+from scanner.decoding.noise_model import NoiseModel
+from scanner.decoding.sequence_plan import GrayCode, SequencePlan
+from scanner.errors import InputError
+
+# Along this many rows and columns of the image pixels at most so far apart are compared.
+_LINES = 128
+_FARTHEST_PX = 16
+_CERTAIN_SIGMAS = 3.0
+_LEAST_DIFFERENCE = 5.0
+_FEWEST_CHANGES = 30
+# Where the camera samples the cells, nearly all changes are in a single bit; across stripes finer than its pixels they
+# are not, and say nothing.
+_MOSTLY_SINGLE = 0.8
+# Occlusion edges and undersampled stripes leave well over this share of a bit's changes between neighbours; if another
+# bit of the word is wrong, it is a half at most.
+_LEAST_ADJACENT = 0.65
+# An exchange of bits is the cause if undoing it leaves no more than this share of the contradictions.
+_REPAIRED = 0.3
+
+
+@dataclass(frozen=True)
+class _Changes:
+    """Pairs of pixels whose code words differ in a single bit: their words (C,), and which bit (C,)."""
+
+    before: Words
+    after: Words
+    bit: Ints
+
+    def __getitem__(self, chosen: Bools) -> "_Changes":
+        return _Changes(self.before[chosen], self.after[chosen], self.bit[chosen])
+
+    def adjacent(self) -> Bools:
+        """Whether the two cells are next to each other, as they must be."""
+        before, after = cell_numbers(self.before), cell_numbers(self.after)
+        step: Words = np.maximum(before, after) - np.minimum(before, after)
+        adjacent: Bools = step == 1
+        return adjacent
+
+    def repaired(self, code: GrayCode, exchange: tuple[int, int]) -> "_Changes":
+        """The same with two bits as shown exchanged, or with one inverted if both are the same."""
+        first, second = (np.uint32(code.bits - 1 - bit) for bit in exchange)
+
+        def repair(words: Words) -> Words:
+            shown = code.relative_to_base(words)
+            differ = np.uint32(1) if first == second else (shown >> first ^ shown >> second) & np.uint32(1)
+            return code.relative_to_base(shown ^ (differ << first | differ << second))
+
+        return _Changes(repair(self.before), repair(self.after), self.bit)
+
+
+def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel, middle: Image) -> None:
+    """Raise InputError if the bits of a Gray code do not follow each other as they must.
+
+    `middle` (H, W): grey level half-way between lit and unlit.
+    """
+    bases = {(fold.code.axis, fold.code.cell, fold.code.offset) for fold in folds if fold.code.base is not None}
+    for fold in folds:
+        changes = _changes(fold, noise, middle)
+        wrong = changes[~changes.adjacent()]
+        if len(wrong.bit) < _FEWEST_CHANGES:
+            continue
+        _require_unrepairable(plan, fold.code, changes, len(wrong.bit))
+        if fold.code.base is None and (fold.code.axis, fold.code.cell, fold.code.offset) in bases:
+            continue  # bounced light may have turned bits over: the XOR code beside it will tell
+        bits = [bit for bit in range(fold.code.bits) if _is_unrelated(changes.bit == bit, wrong, bit)]
+        if bits:
+            # Whether two cells are neighbours depends on the changing bit and on all finer ones.
+            suspects = [frame for bit in range(min(bits), fold.code.bits) for frame in _frames_of(fold.code, bit)]
+            raise InputError(
+                f"in the Gray code along {fold.code.axis}, cells that differ in bit {', '.join(map(str, bits))} only "
+                f"are not neighbours, as they must be; was a frame exchanged with another? {plan.names(suspects)}"
+            )
+
+
+def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> _Changes:
+    """Single-bit changes along some rows and columns of the image, between certain pixels."""
+    before, after = [np.empty(0, np.uint32)], [np.empty(0, np.uint32)]
+    for is_transposed in (False, True):
+        words, least, level = (
+            lines_of(image.T if is_transposed else image, _LINES) for image in (fold.words, fold.least, middle)
+        )
+        certain = least > np.maximum(_LEAST_DIFFERENCE, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
+        one, next_one = np.empty((2, words.size), np.uint32)
+        single, changes = _note_changes(words.astype(np.uint32), certain, one, next_one)
+        if single >= _MOSTLY_SINGLE * changes:
+            before.append(one[:single])
+            after.append(next_one[:single])
+    words_before, words_after = np.concatenate(before), np.concatenate(after)
+    place = np.rint(np.log2(words_before ^ words_after)).astype(np.int64)
+    return _Changes(words_before, words_after, fold.code.bits - 1 - place)
+
+
+@compiled
+def _note_changes(words: Words, certain: Bools, before: Words, after: Words) -> tuple[int, int]:
+    """Note the words of certain pixels that follow each other along a line (lines, P) and differ in a single bit.
+
+    Returns how many there are, and how many pixels that follow each other differ at all.
+    """
+    single = changes = 0
+    for line in range(words.shape[0]):
+        last = -1
+        for place in range(words.shape[1]):
+            if not certain[line, place]:
+                continue
+            if last >= 0 and place - last <= _FARTHEST_PX:
+                change = words[line, place] ^ words[line, last]
+                changes += change != 0
+                if change != 0 and change & (change - 1) == 0:
+                    before[single], after[single] = words[line, last], words[line, place]
+                    single += 1
+            last = place
+    return single, changes
+
+
+def _require_unrepairable(plan: SequencePlan, code: GrayCode, changes: _Changes, wrong: int) -> None:
+    exchanges = [*combinations(range(code.bits), 2), *((bit, bit) for bit in range(code.bits))]
+    left = [np.count_nonzero(~changes.repaired(code, exchange).adjacent()) for exchange in exchanges]
+    if min(left) > _REPAIRED * wrong:
+        return
+    first, second = exchanges[int(np.argmin(left))]
+    names = plan.names([*_frames_of(code, first), *_frames_of(code, second)])
+    if first == second:
+        raise InputError(f"the code along {code.axis} makes sense only with the opposite of bit {first}; see {names}")
+    raise InputError(
+        f"the code along {code.axis} makes sense only with bits {first} and {second} exchanged; see {names}"
+    )
+
+
+def _is_unrelated(of_bit: Bools, wrong: _Changes, bit: int) -> bool:
+    """Whether a bit changes in many places, too rarely between neighbours.
+
+    A single pair of cells that meet along an occlusion edge may differ in one bit by chance.
+    """
+    chosen = wrong[wrong.bit == bit]
+    if len(chosen.bit) < max(_FEWEST_CHANGES, (1 - _LEAST_ADJACENT) * np.count_nonzero(of_bit)):
+        return False
+    _, counts = np.unique(np.minimum(chosen.before, chosen.after), return_counts=True)
+    return bool(counts.max() < len(chosen.bit) / 2)
+
+
+def _frames_of(code: GrayCode, bit: int) -> list[int]:
+    return [frames[bit] for frames in (code.normal, code.inverse) if bit in frames]

@@ -1,0 +1,82 @@
+"""Patches of connected pixels, found run by run: in a picture of large surfaces there are few runs to a row."""
+
+import numpy as np
+
+from calib.numerics import Bools, Ints, compiled
+from scanner.decoding.tiles import in_strips, widened
+
+SMALLEST_PATCH = 24
+_ROWS = 512
+
+
+def small_patches(image: Bools) -> Bools:
+    """Pixels of an image (H, W) that are connected, along rows and columns, to fewer than `SMALLEST_PATCH` of it."""
+    result = np.empty_like(image)
+
+    def find(rows: slice) -> None:
+        # A patch that reaches from these rows to beyond the wider ones is not small.
+        wider, inner = widened(rows, SMALLEST_PATCH, len(image))
+        large = image[wider].copy()
+        _remove_small(large)
+        np.greater(image[rows], large[inner], out=result[rows])
+
+    in_strips(len(image), _ROWS, find)
+    return result
+
+
+def _remove_small(image: Bools) -> None:
+    """Clear small patches of an image (H, W)."""
+    starts = image[:, 0].sum() + np.count_nonzero(image[:, 1:] > image[:, :-1])
+    runs = np.empty((3, starts), np.int32)
+    _remove(image, *runs)
+
+
+@compiled
+def _remove(image: Bools, begin: Ints, end: Ints, parent: Ints) -> None:
+    """`begin`, `end`, `parent` (runs,): to work in; what follows a run's end is no part of it."""
+    height, width = image.shape
+    size = np.zeros(len(begin), np.int32)
+    row_ends = np.zeros(height, np.int64)
+    above, above_end, run = 0, 0, 0
+    for row in range(height):
+        of_row = image[row]
+        column = 0
+        while column < width:
+            while column < width and not of_row[column]:
+                column += 1
+            if column == width:
+                break
+            begin[run] = column
+            while column < width and of_row[column]:
+                column += 1
+            end[run], parent[run], size[run] = column, run, column - begin[run]
+            while above < above_end and end[above] <= begin[run]:
+                above += 1
+            overlapping = above
+            while overlapping < above_end and begin[overlapping] < column:
+                _join(run, overlapping, parent, size)
+                overlapping += 1
+            run += 1
+        above, above_end, row_ends[row] = above_end, run, run
+    run = 0
+    for row in range(height):
+        while run < row_ends[row]:
+            if size[_root(run, parent)] < SMALLEST_PATCH:
+                image[row, begin[run] : end[run]] = False
+            run += 1
+
+
+@compiled
+def _root(run: int, parent: Ints) -> int:
+    while parent[run] != run:
+        parent[run] = parent[parent[run]]
+        run = parent[run]
+    return run
+
+
+@compiled
+def _join(one: int, other: int, parent: Ints, size: Ints) -> None:
+    one, other = _root(one, parent), _root(other, parent)
+    if one != other:
+        parent[one] = other
+        size[other] += size[one]

@@ -1,0 +1,105 @@
+"""What was accumulated → the coordinates of all pixels, tile by tile, with all that needs a pixel's neighbours."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Ints, in_parallel
+from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.arrays import Floats32, Reasons
+from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
+from scanner.decoding.axis_signals import signals_of
+from scanner.decoding.discontinuities import breaks
+from scanner.decoding.edge_shift_correction import footprint_variance, straighten
+from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reasons
+from scanner.decoding.systematic_error import BLOCK_PX
+from scanner.decoding.tiles import in_tiles, widened
+
+# Pixels beyond a tile that its own depend on: whole blocks, so that these are the same ones in every tile.
+_HALO = 2 * BLOCK_PX
+_TILE_PX = 48
+_MOST_TILES = 48
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), NaN where one of them is not known; the
+    mean `variance` of the two; the `reason` not to use them. `counts` (2, reasons): how many pixels of x and of y by
+    itself have each of the `CONTRADICTIONS`.
+    """
+
+    projector_px: Floats32
+    variance: Floats32
+    reason: Reasons
+    counts: Ints
+
+
+def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Maps:
+    """Both coordinates of all pixels. Without fringes, what is not smooth is left as it is: cells have steps."""
+    plan, (height, width) = accumulators.plan, accumulators.middle.shape
+    footprint_px2 = _footprint(accumulators, decoders)
+    projector_px, variance = np.empty((height, width, 2), np.float32), np.empty((height, width), np.float32)
+    reasons = np.empty((height, width), np.uint8)
+
+    def decode(rows: slice, columns: slice) -> Ints:
+        (wide_rows, own_rows), (wide_columns, own_columns) = (
+            widened(part, _HALO, size) for part, size in ((rows, height), (columns, width))
+        )
+        tile, wide, own = (rows, columns), (wide_rows, wide_columns), (own_rows, own_columns)
+        # By `map`, which lets go of the signals of x before it takes those of y.
+        found = list(map(AxisDecoder.decode, decoders, signals_of(accumulators, lambda image: image[wide])))
+        reason = _first_reason(found)
+        kept = reason == np.uint8(MaskReason.KEPT)
+        for c in found:
+            if c.log_amplitude is not None and footprint_px2:
+                straighten(c.value, c.variance, c.log_amplitude, kept, footprint_px2)
+            np.copyto(c.value, np.float32(np.nan), where=~kept)
+        if plan.fringes:
+            np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
+        for axis, coordinate in enumerate(found):
+            projector_px[*tile, axis] = coordinate.value[own]
+        variance[tile] = np.float32(0.5) * (found[0].variance[own] + found[1].variance[own])
+        reasons[tile] = reason[own]
+        return np.stack([count_reasons(c.reason[own], CONTRADICTIONS) for c in found])
+
+    counts = np.sum(in_tiles((height, width), decode), axis=0)
+    return Maps(projector_px, variance, reasons, counts)
+
+
+def _first_reason(coordinates: list[Coordinate]) -> Reasons:
+    """The first of two reasons is the smaller number; KEPT, which is 0, becomes the largest in between."""
+    x, y = (coordinate.reason for coordinate in coordinates)
+    reason: Reasons = np.minimum(x - np.uint8(1), y - np.uint8(1)) + np.uint8(1)
+    return reason
+
+
+def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> float:
+    """The variance of a camera pixel's footprint, from tiles spread over the lit part of the image."""
+    height, width = accumulators.middle.shape
+    rows, columns = (np.arange(0, size - _TILE_PX + 1, _TILE_PX) for size in (height, width))
+    corners = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+    if not accumulators.fringes or not len(corners):
+        return 0.0
+    middles = tuple((corners + _TILE_PX // 2).T)
+    lit = np.ones(len(corners), np.bool_)
+    for decoder, at_middles in zip(decoders, signals_of(accumulators, lambda image: image[middles][None]), strict=True):
+        if decoder.plan.fringes:
+            lit &= decoder.measure(at_middles).well_lit
+    corners = corners[lit]
+    corners = corners[np.linspace(0, len(corners) - 1, min(len(corners), _MOST_TILES)).astype(np.int64)]
+    if not len(corners):
+        return 0.0
+
+    def tiles(image: NDArray[Any]) -> NDArray[Any]:
+        return np.concatenate([image[row : row + _TILE_PX, column : column + _TILE_PX] for row, column in corners])
+
+    both = zip(decoders, signals_of(accumulators, tiles), strict=True)
+    found = in_parallel(lambda axis: axis[0].decode(axis[1]), both)
+    usable = _first_reason(found) == np.uint8(MaskReason.KEPT)
+    shaded = [(c.value, c.log_amplitude) for c in found if c.log_amplitude is not None]
+    log_lit = np.log(np.maximum(tiles(accumulators.brightest), 1).astype(np.float32))
+    if accumulators.log_exposure is not None:
+        log_lit -= tiles(accumulators.log_exposure)
+    return footprint_variance(shaded, log_lit, usable, _TILE_PX)

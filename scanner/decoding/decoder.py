@@ -1,0 +1,243 @@
+"""The stream's frames → matches: which projector pixel lit each camera pixel, and how sure of it we are.
+
+Each frame is folded in as it arrives; what is kept of it are a few running images and a thin sample. No threshold has
+to be chosen: noise, saturation and tolerances are measured from the capture.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Matches
+from calib.numerics import Bools, Floats, Image, compiled
+from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.axis_decoder import AxisDecoder
+from scanner.decoding.axis_signals import signals_of
+from scanner.decoding.code_cells import average_cells
+from scanner.decoding.code_checks import check_codes
+from scanner.decoding.connected_components import small_patches
+from scanner.decoding.coordinate_maps import Maps, coordinate_maps
+from scanner.decoding.exposure_fusion import ExposureMerger, exposures_of
+from scanner.decoding.flicker import flicker_of
+from scanner.decoding.frame_checks import check_frames
+from scanner.decoding.map_checks import check_fringes, check_maps
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
+from scanner.decoding.operator_advice import warnings_of
+from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.saturation_level import saturation_level
+from scanner.decoding.sequence_plan import SequencePlan, plan_sequence
+from scanner.decoding.tune import calibrated_decoders, modulation
+from scanner.errors import InputError
+from scanner.patterns import Pattern
+
+__all__ = ["Decoder", "Decoding", "MaskReason"]
+
+_DEPTHS = (np.uint8, np.uint16)
+
+
+@dataclass(frozen=True)
+class Decoding:
+    """What a capture says.
+
+    `matches` with `sigma_px`, one per decoded camera pixel; where no fringe refines either axis one per projector cell,
+    at the centre of the camera pixels that see it. `texture`: the scene fully lit, (H, W) or (H, W, 3), as the camera
+    gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
+    `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
+    `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
+    `warnings`: sentences for the operator.
+    """
+
+    matches: Matches
+    texture: Image
+    reasons: NDArray[np.uint8]
+    noise: NoiseModel
+    modulation: float | None
+    warnings: tuple[str, ...]
+    flicker: float | None = None
+
+
+class Decoder:
+    """Takes the frames of a sequence that is known in advance, one by one, and decodes them at the end.
+
+    Where each pattern follows itself as often as every other, its frames are those of several exposures, white first.
+
+    Raises InputError if the patterns do not determine both coordinates of a projector of (width, height) pixels.
+    """
+
+    def __init__(self, patterns: Sequence[Pattern], projector_size: tuple[int, int]) -> None:
+        once, repeats = exposures_of(patterns)
+        self._plan = replace(plan_sequence(once, projector_size), repeats=repeats)
+        self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
+        self._count = 0
+        self._held: tuple[Accumulators, Sample] | None = None
+        self._texture: Image | None = None
+
+    def add(self, image: Image, exposure_us: float | None = None) -> None:
+        """Fold in the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; its exposure matters if there are several.
+
+        Raises InputError if it is one frame too many, or not of the size and type of the others, or if exposures do not
+        fit.
+        """
+        self._check_form(image)
+        if self._merger is None:
+            self._fold(image)
+            return
+        merged = self._merger.add(self._plan.name(self._count), image, exposure_us)
+        if merged is not None:
+            self._fold(merged)
+
+    def _fold(self, image: Image) -> None:
+        grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
+        if self._held is None:
+            shape = grey.shape[0], grey.shape[1]
+            self._held = Accumulators(self._plan, grey), Sample(shape, neighbours=needs_neighbours(self._plan))
+        accumulators, sample = self._held
+        accumulators.add(self._count, grey)
+        sample.add(grey)
+        self._note_texture(image)
+        self._count += 1
+
+    def finish(self) -> Decoding:
+        """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""
+        if self._count < len(self._plan.patterns):
+            raise InputError(
+                f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "
+                f"first that is missing: {self._plan.name(self._count)}"
+            )
+        if self._held is None or self._texture is None:
+            raise RuntimeError("this decoder has finished already")
+        (accumulators, sample), self._held = self._held, None
+        if self._merger is not None:
+            accumulators.log_exposure = self._merger.log_exposure
+        learnt = _learn(accumulators, sample)
+        del sample
+        maps = coordinate_maps(accumulators, learnt.decoders)
+        # The running images are as large as the matches, and have served.
+        brightest = accumulators.brightest
+        del accumulators
+        matches, reasons = _match(self._plan, maps, brightest)
+        warnings = tuple(warnings_of(reasons, learnt.modulation, learnt.flicker))
+        texture = self._texture if self._merger is None else self._merger.alike(self._texture)
+        return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker)
+
+    def _check_form(self, image: Image) -> None:
+        if self._count == len(self._plan.patterns):
+            raise InputError(f"the sequence has {self._plan.frame_count} frames, found one more")
+        name = self._plan.name(self._count)
+        if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or image.dtype not in _DEPTHS:
+            raise InputError(
+                f"{name}: expected a grey or BGR image of 8 or 16 bits, found shape {image.shape} of {image.dtype}"
+            )
+        if self._texture is not None and (image.shape, image.dtype) != (self._texture.shape, self._texture.dtype):
+            raise InputError(
+                f"{name}: expected an image like those before it, {_form(self._texture)}, found {_form(image)}"
+            )
+
+    def _note_texture(self, image: Image) -> None:
+        """Keep the white frame or, if there is none, the brightest that each pixel was."""
+        if self._count == self._plan.white and image.ndim == 2 and self._held is not None:
+            self._texture = self._held[0].brightest
+        elif self._texture is None or self._count == self._plan.white:
+            self._texture = image.copy()
+        elif self._plan.white is None:
+            cv2.max(self._texture, image, dst=self._texture)
+
+
+def _form(image: Image) -> str:
+    colour = "BGR" if image.ndim == 3 else "grey"
+    return f"{image.shape[1]} × {image.shape[0]} {colour}, {8 * image.itemsize} bits"
+
+
+@dataclass(frozen=True)
+class _Learnt:
+    """What a sample of the frames tells: how to decode every pixel, and how good they are, as of `Decoding`."""
+
+    decoders: tuple[AxisDecoder, AxisDecoder]
+    noise: NoiseModel
+    modulation: float | None
+    flicker: float | None
+
+
+def _learn(accumulators: Accumulators, sample: Sample) -> _Learnt:
+    """Check the frames, and learn noise and tolerances from the sample. Raises InputError."""
+    plan, levels = accumulators.plan, sample.levels
+    accumulators.finish()
+    saturation = saturation_level(accumulators.peak)
+    noise = measure_noise(plan, sample, saturation)
+    x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
+    thin = x, y
+    with ThreadPoolExecutor(1) as aside:
+        # What is wrong with the frames is said first, whatever comes of it here.
+        calibrating = aside.submit(calibrated_decoders, plan, noise, saturation, thin)
+        check_frames(plan, levels, noise, saturation)
+        check_codes(plan, accumulators.codes, noise, accumulators.middle)
+        decoders = calibrating.result()
+        flickering = aside.submit(flicker_of, plan, levels)
+        for decoder, signals in zip(decoders, thin, strict=True):
+            check_fringes(plan, decoder, signals)
+        accumulators.forget_contrasts()
+        return _Learnt(decoders, noise, modulation(decoders, thin), flickering.result())
+
+
+def _match(plan: SequencePlan, maps: Maps, brightest: Image) -> tuple[Matches, NDArray[np.uint8]]:
+    """The matches, and for all pixels (H, W) the reason why they have none. Raises InputError; uses up the maps.
+
+    `brightest`: (H, W) grey.
+    """
+    reasons = maps.reason
+    kept = reasons == np.uint8(MaskReason.KEPT)
+    if plan.fringes:
+        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
+    else:
+        cells = average_cells(kept, maps.projector_px, maps.variance, brightest)
+        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=cells.rejected)
+    kept = reasons == np.uint8(MaskReason.KEPT)
+    check_maps(plan, maps, kept)
+    if plan.fringes:
+        return _pixel_matches(kept, maps), reasons
+    return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
+
+
+def _pixel_matches(kept: Bools, maps: Maps) -> Matches:
+    """The matches of `kept` pixels (H, W), row by row, in the memory of the maps.
+
+    Single precision is exact for the camera's pixels, and all that the maps have for the projector's.
+    """
+    count = int(np.count_nonzero(kept))
+    camera_px, projector_px = np.empty((count, 2), np.float32), maps.projector_px.reshape(-1, 2)
+    sigma_px = maps.variance.reshape(-1)
+    with ThreadPoolExecutor(1) as aside:
+        noted = aside.submit(_note_places, kept, camera_px)
+        _gather(kept.reshape(-1), projector_px, sigma_px)
+        noted.result()
+    return Matches(cast(Floats, camera_px), cast(Floats, projector_px[:count]), sigma_px=cast(Floats, sigma_px[:count]))
+
+
+@compiled
+def _note_places(kept: Bools, camera_px: Floats32) -> None:
+    """The columns and rows of the kept pixels."""
+    height, width = kept.shape
+    match = 0
+    for row in range(height):
+        for column in range(width):
+            if kept[row, column]:
+                camera_px[match, 0], camera_px[match, 1] = column, row
+                match += 1
+
+
+@compiled
+def _gather(kept: Bools, projector_px: Floats32, variance: Floats32) -> None:
+    """Move what belongs to the kept pixels (P, …) to the beginning, with the root of the variance in its place."""
+    match = 0
+    for pixel in range(len(kept)):
+        if kept[pixel]:
+            projector_px[match, 0], projector_px[match, 1] = projector_px[pixel, 0], projector_px[pixel, 1]
+            variance[match] = np.sqrt(variance[pixel])
+            match += 1

@@ -1,0 +1,83 @@
+"""Pixels that do not continue the surface that their neighbours see.
+
+At an occlusion edge a pixel sees two surfaces and its phase is that of neither; an error in a code is an island. Both
+break the map from camera to projector, which is smooth on a surface.
+"""
+
+from collections.abc import Sequence
+from math import log, pi, sqrt
+from typing import cast
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools, compiled
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.axis_decoder import Coordinate
+from scanner.decoding.sequence_plan import AxisPlan
+
+_SIGMAS = 5.0
+# A surface may bend by this much of the step from one neighbour to the other, and by this many projector pixels.
+_BEND_OF_SLOPE = np.float32(0.25)
+_BEND_PX = 1.0
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+_TWO = np.float32(2)
+# Where the amplitude halves from one pixel to the next, the lens shifts the coordinate by up to half a pixel.
+_FAINTER = np.float32(log(2))
+_FAINT_SIGMAS = 3.0
+# A pixel's neighbours on opposite sides, along columns and along rows.
+_LINES = ((np.s_[:-2, :], np.s_[1:-1, :], np.s_[2:, :]), (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]))
+
+
+def breaks(kept: Bools, coordinates: Sequence[Coordinate], axes: Sequence[AxisPlan]) -> Bools:
+    """Which pixels (H, W) break the map of any axis, or cannot be compared with `kept` ones on opposite sides.
+
+    The coordinates of others are NaN.
+    """
+    broken = np.ones(kept.shape, np.bool_)
+    for before, middle, after in _LINES:
+        broken[middle] &= ~(kept[before] & kept[after])
+    for coordinate, axis in zip(coordinates, axes, strict=True):
+        value, variance, amplitude = coordinate.value, coordinate.variance, coordinate.log_amplitude
+        # Cells of a Gray code may be two apart, whatever the variance.
+        least, sigmas = (_BEND_PX, _SIGMAS * sqrt(6)) if axis.fringes else (_BEND_PX + 2 * axis.cell, 0.0)
+        for down, across in ((1, 0), (0, 1)):
+            _note_bends(value, variance, np.float32(least), np.float32(sigmas), down, across, broken)
+        if amplitude is not None:
+            # In radians the noise of a phase is the relative noise of its amplitude.
+            relative = np.float32(_FAINT_SIGMAS * 2 * pi / axis.fringes[-1].period)
+            largest = cast(Floats32, cv2.dilate(amplitude, np.ones((3, 3), np.uint8)))
+            faint = np.empty(kept.size, np.bool_)
+            _note_faint(amplitude.ravel(), largest.ravel(), variance.ravel(), relative, faint)
+            broken |= cv2.dilate(faint.reshape(kept.shape).view(np.uint8), _CROSS).view(np.bool_)
+    return broken
+
+
+@compiled
+def _note_bends(
+    value: Floats32, variance: Floats32, least: np.float32, sigmas: np.float32, down: int, across: int, broken: Bools
+) -> None:
+    """Where the second difference along a row or a column is more than curvature and noise explain.
+
+    A neighbour that is NaN explains nothing and breaks nothing.
+    """
+    height, width = value.shape
+    for row in range(down, height - down):
+        before, after = value[row - down, : width - 2 * across], value[row + down, 2 * across :]
+        middle = slice(across, width - across)
+        of_row, noise, note = value[row, middle], variance[row, middle], broken[row, middle]
+        for i in range(len(of_row)):
+            bend = abs(before[i] + after[i] - _TWO * of_row[i]) - _BEND_OF_SLOPE * abs(after[i] - before[i])
+            note[i] |= bend > least + sigmas * np.sqrt(noise[i])
+
+
+@compiled
+def _note_faint(
+    log_amplitude: Floats32, largest: Floats32, variance: Floats32, sigmas: np.float32, faint: Bools
+) -> None:
+    """Where the fringes are much weaker than next door.
+
+    At the edge of the light, or of a dark patch, the lens mixes in light from beside the pixel.
+    """
+    for i in range(len(faint)):
+        faint[i] = log_amplitude[i] < largest[i] - (_FAINTER + sigmas * np.sqrt(variance[i]))

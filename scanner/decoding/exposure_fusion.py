@@ -1,0 +1,104 @@
+"""Frames of one pattern at several exposures → one image, before anything is decoded.
+
+Each camera pixel takes all its frames from one exposure, the longest in which full light does not saturate it. So its
+frames compare with each other as if there were no other exposure, and no response of the camera has to be known. Only
+where neighbouring pixels are compared does it matter how long each was exposed.
+"""
+
+from collections.abc import Sequence
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Image
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.saturation_level import saturation_level
+from scanner.errors import InputError
+from scanner.patterns import Pattern, White
+
+# Full light may reach this share of the camera's range: a fringe or a brighter neighbour's blur adds a little to it.
+_MOST = 0.95
+
+
+def exposures_of(patterns: Sequence[Pattern]) -> tuple[tuple[Pattern, ...], int]:
+    """The patterns without repeats, and how many frames in a row show each; 1 if not all are repeated alike."""
+    count = next((n for n, pattern in enumerate(patterns) if pattern != patterns[0]), len(patterns))
+    once = tuple(patterns[::count]) if count else ()
+    if count > 1 and len(patterns) == count * len(once) and all(p == once[n // count] for n, p in enumerate(patterns)):
+        return once, count
+    return tuple(patterns), 1
+
+
+class ExposureMerger:
+    """Takes `count` frames of each pattern and gives one; the first pattern must be white.
+
+    Raises InputError if it is not: nothing else tells how bright a pixel becomes.
+    """
+
+    def __init__(self, patterns: Sequence[Pattern], count: int) -> None:
+        if not isinstance(patterns[0], White):
+            raise InputError(
+                f"the capture has {count} frames of each pattern; the first pattern must then be white, because it "
+                "tells which exposure suits each pixel"
+            )
+        self._count = count
+        self._frames: list[tuple[float, Image]] = []
+        self._exposures_us: list[float] = []
+        self._choice: list[NDArray[np.uint8]] | None = None
+
+    def add(self, name: str, image: Image, exposure_us: float | None) -> Image | None:
+        """The merged image when the last frame of a pattern has come, else None; `name` is for messages.
+
+        Raises InputError if the exposures are unknown, alike, or others than those of the first pattern.
+        """
+        if exposure_us is None:
+            raise InputError(f"{name}: the capture has several frames of each pattern, but not their exposure_us")
+        self._frames.append((exposure_us, image.copy()))
+        if len(self._frames) < self._count:
+            return None
+        frames, self._frames = sorted(self._frames, key=lambda frame: -frame[0]), []
+        found = [exposure for exposure, _ in frames]
+        if self._choice is None:
+            self._exposures_us = found
+            self._choice = self._choose([image for _, image in frames])
+        if not np.allclose(found, self._exposures_us, rtol=0.01) or len(set(found)) < self._count:
+            raise InputError(
+                f"{name}: expected exposures that differ and are those of the first pattern, "
+                f"{_listed(self._exposures_us)}, found {_listed(found)}"
+            )
+        merged = frames[0][1]
+        for chosen, (_, image) in zip(self._choice, frames[1:], strict=True):
+            cv2.copyTo(image, chosen, merged)
+        return merged
+
+    @property
+    def log_exposure(self) -> Floats32 | None:
+        """(H, W): the logarithm of each pixel's exposure relative to the shortest; None before the first pattern."""
+        if self._choice is None:
+            return None
+        ratios = np.log(np.array(self._exposures_us) / self._exposures_us[-1])
+        result = np.full(self._choice[0].shape, ratios[0], np.float32)
+        for chosen, ratio in zip(self._choice, ratios[1:], strict=True):
+            result[chosen > 0] = ratio
+        return result
+
+    def alike(self, image: Image) -> Image:
+        """A merged image as the shortest exposure would show it, without its noise."""
+        log_exposure = self.log_exposure
+        if log_exposure is None:
+            return image
+        factor = np.exp(-log_exposure)
+        levels = image * (factor[..., None] if image.ndim == 3 else factor)
+        return cast(Image, np.rint(levels).astype(image.dtype))
+
+    def _choose(self, whites: list[Image]) -> list[NDArray[np.uint8]]:
+        """For each exposure but the longest, where it takes the place of the longer ones; (H, W), longest first."""
+        brightest = [white.max(axis=2) if white.ndim == 3 else white for white in whites]
+        limit = _MOST * saturation_level(brightest[0])
+        return [(white > limit).astype(np.uint8) for white in brightest[:-1]]
+
+
+def _listed(exposures_us: Sequence[float]) -> str:
+    return " and ".join(f"{exposure:g}" for exposure in exposures_us) + " µs"

@@ -1,0 +1,86 @@
+"""Gray code words → the interval of the projector axis that they leave."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Bools, compiled
+from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.sequence_plan import AxisPlan
+
+_HALF = np.float32(0.5)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Where the Gray codes put each pixel: from `low` to `high` in projector pixels; arrays (P,).
+
+    `outside`: the code is that of no projector pixel. `contradictory`: two codes have no interval in common.
+    """
+
+    low: Floats32
+    high: Floats32
+    outside: Bools
+    contradictory: Bools
+
+    @property
+    def centre(self) -> Floats32:
+        """The middle of it."""
+        return _HALF * (self.low + self.high)
+
+    @property
+    def possible(self) -> Bools:
+        """Where the codes make sense."""
+        return ~(self.outside | self.contradictory)
+
+
+def interval_of(plan: AxisPlan, words: Sequence[Words], pixels: int) -> Interval:
+    """The interval common to all Gray codes of an axis, given the words (P,) of each; without codes the whole axis."""
+    first, last = np.float32(-0.5), np.float32(plan.length - 0.5)
+    low, high = np.full(pixels, first), np.full(pixels, last)
+    outside, contradictory = np.empty(pixels, np.bool_), np.empty(pixels, np.bool_)
+    for code, of_code in zip(plan.codes, words, strict=True):
+        numbers: Floats32 = cell_numbers(of_code).astype(np.float32)
+        _narrow(numbers, np.float32(code.cell), np.float32(code.offset + 0.5), low, high)
+    # Codes whose edges are a little blurred may miss each other by as little.
+    _settle(first, last, np.float32(plan.cell / 2), low, high, outside, contradictory)
+    return Interval(low, high, outside, contradictory)
+
+
+def cell_numbers(words: Words) -> Words:
+    """Gray code words → cell numbers, of the same type: each bit is the exclusive or of it and all bits above."""
+    numbers = words.copy()
+    shift = 1
+    while shift < 8 * words.itemsize:
+        np.bitwise_xor(numbers, numbers >> shift, out=numbers)
+        shift *= 2
+    return numbers
+
+
+@compiled
+def _narrow(numbers: Floats32, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
+    """What the cell numbers of one code, which begins so far before the first pixel, leave of the intervals."""
+    for i in range(len(numbers)):
+        start, first, last = numbers[i] * cell - before, low[i], high[i]
+        low[i] = max(first, start)
+        high[i] = min(last, start + cell)
+
+
+@compiled
+def _settle(
+    first: np.float32,
+    last: np.float32,
+    slack: np.float32,
+    low: Floats32,
+    high: Floats32,
+    outside: Bools,
+    contradictory: Bools,
+) -> None:
+    """Note intervals that are not between `first` and `last`, or end before they begin; of these, exchange the ends."""
+    for i in range(len(low)):
+        start, end = low[i], high[i]
+        outside[i] = (start >= last) | (end <= first)
+        contradictory[i] = start - end > slack
+        low[i] = min(start, end)
+        high[i] = max(start, end)

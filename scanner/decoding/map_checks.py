@@ -1,0 +1,164 @@
+"""Does each frame show what the capture says? Checked on fringes and coordinates, where the light alone cannot tell.
+
+Fringes that run backwards decode like any others. But fringes must follow the Gray code and each other, and camera and
+projector see the same side of a surface, so that the map between them is never mirrored.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+from math import sqrt
+
+import numpy as np
+
+from calib.numerics import Bools, Ints, compiled
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.axis_decoder import AxisDecoder
+from scanner.decoding.axis_signals import Signals
+from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.lines import lines_of
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.phase_unwrapping import disagreements, widest_tolerances
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.decoding.tune import agreeing
+from scanner.errors import InputError
+
+_FEWEST_PIXELS = 100
+# The mean cosine of the phase that a Gray cell leaves; cells that leave less say too little about the phase.
+_INFORMATIVE = 0.3
+# Periods that have nothing to do with each other are a quarter cycle apart in the median; a rippled phase 0.06.
+_UNRELATED_CYCLES = 0.1
+_MOST_BAD = 0.6
+_STRIDE = 3
+_MOST_COMPARED = 100_000
+_LINES = 48
+_FARTHEST_PX = 16
+
+
+def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> None:
+    """Raise InputError if the fringes of an axis follow neither its Gray code nor each other; on a sample."""
+    axis = decoder.plan
+    if not axis.fringes:
+        return
+    measured = replace(decoder, tolerances=widest_tolerances(axis)).measure(signals)
+    interval = measured.interval
+    lit = measured.well_lit & interval.possible
+    if np.count_nonzero(lit) < _FEWEST_PIXELS:
+        return
+    for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):
+        expected = float(np.sinc(axis.cell / fringe.period))
+        found = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
+        if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and found < expected / 2:
+            raise InputError(
+                f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were some "
+                f"of these frames exchanged{_or_code(plan, axis)}?"
+            )
+    between_px = disagreements(measured.orders, interval, agreeing(measured)).between_px
+    for (longer, shorter), distance in zip(pairwise(axis.fringes[: decoder.finest + 1]), between_px, strict=False):
+        apart = float(np.median(distance))
+        if apart > _UNRELATED_CYCLES * shorter.period:
+            raise InputError(
+                f"along {axis.axis} the fringes of period {longer.period:g} and {shorter.period:g} px contradict each "
+                f"other by {apart:.1f} px: {plan.names([*longer.frames, *shorter.frames])}. Were some of these "
+                f"exchanged{_or_code(plan, axis)}? Or do the projector's gamma or interreflection bend the fringes so "
+                "much that more shifts or shorter periods are needed?"
+            )
+
+
+def check_maps(plan: SequencePlan, maps: Maps, kept: Bools) -> None:
+    """Raise InputError if most of what is lit contradicts itself, or if the map to the projector is mirrored.
+
+    `kept` (H, W): after all masks.
+    """
+    for axis, value, counts in zip(plan.axes, np.moveaxis(maps.projector_px, 2, 0), maps.counts, strict=True):
+        _check_share(plan, axis, counts, int(np.count_nonzero(kept)))
+        if axis.codes and axis.fringes:
+            _check_direction(plan, axis, value, kept)
+    mirrored = _mirrored_axis(plan, maps, kept)
+    if mirrored is not None:
+        frames = [frame for fringe in mirrored.fringes for frame in fringe.frames] or mirrored.frames
+        raise InputError(
+            f"the {mirrored.axis} coordinate runs backwards, as if seen in a mirror. Were frames exchanged, perhaps "
+            f"{plan.names(frames)}{_or_code(plan, mirrored)}? Or does the projector mirror its image, as for rear "
+            "projection? Then switch that off"
+        )
+
+
+def _check_share(plan: SequencePlan, axis: AxisPlan, counts: Ints, kept: int) -> None:
+    for reasons, what in (
+        ([MaskReason.INCONSISTENT, MaskReason.INDIRECT], "the frames contradict each other"),
+        ([MaskReason.OUTSIDE], f"the codes are outside the projector's 0 … {axis.length - 1}"),
+    ):
+        bad = int(counts[reasons].sum())
+        if bad > _FEWEST_PIXELS and bad > _MOST_BAD * (bad + kept):
+            raise InputError(
+                f"along {axis.axis} {what} at {bad / (bad + kept):.0%} of the lit pixels; were frames exchanged, or is "
+                f"the projector's size wrong? {plan.names(axis.frames)}"
+            )
+
+
+def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: Bools) -> None:
+    """Fringes that fill a Gray cell agree with a code that runs backwards; but then each cell's edge is a jump."""
+    code = min(axis.codes, key=lambda code: code.cell)
+    counts = [
+        _count_jumps(lines_of(image, _LINES), lines_of(there, _LINES), code.cell, code.offset + 0.5)
+        for image, there in ((value, kept), (value.T, kept.T))
+    ]
+    jumps, total = np.sum(counts, axis=0)
+    if total >= _FEWEST_PIXELS and jumps > total / 2:
+        raise InputError(
+            f"the Gray code along {axis.axis} runs against its fringes; were frames of it exchanged, perhaps with "
+            f"their inverses? {plan.names(axis.frames)}"
+        )
+
+
+@compiled
+def _count_jumps(values: Floats32, there: Bools, cell: float, before: float) -> tuple[int, int]:
+    """How often pixels that follow each other along a line (lines, P) are in different cells, and how often more than a
+    cell apart at that; cells begin so far before zero.
+    """
+    jumps = total = 0
+    for line in range(values.shape[0]):
+        last = -1
+        for place in range(values.shape[1]):
+            if not there[line, place]:
+                continue
+            if last >= 0 and place - last <= _FARTHEST_PX:
+                value, value_before = values[line, place], values[line, last]
+                if np.floor((value + before) / cell) != np.floor((value_before + before) / cell):
+                    total += 1
+                    jumps += abs(value - value_before) > cell
+            last = place
+    return jumps, total
+
+
+def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | None:
+    """The axis that runs backwards, if the map from camera to projector pixels changes orientation at most pixels."""
+    reach = max(_reach(axis, kept.shape) for axis in plan.axes)
+    if 2 * reach >= min(kept.shape):
+        return None
+    stride = max(_STRIDE, round(sqrt(kept.size / _MOST_COMPARED)))
+    near, far, inner = np.s_[: -2 * reach : stride], np.s_[2 * reach :: stride], np.s_[reach:-reach:stride]
+    left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
+    whole = kept[left] & kept[right] & kept[above] & kept[below]
+    if np.count_nonzero(whole) < _FEWEST_PIXELS:
+        return None
+    x_u, y_u = ((value[right] - value[left])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
+    x_v, y_v = ((value[below] - value[above])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
+    if np.mean(x_u * y_v < x_v * y_u) <= 0.5:
+        return None
+    # Devices stand roughly upright: the axis that is against the camera's own is the one that runs backwards.
+    return plan.x if np.median(x_u) < 0 or np.median(y_v) > 0 else plan.y
+
+
+def _reach(axis: AxisPlan, shape: tuple[int, ...]) -> int:
+    """How many camera pixels apart a coordinate surely changes by more than its steps."""
+    step = 1.0 if axis.fringes else 2 * axis.cell
+    return max(1, round(step * max(shape) / axis.length))
+
+
+def _or_code(plan: SequencePlan, axis: AxisPlan) -> str:
+    """Names the frames of the Gray code as further suspects."""
+    frames = [frame for code in axis.codes for frame in code.frames]
+    if not frames or not axis.fringes:
+        return ""
+    return f", or frames of the Gray code (between {plan.name(min(frames))} and {plan.name(max(frames))})"

@@ -1,0 +1,143 @@
+"""What speaks against a camera pixel, and which reason is given for masking it.
+
+The loops are compiled. They have no branches and few arrays each, so that they run on many pixels at once.
+"""
+
+from collections.abc import Collection
+from enum import IntEnum, IntFlag
+from typing import cast
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools, Ints, compiled
+from scanner.decoding.arrays import Floats32, Reasons
+
+
+class MaskReason(IntEnum):
+    """Why a camera pixel has no match."""
+
+    KEPT = 0
+    DARK = 1
+    """The patterns change its brightness by no more than noise would."""
+    SATURATED = 2
+    """A fringe reached the camera's largest value."""
+    UNDECIDED = 3
+    """A bit of the Gray code is within the noise of its threshold, and no fringe helps."""
+    INCONSISTENT = 4
+    """Gray codes and fringes contradict each other, or allow two answers."""
+    OUTSIDE = 5
+    """The code is that of no projector pixel."""
+    ISOLATED = 6
+    """It does not continue the surface that its neighbours see: an edge of surface or light, or a lone error."""
+    INDIRECT = 7
+    """Codes and fringes contradict each other where more light comes from other surfaces than from the projector."""
+
+
+# What many pixels have only if frames are not what the capture says.
+CONTRADICTIONS = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE)
+
+
+class Against(IntFlag):
+    """What speaks against a pixel along one axis; several may at once, and the first is the reason that is given."""
+
+    DARK = 1
+    SATURATED = 2
+    UNDECIDED = 4
+    INDIRECT = 8
+    OUTSIDE = 16
+    DISAGREES = 32
+    AMBIGUOUS = 64
+    CONTRADICTORY = 128
+
+
+_REASONS = {
+    Against.DARK: MaskReason.DARK,
+    Against.SATURATED: MaskReason.SATURATED,
+    Against.UNDECIDED: MaskReason.UNDECIDED,
+    Against.INDIRECT: MaskReason.INDIRECT,
+    Against.OUTSIDE: MaskReason.OUTSIDE,
+    Against.DISAGREES: MaskReason.INCONSISTENT,
+    Against.AMBIGUOUS: MaskReason.INCONSISTENT,
+    Against.CONTRADICTORY: MaskReason.INCONSISTENT,
+}
+_TABLE = np.array(
+    [next((reason for flag, reason in _REASONS.items() if flag & found), MaskReason.KEPT) for found in range(256)],
+    np.uint8,
+)
+UNCERTAIN = Against.DISAGREES | Against.AMBIGUOUS
+NOT_LIT = Against.DARK | Against.SATURATED
+
+_DARK, _SATURATED, _UNDECIDED, _INDIRECT, _OUTSIDE, _DISAGREES, _AMBIGUOUS, _CONTRADICTORY = map(np.uint8, Against)
+_DOUBTFUL = np.uint8(UNCERTAIN | Against.CONTRADICTORY)
+_NOTHING = np.uint8(0)
+_ZERO, _TWO, _FOUR = np.float32(0), np.float32(2), np.float32(4)
+
+
+def reasons_of(against: Reasons) -> Reasons:
+    """A `MaskReason` for each pixel, from its flags (P,)."""
+    return cast(Reasons, cv2.LUT(against, _TABLE).reshape(against.shape))
+
+
+def count_reasons(reasons: Reasons, of_interest: Collection[MaskReason]) -> Ints:
+    """How many pixels, in an array of any shape, have each `MaskReason`; of those only that are of interest."""
+    counts = np.zeros(len(MaskReason), np.int64)
+    for reason in of_interest:
+        counts[reason] = np.count_nonzero(reasons == np.uint8(reason))
+    return counts
+
+
+@compiled
+def note_codes(outside: Bools, contradictory: Bools, against: Reasons) -> None:
+    """Begin the flags with what the codes say; all (P,)."""
+    for i in range(len(against)):
+        against[i] = (_OUTSIDE if outside[i] else _NOTHING) | (_CONTRADICTORY if contradictory[i] else _NOTHING)
+
+
+@compiled
+def note_orders(agree: Bools, unique: Bools, against: Reasons) -> None:
+    """No fringe order agrees, or more than one."""
+    for i in range(len(against)):
+        against[i] |= (_NOTHING if agree[i] else _DISAGREES) | (_NOTHING if unique[i] else _AMBIGUOUS)
+
+
+@compiled
+def note_light(variance: Floats32, darkest: np.float32, saturated: Bools, against: Reasons) -> None:
+    """A variance is larger than where a fringe is just seen, or a fringe is cut off."""
+    for i in range(len(against)):
+        against[i] |= (_DARK if variance[i] > darkest else _NOTHING) | (_SATURATED if saturated[i] else _NOTHING)
+
+
+@compiled
+def note_indirect(power: Floats32, brightest: Floats32, middle: Floats32, against: Reasons) -> None:
+    """No order or no code is certain, and the amplitude, half of the direct light, is less than a quarter of all light.
+
+    `power` (P,): square of the amplitude of fringes too short for light to carry them around a corner, which separate
+    direct from global light (Nayar et al., SIGGRAPH 2006).
+    """
+    for i in range(len(against)):
+        half_of_all = brightest[i] - middle[i]
+        indirect = (half_of_all * half_of_all > _FOUR * power[i]) & (against[i] & _DOUBTFUL != 0)
+        against[i] |= _INDIRECT if indirect else _NOTHING
+
+
+@compiled
+def note_turned_over(least: Floats32, power: Floats32, brightest: Floats32, middle: Floats32, against: Reasons) -> None:
+    """Global light exceeds direct light by at least the contrast of a bit, and can have turned it over.
+
+    `least` (P,): smallest contrast of a code's bits (Xu and Aliaga, 2007).
+    """
+    for i in range(len(against)):
+        excess = _TWO * (brightest[i] - middle[i]) - _FOUR * np.sqrt(power[i])
+        against[i] |= _INDIRECT if (excess > _ZERO) & (least[i] <= excess) else _NOTHING
+
+
+@compiled
+def note_contrast(
+    least: Floats32, least_certain: Floats32, contrast: Floats32, least_seen: Floats32, against: Reasons
+) -> None:
+    """The smallest contrast of a code's bits is too small to decide by, or the largest to be seen."""
+    for i in range(len(against)):
+        against[i] |= (_UNDECIDED if least[i] <= least_certain[i] else _NOTHING) | (
+            _DARK if contrast[i] <= least_seen[i] else _NOTHING
+        )

@@ -1,0 +1,111 @@
+"""The camera's noise, measured from the frames of the capture itself.
+
+Some combinations of frames show the same light twice: every pattern plus its inverse, white plus black, the mean of
+every fringe over its shifts. Their differences are noise. Where a sequence has few of them, the curvature of the
+frames along their rows is used as well; edges of the scene do not move its median (after Immerkær, CVIU 64, 1996).
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.medians import medians, robust_sigmas
+from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.sequence_plan import SequencePlan
+
+_QUANTISATION = 1 / 12
+_BINS = 10
+_FEWEST_IN_BIN = 100
+_QUIET = 0.1
+_ENOUGH_REPEATS = 3
+_SEED = 7
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Variance of a pixel at grey level I: `at_black` + `gain` · I (read noise and quantisation, shot noise)."""
+
+    at_black: float
+    gain: float
+
+    def sigma(self, level: NDArray[np.generic]) -> Floats32:
+        """Standard deviation in grey levels at each level; any shape."""
+        return np.sqrt(self.variance(level))
+
+    def variance(self, level: NDArray[np.generic]) -> Floats32:
+        """Its square."""
+        variance: Floats32 = level.astype(np.float32)
+        variance *= np.float32(self.gain)
+        variance += np.float32(self.at_black)
+        return variance
+
+
+def needs_neighbours(plan: SequencePlan) -> bool:
+    """Whether a sequence shows too little light twice, so that noise must be seen between neighbouring pixels too.
+
+    With a single repeat one exchanged frame would pass for noise.
+    """
+    return max(0, len(plan.complements) - 1) + max(0, len(plan.fringes) - 1) < _ENOUGH_REPEATS
+
+
+def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> NoiseModel:
+    """Fit the model to a sample of all frames; pixels that reach `saturation` in any are left out."""
+    levels = sample.levels
+    unsaturated = levels.max(axis=0) < saturation
+    if not unsaturated.any():
+        return NoiseModel(_QUANTISATION, 0.0)
+    repeats = _repeats(plan, levels[:, unsaturated])
+    curvature = sample.curvature
+    if curvature is not None:
+        rows = zip(levels[:, unsaturated], curvature[:, unsaturated], strict=True)
+        repeats += [(level, bend / np.float32(np.sqrt(6))) for level, bend in rows]
+    return _fit(*_variance_by_level(*(np.stack(parts) for parts in zip(*repeats, strict=True))))
+
+
+def _repeats(plan: SequencePlan, levels: Floats32) -> list[tuple[Floats32, Floats32]]:
+    """For light that was shown twice: the level (P,), and a difference (P,) that has the variance of one pixel."""
+    sums = [levels[a] + levels[b] for a, b in plan.complements]
+    found = [((a + b) / 4, (a - b) / 2) for a, b in pairwise(sums)]
+    for first, second in pairwise(plan.fringes):
+        weights = [fringe.weights[0].astype(np.float32) for fringe in (first, second)]
+        a, b = (weight @ levels[list(f.frames)] for weight, f in zip(weights, (first, second), strict=True))
+        gain = np.sqrt(sum(np.sum(weight**2) for weight in weights))
+        found.append(((a + b) / 2, (a - b) / np.float32(gain)))
+    return found
+
+
+def _variance_by_level(levels: Floats32, differences: Floats32) -> tuple[list[float], list[float]]:
+    """Mean level and variance in bins of equal width in level; `levels`, `differences` are (repeats, P).
+
+    Of the repeats the quieter ones count: a camera that is not linear adds a difference of its own where the stripes
+    are as fine as its pixels.
+    """
+    level = medians(levels, axis=0)
+    # Dither: the median of small whole numbers would jump between multiples of one.
+    dithered = differences + np.random.default_rng(_SEED).uniform(-0.25, 0.25, len(level)).astype(np.float32)
+    bins = np.floor(level / (level.max() + 1e-6) * _BINS).astype(np.int64)
+    where, variances = [], []
+    for number in range(_BINS):
+        chosen = np.flatnonzero(bins == number)
+        if len(chosen) >= _FEWEST_IN_BIN:
+            where.append(float(np.mean(level[chosen])))
+            found = robust_sigmas(dithered[:, chosen]) ** 2
+            variances.append(float(np.quantile(found, _QUIET, method="lower")))
+    return where, variances
+
+
+def _fit(where: list[float], variances: list[float]) -> NoiseModel:
+    if not where:
+        return NoiseModel(_QUANTISATION, 0.0)
+    level, variance = np.array(where), np.maximum(np.array(variances), _QUANTISATION)
+    if len(level) == 1:
+        return NoiseModel(float(variance[0]), 0.0)
+    gain, at_black = np.polyfit(level, variance, 1, w=1 / variance)
+    if gain < 0:
+        return NoiseModel(float(np.median(variance)), 0.0)
+    if at_black < _QUANTISATION:
+        at_black, gain = _QUANTISATION, max(0.0, float(np.median((variance - _QUANTISATION) / level)))
+    return NoiseModel(float(at_black), float(gain))

@@ -1,0 +1,216 @@
+"""Fringe orders: from wrapped phases, longest period first, on top of the interval that the Gray codes leave.
+
+For every order of the longest fringe that falls in the interval, the shorter ones are followed down to the shortest.
+How far outside the interval it lies, and how far each fringe is from the one before it, are measured in standard
+deviations: the noise's, and what the capture shows beyond it. The order with the smallest sum of squares is taken; two
+that are nearly as good decide nothing.
+
+The loops are compiled. They have no branches and few arrays each, so that they run on eight pixels at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import sqrt
+
+import numpy as np
+
+from calib.numerics import Bools, compiled
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.gray_code import Interval
+from scanner.decoding.sequence_plan import AxisPlan
+
+# Disagreements of more than this many standard deviations contradict.
+_LIMIT = 5.0
+_LIMIT2 = np.float32(_LIMIT**2)
+# An order is unique if the next best is this much worse: 9 is a likelihood ratio of about 100.
+_CLEAR_MARGIN = np.float32(9)
+_INFINITE, _ZERO, _HALF = np.float32(np.inf), np.float32(0), np.float32(0.5)
+# The median of |x| for a normal distribution of standard deviation 1.
+GAUSSIAN_MEDIAN = 0.6745
+_FEWEST = 50
+
+
+@dataclass(frozen=True)
+class Wrapped:
+    """Positions of each fringe within its period, 0 … period, and their variances; (fringes, P), longest first."""
+
+    positions: Floats32
+    variances: Floats32
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Standard deviations beyond the noise, in projector pixels.
+
+    `interval_px`: of the edges of the interval. `fringe_px`: of each shorter fringe against the one before it.
+    """
+
+    interval_px: float
+    fringe_px: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Orders:
+    """`coordinates` (fringes, P): longest first, in projector pixels.
+
+    `agree` (P,): some order explains all the phases and the interval; where none does, coordinates mean nothing.
+    `unique` (P,): no other order explains them nearly as well.
+    """
+
+    coordinates: Floats32
+    agree: Bools
+    unique: Bools
+
+
+@dataclass(frozen=True)
+class Disagreements:
+    """Of pixels whose orders agree: `outside_px` (P,), how far the longest fringe is outside the interval; `between_px`
+    (fringes − 1, P), how far each shorter fringe is from the one before it.
+    """
+
+    outside_px: Floats32
+    between_px: Floats32
+
+
+def disagreements(orders: Orders, interval: Interval, chosen: Bools) -> Disagreements:
+    """Those at the `chosen` pixels."""
+    coordinates, low, high = orders.coordinates[:, chosen], interval.low[chosen], interval.high[chosen]
+    outside_px = np.maximum(np.maximum(low - coordinates[0], coordinates[0] - high), _ZERO)
+    return Disagreements(outside_px, np.abs(np.diff(coordinates, axis=0)))
+
+
+def widest_tolerances(plan: AxisPlan) -> Tolerances:
+    """What to begin with: as much as still separates neighbouring orders."""
+    if not plan.fringes:
+        return Tolerances(0.0, ())
+    longest = plan.fringes[0].period
+    slack = (longest - plan.cell) / 2 if longest > plan.cell else 0.0
+    interval = max(0.9 * slack, 0.1 * plan.cell) if plan.codes else 0.02 * plan.length
+    return Tolerances(interval / _LIMIT, tuple(fringe.period / 2 / _LIMIT for fringe in plan.fringes[1:]))
+
+
+def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats32) -> Tolerances:
+    """Tolerances from the disagreements of a sample that was unwrapped with the widest ones.
+
+    `variances` (fringes, P): those of the sample's pixels.
+    """
+    widest = widest_tolerances(plan)
+    interval = widest.interval_px
+    outside = found.outside_px[found.outside_px > 0]
+    if plan.codes and len(outside) >= _FEWEST:
+        floor = max(0.1, 0.005 * plan.cell)
+        interval = min(interval, max(floor, float(np.median(outside)) / GAUSSIAN_MEDIAN))
+    between = []
+    noises = [np.median(a + b) if len(a) else 0.0 for a, b in pairwise(variances)]
+    for most, distance, noise in zip(widest.fringe_px, found.between_px, noises, strict=True):
+        sigma = most
+        if len(distance) >= _FEWEST:
+            total = float(np.median(distance)) / GAUSSIAN_MEDIAN
+            sigma = min(most, sqrt(max(total**2 - float(noise), 0.1 * total**2)))
+        between.append(max(sigma, 1e-3))
+    return Tolerances(interval, tuple(between))
+
+
+def unwrap(plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tolerances) -> Orders:
+    """The orders of the fringes of an axis."""
+    periods = [np.float32(fringe.period) for fringe in plan.fringes]
+    positions = wrapped.positions
+    reach = plan.cell / 2 + _LIMIT * tolerances.interval_px
+    others = int(2 * reach / plan.fringes[0].period)
+    # If no more than one order is within reach, it is the nearest.
+    search = np.float32(reach if others else plan.fringes[0].period / 2)
+    coordinates, order = np.empty_like(positions), np.empty_like(positions[0])
+    _first_order(positions[0], periods[0], search, interval.low, interval.high, order)
+    best = coordinates[0]
+    best[:] = order
+    best_cost = _followed(order, interval, wrapped, periods, tolerances)
+    second_cost = np.full_like(best_cost, np.inf)
+    for _ in range(others):
+        order += periods[0]
+        cost = _followed(order, interval, wrapped, periods, tolerances)
+        _choose(order, cost, best, best_cost, second_cost)
+    for longer, shorter, position, period in zip(
+        coordinates, coordinates[1:], positions[1:], periods[1:], strict=False
+    ):
+        _nearest_order(position, period, longer, shorter)
+    agree, unique = np.empty((2, len(best)), np.bool_)
+    _judge(best_cost, second_cost, agree, unique)
+    return Orders(coordinates, agree, unique)
+
+
+def _followed(
+    order: Floats32, interval: Interval, wrapped: Wrapped, periods: Sequence[np.float32], tolerances: Tolerances
+) -> Floats32:
+    """What it costs to follow orders of the longest fringe to the shortest: infinite where that contradicts."""
+    positions, variances = wrapped.positions, wrapped.variances
+    cost, coordinate = np.empty_like(order), order.copy()
+    _cost_outside(order, interval.low, interval.high, variances[0], np.float32(tolerances.interval_px**2), cost)
+    for k, tolerance in enumerate(tolerances.fringe_px, start=1):
+        tolerance_px2 = np.float32(tolerance**2)
+        _follow(positions[k], variances[k - 1], variances[k], periods[k], tolerance_px2, coordinate, cost)
+    return cost
+
+
+@compiled
+def _first_order(
+    position: Floats32, period: np.float32, search: np.float32, low: Floats32, high: Floats32, coordinate: Floats32
+) -> None:
+    """The lowest coordinate with this position, from so far below the middle of the interval on."""
+    for i in range(len(position)):
+        start = _HALF * (low[i] + high[i]) - search
+        coordinate[i] = position[i] + np.ceil((start - position[i]) / period) * period
+
+
+@compiled
+def _nearest_order(position: Floats32, period: np.float32, target: Floats32, coordinate: Floats32) -> None:
+    """The coordinate with this position that is nearest to the target."""
+    for i in range(len(position)):
+        coordinate[i] = position[i] + np.rint((target[i] - position[i]) / period) * period
+
+
+@compiled
+def _cost_outside(
+    coordinate: Floats32, low: Floats32, high: Floats32, variance: Floats32, tolerance_px2: np.float32, cost: Floats32
+) -> None:
+    """Of being outside the interval."""
+    for i in range(len(coordinate)):
+        distance = max(max(low[i] - coordinate[i], coordinate[i] - high[i]), _ZERO)
+        square = distance * distance / (variance[i] + tolerance_px2)
+        cost[i] = square if square <= _LIMIT2 else _INFINITE
+
+
+@compiled
+def _follow(
+    position: Floats32,
+    longer_variance: Floats32,
+    variance: Floats32,
+    period: np.float32,
+    tolerance_px2: np.float32,
+    coordinate: Floats32,
+    cost: Floats32,
+) -> None:
+    """From the coordinate of one fringe to that of the next shorter; add what their distance costs."""
+    for i in range(len(position)):
+        shorter = position[i] + np.rint((coordinate[i] - position[i]) / period) * period
+        distance = shorter - coordinate[i]
+        square = distance * distance / (longer_variance[i] + variance[i] + tolerance_px2)
+        cost[i] += square if square <= _LIMIT2 else _INFINITE
+        coordinate[i] = shorter
+
+
+@compiled
+def _choose(order: Floats32, cost: Floats32, best: Floats32, best_cost: Floats32, second_cost: Floats32) -> None:
+    """Keep the orders that cost less than the best so far."""
+    for i in range(len(order)):
+        second_cost[i] = min(second_cost[i], max(cost[i], best_cost[i]))
+    for i in range(len(order)):
+        best[i] = order[i] if cost[i] < best_cost[i] else best[i]
+        best_cost[i] = min(cost[i], best_cost[i])
+
+
+@compiled
+def _judge(best_cost: Floats32, second_cost: Floats32, agree: Bools, unique: Bools) -> None:
+    for i in range(len(best_cost)):
+        agree[i] = best_cost[i] < _INFINITE
+        unique[i] = second_cost[i] >= best_cost[i] + _CLEAR_MARGIN

@@ -1,0 +1,58 @@
+"""A thin sample of every frame: what noise, tolerances and the checks between frames are computed from."""
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Image
+from scanner.decoding.arrays import Floats32
+
+_MOST_PIXELS = 16384
+_STEP = 2
+_SEED = 20_240_229
+
+
+class Sample:
+    """The grey levels of some pixels in all frames. `pixels` (P,) are flat indices into the image.
+
+    The pixels are scattered at random, because a regular grid could beat with the fringes. With `neighbours` each
+    comes with one on its left and one on its right.
+    """
+
+    def __init__(self, shape: tuple[int, int], *, neighbours: bool) -> None:
+        height, width = shape
+        margin = _STEP if neighbours and width > 2 * _STEP else 0
+        inner = width - 2 * margin
+        count = height * inner
+        if count > _MOST_PIXELS:
+            chosen = np.sort(np.random.default_rng(_SEED).choice(count, _MOST_PIXELS, replace=False))
+        else:
+            chosen = np.arange(count)
+        row, column = np.divmod(chosen, inner)
+        self.pixels: NDArray[np.int64] = row * width + column + margin
+        self._margin = margin
+        self._frames: list[Image] = []
+        self._left: list[Image] = []
+        self._right: list[Image] = []
+
+    def add(self, grey: Image) -> None:
+        """Take the sample of one frame (H, W)."""
+        flat = grey.reshape(-1)
+        self._frames.append(flat[self.pixels])
+        if self._margin:
+            self._left.append(flat[self.pixels - _STEP])
+            self._right.append(flat[self.pixels + _STEP])
+
+    @cached_property
+    def levels(self) -> Floats32:
+        """(frames, P) grey levels, once all frames are in."""
+        return np.stack(self._frames).astype(np.float32)
+
+    @property
+    def curvature(self) -> Floats32 | None:
+        """(frames, P): left − 2 · centre + right, or None if no neighbours were taken."""
+        if not self._margin:
+            return None
+        left, right = np.stack(self._left).astype(np.float32), np.stack(self._right).astype(np.float32)
+        return left - 2 * self.levels + right

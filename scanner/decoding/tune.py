@@ -1,0 +1,130 @@
+"""The decoders of both axes, with everything that a sample of the capture tells about its fringes."""
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import cast
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.axis_decoder import AxisDecoder, Measured, largest_variance
+from scanner.decoding.axis_signals import Signals
+from scanner.decoding.gamma_ripple import can_ripple, straightening
+from scanner.decoding.noise_model import NoiseModel
+from scanner.decoding.phase_unwrapping import disagreements, measured_tolerances, widest_tolerances
+from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
+
+# Over fewer cycles the phases of a scene need not be evenly spread.
+_ENOUGH_CYCLES = 8.0
+_NEARLY_ALL = 0.9
+
+
+def calibrated_decoders(
+    plan: SequencePlan, noise: NoiseModel, saturation: float, signals: tuple[Signals, Signals]
+) -> tuple[AxisDecoder, AxisDecoder]:
+    """Decoders for x and y from a sample of the signals of each."""
+    raw = [
+        AxisDecoder(axis, noise, saturation, (None,) * len(axis.fringes), widest_tolerances(axis)) for axis in plan.axes
+    ]
+    plain = [_with_tolerances(decoder, part) for decoder, part in zip(raw, signals, strict=True)]
+    ripples = _ripples(plain, signals)
+    straightened = [
+        _with_tolerances(replace(decoder, ripple=tuple(ripples.get(fringe) for fringe in decoder.plan.fringes)), part)
+        for decoder, part in zip(raw, signals, strict=True)
+    ]
+    # Two periods are rippled at different places, so that a right correction brings them together.
+    worse = any(
+        sum(new.tolerances.fringe_px) > sum(old.tolerances.fringe_px)
+        for new, old in zip(straightened, plain, strict=True)
+    )
+    x, y = plain if worse else straightened
+    return x, y
+
+
+def agreeing(measured: Measured) -> Bools:
+    """(P,): the well lit pixels of a sample whose codes and fringes make sense at all."""
+    return measured.orders.agree & measured.interval.possible & measured.well_lit
+
+
+def modulation(decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals, Signals]) -> float | None:
+    """The median amplitude of the shortest fringes relative to the level half-way between lit and unlit.
+
+    1 for a sharp image of a projector without black level in a dark room; None without fringes.
+    """
+    shares = []
+    for decoder, part in zip(decoders, signals, strict=True):
+        if decoder.plan.fringes:
+            measured = decoder.measure(part)
+            lit = measured.well_lit
+            shares.append(np.sqrt(measured.powers[-1][lit]) / np.maximum(part.middle[lit], 1))
+    return float(np.median(np.concatenate(shares))) if sum(map(len, shares)) else None
+
+
+def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:
+    if not decoder.plan.fringes:
+        return decoder
+    measured = decoder.measure(signals)
+    chosen = agreeing(measured)
+    variances = measured.variances[:, chosen]
+    found = disagreements(measured.orders, measured.interval, chosen)
+    tolerances = measured_tolerances(decoder.plan, found, variances)
+    return replace(decoder, tolerances=tolerances, finest=_finest_seen(decoder.plan, variances))
+
+
+def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:
+    """The number of the shortest fringe that is seen at nearly all pixels of a sample where the longest is."""
+    seen = 0
+    for number, (fringe, variance) in enumerate(zip(plan.fringes, variances, strict=True)):
+        if variance.size and np.quantile(variance, _NEARLY_ALL) <= largest_variance(fringe):
+            seen = number
+    return seen
+
+
+@dataclass(frozen=True)
+class _Phases:
+    """Raw phases (P,) of a fringe, radians, and over how many of its cycles the pixels are spread."""
+
+    fringe: Fringe
+    phases: Floats32
+    cycles: float
+
+
+def _ripples(decoders: list[AxisDecoder], signals: tuple[Signals, Signals]) -> dict[Fringe, Floats32]:
+    """Per fringe, what straightens its phase.
+
+    Fringes with the same shifts and period are bent alike on both axes and are measured together. Where the pixels see
+    too few cycles of a period, the next shorter one lends its table.
+    """
+    groups: dict[tuple[int, float], list[_Phases]] = defaultdict(list)
+    for decoder, part in zip(decoders, signals, strict=True):
+        for seen in _phases(decoder, part):
+            steps = len(seen.fringe.shifts)
+            groups[steps, round(seen.fringe.shifts[0] * steps % 1, 6) % 1].append(seen)
+    found = {}
+    for group in groups.values():
+        table = None
+        for period in sorted({seen.fringe.period for seen in group}):
+            alike = [seen for seen in group if seen.fringe.period == period]
+            if sum(seen.cycles for seen in alike) >= _ENOUGH_CYCLES:
+                table = straightening(alike[0].fringe, [seen.phases for seen in alike])
+            if table is not None:
+                found.update({seen.fringe: table for seen in alike})
+    return found
+
+
+def _phases(decoder: AxisDecoder, signals: Signals) -> Iterator[_Phases]:
+    if not decoder.plan.fringes:
+        return
+    measured = decoder.measure(signals)
+    # Which pixels saturate would depend on their phase, if it were judged by the fringes themselves.
+    lit = measured.well_lit & (signals.brightest < decoder.saturation)
+    coordinates = measured.orders.coordinates[:, agreeing(measured)]
+    for number, (fringe, coordinate) in enumerate(zip(decoder.plan.fringes, coordinates, strict=True)):
+        if can_ripple(fringe) and len(coordinate):
+            cosine, sine = signals.fringe(number)
+            first, last = np.quantile(coordinate, (0.02, 0.98))
+            phases = cast(Floats32, cv2.phase(cosine[None], sine[None])[0])
+            yield _Phases(fringe, phases[lit], float(last - first) / fringe.period)

@@ -1,0 +1,9 @@
+"""Files of each format, read and written whole or not at all. Knows nothing of scans."""
+
+from scanner.io.atomic_file import new_file, refuse_existing
+from scanner.io.calibration_file import read_calibration, write_calibration
+from scanner.io.image_file import SUFFIXES, read_image, write_png
+from scanner.io.matches_file import MATCHES_FILE, read_matches, read_planes, write_matches
+from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply
+from scanner.io.validation import Entry, Flag, Number, Pair, Section, Whole, validate
+from scanner.io.yaml_text import flow_yaml, parse_yaml, read_text, read_yaml

@@ -1,0 +1,99 @@
+"""`calibration.yaml`, and `truth.yaml` of simulated rigs: one format, read and written."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import yaml
+from pydantic import Field
+
+from calib.geometry import Calibration, Intrinsics
+from scanner.errors import InputError
+from scanner.io.validation import Entry, Number, Pair, Whole, validate
+from scanner.io.yaml_text import flow_yaml, read_yaml
+
+_Positive = Annotated[Number, Field(gt=0)]
+_Vector = tuple[Number, Number, Number]
+_Sigma = Annotated[Number, Field(ge=0)]
+
+
+class _DeviceEntry(Entry):
+    width: Whole = Field(ge=1)
+    height: Whole = Field(ge=1)
+    focal_px: tuple[_Positive, _Positive]
+    principal_point_px: Pair
+    distortion: list[Number] = Field(default=[], max_length=5)
+
+    def intrinsics(self) -> Intrinsics:
+        k1, k2, p1, p2, k3 = (*self.distortion, *[0.0] * (5 - len(self.distortion)))
+        return Intrinsics(self.width, self.height, self.focal_px, self.principal_point_px, (k1, k2, p1, p2, k3))
+
+
+class _CalibrationEntry(Entry):
+    camera: _DeviceEntry
+    projector: _DeviceEntry
+    rotation: tuple[_Vector, _Vector, _Vector]
+    translation: _Vector
+    unit: str = Field(min_length=1, max_length=20)
+    sigma: dict[str, _Sigma | tuple[_Sigma, ...]] = Field(default={})
+
+    def calibration(self) -> Calibration:
+        return Calibration(
+            self.camera.intrinsics(),
+            self.projector.intrinsics(),
+            np.array(self.rotation),
+            np.array(self.translation),
+            self.unit,
+            self.sigma,
+        )
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a calibration; keys beyond the format are ignored, a distortion of fewer than five terms ends in zeros.
+
+    Raises InputError for a missing file, a missing or wrong key, or a rotation that is none.
+    """
+    entry = validate(_CalibrationEntry, read_yaml(path), str(path))
+    try:
+        return entry.calibration()
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, Any] | None = None) -> None:
+    """Write a calibration, and `more` keys for those who know them. Numbers read back the same. Raises OSError."""
+    lines = [
+        f"camera: {flow_yaml(_device_to_dict(calibration.camera))}",
+        f"projector: {flow_yaml(_device_to_dict(calibration.projector))}",
+        "rotation:",
+        *(f"  - {flow_yaml(row)}" for row in calibration.rotation.tolist()),
+        f"translation: {flow_yaml(calibration.translation.tolist())}",
+        f"unit: {flow_yaml(calibration.unit)}",
+    ]
+    if calibration.sigma:
+        lines.append(f"sigma: {flow_yaml(_sigma_to_dict(calibration.sigma))}")
+    if more:
+        lines.append(
+            # Lists of plain values on one line each, the rest in blocks.
+            yaml.safe_dump(dict(more), default_flow_style=None, allow_unicode=True, sort_keys=False, width=math.inf)
+        )
+    path.write_text("\n".join(lines).rstrip("\n") + "\n", encoding="utf-8")
+
+
+def _device_to_dict(device: Intrinsics) -> dict[str, object]:
+    return {
+        "width": int(device.width),
+        "height": int(device.height),
+        "focal_px": [float(number) for number in device.focal_px],
+        "principal_point_px": [float(number) for number in device.principal_point_px],
+        "distortion": [float(number) for number in device.distortion],
+    }
+
+
+def _sigma_to_dict(sigma: Mapping[str, float | tuple[float, ...]]) -> dict[str, object]:
+    return {
+        key: [float(number) for number in value] if isinstance(value, tuple) else float(value)
+        for key, value in sigma.items()
+    }

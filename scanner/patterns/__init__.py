@@ -1,0 +1,27 @@
+"""Patterns as values, the sequences made of them, and how they are drawn."""
+
+from scanner.patterns.pattern import (
+    Axis,
+    Black,
+    Code,
+    Gray,
+    Pattern,
+    Phase,
+    White,
+    Xor,
+    draw,
+    gray_sequence,
+    phase_sequence,
+    sequence_for,
+)
+from scanner.patterns.presets import PRESETS, Preset, PresetName
+from scanner.patterns.projector_response import ProjectorResponse
+from scanner.patterns.sequence_file import (
+    FORMAT,
+    SEQUENCE_FILE,
+    PatternEntry,
+    frame_line,
+    pattern_to_dict,
+    size_to_dict,
+    write_sequence,
+)

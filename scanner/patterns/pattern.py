@@ -1,0 +1,166 @@
+"""The patterns that are projected, as immutable values; drawing them; the sequence that suits a projector.
+
+Coordinates are projector pixels, x to the right and y down, pixel centres at integers. What each kind means is a file
+format that other programs depend on (see docs/formats.md).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import ceil, log2
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Floats
+
+Axis = Literal["x", "y"]
+Code = Literal["gray", "xor", "both"]
+
+
+@dataclass(frozen=True)
+class White:
+    """Everything lit."""
+
+    def brightness(self, x: Floats, y: Floats) -> Floats:
+        """Brightness 0 … 1 at projector coordinates of equal shape."""
+        return np.ones(np.broadcast(x, y).shape)
+
+
+@dataclass(frozen=True)
+class Black:
+    """Nothing lit but the projector's black level."""
+
+    def brightness(self, x: Floats, y: Floats) -> Floats:
+        """Brightness 0 … 1 at projector coordinates of equal shape."""
+        return np.zeros(np.broadcast(x, y).shape)
+
+
+@dataclass(frozen=True)
+class Gray:
+    """One bit of the Gray code of n = floor((coordinate + offset) / cell); bit 0 is the most significant of `bits`."""
+
+    axis: Axis
+    bit: int
+    bits: int
+    cell: int = 1
+    offset: int = 0
+    inverted: bool = False
+
+    def brightness(self, x: Floats, y: Floats) -> Floats:
+        """Brightness 0 … 1 at projector coordinates of equal shape."""
+        coordinate = x if self.axis == "x" else y
+        n = np.floor((coordinate + self.offset) / self.cell).astype(np.int64)
+        bright = ((n ^ (n >> 1)) >> (self.bits - 1 - self.bit)) & 1 == 1
+        return np.where(bright != self.inverted, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Xor:
+    """One bit of a Gray code, exclusive or its bit `base`: its stripes are as fine as those of that bit.
+
+    Light that bounces averages over fine stripes and reaches a place in equal parts, whatever the pattern, so that it
+    turns over no bit (Gupta et al., CVPR 2011). The base itself is shown as a bit of the Gray code.
+    """
+
+    axis: Axis
+    bit: int
+    bits: int
+    base: int
+    cell: int = 1
+    offset: int = 0
+    inverted: bool = False
+
+    def brightness(self, x: Floats, y: Floats) -> Floats:
+        """Brightness 0 … 1 at projector coordinates of equal shape."""
+        bit, base = (
+            Gray(self.axis, number, self.bits, self.cell, self.offset).brightness(x, y)
+            for number in (self.bit, self.base)
+        )
+        return np.where((bit != base) != self.inverted, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A fringe: ½ (1 + cos 2π(coordinate / period + shift)), period in pixels, shift in cycles."""
+
+    axis: Axis
+    period: float
+    shift: float
+
+    def brightness(self, x: Floats, y: Floats) -> Floats:
+        """Brightness 0 … 1 at projector coordinates of equal shape."""
+        coordinate = x if self.axis == "x" else y
+        return 0.5 * (1 + np.cos(2 * np.pi * (coordinate / self.period + self.shift)))
+
+
+Pattern = White | Black | Gray | Xor | Phase
+
+
+def draw(pattern: Pattern, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The 8-bit image (height, width) of a pattern for a projector of `size` = (width, height)."""
+    width, height = size
+    # A row and a column, not all pixels: a live capture waits for its pictures, and most of them vary along one axis.
+    x, y = np.arange(width, dtype=np.float64)[None, :], np.arange(height, dtype=np.float64)[:, None]
+    levels = np.rint(255 * pattern.brightness(x, y)).astype(np.uint8)
+    return np.ascontiguousarray(np.broadcast_to(levels, (height, width)))
+
+
+def gray_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) -> Iterator[Gray]:
+    """The bits that tell apart all cells along an axis of `length` pixels, each followed by its inverse."""
+    bits = max(1, ceil(log2(ceil(length / cell))))
+    for bit in range(bits):
+        for inverted in (False, True) if inverses else (False,):
+            yield Gray(axis, bit, bits, cell, inverted=inverted)
+
+
+def xor_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) -> Iterator[Gray | Xor]:
+    """The same cells by stripes that are nearly all two cells wide: the finest bit, and the others relative to it."""
+    for shown in gray_sequence(axis, length, cell, inverses=inverses):
+        base = shown.bits - 1
+        if shown.bit == base:
+            yield shown
+        else:
+            yield Xor(axis, shown.bit, shown.bits, base, cell, inverted=shown.inverted)
+
+
+def phase_sequence(axis: Axis, period: float, shifts: int) -> Iterator[Phase]:
+    """One fringe in `shifts` equal steps over a cycle."""
+    for step in range(shifts):
+        yield Phase(axis, period, step / shifts)
+
+
+def both_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) -> Iterator[Gray | Xor]:
+    """The Gray code, then the XOR code on the same finest bit."""
+    yield from gray_sequence(axis, length, cell, inverses=inverses)
+    yield from (p for p in xor_sequence(axis, length, cell, inverses=inverses) if isinstance(p, Xor))
+
+
+_CODES: dict[Code, Callable[..., Iterator[Gray | Xor]]] = {
+    "gray": gray_sequence,
+    "xor": xor_sequence,
+    "both": both_sequence,
+}
+
+
+def sequence_for(
+    size: tuple[int, int],
+    *,
+    code: Code = "gray",
+    cell: int = 8,
+    inverses: bool = True,
+    periods: Sequence[float] = (16.0, 6.7),
+    shifts: int = 4,
+) -> tuple[Pattern, ...]:
+    """White, black, then for each axis a code down to `cell` and fringes of `periods` in `shifts` steps each.
+
+    A cell of half the longest period leaves a quarter of that period as slack on either side of each Gray edge, so that
+    no fringe order hangs on a single edge. `shifts` = 0 leaves the fringes out.
+    """
+    patterns: list[Pattern] = [White(), Black()]
+    axes: tuple[tuple[Axis, int], ...] = (("x", size[0]), ("y", size[1]))
+    for axis, length in axes:
+        patterns += _CODES[code](axis, length, cell, inverses=inverses)
+        for period in periods if shifts else ():
+            patterns += phase_sequence(axis, period, shifts)
+    return tuple(patterns)

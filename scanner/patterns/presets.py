@@ -1,0 +1,41 @@
+"""The sequences that have names: what each shows, whatever the size of the projector. See docs/decoding.md."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from scanner.patterns.pattern import Code, Pattern, sequence_for
+
+PresetName = Literal["standard", "quick", "concave"]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """The arguments of `sequence_for`: a code down to `cell` px, fringes of `periods` px in `shifts` steps each."""
+
+    code: Code
+    cell: int
+    inverses: bool
+    periods: tuple[float, ...]
+    shifts: int
+
+    def patterns(self, projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
+        """The sequence for a projector of (width, height)."""
+        return sequence_for(
+            projector_size,
+            code=self.code,
+            cell=self.cell,
+            inverses=self.inverses,
+            periods=self.periods,
+            shifts=self.shifts,
+        )
+
+
+# Two periods whose ratio is far from every fraction of small numbers (1.382, or 2.39) agree on no wrong fringe order
+# for long, and a wrong bit shows. None is a whole number of pixels where it decides: then the rounding to 256 grey
+# levels would fall on the same places of every cycle, and shift all coordinates by a thousandth of a pixel.
+PRESETS: dict[PresetName, Preset] = {
+    "standard": Preset("gray", cell=8, inverses=True, periods=(16.0, 6.7), shifts=4),
+    "quick": Preset("gray", cell=8, inverses=False, periods=(12.3,), shifts=4),
+    # Two codes that fail in different places, and fringes that light does not carry around a corner.
+    "concave": Preset("both", cell=8, inverses=False, periods=(8.43, 6.1), shifts=4),
+}

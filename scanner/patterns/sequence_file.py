@@ -1,0 +1,125 @@
+"""How patterns are written in `capture.yaml` and `sequence.yaml`: a format that other programs read and write, such as
+
+`{kind: gray, axis: x, bit: 0, bits: 10, cell: 1, offset: 0, inverted: false}`,
+`{kind: xor, axis: x, bit: 0, bits: 10, base: 9, cell: 1, offset: 0, inverted: false}` and `{kind: phase, axis: x,
+period: 16.0, shift: 0.0}`.
+"""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from scanner.io import Entry, Flag, Number, Whole, flow_yaml, write_png
+from scanner.patterns.pattern import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
+
+FORMAT = 1
+SEQUENCE_FILE = "sequence.yaml"
+
+
+class WhiteEntry(Entry):
+    """A white frame."""
+
+    kind: Literal["white"]
+
+    def pattern(self) -> White:
+        """What the entry describes."""
+        return White()
+
+
+class BlackEntry(Entry):
+    """A black frame."""
+
+    kind: Literal["black"]
+
+    def pattern(self) -> Black:
+        """What the entry describes."""
+        return Black()
+
+
+class _BitEntry(Entry):
+    """A bit of a code."""
+
+    axis: Axis
+    bit: Whole = Field(ge=0)
+    bits: Whole = Field(ge=1, le=32)
+    cell: Whole = Field(ge=1, le=65536)
+    offset: Whole = Field(ge=0, le=2**32)
+    inverted: Flag
+
+    @model_validator(mode="after")
+    def _bit_exists(self) -> "_BitEntry":
+        if self.bit >= self.bits:
+            raise ValueError(f"bit must be less than bits, found bit {self.bit} of {self.bits}")
+        return self
+
+
+class GrayEntry(_BitEntry):
+    """A bit of a Gray code."""
+
+    kind: Literal["gray"]
+
+    def pattern(self) -> Gray:
+        """What the entry describes."""
+        return Gray(self.axis, self.bit, self.bits, self.cell, self.offset, self.inverted)
+
+
+class XorEntry(_BitEntry):
+    """A bit of a Gray code relative to another of its bits."""
+
+    kind: Literal["xor"]
+    base: Whole = Field(ge=0)
+
+    @model_validator(mode="after")
+    def _base_is_another(self) -> "XorEntry":
+        if self.base >= self.bits or self.base == self.bit:
+            raise ValueError(f"base must be another of the {self.bits} bits than bit {self.bit}, found {self.base}")
+        return self
+
+    def pattern(self) -> Xor:
+        """What the entry describes."""
+        return Xor(self.axis, self.bit, self.bits, self.base, self.cell, self.offset, self.inverted)
+
+
+class PhaseEntry(Entry):
+    """A fringe; a period of less than two pixels cannot be drawn."""
+
+    kind: Literal["phase"]
+    axis: Axis
+    period: Number = Field(ge=2, le=1e6)
+    shift: Number
+
+    def pattern(self) -> Phase:
+        """What the entry describes."""
+        return Phase(self.axis, self.period, self.shift)
+
+
+PatternEntry = Annotated[WhiteEntry | BlackEntry | GrayEntry | XorEntry | PhaseEntry, Field(discriminator="kind")]
+
+
+def pattern_to_dict(pattern: Pattern) -> dict[str, Any]:
+    """A pattern as it stands in the files."""
+    return {"kind": type(pattern).__name__.lower(), **asdict(pattern)}
+
+
+def frame_line(file: str, pattern: Pattern, **more: object) -> str:
+    """One item of `frames`, on a line of its own."""
+    entry = {"file": file, "pattern": pattern_to_dict(pattern), **more}
+    return f"  - {flow_yaml(entry)}\n"
+
+
+def size_to_dict(size: tuple[int, int]) -> dict[str, int]:
+    """(width, height) as it stands in the files."""
+    return {"width": size[0], "height": size[1]}
+
+
+def write_sequence(folder: Path, patterns: tuple[Pattern, ...], projector_size: tuple[int, int]) -> None:
+    """`sequence.yaml` and the images to project, `patterns/000.png` …, into an existing folder. Raises OSError."""
+    (folder / "patterns").mkdir()
+    lines = [f"format: {FORMAT}\n", f"projector: {flow_yaml(size_to_dict(projector_size))}\n", "frames:\n"]
+    for index, pattern in enumerate(patterns):
+        file = f"patterns/{index:03d}.png"
+        write_png(folder / file, draw(pattern, projector_size))
+        lines.append(frame_line(file, pattern))
+    (folder / SEQUENCE_FILE).write_text("".join(lines), encoding="utf-8")

@@ -1,0 +1,15 @@
+"""Numbers with units and names, as every page, table and file shows them."""
+
+from scanner.quantities.calibration_numbers import (
+    Quantity,
+    corner_quantities,
+    device_quantities,
+    intrinsic_errors_percent,
+    percent,
+    plain,
+    pose_quantities,
+)
+from scanner.quantities.calibration_table import calibration_table, truth_line
+from scanner.quantities.lengths import ShownUnit, shown_unit
+from scanner.quantities.names import FACE_NAMES
+from scanner.quantities.units import UNKNOWN_UNIT, metres_per, parse_length, unit_name

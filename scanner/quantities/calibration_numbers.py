@@ -1,0 +1,179 @@
+"""The numbers of a calibration: each with its sigma, and with the truth where that is known."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import atan2, degrees, floor, log10
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Calibration, Corner, Intrinsics
+from calib.numerics import Floats
+
+_DISTORTION_NAMES = ("k₁", "k₂", "p₁", "p₂", "k₃")
+_DEFAULT_SIGNIFICANT = 5
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number. `sigma` (0: held fixed) and `truth` are None where unknown; `meaning` explains it in a few words."""
+
+    name: str
+    value: float
+    unit: str = ""
+    sigma: float | None = None
+    truth: float | None = None
+    meaning: str = ""
+
+    @property
+    def decimals(self) -> int:
+        """As many as show two digits of sigma, or five significant digits where there is none."""
+        if self.sigma:
+            return max(0, 1 - floor(log10(self.sigma)))
+        size = max(abs(self.value), 1.0 if self.unit else 1e-4)
+        return int(np.clip(_DEFAULT_SIGNIFICANT - 1 - floor(log10(size)), 0, 5))
+
+    def shown(self, value: float | None, *, signed: bool = False) -> str:
+        """A value of this quantity with its number of decimals; '' for None."""
+        return "" if value is None else plain(value, self.decimals, signed=signed)
+
+    @property
+    def error(self) -> float | None:
+        """Value minus truth."""
+        return None if self.truth is None else self.value - self.truth
+
+    @property
+    def error_percent(self) -> float | None:
+        """Error relative to the truth; only for lengths, where it means something."""
+        if self.error is None or not self.truth or self.unit != "px":
+            return None
+        return 100 * self.error / abs(self.truth)
+
+    @property
+    def error_sigmas(self) -> float | None:
+        """Error in units of sigma."""
+        return self.error / self.sigma if self.error is not None and self.sigma else None
+
+
+def plain(value: float, decimals: int, *, signed: bool = False) -> str:
+    """A number for reading: no negative zero, and a minus sign as long as the plus."""
+    shown = f"{value:+z.{decimals}f}" if signed else f"{value:z.{decimals}f}"
+    return shown.replace("-", "−")
+
+
+def percent(share: float) -> str:
+    """A share for reading: what exists is never 0 %, and what is missing something never 100 %."""
+    value = 100 * share
+    if 0 < value < 0.1:
+        return "< 0.1 %"
+    return "> 99.9 %" if 99.9 < value < 100 else f"{value:.1f} %"
+
+
+def device_quantities(
+    name: Literal["camera", "projector"], calibration: Calibration, truth: Calibration | None
+) -> list[Quantity]:
+    """Intrinsics of one device."""
+    device = calibration.camera if name == "camera" else calibration.projector
+    true = None if truth is None else truth.camera if name == "camera" else truth.projector
+    return [
+        *_focal_lengths(name, device, true, calibration),
+        *_principal_point(name, device, true, calibration),
+        *_distortion(name, device, true, calibration),
+    ]
+
+
+def _focal_lengths(
+    name: str, device: Intrinsics, true: Intrinsics | None, calibration: Calibration
+) -> Iterator[Quantity]:
+    square = device.focal_px[0] == device.focal_px[1]
+    for axis, label in enumerate(("",) if square else (", x", ", y")):
+        length, side = device.focal_px[axis], (device.width, device.height)[axis]
+        yield Quantity(
+            f"focal length{label}",
+            length,
+            "px",
+            _sigma(calibration, f"{name}_focal_px", axis),
+            true.focal_px[axis] if true else None,
+            f"field of view {2 * degrees(atan2(side / 2, length)):.0f}°"
+            + (f", throw ratio {length / side:.2f}" if name == "projector" and axis == 0 else ""),
+        )
+
+
+def _principal_point(
+    name: str, device: Intrinsics, true: Intrinsics | None, calibration: Calibration
+) -> Iterator[Quantity]:
+    for axis, label in enumerate(("x₀", "y₀")):
+        yield Quantity(
+            f"principal point {label}",
+            device.principal_point_px[axis],
+            "px",
+            _sigma(calibration, f"{name}_principal_point_px", axis),
+            true.principal_point_px[axis] if true else None,
+            f"image centre {((device.width, device.height)[axis] - 1) / 2:g}",
+        )
+
+
+def _distortion(name: str, device: Intrinsics, true: Intrinsics | None, calibration: Calibration) -> Iterator[Quantity]:
+    for index, label in enumerate(_DISTORTION_NAMES):
+        value, true_value = device.distortion[index], true.distortion[index] if true else None
+        if value or true_value:
+            sigma = _sigma(calibration, f"{name}_distortion", index)
+            meaning = "radial lens distortion, OpenCV's model" if index == 0 else ""
+            yield Quantity(f"distortion {label}", value, "", sigma, true_value, meaning)
+
+
+def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list[Quantity]:
+    """How the two devices stand to each other; lengths only against a truth of the same unit."""
+    same_unit = truth is not None and truth.unit == calibration.unit
+    turned = Rotation.from_matrix(calibration.rotation).magnitude()
+    first, second = ("first photo", "second photo") if calibration.one_camera else ("camera", "projector")
+    quantities = [
+        Quantity(
+            "baseline",
+            calibration.baseline,
+            "" if calibration.unit == "baseline" else calibration.unit,
+            None,
+            truth.baseline if truth is not None and same_unit else None,
+            "unit of all lengths" if calibration.unit == "baseline" else f"distance between {first} and {second}",
+        ),
+        Quantity(
+            "turned by",
+            degrees(turned),
+            "°",
+            None,
+            degrees(Rotation.from_matrix(truth.rotation).magnitude()) if truth else None,
+            f"angle of the rotation from the {first} to the {second}",
+        ),
+    ]
+    if truth is not None:
+        off = Rotation.from_matrix(calibration.rotation @ truth.rotation.T).magnitude()
+        quantities.append(
+            Quantity("rotation error", degrees(off), "°", meaning="between the rotation and the true one")
+        )
+    return quantities
+
+
+def corner_quantities(corner: Corner, calibration: Calibration) -> list[Quantity]:
+    """The angles between the faces."""
+    return [
+        Quantity(f"angle {pair}", float(angle), "°", _sigma(calibration, "corner_angles_deg", index))
+        for index, (pair, angle) in enumerate(zip(("B–C", "C–A", "A–B"), corner.angles_deg, strict=True))
+    ]
+
+
+def intrinsic_errors_percent(calibration: Calibration, truth: Calibration) -> Floats:
+    """Relative errors of f_c, f_p, x_p and y_p, (4,), in per cent of the truth: those that the paper reports."""
+
+    def four(of: Calibration) -> Floats:
+        return np.array([np.mean(of.camera.focal_px), np.mean(of.projector.focal_px), *of.projector.principal_point_px])
+
+    percent: Floats = 100 * (four(calibration) / four(truth) - 1)
+    return percent
+
+
+def _sigma(calibration: Calibration, key: str, index: int) -> float | None:
+    value = calibration.sigma.get(key)
+    if isinstance(value, tuple):
+        return value[index] if index < len(value) else None
+    return value

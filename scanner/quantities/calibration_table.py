@@ -1,0 +1,62 @@
+"""The table at the end of a scan: the calibration, how sure of it we are, and how true it is where that is known."""
+
+import numpy as np
+from rich import box
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Calibration
+from scanner.quantities.calibration_numbers import (
+    Quantity,
+    device_quantities,
+    intrinsic_errors_percent,
+    plain,
+    pose_quantities,
+)
+
+
+def calibration_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
+    """The calibration with its sigmas where known, beside the truth where there is one."""
+    table = Table(title="Calibration", title_justify="left", box=box.SIMPLE, pad_edge=False, collapse_padding=True)
+    table.add_column("", no_wrap=True)
+    for heading in ("value", "sigma", *(("truth", "error", "%") if truth else ())):
+        table.add_column(heading, justify="right", no_wrap=True)
+    devices = [("Camera", device_quantities("camera", calibration, truth))]
+    if not calibration.one_camera:
+        devices.append(("Projector", device_quantities("projector", calibration, truth)))
+    baseline = [quantity for quantity in pose_quantities(calibration, truth) if quantity.name == "baseline"]
+    for heading, quantities in (*devices, ("Between them", baseline)):
+        table.add_row(heading, style="bold")
+        for quantity in quantities:
+            name = f"  {quantity.name}" + (f", {quantity.unit}" if quantity.unit else "")
+            cells = [name, quantity.shown(quantity.value), _sigma_cell(quantity)]
+            table.add_row(*cells, *(_truth_cells(quantity) if truth else ()))
+        table.add_section()
+    return table
+
+
+def _sigma_cell(quantity: Quantity) -> str:
+    if quantity.sigma is None:
+        return ""
+    return f"± {quantity.shown(quantity.sigma)}" if quantity.sigma else "given"
+
+
+def _truth_cells(quantity: Quantity) -> tuple[str, str, str]:
+    percent = quantity.error_percent
+    return (
+        quantity.shown(quantity.truth),
+        quantity.shown(quantity.error, signed=True),
+        "" if percent is None else plain(percent, 2, signed=True),
+    )
+
+
+def truth_line(calibration: Calibration, truth: Calibration) -> str:
+    """How far the calibration is from the truth, in one line."""
+    percent = np.abs(intrinsic_errors_percent(calibration, truth)).mean()
+    turned = np.degrees(Rotation.from_matrix(calibration.rotation @ truth.rotation.T).magnitude())
+    found, true = calibration.translation, truth.translation
+    aside = np.degrees(np.arctan2(np.linalg.norm(np.cross(found, true)), np.dot(found, true)))
+    return (
+        f"Against the truth: mean absolute error of f_c, f_p, x_p, y_p {percent:.2f} %, "
+        f"rotation {turned:.3f}°, direction of the baseline {aside:.3f}°"
+    )

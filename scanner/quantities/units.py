@@ -1,0 +1,57 @@
+"""Units of length: what a result may be in, and what a person may write on the command line."""
+
+import re
+
+from scanner.errors import InputError
+
+UNKNOWN_UNIT = "baseline"
+METRES = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "µm": 1e-6,  # the micro sign …
+    "μm": 1e-6,  # … and the Greek letter
+    "in": 0.0254,
+    "ft": 0.3048,
+}
+_LENGTH = re.compile(r"([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?) *([^0-9. ]*)")
+
+
+def metres_per(unit: str) -> float:
+    """How long a unit is. Raises InputError if it is not known; that of a result without a scale is not."""
+    if unit == UNKNOWN_UNIT:
+        raise InputError(
+            "the result has no known length, its unit is the baseline; make it again with a scale, as in "
+            "--set scale.baseline_m=0.4"
+        )
+    if unit not in METRES:
+        raise InputError(f"the unit '{unit}' is not known; expected one of: {', '.join(METRES)}")
+    return METRES[unit]
+
+
+def unit_name(unit: str) -> str:
+    """A unit in a sentence."""
+    return "baselines" if unit == UNKNOWN_UNIT else unit
+
+
+def parse_length(text: str, unit: str) -> float:
+    """'50.8mm', or a number in `unit` → the length in `unit`.
+
+    Raises InputError for anything else, a length that is not positive, and a unit that cannot be converted.
+    """
+    match = _LENGTH.fullmatch(text.strip())
+    if match is None or not float(match[1]) > 0:
+        raise InputError(f"expected a length like 50.8mm, or a number in the result's unit, found '{text}'")
+    number, given = float(match[1]), match[2] or unit
+    if given == unit:
+        return number
+    if given not in METRES:
+        raise InputError(f"'{text}': the unit '{given}' is not known; expected one of: {', '.join(METRES)}")
+    if unit == UNKNOWN_UNIT:
+        raise InputError(
+            f"'{text}' cannot be compared with this result, whose unit is the baseline, because no length was known: "
+            "make it again with a scale, as in --set scale.baseline_m=0.4, or give the length in baselines, without "
+            "a unit"
+        )
+    return number * METRES[given] / metres_per(unit)

@@ -1,0 +1,123 @@
+"""Captures that exist already: matches files and result folders, read and checked before they are calibrated."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.geometry import NO_FACE
+from calib.numerics import Floats, Image, Ints
+from scanner.capture import CAPTURE_FILE, CaptureFacts, Recording, open_capture
+from scanner.errors import InputError
+from scanner.io import MATCHES_FILE, read_calibration, read_image, read_matches, read_planes
+from scanner.patterns import White
+from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, Findings
+
+# Undistorted or extrapolated pixels may lie outside of the image, but not far.
+_MARGIN_OF_SIZE = 0.1
+
+Size = tuple[int, int]
+
+
+def read_captures(paths: Sequence[Path], camera_size: Size, projector_size: Size) -> list[Findings]:
+    """The captures in matches files and result folders; a result of several captures stands for all of them.
+
+    Raises InputError, naming the file, if one is damaged, belongs to images of another size, or is given twice.
+    """
+    captures: list[Findings] = []
+    for path in paths:
+        for place in _places(path):
+            found = _read(place, camera_size, projector_size)
+            for other in captures:
+                _refuse_same(found, other)
+            captures.append(found)
+    return captures
+
+
+def _places(path: Path) -> Iterator[Path]:
+    """Where the captures of a matches file or a result folder are, oldest first."""
+    if (path / CAPTURES_FOLDER).is_dir():
+        inner = [place for place in (path / CAPTURES_FOLDER).iterdir() if place.name.isdecimal()]
+        yield from sorted(inner, key=lambda place: int(place.name))
+    if path.is_dir() and not (path / MATCHES_FILE).is_file():
+        if (path / CAPTURES_FOLDER).is_dir():
+            return  # a scan that was broken off: what it had finished is all there is
+        if (path / CAPTURE_FILE).is_file():
+            raise InputError(
+                f"{path}: expected matches, found a recording: make a result of it first, with scan replay"
+            )
+    yield path
+
+
+def _read(place: Path, camera_size: Size, projector_size: Size) -> Findings:
+    matches = read_matches(place)
+    texture = None
+    if place.is_dir():
+        texture = _check_result(place, camera_size, projector_size)
+    _check_inside(place, "camera", matches.camera_px, camera_size)
+    _check_inside(place, "projector", matches.projector_px, projector_size)
+    matches = replace(matches, face=_three_faces(place, matches.face))
+    facts = CaptureFacts(camera_size, projector_size, identity={"matches": str(place)})
+    return Findings(facts, matches, name=str(place), photograph=texture, plane=read_planes(place))
+
+
+def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Image | None:
+    """Compare the sizes that a result states with those expected; its picture of the lit scene, if it has one."""
+    if (folder / CALIBRATION_FILE).is_file():
+        calibration = read_calibration(folder / CALIBRATION_FILE)
+        for name, device, expected in (
+            ("camera", calibration.camera, camera_size),
+            ("projector", calibration.projector, projector_size),
+        ):
+            _check_size(folder, name, (device.width, device.height), expected)
+    if not (folder / CAPTURE_FOLDER / CAPTURE_FILE).is_file():
+        return None
+    recording = open_capture(folder / CAPTURE_FOLDER)
+    _check_size(folder, "camera", recording.camera_size, camera_size)
+    _check_size(folder, "projector", recording.projector_size, projector_size)
+    return _white(recording)
+
+
+def _check_size(folder: Path, name: str, found: Size, expected: Size) -> None:
+    if found != expected:
+        raise InputError(
+            f"{folder}: its {name} is {found[0]} × {found[1]}, but {expected[0]} × {expected[1]} is expected: captures "
+            "that are calibrated together come from one unchanged rig"
+        )
+
+
+def _white(recording: Recording) -> Image | None:
+    for pattern, file in zip(recording.patterns, recording.files, strict=True):
+        if isinstance(pattern, White):
+            return read_image(recording.folder / file)
+    return None
+
+
+def _refuse_same(found: Findings, other: Findings) -> None:
+    a, b = found.matches, other.matches
+    if np.array_equal(a.camera_px, b.camera_px) and np.array_equal(a.projector_px, b.projector_px):
+        raise InputError(
+            f"{found.name}: holds the same matches as {other.name}: a capture that is counted twice would make the "
+            "result look surer than it is"
+        )
+
+
+def _check_inside(path: Path, device: str, pixels: Floats, size: Size) -> None:
+    for axis, (name, length) in enumerate(zip(("width", "height"), size, strict=True)):
+        low, high = pixels[:, axis].min(), pixels[:, axis].max()
+        if low < -_MARGIN_OF_SIZE * length or high > (1 + _MARGIN_OF_SIZE) * length:
+            raise InputError(
+                f"{path}: {device}_px runs from {low:.0f} to {high:.0f} in {'xy'[axis]}, but the configuration's "
+                f"{device}.{name} is {length}"
+            )
+
+
+def _three_faces(path: Path, face: Ints | None) -> Ints | None:
+    """Labels 0, 1, 2 in the order of the file's labels; None if no match has one, so that faces have to be found."""
+    if face is None or np.all(face == NO_FACE):
+        return None
+    labels = np.unique(face[face != NO_FACE])
+    if len(labels) != 3:
+        raise InputError(f"{path}: 'face' must label three faces, found {len(labels)}: {', '.join(map(str, labels))}")
+    return np.where(face == NO_FACE, NO_FACE, np.searchsorted(labels, face)).astype(np.int32)

@@ -1,0 +1,59 @@
+"""Faces drawn by hand: three PNG of the camera's size, nonzero where the face is, as in the paper."""
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from calib.geometry import NO_FACE, Matches
+from calib.numerics import Bools
+from scanner.errors import InputError
+from scanner.io import read_image
+
+
+def read_masks(folder: Path, camera_size: tuple[int, int]) -> Bools:
+    """The masks (3, H, W) of the faces 0, 1, 2 in the order of their file names.
+
+    Raises InputError unless the folder holds exactly three PNG of `camera_size` = (width, height), none empty and no
+    two overlapping.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder of masks'}")
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".png" and not path.name.startswith("."))
+    if len(paths) != 3:
+        found = ", ".join(path.name for path in paths) or "none"
+        raise InputError(f"{folder}: expected three PNG, one for each face, found {len(paths)}: {found}")
+    masks = np.stack([_read_mask(path, camera_size) for path in paths])
+    for (a, first), (b, second) in combinations(enumerate(paths), 2):
+        shared = int(np.count_nonzero(masks[a] & masks[b]))
+        if shared:
+            raise InputError(
+                f"{folder}: {first.name} and {second.name} overlap in {shared} pixels: a pixel is on one face only"
+            )
+    return masks
+
+
+def _read_mask(path: Path, camera_size: tuple[int, int]) -> Bools:
+    image = read_image(path)
+    found = (image.shape[1], image.shape[0])
+    if found != camera_size:
+        raise InputError(
+            f"{path}: expected the camera's size, {camera_size[0]} × {camera_size[1]}, found {found[0]} × {found[1]}"
+        )
+    mask: Bools = (image if image.ndim == 2 else image.max(axis=2)) > 0
+    if not mask.any():
+        raise InputError(f"{path}: every pixel is zero: the face should be painted in any other colour")
+    return mask
+
+
+def label_by_masks(matches: Matches, masks: Bools) -> Matches:
+    """The matches with the face (0, 1, 2) whose mask (3, H, W) covers their camera pixel."""
+    _, height, width = masks.shape
+    column, row = np.rint(matches.camera_px).astype(np.int64).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    labels = np.full((height, width), NO_FACE, np.int32)
+    for label, mask in enumerate(masks):
+        labels[mask] = label
+    face = np.full(len(matches), NO_FACE, np.int32)
+    face[inside] = labels[row[inside], column[inside]]
+    return matches.with_faces(face)

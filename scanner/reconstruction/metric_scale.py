@@ -1,0 +1,28 @@
+"""One known length → a calibration in metres."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.geometry import Calibration, Corner
+from scanner.configuration import ScaleSettings
+from scanner.errors import InputError
+from scanner.quantities import UNKNOWN_UNIT
+
+
+def scaled(calibration: Calibration, corner: Corner | None, scale: ScaleSettings | None) -> Calibration:
+    """The calibration in metres if a length is known; as it is if none is, or if it has a unit already.
+
+    `corner` is in the calibration's unit. Raises InputError if the known length is that to a corner and there is none.
+    """
+    if scale is None or calibration.unit != UNKNOWN_UNIT:
+        return calibration
+    if scale.baseline_m is not None:
+        factor = scale.baseline_m / calibration.baseline
+    elif scale.camera_to_corner_m is not None:
+        if corner is None:
+            raise InputError("scale.camera_to_corner_m needs the corner, which is not looked for with a --calibration")
+        factor = scale.camera_to_corner_m / float(np.linalg.norm(corner.vertex))
+    else:
+        return calibration
+    return replace(calibration, translation=calibration.translation * factor, unit="m")

@@ -1,0 +1,48 @@
+"""Colours that every kind of colour vision tells apart, and tables of shades."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Floats
+from scanner.rendering.png import Pixels
+
+# Okabe & Ito (2008): told apart by every kind of colour vision, and in print.
+ORANGE, SKY_BLUE, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
+BLUE, VERMILION, PURPLE, GREY = (0, 114, 178), (213, 94, 0), (204, 121, 167), (140, 140, 140)
+FACE_COLOURS = (ORANGE, SKY_BLUE, GREEN)
+CATEGORY_COLOURS = (VERMILION, SKY_BLUE, YELLOW, PURPLE, GREEN, ORANGE, BLUE, GREY)
+Colour = tuple[int, int, int]
+
+
+def part_of(colour_map: int, first: int, last: int) -> Pixels:
+    """A part of one of OpenCV's colour maps, RGB (n, 3)."""
+    shades = cv2.applyColorMap(np.arange(first, last + 1, dtype=np.uint8)[:, None], colour_map)
+    return np.ascontiguousarray(shades[:, 0, ::-1])
+
+
+def between(low: Colour, middle: Colour, high: Colour) -> Pixels:
+    """Shades from one colour to another through a third, RGB (n, 3)."""
+    places = np.linspace(0, 2, 255)
+    return as_pixels(np.stack([np.interp(places, (0, 1, 2), ends) for ends in zip(low, middle, high, strict=True)], 1))
+
+
+def as_pixels(values: Floats) -> Pixels:
+    """Rounded to bytes."""
+    return np.ascontiguousarray(np.rint(values), dtype=np.uint8)
+
+
+# All of them can be told from a white and from a black page, and by every kind of colour vision.
+# Whole tables, dark to bright; both have the same order of shades to every kind of colour vision.
+VIRIDIS, CIVIDIS = part_of(cv2.COLORMAP_VIRIDIS, 0, 255), part_of(cv2.COLORMAP_CIVIDIS, 0, 255)
+
+
+def css_colour(colour: Colour) -> str:
+    """#rrggbb."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def shaded(share: NDArray[np.floating], shades: Pixels) -> Pixels:
+    """RGB (..., 3) of shares from 0 to 1 (...), by a table of shades."""
+    count = len(shades)
+    return np.asarray(shades[np.minimum(share * count, count - 1).astype(np.intp)], np.uint8)

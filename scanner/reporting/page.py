@@ -1,0 +1,113 @@
+"""report.html: one self-contained page that says whether a result can be trusted, and shows why."""
+
+import base64
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from markupsafe import Markup
+
+from calib.numerics import in_parallel
+from scanner.capture import CaptureFacts
+from scanner.quantities import plain
+from scanner.reporting import sections
+from scanner.reporting.contents import CaptureRow, ReportInput
+from scanner.reporting.flatness import flatness
+from scanner.reporting.focal import focal_length
+from scanner.reporting.joint import joint_rows, merged_views
+from scanner.reporting.residuals import face_residuals, misses
+from scanner.reporting.uncertainty import point_sigmas, price_of_principal_point
+from scanner.reporting.verdict import verdict
+from scanner.reporting.view3d import view3d
+
+__all__ = ["PARTS", "CaptureFacts", "CaptureRow", "ReportInput", "write_report"]
+
+_FILES = {
+    "calibration.yaml": "intrinsics of both devices, and the motion between them",
+    "truth.yaml": "the same for the simulated rig, as it really is",
+    "cloud.ply": "the point cloud with normals and colours, for MeshLab, CloudCompare or Open3D",
+    "matches.npz": "camera and projector pixels of every match, and its face",
+    "merged.ply": "the clouds of all captures in one, in the corner's frame",
+    "dense.ply": "a point for every pixel of the first two photos that was matched, in the first photo's frame",
+    "captures": "the other captures that were calibrated with this one, each a result of its own",
+    "capture": "the recording: replay it with scan replay",
+    "scan.log": "what the program did, step by step",
+}
+
+
+# What takes a while to make; the longest first, so that none of them is left for the end.
+PARTS: dict[str, Callable[[ReportInput], object]] = {
+    "views": sections.cloud_views,
+    "misses": misses,
+    "faces": sections.faces,
+    "sigmas": point_sigmas,
+    "focal": focal_length,
+    "merged": merged_views,
+    "face_residuals": face_residuals,
+    "flatness": flatness,
+    "depth": sections.depth,
+    "view3d": view3d,
+    "scene": sections.scene,
+    "mask": lambda report: sections.mask(report.decoding),
+}
+
+
+def write_report(path: Path, report: ReportInput) -> None:
+    """Write the page. It needs no network and no other file.
+
+    Raises OSError if the file cannot be written.
+    """
+    parts = dict(zip(PARTS, in_parallel(lambda part: part(report), PARTS.values()), strict=True))
+    tables = sections.tables(report)
+    page = _template().render(
+        **parts,
+        title=report.title,
+        subtitle=sections.subtitle(report.capture),
+        verdict=verdict(report),
+        warnings=report.warnings,
+        notes=(
+            *(report.solution.notes if report.solution else ()),
+            *price_of_principal_point(report.solution),
+            *report.remarks,
+        ),
+        method=report.solution.method if report.solution else None,
+        tables=tables,
+        has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),
+        plain=plain,
+        has_truth=report.truth is not None,
+        photos=report.capture.photos,
+        captures=joint_rows(report),
+        capture=sections.capture_rows(report),
+        script=_script(),
+        script_hash=_hash(_script()),
+        files=[(name, _FILES.get(name, "")) for name in report.files],
+        unit=report.calibration.unit if report.calibration else "",
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("scanner"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html")
+
+
+@cache
+def _script() -> Markup:
+    """The viewer of the cloud: ours, so it may stand in the page as it is."""
+    return Markup(files("scanner").joinpath("templates/viewer.js").read_text(encoding="utf-8"))
+
+
+def _hash(script: str) -> str:
+    """What the page's security policy calls this script: a browser runs no other, and loads nothing."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    return f"'sha256-{digest}'"

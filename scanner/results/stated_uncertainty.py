@@ -1,0 +1,96 @@
+"""What calibration.yaml says beside the calibration: how far a result can be trusted, and its covariance."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from calib.diagnostics import Uncertainty
+from calib.geometry import Calibration, tangent_basis
+from calib.numerics import Floats
+from calib.refinement import ROTATION, SHARED, TRANSLATION, State
+from scanner.errors import InputError
+from scanner.io import Entry, Number, read_yaml, validate
+from scanner.results.verdict import Grade, Verdict
+
+_OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2")
+COLUMNS = (
+    *(f"{device}_{column}" for device in ("camera", "projector") for column in _OF_DEVICE),
+    *(f"rotation_{axis}_rad" for axis in "xyz"),
+    *(f"translation_{axis}" for axis in "xyz"),
+)
+
+
+class _VerdictEntry(Entry):
+    grade: Grade
+    headline: str
+    reasons: list[str]
+    advice: str
+
+
+class _CovarianceEntry(Entry):
+    columns: list[str]
+    match_px: Number = Field(gt=0)
+    values: list[list[Number]]
+
+
+class _ConfidenceEntry(Entry):
+    verdict: _VerdictEntry | None = None
+    covariance: _CovarianceEntry | None = None
+
+
+def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dict[str, Any]:
+    """Keys for a calibration file; `uncertainty` None where a method knows none."""
+    told = {
+        "grade": verdict.grade,
+        "headline": verdict.headline,
+        "reasons": [*verdict.reasons],
+        "advice": verdict.advice,
+    }
+    if uncertainty is None:
+        return {"verdict": told}
+    to_file = _columns_of_file(uncertainty.state.translation)
+    covariance = to_file @ uncertainty.covariance @ to_file.T
+    return {
+        "verdict": told,
+        "covariance": {
+            "columns": [*COLUMNS],
+            "match_px": float(uncertainty.match_px),
+            "values": covariance.tolist(),
+        },
+    }
+
+
+def read_verdict(path: Path) -> Verdict | None:
+    """The verdict in a result's calibration file. None where it says none, as older ones. Raises InputError."""
+    entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).verdict
+    return Verdict(entry.grade, entry.headline, tuple(entry.reasons), entry.advice) if entry else None
+
+
+def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None:
+    """The covariance in the file of a `calibration`; None where it says none. Raises InputError if it is malformed."""
+    entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).covariance
+    if entry is None:
+        return None
+    if tuple(entry.columns) != COLUMNS:
+        raise InputError(f"{path}: 'covariance.columns' must be {', '.join(COLUMNS)}, found {', '.join(entry.columns)}")
+    if len(entry.values) != len(COLUMNS) or any(len(row) != len(COLUMNS) for row in entry.values):
+        raise InputError(f"{path}: 'covariance.values' must be {len(COLUMNS)} rows of as many numbers")
+    camera, projector = (
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        for device in (calibration.camera, calibration.projector)
+    )
+    direction = calibration.translation / calibration.baseline
+    state = State(camera, projector, calibration.rotation, direction, np.zeros((0, 3)), ())
+    to_file = _columns_of_file(direction)
+    # The columns of `to_file` are orthonormal.
+    return Uncertainty(state, to_file.T @ np.array(entry.values) @ to_file, None, entry.match_px)
+
+
+def _columns_of_file(direction: Floats) -> Floats:
+    """What a step (15,) of the model moves, (16, 15): instead of two tangents, the three components of `direction`."""
+    to_file = np.zeros((len(COLUMNS), SHARED))
+    to_file[: ROTATION.stop, : ROTATION.stop] = np.eye(ROTATION.stop)
+    to_file[ROTATION.stop :, TRANSLATION] = tangent_basis(direction)
+    return to_file

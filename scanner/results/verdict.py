@@ -1,0 +1,16 @@
+"""Whether a result can be trusted, in words."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Grade = Literal["good", "fair", "refused"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`headline` answers the question, `reasons` say why, `advice` what to do next ('' for nothing)."""
+
+    grade: Grade
+    headline: str
+    reasons: tuple[str, ...]
+    advice: str = ""

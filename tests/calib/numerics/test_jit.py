@@ -1,0 +1,76 @@
+"""Compiled functions: NumPy's results, side by side in threads; no machine code older than its source."""
+
+import ast
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from calib.numerics.array_types import Floats
+from calib.numerics.chunks import in_pieces
+from calib.numerics.jit import compiled
+from tests.support.places import ROOT
+
+SOURCES = sorted(path for package in ("calib", "hw", "scanner") for path in (ROOT / package).rglob("*.py"))
+# What never changes together with this repository.
+LASTING = {"numpy", "math"}
+
+
+@compiled
+def ratios(numerator: Floats, denominator: Floats, found: Floats) -> None:
+    """Element by element (N,)."""
+    for i in range(len(numerator)):
+        found[i] = numerator[i] / denominator[i]
+
+
+NUMBERS = arrays.arrays(np.float64, 20, elements=st.floats(allow_nan=True, allow_infinity=True, width=64))
+
+
+@given(NUMBERS, NUMBERS)
+def test_divides_as_numpy_does(numerator: Floats, denominator: Floats) -> None:
+    found = np.empty(20)
+    ratios(numerator, denominator, found)
+    with np.errstate(all="ignore"):
+        expected = numerator / denominator
+    np.testing.assert_allclose(found, expected, rtol=1e-15)
+
+
+def test_threads_share_the_work() -> None:
+    count = 1 << 18
+    numerator, denominator, found = np.arange(count) + 1.0, np.arange(count) + 2.0, np.zeros(count)
+    in_pieces(count, lambda at: ratios(numerator[at], denominator[at], found[at]))
+    np.testing.assert_allclose(found, numerator / denominator, rtol=1e-15)
+
+
+def borrowed(source: str) -> list[str]:
+    """The names that compiled functions of a source file use, and that another changing file defines."""
+    tree = ast.parse(source)
+    imported = {
+        alias.asname or alias.name
+        for node in tree.body
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for alias in node.names
+        if (node.module if isinstance(node, ast.ImportFrom) else alias.name) not in LASTING
+    }
+    found = []
+    for function in ast.walk(tree):
+        decorators = getattr(function, "decorator_list", [])
+        if any(isinstance(decorator, ast.Name) and decorator.id == "compiled" for decorator in decorators):
+            body = [node for statement in function.body for node in ast.walk(statement)]  # type: ignore[attr-defined]
+            found += [node.id for node in body if isinstance(node, ast.Name) and node.id in imported]
+    return found
+
+
+def test_compiled_functions_use_their_own_file_only() -> None:
+    found = {path.relative_to(ROOT).as_posix(): borrowed(path.read_text(encoding="utf-8")) for path in SOURCES}
+    assert len(found) > 100
+    assert {path: names for path, names in found.items() if names} == {}
+
+
+def test_a_borrowed_name_is_found() -> None:
+    source = (
+        "from calib.geometry.radial_distortion import STEP\n"
+        "import numpy as np\n@compiled\ndef f(x):\n    return STEP * np.sin(x)\n"
+    )
+    assert borrowed(source) == ["STEP"]

@@ -1,0 +1,78 @@
+"""Means over cells: faithful to the plane, deaf to outliers, the same in any order."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.geometry.homography import TooFewMatchesError
+from calib.geometry.matches import Matches
+from calib.refinement.match_cells import Cells, into_cells
+from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
+
+LENSES = {
+    "camera": replace(PAPER_CAMERA, distortion=(-0.06, 0.0, 0.0, 0.0, 0.0)),
+    "projector": replace(PAPER_PROJECTOR, distortion=(-0.03, 0.0, 0.0, 0.0, 0.0)),
+}
+
+
+def _matches(noise_px: float, **options: object) -> tuple[Matches, Matches]:
+    """Noisy matches, and where their pixels would be without noise."""
+    noisy, exact = (
+        random_capture(np.random.default_rng(4), count=30_000, noise_px=noise, **LENSES, **options).matches
+        for noise in (noise_px, 0.0)
+    )
+    return noisy, exact
+
+
+def _apart(cells: Cells, exact: Matches) -> np.ndarray:
+    """How far each cell's mean is from the exact match nearest to it, moved there along the plane, (M, 2)."""
+    apart = []
+    for camera_px, projector_px, plane in zip(cells.camera_px, cells.projector_px, cells.plane, strict=True):
+        on_plane = exact.on_face(int(plane))
+        near = np.argsort(np.sum((on_plane.camera_px - camera_px) ** 2, axis=1))[:12]
+        steps = np.column_stack([np.ones(len(near)), on_plane.camera_px[near] - camera_px])
+        apart.append(projector_px - np.linalg.lstsq(steps, on_plane.projector_px[near], rcond=None)[0][0])
+    return np.array(apart)
+
+
+def test_means_lie_on_the_bent_planes() -> None:
+    _, exact = _matches(0.0)
+    cells = into_cells(exact)
+    assert 300 < len(cells) < 1500
+    assert 0 < np.abs(_apart(cells, exact)).max() < 0.02
+
+
+def test_standard_errors_are_true_and_outliers_are_left_out() -> None:
+    clean, exact = _matches(0.1)
+    rng = np.random.default_rng(5)
+    wrong = np.flatnonzero(rng.random(len(clean)) < 0.03)
+    projector_px = clean.projector_px.copy()
+    projector_px[wrong] += rng.normal(0, 50, (len(wrong), 2))
+    cells = into_cells(replace(clean, projector_px=projector_px))
+    assert 0.02 < cells.rejected < 0.05  # with what is in cells that are nearly empty
+    assert 0.095 < cells.noise_px < 0.105
+    assert 0.85 < np.sqrt(np.mean((_apart(cells, exact) / cells.sigma_px[:, None]) ** 2)) < 1.15
+
+
+@pytest.mark.parametrize("number", [np.float32, np.float64])
+def test_the_order_of_the_matches_does_not_matter(number: type) -> None:
+    matches, _ = _matches(0.1)
+    matches = replace(
+        matches, camera_px=matches.camera_px.astype(number), sigma_px=np.where(matches.face == 1, 0.2, 0.1)
+    )
+    order = np.random.default_rng(6).permutation(len(matches))
+    labels = np.array([5, -1, 2, 9], np.int32)[matches.face]  # face 1 has no label: −1 is none
+    cells = into_cells(matches, (2, 5), labels)
+    mixed = into_cells(matches[order], (2, 5), labels[order])
+    assert set(cells.plane) == {2, 5}
+    np.testing.assert_allclose(mixed.camera_px, cells.camera_px, atol=1e-6)
+    np.testing.assert_allclose(mixed.projector_px, cells.projector_px, atol=2e-3)
+    np.testing.assert_allclose(mixed.sigma_px, cells.sigma_px, rtol=2e-2)
+
+
+def test_too_few_matches_are_named() -> None:
+    matches, _ = _matches(0.1)
+    face = np.where(np.arange(len(matches)) < 3, 0, -1).astype(np.int32)
+    with pytest.raises(TooFewMatchesError, match="face 0 has 3 matches"):
+        into_cells(matches.with_faces(face), (0,))

@@ -1,0 +1,108 @@
+"""Several captures by one rig: one corner or several, faces in any order, nothing known beforehand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.geometry.matches import Matches
+from calib.refusal import RefusalError
+from calib.self_calibration.rig import PrincipalPoint, SelfCalibration, self_calibrate_jointly
+from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_captures
+
+CAMERA_SIZE = (PAPER_CAMERA.width, PAPER_CAMERA.height)
+PROJECTOR_SIZE = (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height)
+KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
+CENTRE = PrincipalPoint(((CAMERA_SIZE[0] - 1) / 2, (CAMERA_SIZE[1] - 1) / 2), 73.0)
+RIG = {
+    "camera": replace(PAPER_CAMERA, distortion=(-0.02, 0.0, 0.0, 0.0, 0.0)),
+    "projector": replace(PAPER_PROJECTOR, distortion=(-0.01, 0.0, 0.0, 0.0, 0.0)),
+}
+
+
+def _calibrate(
+    captures: list[SyntheticCapture], point: PrincipalPoint, *, squareness_deg: float = 0.3, same: bool = True
+) -> tuple[SelfCalibration, ...]:
+    return self_calibrate_jointly(
+        [capture.matches for capture in captures],
+        CAMERA_SIZE,
+        PROJECTOR_SIZE,
+        principal_point=point,
+        squareness_deg=squareness_deg,
+        same=same,
+    )
+
+
+def _errors(found: SelfCalibration) -> tuple[np.ndarray, np.ndarray]:
+    """Relative errors of f_c, f_p, x_p, y_p, and in sigmas."""
+    calibration = found.calibration
+    values = [calibration.camera.focal_px[0], calibration.projector.focal_px[0]]
+    values += calibration.projector.principal_point_px
+    truth = np.array([PAPER_CAMERA.focal_px[0], PAPER_PROJECTOR.focal_px[0], *PAPER_PROJECTOR.principal_point_px])
+    sigma = calibration.sigma
+    sigmas = [sigma["camera_focal_px"], sigma["projector_focal_px"], *sigma["projector_principal_point_px"]]  # type: ignore[misc]
+    return np.array(values) / truth - 1, (np.array(values) - truth) / np.array(sigmas)
+
+
+def test_two_captures_of_one_corner_measure_its_angles() -> None:
+    captures = random_captures(np.random.default_rng(21), 2, walls_off_deg=0.3, count=20_000, **RIG)
+    found = _calibrate(captures, KNOWN)
+    error, deviation = _errors(found[0])
+    assert 1e-6 < np.abs(error).mean() < 0.005
+    assert np.abs(deviation).max() < 5
+    assert found[0].calibration is found[1].calibration
+
+    angles = [result.corner.angles_deg for result in found]
+    assert np.allclose(angles[0], angles[1], atol=1e-6)
+    true = captures[0].corner.angles_deg
+    assert min(np.abs(np.sort(angles[0]) - np.sort(true))) < 0.05
+    assert np.abs(np.sort(angles[0]) - np.sort(true)).max() < 0.15
+
+
+def test_faces_are_numbered_alike_in_captures_of_one_corner() -> None:
+    captures = random_captures(np.random.default_rng(3), 3, walls_off_deg=0.3, count=20_000, **RIG)
+    found = _calibrate(captures, KNOWN)
+    assert found[0].order_nats > 7
+    for result, capture in zip(found, captures, strict=True):
+        # The angle opposite to each leg, by the truth in this capture's own numbers, carried to the numbers found.
+        old, new = capture.matches.face, result.matches.face
+        carried = [capture.corner.angles_deg[np.bincount(old[new == face]).argmax()] for face in range(3)]
+        assert np.abs(result.corner.angles_deg - carried).max() < 0.1
+
+
+def test_three_captures_need_to_know_nothing() -> None:
+    captures = random_captures(np.random.default_rng(8), 3, walls_off_deg=0.3, count=20_000, **RIG)
+    found = _calibrate(captures, CENTRE)
+    error, deviation = _errors(found[0])
+    assert 1e-6 < np.abs(error).mean() < 0.0035
+    assert np.abs(deviation).max() < 5
+    point = np.array(found[0].calibration.camera.principal_point_px) - PAPER_CAMERA.principal_point_px
+    assert 1e-4 < np.abs(point).max() < 4
+
+
+def test_different_square_corners_determine_the_principal_point() -> None:
+    captures = random_captures(np.random.default_rng(5), 2, same=False, count=20_000, **RIG)
+    found = _calibrate(captures, CENTRE, squareness_deg=0.0)
+    error, _ = _errors(found[0])
+    assert 1e-6 < np.abs(error).mean() < 0.0025
+    assert np.abs(np.array(found[0].calibration.camera.principal_point_px) - PAPER_CAMERA.principal_point_px).max() < 2
+
+
+def test_different_corners_are_told_apart() -> None:
+    captures = random_captures(np.random.default_rng(4), 2, walls_off_deg=0.5, same=False, count=20_000, **RIG)
+    found = _calibrate(captures, KNOWN, squareness_deg=0.5)
+    assert any("do not show the same corner" in note for note in found[0].notes)
+    apart = _calibrate(captures, KNOWN, squareness_deg=0.5, same=False)
+    assert np.allclose(_errors(found[0])[0], _errors(apart[0])[0], atol=1e-4)
+    assert np.abs(_errors(found[0])[1]).max() < 5
+
+
+def test_a_capture_that_holds_too_little_is_named() -> None:
+    captures = random_captures(np.random.default_rng(1), 2, count=5_000, **RIG)
+    second = captures[1].matches
+    flat = second.on_face(0)
+    x = flat.camera_px[:, 0]
+    strips = np.digitize(x, np.quantile(x, [1 / 3, 2 / 3])).astype(np.int32)
+    captures[1] = replace(captures[1], matches=Matches(flat.camera_px, flat.projector_px, strips))
+    with pytest.raises(RefusalError, match="capture 2 are not those of a corner: all lie in one plane"):
+        _calibrate(captures, KNOWN)

@@ -1,0 +1,151 @@
+"""Both methods against corners that are known; what cannot be calibrated is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.closed_form.transfer_objective import exact_search, objective_for, search
+from calib.geometry.matches import Matches
+from calib.refusal import RefusalError
+from calib.self_calibration.rig import Method, PrincipalPoint, SelfCalibration, self_calibrate
+from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
+
+KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
+LENSES = {
+    "camera": replace(PAPER_CAMERA, distortion=(-0.02, 0.0, 0.0, 0.0, 0.0)),
+    "projector": replace(PAPER_PROJECTOR, distortion=(-0.01, 0.0, 0.0, 0.0, 0.0)),
+}
+
+
+def _calibrate(capture: SyntheticCapture, method: Method, squareness_deg: float = 0.0) -> SelfCalibration:
+    return self_calibrate(
+        capture.matches,
+        (PAPER_CAMERA.width, PAPER_CAMERA.height),
+        (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height),
+        principal_point=KNOWN,
+        method=method,
+        squareness_deg=squareness_deg,
+    )
+
+
+def _errors(found: SelfCalibration) -> np.ndarray:
+    """Relative errors of f_c, f_p, x_p, y_p."""
+    calibration = found.calibration
+    values = [calibration.camera.focal_px[0], calibration.projector.focal_px[0]]
+    values += calibration.projector.principal_point_px
+    truth = [PAPER_CAMERA.focal_px[0], PAPER_PROJECTOR.focal_px[0], *PAPER_PROJECTOR.principal_point_px]
+    return np.array(values) / np.array(truth) - 1
+
+
+def test_paper_on_exact_matches_is_exact() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        capture = random_capture(rng, count=5000, noise_px=0.0, distance=(1.5, 3.0))
+        assert np.abs(_errors(_calibrate(capture, "paper"))).max() < 1e-4
+
+
+def test_paper_with_noise_errs_as_the_paper_does() -> None:
+    rng = np.random.default_rng(0)
+    errors = []
+    for _ in range(8):
+        try:
+            errors.append(np.abs(_errors(_calibrate(random_capture(rng, distance=(1.5, 3.0)), "paper"))).mean())
+        except RefusalError:
+            continue
+    assert len(errors) >= 6
+    # Far from the Cramér–Rao bound of about 0.1 %, and of the order of the 4.3 % that the paper reports.
+    assert 0.001 < np.median(errors) < 0.043
+
+
+def test_bounded_search_ends_below_the_exact_search() -> None:
+    capture = random_capture(np.random.default_rng(2), count=20_000)
+    objective = objective_for(capture.matches, PAPER_CAMERA.principal_point_px)
+    focal_px = np.arange(1000.0, 3000.0, 1.0)
+    solution = search(objective, focal_px)
+    assert solution is not None
+    refined = float(exact_search(objective, np.array([solution.best_focal_px]))[0])
+    assert 0 < refined <= solution.objective.min()
+    assert abs(solution.best_focal_px - focal_px[np.argmin(solution.objective)]) <= 1.0
+
+
+def test_refined_reaches_its_own_sigma_with_lens_distortion() -> None:
+    rng = np.random.default_rng(5)
+    deviations, errors = [], []
+    for _ in range(5):
+        capture = random_capture(rng, **LENSES, distance=(1.5, 3.0))  # type: ignore[arg-type]
+        found = _calibrate(capture, "refined")
+        sigma = found.calibration.sigma
+        error = _errors(found)
+        errors.append(np.abs(error).mean())
+        deviations.append(error[0] * PAPER_CAMERA.focal_px[0] / sigma["camera_focal_px"])  # type: ignore[operator]
+    assert 1e-5 < np.mean(errors) < 0.004
+    assert 0.3 < np.sqrt(np.mean(np.square(deviations))) < 2.0
+
+
+def test_walls_off_square_are_inside_the_sigma() -> None:
+    rng = np.random.default_rng(8)
+    deviations = []
+    for _ in range(5):
+        capture = random_capture(rng, **LENSES, walls_off_deg=0.3, distance=(1.5, 2.5))  # type: ignore[arg-type]
+        try:
+            found = _calibrate(capture, "refined", squareness_deg=0.3)
+        except RefusalError:
+            continue
+        sigma = float(found.calibration.sigma["camera_focal_px"])  # type: ignore[arg-type]
+        assert 0.002 < sigma / PAPER_CAMERA.focal_px[0] < 0.2
+        deviations.append(_errors(found)[0] * PAPER_CAMERA.focal_px[0] / sigma)
+    assert len(deviations) >= 3
+    assert 0.05 < np.sqrt(np.mean(np.square(deviations))) < 2.0
+
+
+@pytest.mark.parametrize("method", ["paper", "refined"])
+def test_legs_leave_the_vertex_along_the_faces(method: Method) -> None:
+    capture = random_capture(np.random.default_rng(9), noise_px=0.02, distance=(1.5, 2.0))
+    found = _calibrate(capture, method).corner
+    assert np.sum(found.legs * capture.corner.legs, axis=1).min() > 0.999
+    assert np.sum(found.normals * capture.corner.normals, axis=1).min() > 0.999
+
+
+def test_residual_is_the_noise() -> None:
+    capture = random_capture(np.random.default_rng(4), noise_px=0.1)
+    # Two coordinates of 0.1 px each.
+    assert 0.13 < _calibrate(capture, "refined").residual_px < 0.15
+
+
+def test_wrong_matches_do_not_move_the_answer() -> None:
+    capture = random_capture(np.random.default_rng(4), **LENSES, outliers=0.02)  # type: ignore[arg-type]
+    face = capture.matches.face
+    assert face is not None
+    hidden = np.where(face < 0, np.arange(len(face)) % 3, face).astype(np.int32)
+    spoiled = replace(capture, matches=capture.matches.with_faces(hidden))
+    assert np.abs(_errors(_calibrate(spoiled, "refined"))).mean() < 0.01
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_walls_far_from_square_are_refused(seed: int) -> None:
+    capture = random_capture(np.random.default_rng(seed), walls_off_deg=7.0)
+    with pytest.raises(RefusalError):
+        _calibrate(capture, "refined", squareness_deg=0.3)
+
+
+@pytest.mark.parametrize("method", ["paper", "refined"])
+def test_a_face_without_matches_is_refused(method: Method) -> None:
+    capture = random_capture(np.random.default_rng(0), count=2000)
+    face = capture.matches.face
+    assert face is not None
+    missing = replace(capture, matches=capture.matches.with_faces(np.where(face == 2, -1, face)))
+    with pytest.raises(RefusalError, match="too few"):
+        _calibrate(missing, method)
+
+
+@pytest.mark.parametrize("method", ["paper", "refined"])
+def test_one_plane_labelled_as_three_is_refused(method: Method) -> None:
+    rng = np.random.default_rng(6)
+    capture = random_capture(rng, count=20_000)
+    plane = capture.matches.on_face(0)
+    x = plane.camera_px[:, 0]
+    face = np.digitize(x, np.quantile(x, [1 / 3, 2 / 3])).astype(np.int32)
+    flat = replace(capture, matches=Matches(plane.camera_px, plane.projector_px, face))
+    with pytest.raises(RefusalError):
+        _calibrate(flat, method)

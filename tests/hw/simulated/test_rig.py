@@ -1,0 +1,209 @@
+"""The rig as a whole, on one small room: what the camera sees against what is true."""
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from calib.numerics import Bools, Floats
+from hw.open_rig import open_rig
+from hw.settings import SimulatedRigSettings
+from hw.simulated.rig import SimulatedCamera, SimulatedProjector
+from hw.simulated.scene import Label
+from hw.simulated.sensor import build_sensor
+from hw.simulated.simulation import SimulatedRoom
+from hw.simulated.truth import GroundTruth
+
+pytestmark = pytest.mark.xdist_group("simulated_room")
+
+
+@pytest.fixture(scope="module")
+def truth(room: SimulatedRoom) -> GroundTruth:
+    return room.ground_truth()
+
+
+def uniform(room: SimulatedRoom, level: int) -> np.ndarray:
+    optics = room.room.projector.optics
+    return np.full((optics.height, optics.width), level, np.uint8)
+
+
+def ramp(room: SimulatedRoom, axis: int) -> np.ndarray:
+    """Light that equals the projector's coordinate."""
+    optics = room.room.projector.optics
+    x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
+    return (x, y)[axis].astype(np.float32)
+
+
+def shrunk(mask: Bools) -> Bools:
+    """Pixels whose eight neighbours are in the mask as well."""
+    inner = mask.copy()
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            inner &= np.roll(mask, (dy, dx), axis=(0, 1))
+    return inner
+
+
+def plane_normal(points: Floats) -> Floats:
+    normal: Floats = np.linalg.svd(points - points.mean(axis=0))[2][2]
+    return normal
+
+
+def test_points_of_the_truth_project_to_its_pixels(room, truth):
+    calibration = room.calibration
+    x, y = np.meshgrid(np.arange(306.0), np.arange(256.0))
+    np.testing.assert_allclose(calibration.camera.project(truth.points_m), np.stack([x, y], axis=-1), atol=1e-5)
+    lit = np.isfinite(truth.projector_px[..., 0])
+    assert 0.1 < lit.mean() < 0.3
+    in_projector = truth.points_m[lit] @ calibration.rotation.T + calibration.translation
+    np.testing.assert_allclose(calibration.projector.project(in_projector), truth.projector_px[lit], atol=1e-6)
+
+
+def test_faces_of_the_truth_are_planes_at_right_angles(truth):
+    normals = [plane_normal(truth.points_m[truth.label == label][::7]) for label in range(3)]
+    np.testing.assert_allclose(np.abs(np.array(normals) @ np.array(normals).T), np.eye(3), atol=1e-7)
+
+
+def test_the_sphere_of_the_truth_has_its_radius(truth):
+    points = truth.points_m[truth.label == Label.SPHERE]
+    design = np.column_stack([2 * points, np.ones(len(points))])
+    *centre, constant = np.linalg.lstsq(design, np.sum(points**2, axis=1), rcond=None)[0]
+    assert np.sqrt(constant + np.dot(centre, centre)) == pytest.approx(0.12, abs=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_direct_light_comes_from_the_pixel_that_the_truth_names(room, truth, axis):
+    light = ramp(room, axis)
+    white = room.renderer.direct(np.ones_like(light))
+    inner = shrunk(np.isfinite(truth.projector_px[..., 0]) & (white > 0)) & shrunk(
+        np.isin(truth.projector_px[..., axis].round(), np.arange(3, light.max() - 3))
+    )
+    error = np.abs(room.renderer.direct(light)[inner] / white[inner] - truth.projector_px[inner][:, axis])
+    assert 0 < np.median(error) < 0.01
+    assert 0 < np.percentile(error, 95) < 0.1
+
+
+def test_pixels_in_shadow_or_beside_the_picture_get_no_direct_light(room, truth):
+    white = room.renderer.direct(np.ones((120, 214), np.float32))
+    dark = np.isnan(truth.projector_px[..., 0])
+    # Light spills over the picture's edge by blur: two pixels further in all is black.
+    assert not white[shrunk(shrunk(shrunk(shrunk(dark))))].any()
+    assert np.all(white[shrunk(~dark)] > 0)
+    shadow = shrunk(shrunk(dark)) & (truth.label == Label.FLOOR)
+    assert np.all(truth.direct_share[shadow] < 0.5)
+
+
+def test_light_is_linear_in_the_projectors_light(room):
+    rng = np.random.default_rng(0)
+    a, b = rng.random((2, 120, 214), dtype=np.float32)
+    for part in (room.renderer.direct, room.renderer.indirect):
+        both, apart = part(2 * a + b), 2 * part(a) + part(b)
+        assert both.max() > 0
+        np.testing.assert_allclose(both, apart, rtol=1e-4, atol=1e-5 * both.max())
+
+
+def test_the_picture_acts_with_gamma_above_the_black_level(room):
+    renderer = room.renderer
+    white, grey, black = (renderer.render(uniform(room, level)) - renderer.ambient for level in (255, 128, 0))
+    lit = white > 0.5 * np.median(white[white > 0])
+    np.testing.assert_allclose(black[lit] / white[lit], 1e-3, rtol=1e-2)
+    np.testing.assert_allclose(grey[lit] / white[lit], 1e-3 + 0.999 * (128 / 255) ** 2.2, rtol=1e-3)
+
+
+def test_walls_light_each_other_most_near_the_creases(room, truth):
+    lit = shrunk(np.isfinite(truth.projector_px[..., 0])) & (truth.label < 3)
+    in_world = truth.points_m @ room.room.camera.rotation + room.room.camera.centre
+    from_crease = np.sort(np.abs(in_world), axis=-1)[..., 1]
+    near, far = (truth.direct_share[lit & zone].mean() for zone in (from_crease < 0.05, from_crease > 0.4))
+    assert 0.4 < near < far - 0.1
+    assert far < 0.95
+
+
+def test_noise_grows_with_the_signal_as_electrons_do(room):
+    projector = SimulatedProjector(room)
+    projector.show(uniform(room, 200))
+    camera = SimulatedCamera(room, projector)
+    frames = np.stack([camera.grab().image for _ in range(60)]).astype(float)
+    mean, variance = frames.mean(axis=0), frames.var(axis=0, ddof=1)
+    usable = (mean > 6) & (mean < 240)
+    slope, offset = np.polyfit(mean[usable], variance[usable], 1)
+    digits_per_electron = 255 / 10_500
+    assert slope == pytest.approx(digits_per_electron, rel=0.05)
+    # Read noise and rounding to whole digits, which adds 1/12.
+    assert offset == pytest.approx((2.5 * digits_per_electron) ** 2 + 1 / 12, abs=0.03)
+
+
+def test_frames_differ_and_repeat_for_a_seed(room):
+    def two_frames() -> list[np.ndarray]:
+        projector = SimulatedProjector(room)
+        camera = SimulatedCamera(room, projector)
+        projector.show(uniform(room, 100))
+        return [camera.grab().image, camera.grab().image]
+
+    (first, second), (first_again, second_again) = two_frames(), two_frames()
+    assert np.any(first != second)
+    np.testing.assert_array_equal(first, first_again)
+    np.testing.assert_array_equal(second, second_again)
+
+
+def test_a_room_is_the_same_for_the_same_seed(room):
+    again = SimulatedRoom(SimulatedRigSettings(seed=0), (306, 256), (214, 120))
+    white = uniform(room, 255)
+    np.testing.assert_allclose(again.renderer.render(white), room.renderer.render(white), rtol=1e-5)
+
+
+def test_white_is_exposed_to_85_percent(room):
+    projector = SimulatedProjector(room)
+    camera = SimulatedCamera(room, projector)
+    assert np.percentile(camera.grab().image, 99.5) < 40  # before anything is shown
+    projector.show(uniform(room, 255))
+    frame = camera.grab()
+    assert np.percentile(frame.image, 99.5) == pytest.approx(0.85 * 255, abs=4)
+    assert frame.exposure_us == room.sensor.exposure_us
+
+
+def test_longer_exposure_saturates_and_more_bits_resolve_more(room):
+    white = room.renderer.render(uniform(room, 255))
+    rng = np.random.default_rng(0)
+    long = build_sensor(SimulatedRigSettings(exposure_us=5 * room.sensor.exposure_us), white)
+    image = long.read(long.electrons(white), rng)
+    assert 0.05 < np.mean(image == 255) < 0.5
+    fine = build_sensor(SimulatedRigSettings(bit_depth=12), white)
+    image = fine.read(fine.electrons(white), rng)
+    assert image.dtype == np.uint16
+    assert np.percentile(image, 99.5) == pytest.approx(0.85 * 4095, rel=0.02)
+
+
+def test_the_camera_lens_blurs(room):
+    white = room.renderer.render(uniform(room, 255))
+    sharp, soft = (
+        build_sensor(SimulatedRigSettings(camera_blur_px=blur, exposure_us=1e4), white).electrons(white)
+        for blur in (0.0, 1.5)
+    )
+    assert np.abs(np.diff(soft, axis=1)).max() < 0.5 * np.abs(np.diff(sharp, axis=1)).max()
+    assert soft.sum() == pytest.approx(sharp.sum(), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "picture", [np.zeros((120, 213), np.uint8), np.zeros((120, 214, 3), np.uint8), np.zeros((120, 214))]
+)
+def test_pictures_of_another_kind_are_refused(room, picture):
+    with pytest.raises(ValueError, match="214 × 120"):
+        SimulatedProjector(room).show(picture)
+
+
+def test_open_rig_gives_devices_and_keeps_the_truth_apart():
+    settings = SimulatedRigSettings(seed=3, interreflection=False)
+    with open_rig(settings, (153, 128), (107, 60)) as opened:
+        assert (opened.rig.camera.size, opened.rig.projector.size) == ((153, 128), (107, 60))
+        opened.rig.projector.show(np.full((60, 107), 255, np.uint8))
+        assert opened.rig.camera.grab().image.shape == (128, 153)
+        assert opened.truth is not None
+        assert opened.truth.unit == "m"
+        assert opened.truth.camera.focal_px[0] == pytest.approx(1791.1 * 153 / 2448)
+        assert not hasattr(opened.rig, "truth")
+        assert opened.rig.identity == {"backend": "simulated", "seed": "3", "pose": "0"}
+
+
+@pytest.mark.parametrize("wrong", [{"sed": 1}, {"seed": -1}, {"walls_off_deg": 30}, {"bit_depth": 9}, {"backend": "x"}])
+def test_impossible_settings_are_refused(wrong):
+    with pytest.raises(ValidationError):
+        SimulatedRigSettings.model_validate(wrong)

@@ -1,0 +1,130 @@
+"""Taking turns, on a bench whose clock stands still while nothing happens."""
+
+import numpy as np
+import pytest
+
+from hw.errors import DeviceError
+from hw.synchronisation import Timing, Turns, measure, synchronised
+from tests.support.rig_bench import SIZE, Bench
+
+
+def pictures(count: int) -> list[np.ndarray]:
+    return list(np.random.default_rng(1).integers(0, 256, (count, *SIZE[::-1])).astype(np.uint8))
+
+
+def expected(picture: np.ndarray) -> np.ndarray:
+    """What the bench's camera sees of a picture that rests."""
+    return 10 + 12 * np.where(np.arange(SIZE[0]) % 5 != 4, picture.astype(int), 0)
+
+
+@pytest.mark.parametrize("latency_ms", [0, 3, 17, 33.3, 50, 75, 120, 250])
+def test_the_latency_is_measured(monkeypatch, latency_ms):
+    timing = measure(*[Bench(latency_ms / 1e3, noise=2.0).install(monkeypatch)] * 2)
+    assert 1e3 * timing.latency_s == pytest.approx(latency_ms, abs=0.5)
+    assert 0 < timing.delay_s - timing.latency_s < 0.006
+    assert timing.overlaps == (latency_ms > 10)
+
+
+def test_the_slowest_flash_counts(monkeypatch):
+    timing = measure(*[Bench(0.05, jitter_s=0.01).install(monkeypatch)] * 2)
+    assert 0.055 < timing.latency_s <= 0.0605
+
+
+@pytest.mark.parametrize("latency_ms", [0, 17, 50, 120])
+@pytest.mark.parametrize("lost", [frozenset[int](), frozenset({19, 25, 26, 31}), frozenset(range(20, 200, 3))])
+def test_each_frame_is_of_its_own_picture(monkeypatch, latency_ms, lost):
+    bench = Bench(latency_ms / 1e3, lost=lost).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    shown = pictures(24)
+    frames = list(rig.photograph(shown))
+    assert len(frames) == len(shown)
+    for picture, frame in zip(shown, frames, strict=True):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=1)
+
+
+def test_retriggered_frames_are_counted(monkeypatch):
+    bench = Bench().install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    bench._lost = frozenset({bench.exposures + 2, bench.exposures + 5, bench.exposures + 6})
+    list(rig.photograph(pictures(10)))
+    account = rig.account()["synchronisation"]
+    assert account["retriggered_frames"] == 3
+    assert account["overlapping"] is True
+
+
+def test_the_next_picture_goes_up_while_the_last_frame_is_transferred(monkeypatch):
+    bench = Bench().install(monkeypatch)
+    turns = Turns(bench, bench, Timing(0.05, 0.054, overlaps=True))
+    list(turns.frames(pictures(3)))
+    assert bench.log == [
+        *("prepare", "flip", "prepare", "expose", "flip", "collect"),
+        *("prepare", "expose", "flip", "collect", "expose", "collect"),
+    ]
+
+
+def test_without_overlap_a_picture_waits_for_the_frame(monkeypatch):
+    bench = Bench().install(monkeypatch)
+    list(Turns(bench, bench, Timing(0.0, 0.004, overlaps=False)).frames(pictures(2)))
+    assert bench.log == ["prepare", "flip", "prepare", "expose", "collect", "flip", "expose", "collect"]
+
+
+def test_a_frame_is_taken_when_it_is_asked_for(monkeypatch):
+    bench = Bench().install(monkeypatch)
+    frames = Turns(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames(pictures(3))
+    assert bench.exposures == 0
+    next(frames)
+    assert bench.exposures == 1
+
+
+def test_the_overhead_is_what_was_not_exposure_or_latency(monkeypatch):
+    bench = Bench(0.05, transfer_s=0.0).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    list(rig.photograph(pictures(50)))
+    # 4 ms of margin, 2 for the flip, beside 83 of exposure and latency.
+    assert rig.overhead == pytest.approx(6 / 83.3, abs=0.005)
+    slow = Bench(0.05, transfer_s=0.1).install(monkeypatch)
+    rig = synchronised(slow, slow, {})
+    list(rig.photograph(pictures(50)))
+    assert rig.overhead == pytest.approx((33.3 + 2 + 100 + 1) / 83.3 - 1, abs=0.02)
+
+
+def test_a_rolling_shutter_lets_no_pictures_overlap(monkeypatch):
+    bench = Bench(0.02, readout_s=0.06, transfer_s=0.08).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    assert not rig.timing.overlaps
+    shown = pictures(6)
+    for picture, frame in zip(shown, rig.photograph(shown), strict=True):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=1)
+
+
+def test_no_pictures_no_frames(monkeypatch):
+    bench = Bench().install(monkeypatch)
+    assert list(Turns(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames([])) == []
+
+
+@pytest.mark.parametrize(
+    ("bench", "words"),
+    [
+        (Bench(gain=0.0), "no difference between a white and a black picture"),
+        (Bench(gain=0.001, noise=5.0), "no difference"),
+        (Bench(gain=10.0), "overexposed"),
+        (Bench(latency_s=9.0), "no difference"),
+        (Bench(lost=frozenset(range(1000))), "do not arrive"),
+    ],
+    ids=["cap", "dim", "bright", "elsewhere", "unplugged"],
+)
+def test_a_rig_that_cannot_work_is_refused(monkeypatch, bench, words):
+    bench.install(monkeypatch)
+    with pytest.raises(DeviceError, match=words):
+        measure(bench, bench)
+
+
+def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch):
+    bench = Bench().install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    frames = rig.photograph(pictures(5))
+    next(frames)
+    next(frames)
+    bench._lost = frozenset(range(10_000))
+    with pytest.raises(DeviceError, match=r"camera bench: frame 2 was lost 8 times \(incomplete: missing-packets\)"):
+        next(frames)

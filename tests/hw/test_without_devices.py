@@ -1,0 +1,127 @@
+"""Where Aravis, pyglet or a desktop are missing: what needs them says so, everything else works."""
+
+import importlib.util
+import re
+import sys
+
+import pytest
+
+from hw import projector_process
+from hw.errors import DeviceError
+from hw.open_rig import import_aravis, open_rig
+from hw.projector_process import ScreenProjector, list_screens
+from hw.settings import AravisRigSettings
+from scanner.commands import devices
+from scanner.commands.main import main
+from scanner.configuration.schema import load_config
+from scanner.errors import InputError
+from tests.support.places import ROOT
+
+
+@pytest.fixture
+def no_aravis(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gi", None)
+    monkeypatch.delitem(sys.modules, "hw.aravis_camera", raising=False)
+    monkeypatch.delattr("hw.aravis_camera", raising=False)
+
+
+@pytest.fixture
+def no_pyglet(monkeypatch: pytest.MonkeyPatch) -> None:
+    find_spec = importlib.util.find_spec
+    found = lambda name, *more: None if name == "pyglet" else find_spec(name, *more)  # noqa: E731
+    monkeypatch.setattr(projector_process.importlib.util, "find_spec", found)
+
+
+@pytest.mark.usefixtures("no_aravis")
+def test_missing_aravis_is_named_with_its_packages():
+    with pytest.raises(DeviceError, match=r"gir1\.2-aravis-0\.8 .*roomscan\[rig\]"):
+        import_aravis()
+
+
+@pytest.mark.usefixtures("no_pyglet")
+def test_missing_pyglet_is_named():
+    for ask in (list_screens, lambda: ScreenProjector(None, (854, 480))):
+        with pytest.raises(DeviceError, match=r"pyglet, which is not installed: pip install 'roomscan\[rig\]'"):
+            ask()
+
+
+@pytest.mark.usefixtures("no_aravis", "no_pyglet")
+def test_devices_say_what_is_missing(capsys):
+    assert main(["devices"]) == 3
+    output = capsys.readouterr()
+    assert "gir1.2-aravis-0.8" in output.out
+    assert "roomscan[rig]" in output.out
+    assert output.err.startswith("scan: neither cameras nor screens can be listed")
+
+
+@pytest.mark.usefixtures("no_aravis")
+def test_screens_are_listed_without_aravis(monkeypatch, capsys):
+    monkeypatch.setattr(devices, "list_screens", list)
+    assert main(["devices"]) == 0
+    assert "Screens\n  none found" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("no_aravis")
+def test_a_scan_with_real_devices_stops_before_anything_is_shown():
+    with (
+        pytest.raises(DeviceError, match=r"gir1\.2-aravis-0\.8"),
+        open_rig(AravisRigSettings(backend="aravis"), (640, 480), (854, 480)),
+    ):
+        pass
+
+
+def test_no_desktop_is_an_answer(monkeypatch):
+    if importlib.util.find_spec("pyglet") is None:
+        pytest.skip("pyglet is not installed")
+    monkeypatch.setenv("DISPLAY", ":4711")
+    with pytest.raises(DeviceError, match=r"on the display ':4711'.*Cannot connect"):
+        list_screens()
+
+
+@pytest.mark.parametrize("name", ["room.yaml", "room-loopback.yaml"])
+def test_shipped_configurations_are_valid(name):
+    config = load_config(ROOT / "configs" / name)
+    assert isinstance(config.required_rig, AravisRigSettings)
+    assert config.principal_point(config.camera_size)
+
+
+def test_every_key_of_a_real_rig_is_explained_in_the_configuration():
+    text = (ROOT / "configs" / "room.yaml").read_text()
+    for key in AravisRigSettings.model_fields:
+        assert re.search(rf"^  (# )?{key}: ", text, re.MULTILINE), key
+
+
+def test_what_is_optional_in_the_configuration_can_be_uncommented(tmp_path):
+    path = tmp_path / "room.yaml"
+    lines = (ROOT / "configs" / "room.yaml").read_text().splitlines()
+    key = re.compile(r"^(  )# (\w+: \S.*)$")
+    wanted = [key.sub(r"\1\2", line) if "free-run" not in line and "software:" not in line else line for line in lines]
+    path.write_text("\n".join(wanted))
+    rig = load_config(path).required_rig
+    assert isinstance(rig, AravisRigSettings)
+    assert (rig.camera, rig.packet_size, rig.screen, rig.offset_px) == ("22345678", 8000, "HDMI-1", (0, 0))
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("gian: 3", "unknown key 'rig.gian'; did you mean 'rig.gain'"),
+        ("exposure_us: 0", "'rig.exposure_us'"),
+        ("trigger: hardware", "'software', 'line' or 'free-run'"),
+        ("latency_ms: 50", "unknown key 'rig.latency_ms'"),
+        ("seed: 3", "unknown key 'rig.seed'; it belongs to another kind"),
+        ("packet_size: 100", "'rig.packet_size'"),
+    ],
+)
+def test_wrong_keys_are_named(tmp_path, more, words):
+    path = tmp_path / "room.yaml"
+    path.write_text(f"rig: {{backend: aravis, {more}}}")
+    with pytest.raises(InputError) as caught:
+        load_config(path)
+    assert words in str(caught.value)
+
+
+def test_serial_numbers_may_look_like_numbers():
+    rig = load_config(None, ["rig={backend: aravis, camera: 22345678}"]).required_rig
+    assert isinstance(rig, AravisRigSettings)
+    assert rig.camera == "22345678"

@@ -1,0 +1,195 @@
+"""`scan check` as an operator runs it: exit codes, output, the files that it leaves."""
+
+from contextlib import contextmanager
+from io import StringIO
+from pathlib import Path
+
+import pytest
+import yaml
+from rich.console import Console
+
+from calib.refusal import RefusalError
+from hw.errors import DeviceError, OverexposedError
+from hw.open_rig import OpenedRig
+from scanner.checking import check as checking
+from scanner.checking import devices
+from scanner.checking.report import CheckReport, CheckRow, State
+from scanner.checking.table import table_of
+from scanner.commands import check as command
+from scanner.commands.main import main
+from scanner.configuration.schema import load_config
+from tests.support.check_bench import OVERRIDES, PERIOD_US, changed, rig_in
+
+TEXT = "# My rig\nrig:\n  backend: simulated   # a room\n  seed: 0\n"
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "room.yaml"
+    path.write_text(TEXT + "".join(f"{key}: {value}\n" for key, _, value in map(split, OVERRIDES[1:3])))
+    return path
+
+
+def split(override: str) -> tuple[str, str, str]:
+    return override.partition("=")
+
+
+def run(*arguments: object) -> int:
+    return main(["check", *map(str, arguments)])
+
+
+@pytest.fixture
+def report(monkeypatch: pytest.MonkeyPatch, usual: CheckReport) -> CheckReport:
+    """The command finds this report, without a check."""
+    monkeypatch.setattr(command, "check", lambda *_: usual)
+    return usual
+
+
+def finding(monkeypatch: pytest.MonkeyPatch, rows: tuple[CheckRow, ...], failure: Exception | None) -> None:
+    monkeypatch.setattr(command, "check", lambda *_: CheckReport(rows, failure=failure))
+
+
+def test_the_table_says_what_was_found(path, report, capsys):
+    assert run("--config", path) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    for word in ("✓ ok", "gamma 2.20", "refresh period", "focal lengths will be known to about"):
+        assert word in text
+    assert path.read_text().startswith(TEXT)
+
+
+def test_quiet_prints_nothing(path, report, capsys):
+    assert run("--config", path, "--quiet", "--write") == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_write_puts_exposure_and_response_into_the_file(path, report, capsys):
+    before = path.read_text()
+    assert run("--config", path, "--write") == 0
+    assert "room.yaml.bak" in capsys.readouterr().out
+    after = path.read_text()
+    assert [line for line in after.splitlines() if line in before] == [
+        line for line in before.splitlines() if not line.startswith("projector")
+    ]
+    config = load_config(path)
+    assert config.rig.exposure_us == pytest.approx(report.exposure_us, abs=0.1)
+    assert config.rig.exposure_us / PERIOD_US == pytest.approx(1, abs=1e-4)
+    assert config.projector.known_response.gamma == pytest.approx(2.2, abs=0.03)
+    assert path.with_name("room.yaml.bak").read_text() == before
+
+
+def test_what_was_written_is_taken(path, report):
+    assert run("--config", path, "--write") == 0
+    once = path.read_text()
+    assert run("--config", path, "--write") == 0
+    assert path.read_text() == once
+
+
+def test_out_keeps_pictures_and_rows(path, report, tmp_path):
+    out = tmp_path / "check"
+    assert run("--config", path, "--out", out, "--quiet") == 0
+    document = yaml.safe_load((out / "check.yaml").read_text())
+    assert document["state"] == "ok"
+    assert [row["name"] for row in document["rows"]] == [row.name for row in report.rows]
+    assert sorted(file.name for file in out.iterdir()) == ["check.yaml", *sorted(document["pictures"])]
+    assert all((out / name).read_bytes().startswith(b"\x89PNG") for name in document["pictures"])
+    assert run("--config", path, "--out", out) == 2
+
+
+@pytest.mark.parametrize(
+    ("failure", "code"),
+    [
+        (None, 0),
+        (DeviceError("camera x: gone. Check cable."), 3),
+        (RefusalError("The faces are flat.", "Turn the rig."), 4),
+    ],
+)
+def test_exit_codes(path, monkeypatch, capsys, failure, code):
+    rows = (CheckRow("camera", State.OK, "here"), CheckRow("focus", State.POOR, "blurred", "Focus the camera."))
+    finding(monkeypatch, rows, failure)
+    assert run("--config", path) == code
+    captured = capsys.readouterr()
+    assert "here" in captured.out
+    assert "→ Focus the camera." in captured.out
+    assert (str(failure) in captured.err) if failure else (captured.err == "")
+
+
+def test_without_a_finding_nothing_is_written(path, monkeypatch, capsys):
+    before = path.read_text()
+    finding(monkeypatch, (), DeviceError("gone"))
+    assert run("--config", path, "--write") == 3
+    assert path.read_text() == before
+    assert "as it was" in capsys.readouterr().out
+    assert not path.with_name("room.yaml.bak").exists()
+
+
+def test_a_camera_that_is_absent(path, monkeypatch, capsys):
+    def refuse(*_: object) -> None:
+        raise DeviceError("camera: no camera answers to 'x'. Found: none. Check power and cable.")
+
+    monkeypatch.setattr(devices, "open_rig", refuse)
+    assert run("--config", path) == 3
+    captured = capsys.readouterr()
+    assert "✗ failed" in captured.out
+    assert "no camera answers" in captured.err
+    assert "Traceback" not in captured.err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("rig: {backend: aravis}\n", "camera.width"),
+        ("camera: {width: 64, height: 48}\nprojector: {width: 64, height: 48}\n", "has no 'rig'"),
+        ("rig: {backend: aravi}\n", "rig.backend"),
+        ("rig: {backend: simulated, expose: 5}\n", "did you mean"),
+        ("projector: {width: 64, height: 48, response: [0, 2, 1]}\n", "rise from 0 to 1"),
+    ],
+)
+def test_a_configuration_that_is_wrong(tmp_path, capsys, text, words):
+    path = tmp_path / "wrong.yaml"
+    path.write_text(text)
+    assert run("--config", path) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_rig_that_is_too_bright_to_begin_with_is_opened_with_less(monkeypatch, room):
+    asked = []
+
+    @contextmanager
+    def opening(settings, *_):
+        asked.append(settings.exposure_us)
+        if settings.exposure_us > 12_000:
+            raise OverexposedError("everything that white lights is overexposed")
+        yield OpenedRig(rig_in(changed(room)), None)
+
+    monkeypatch.setattr(devices, "open_rig", opening)
+    aravis = load_config(None, (*OVERRIDES, "rig={backend: aravis, exposure_us: 160000}"))
+    with devices.opened(aravis) as rig:
+        assert rig.camera.size == (306, 256)
+    assert asked == [160_000, 40_000, 10_000]
+
+
+def test_one_that_stays_too_bright_is_given_up(monkeypatch):
+    def refuse(*_: object) -> None:
+        raise OverexposedError("everything that white lights is overexposed")
+
+    monkeypatch.setattr(devices, "open_rig", refuse)
+    report = checking.check(load_config(None, (*OVERRIDES, "rig={backend: aravis}")), command.Terminal(quiet=True))
+    assert isinstance(report.failure, DeviceError)
+
+
+@pytest.mark.parametrize(("encoding", "sign"), [("utf-8", "✓"), ("ascii", "+"), (None, "+"), ("cp1252", "+")])
+def test_terminals_that_have_no_such_signs_get_plain_ones(encoding, sign):
+    report = CheckReport((CheckRow("focus", State.OK, "sharp [all]", "Nothing."),))
+    out = StringIO()
+    Console(file=out, width=80).print(table_of(report, encoding))
+    assert f"{sign} ok" in out.getvalue()
+    assert "sharp [all]" in out.getvalue()
+    assert ("→" in out.getvalue()) == (sign == "✓")
+
+
+def test_help_says_what_the_exit_codes_mean(capsys):
+    with pytest.raises(SystemExit):
+        run("--help")
+    text = capsys.readouterr().out
+    assert "--write" in text
+    assert "Exit codes" in text

@@ -1,0 +1,242 @@
+"""What a check says of a simulated rig, against what is true of it."""
+
+import numpy as np
+import pytest
+
+from calib.refusal import RefusalError
+from hw.errors import DeviceError
+from hw.rig import Frame, Rig
+from scanner.capture.stream import capture
+from scanner.checking import view
+from scanner.checking.check import check_rig
+from scanner.checking.exposure import exposure_row, look, propose_exposure
+from scanner.checking.light import Light, ambient_share, flicker_of, light_rows, photograph_light
+from scanner.checking.report import State
+from scanner.checking.response import measure_ramp, ramp_of, response_row
+from scanner.patterns.projector_response import ProjectorResponse
+from scanner.pipeline import decode
+from scanner.reconstruction.calibrate import self_calibration
+from scanner.results.records import Scan
+from scanner.ui.terminal import Terminal
+from tests.support.check_bench import PERIOD_US, PROJECTOR, changed, config, rig_in, row
+
+QUIET = Terminal(quiet=True)
+WHITE = np.full(PROJECTOR[::-1], 255, np.uint8)
+NAMES = [
+    *("camera", "projector", "latency", "exposure", "ambient light", "flicker", "response", "coverage", "focus", "view")
+]
+
+
+def test_a_good_rig_is_ok_in_every_row(usual):
+    assert [row.name for row in usual.rows] == NAMES
+    assert {row.name: row.state for row in usual.rows if row.state != State.OK} == {}
+    assert usual.failure is None
+    assert not any(row.advice for row in usual.rows)
+    assert set(usual.pictures) == {"saturation", "coverage", "contrast"}
+
+
+def test_rows_come_one_by_one(usual, rows_of_usual):
+    assert tuple(rows_of_usual) == usual.rows
+
+
+def test_coverage_is_that_of_the_true_view(room):
+    truth = room.ground_truth().projector_px
+    lit = float(np.isfinite(truth).all(axis=2).mean())
+    quick = view._take(rig_in(room), config(), view.PRESETS["quick"].patterns(PROJECTOR), view.FringeMeter(), QUIET, "")
+    coverage = view.coverage_of(quick.decoding, PROJECTOR)
+    assert lit - 0.03 < coverage.camera < lit + 0.005
+    squares = truth[np.isfinite(truth).all(axis=2)] / np.array(PROJECTOR) * (32, 18)
+    seen = np.zeros((18, 32), bool)
+    seen[tuple(squares[:, ::-1].astype(int).clip(0, (17, 31)).T)] = True
+    assert coverage.projector == pytest.approx(seen.mean(), abs=0.04)
+    area = seen.mean() * PROJECTOR[0] * PROJECTOR[1] / np.isfinite(truth).all(axis=2).sum()
+    assert coverage.span == pytest.approx(np.sqrt(area), rel=0.1)
+
+
+@pytest.mark.parametrize("start", [0.1, 0.4, 1.0, 2.5, 30.0])
+def test_the_proposed_exposure_uses_the_range_and_saturates_nothing(room, start):
+    rig = rig_in(changed(room, exposure_us=start * room.sensor.exposure_us, refresh_hz=240.0))
+    proposal = propose_exposure(rig)
+    period_us = 1e6 / 240
+    assert proposal.exposure_us == rig.camera.exposure_us
+    assert proposal.exposure_us / period_us == pytest.approx(round(proposal.exposure_us / period_us))
+    lit = np.isfinite(room.ground_truth().projector_px).all(axis=2)
+    electrons = room.electrons(WHITE)[lit] * proposal.exposure_us / room.sensor.exposure_us
+    brightest = float(np.quantile(electrons, 0.999)) / room.sensor.full_well_electrons
+    assert 0.75 < brightest < 0.99
+    found = exposure_row(proposal, 240.0, bracketed=False)
+    assert found.state == (State.OK if start == 1.0 else State.POOR)
+    if start > 2:
+        assert "clipped" in found.finding
+        assert "--write" in found.advice
+
+
+def test_an_exposure_that_cannot_be_short_enough_is_said(room):
+    rig = rig_in(changed(room, exposure_us=100_000, refresh_hz=10.0))
+    proposal = propose_exposure(rig)
+    assert proposal.exposure_us is None
+    found = exposure_row(proposal, 10.0, bracketed=False)
+    assert found.state == State.POOR
+    assert "close the aperture" in found.advice
+
+
+@pytest.mark.parametrize(("ambient", "state"), [(0.02, State.OK), (0.3, State.OK), (1.5, State.POOR)])
+def test_ambient_light(room, ambient, state):
+    lit_room = changed(room, ambient=ambient)
+    light = photograph_light(rig_in(lit_room), 2, 2)
+    found = {row.name: row for row in light_rows(light)}["ambient light"]
+    assert found.state == state
+    assert ("Darken" in found.advice) == (state == State.POOR)
+    dark, bright = (lit_room.electrons(np.full_like(WHITE, level)) for level in (0, 255))
+    lit = np.isfinite(room.ground_truth().projector_px).all(axis=2)
+    true = float(np.median(dark[lit] / bright[lit]))
+    assert ambient_share(light) == pytest.approx(true, rel=0.15)
+
+
+def test_light_that_pulsates_flickers_unless_the_exposure_is_of_whole_periods(room):
+    pulsating = changed(room, pulsation=0.3, exposure_us=1.5 * PERIOD_US)
+    rig = rig_in(pulsating)
+    light = photograph_light(rig, 24, 4)
+    expected = 0.3 / (1.5 * np.pi) / np.sqrt(2)  # of 1 + m sinc(1.5) cos φ
+    assert flicker_of(light).white == pytest.approx(expected, rel=0.35)
+    found = {row.name: row for row in light_rows(light)}["flicker"]
+    assert found.state == State.POOR
+    assert "projector" in found.advice
+    rig.camera.expose_for(2 * PERIOD_US)
+    assert 0 < flicker_of(photograph_light(rig, 6, 4)).white < 0.002
+    advised = exposure_row(propose_exposure(rig_in(pulsating)), 60.0, bracketed=False)
+    assert advised.state == State.POOR
+    assert "differ by" in advised.finding
+
+
+def test_lamps_that_flicker_are_told_from_the_projector():
+    rng = np.random.default_rng(0)
+    shape = (40, 60)
+
+    def frame(level: float, lamp: float) -> np.ndarray:
+        return np.rint(rng.normal(level + lamp, 1.0, shape)).astype(np.uint8)
+
+    lamp = iter([8, -9, 12, -10, 7, -8, 11, -9, 10, -12])
+    light = Light(tuple(frame(180, next(lamp)) for _ in range(6)), tuple(frame(40, next(lamp)) for _ in range(4)), 255)
+    (found,) = [row for row in light_rows(light) if row.name == "flicker"]
+    assert found.state == State.POOR
+    assert "mains" in found.advice
+
+
+@pytest.mark.parametrize("gamma", [1.0, 1.8, 2.6])
+def test_the_response_is_measured(room, gamma):
+    rig = rig_in(changed(room, gamma=gamma))
+    ramp = measure_ramp(rig, photograph_light(rig, 2, 2))
+    assert ramp.response.gamma == pytest.approx(gamma, abs=0.03)
+    true = np.linspace(0, 1, 256) ** gamma
+    assert 0 < np.abs(ramp.response.of_levels - true).max() < 0.01
+    assert response_row(ramp).state == State.OK
+
+
+def test_a_response_that_clips_is_said():
+    levels = np.linspace(0, 1, 16)
+    clipping = ramp_of(np.minimum(1, 1.3 * levels))
+    assert clipping.response is None
+    assert response_row(clipping).state == State.POOR
+    assert "above grey level 20" in response_row(clipping).finding
+    assert response_row(ramp_of(levels**2.2)).finding == "gamma 2.20"
+    assert "off a power law" in response_row(ramp_of((levels + levels**3) / 2)).finding
+
+
+def test_the_predicted_sigma_is_that_of_the_scan(room, usual):
+    whole = changed(room, exposure_us=PERIOD_US)
+    found = decode(capture(rig_in(whole), config().sequence.patterns(PROJECTOR)), QUIET, "")
+    self_calibration(Scan([found]), config())
+    truth = view.relative_sigmas(found.solution)
+    predicted = [float(word) / 100 for word in row(usual, "view").finding.split() if word[0].isdigit()]
+    for sigma, device in zip(predicted, ("camera", "projector"), strict=True):
+        assert 0.5 < sigma / truth[device] < 3
+
+
+@pytest.mark.parametrize(
+    ("middle", "words"),
+    [
+        ((0.2, 0.0), "Turn the camera to the right, as seen"),
+        ((-0.2, 0.01), "Turn the camera to the left, as seen"),
+        ((0.0, 0.2), "Turn the camera down, as seen"),
+        ((-0.1, -0.2), "Turn the camera to the left and up, as seen"),
+        ((0.0, 0.0), "Move it."),
+    ],
+)
+def test_which_way_to_turn(middle, words):
+    assert view._turned("the camera", middle, "Move it").startswith(words)
+
+
+def test_a_camera_that_looks_aside_is_told_where_to_turn(usual):
+    seen = np.zeros((18, 32), bool)
+    seen[:, :8] = True
+    coverage = view.Coverage(0.01, (-0.4, 0.0), 0.25, (-0.375, 0.0), seen, 1.0)
+    found = view.coverage_row(coverage, FakeDecoding())
+    assert found.state == State.POOR
+    assert "Turn the camera to the left" in found.advice
+    assert "Turn the projector to the left" in found.advice
+
+
+def test_lit_pixels_that_do_not_decode_are_no_reason_to_turn():
+    coverage = view.Coverage(0.02, (-0.4, 0.0), 0.4, (0.0, 0.0), np.ones((18, 32), bool), 1.0)
+    patchy = FakeDecoding()
+    patchy.reasons = np.array([[0, 3, 3, 7]], np.uint8)
+    found = view.coverage_row(coverage, patchy)
+    assert found.state == State.POOR
+    assert "only 25 % of the lit pixels decode" in found.finding
+    assert "Turn" not in found.advice
+
+
+class FakeDecoding:
+    reasons = np.ones((4, 4), np.uint8)
+
+
+class Blind:
+    """A camera that sees the same whatever is shown, until it fails."""
+
+    size = (64, 48)
+    highest_level = 255
+
+    def __init__(self, frames: int = 1000) -> None:
+        self._left = frames
+        self._rng = np.random.default_rng(0)
+
+    def show(self, image: np.ndarray) -> None:
+        pass
+
+    def grab(self) -> Frame:
+        self._left -= 1
+        if self._left < 0:
+            raise DeviceError("camera blind: it is gone. Check cable and power, then rerun.")
+        return Frame(self._rng.normal(20, 1, (48, 64)).astype(np.uint8))
+
+
+def test_a_camera_that_sees_no_light_fails_with_what_to_do():
+    blind = Blind()
+    report = check_rig(Rig(blind, blind), config(), QUIET)
+    assert isinstance(report.failure, RefusalError)
+    assert report.state == State.FAILED
+    assert "lens cap" in row(report, "coverage").advice
+    assert row(report, "exposure").state == State.FAILED
+
+
+def test_a_device_that_fails_ends_the_check_with_what_is_known():
+    blind = Blind(frames=8)
+    report = check_rig(Rig(blind, blind), config(), QUIET)
+    assert isinstance(report.failure, DeviceError)
+    assert [row.name for row in report.rows][:3] == ["camera", "projector", "latency"]
+    assert "it is gone" in report.rows[-1].finding
+    assert report.rows[-1].state == State.FAILED
+
+
+def test_everything_white_is_overexposed_not_dark():
+    white = np.full((48, 64), 255, np.uint8)
+    seen = look(Light((white,) * 2, (white,) * 2, 255), 1000.0)
+    assert seen.is_clipped
+    assert not seen.is_dark
+
+
+@pytest.mark.parametrize("light", [(0.0,), (0.0, 0.5), (0.1, 1.0), (0.0, 0.6, 0.6, 1.0)])
+def test_a_response_that_is_none_is_refused(light):
+    with pytest.raises(ValueError, match="rise from 0 to 1"):
+        ProjectorResponse(light)

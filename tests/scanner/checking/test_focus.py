@@ -1,0 +1,104 @@
+"""Which of two lenses is out of focus."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scanner.checking.check import check_rig
+from scanner.checking.focus import BlurSamples, period_for, tell_apart
+from scanner.checking.focus_row import amplitude_left, finest_period_px, focus_row
+from scanner.checking.report import State
+from scanner.patterns.pattern import sequence_for
+from scanner.ui.terminal import Terminal
+from tests.support.check_bench import PERIOD_US, changed, config, rig_in, row
+
+
+@pytest.mark.parametrize(
+    ("blur", "advice"),
+    [
+        ({"projector_blur_px": 2.2}, "Focus the projector."),
+        ({"camera_blur_px": 2.2}, "Focus the camera."),
+    ],
+)
+def test_the_lens_that_is_out_of_focus_is_named(room, blur, advice):
+    report = check_rig(rig_in(changed(room, exposure_us=PERIOD_US, **blur)), config(), Terminal(quiet=True))
+    found = row(report, "focus")
+    assert found.state == State.POOR
+    assert found.advice.startswith(advice)
+
+
+def samples_of(projector: float, camera: float, *, noise: float = 0.02, even: bool = False) -> BlurSamples:
+    """Blurs in the pixels of either device, seen on three slanted faces or (`even`) on one that faces both."""
+    rng = np.random.default_rng(5)
+    where = rng.uniform(0, 1, (200, 2))
+    span = np.full(200, 1.3) if even else 1.0 + 0.3 * (where[:, 0] > 0.5) + 0.3 * (rng.random(200) > 0.5)
+    blur2 = projector**2 + camera**2 * span**2 + noise * rng.standard_normal(200)
+    return BlurSamples(blur2, span, where, np.full(200, 0.01), 0.0)
+
+
+@pytest.mark.parametrize(("projector", "camera"), [(0.5, 0.5), (2.0, 0.5), (0.5, 2.0), (0.0, 1.0), (1.5, 1.5)])
+def test_blur_is_split_between_the_lenses(projector, camera):
+    samples = samples_of(projector, camera)
+    lenses = tell_apart(samples)
+    assert 0 < lenses.projector2_sigma < 0.1
+    assert abs(lenses.projector2 - projector**2) < 4 * lenses.projector2_sigma
+    assert abs(lenses.camera2 - camera**2 * lenses.span**2) < 4 * lenses.camera2_sigma
+
+
+def test_the_lens_that_seems_to_be_the_one_is_named_with_care():
+    samples = replace(samples_of(1.25, 0.5), doubt2=np.full(200, 0.2))
+    found = focus_row(samples, tell_apart(samples), 6.7)
+    assert found.state == State.POOR
+    assert found.advice.startswith("Focus the projector, which seems to be the one")
+
+
+def test_what_cannot_be_told_is_not_told():
+    samples = samples_of(1.5, 1.5, noise=0.05, even=True)
+    found = focus_row(samples, tell_apart(samples), 6.7)
+    assert found.state == State.POOR
+    assert "cannot be told" in found.advice
+
+
+@pytest.mark.parametrize(
+    ("projector", "camera", "advice"),
+    [(0.5, 0.5, ""), (2.0, 0.5, "Focus the projector."), (0.5, 2.0, "Focus the camera."), (2.5, 2.5, "Focus the proj")],
+)
+def test_advice(projector, camera, advice):
+    samples = samples_of(projector, camera)
+    found = focus_row(samples, tell_apart(samples), 6.7)
+    assert found.advice.startswith(advice)
+    assert (found.state == State.OK) == (advice == "")
+
+
+def test_a_camera_of_coarse_pixels_is_not_told_to_focus():
+    samples = samples_of(0.3, 0.5)
+    coarse = BlurSamples(0.3**2 + 0.5**2 * (4 * samples.span) ** 2, 4 * samples.span, *vars_of(samples))
+    found = focus_row(coarse, tell_apart(coarse), 6.7)
+    assert found.state == State.POOR
+    assert "too coarse" in found.advice
+
+
+def vars_of(samples: BlurSamples) -> tuple:
+    return samples.where, samples.doubt2, samples.lost
+
+
+def test_the_part_of_the_image_that_is_worst_is_named():
+    samples = samples_of(0.5, 0.5)
+    tilted = samples.blur2 + 3.0 * ((samples.where[:, 0] > 0.6) & (samples.where[:, 1] > 0.6))
+    found = focus_row(BlurSamples(tilted, samples.span, *vars_of(samples)), tell_apart(samples), 6.7)
+    assert "in the lower right part of the image" in found.finding
+
+
+def test_stripes_that_are_gone_everywhere():
+    none = np.zeros(0)
+    found = focus_row(BlurSamples(none, none, np.zeros((0, 2)), none, 1.0), None, 6.7)
+    assert found.state == State.FAILED
+
+
+def test_amplitude_and_periods():
+    assert amplitude_left(0.0, 6.7) == 1
+    assert amplitude_left(1.0, 2 * np.pi) == pytest.approx(np.exp(-0.5))
+    assert finest_period_px(sequence_for((64, 48), cell=8, periods=(16.0, 6.7))) == 6.7
+    assert finest_period_px(sequence_for((64, 48), cell=8, shifts=0)) == 16
+    assert [period_for(span) for span in (0.5, 1.3, 2.0, 9.0)] == [4.3, 6.1, 8.6, 24.6]

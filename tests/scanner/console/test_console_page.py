@@ -1,0 +1,149 @@
+"""`scan console` in a real browser, with a simulated rig that is small enough for a test."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from scanner.capture.recording import open_capture
+from scanner.commands.main import main
+from scanner.io.calibration_file import read_calibration
+from tests.support.browsing import PATIENCE_MS, Served, Visit, visiting
+
+pytestmark = pytest.mark.xdist_group("browser")
+
+CONFIG = """
+rig: {backend: simulated, furniture: false, interreflection: false, ambient: 0}
+camera: {width: 306, height: 256, principal_point: {known: [157.04, 131.79]}}
+projector: {width: 214, height: 120}
+sequence: {preset: quick}
+corner: {squareness_deg: 0}
+"""
+# More than a thousand frames: long enough to be cancelled.
+LONG = CONFIG.replace("quick", f"standard, shifts: 64, exposures_us: {list(range(20_000, 28_000, 1_000))}")
+
+
+@dataclass
+class Console:
+    """A console, its page, and the folder where it runs."""
+
+    folder: Path
+    served: Served
+    visit: Visit
+
+    @property
+    def config(self) -> Path:
+        return self.folder / "room.yaml"
+
+
+@pytest.fixture(scope="module")
+def console(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+    folder = tmp_path_factory.mktemp("console")
+    (folder / "room.yaml").write_text(CONFIG)
+    with Served(folder, "console", "--config", "room.yaml") as served, visiting(browser, served.address) as visit:
+        yield Console(folder, served, visit)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + PATIENCE_MS / 1000
+    while not condition():
+        assert time.monotonic() < deadline_s, "it did not come to pass"
+        time.sleep(0.1)
+
+
+def test_the_live_image_follows_the_exposure(console: Console) -> None:
+    visit = console.visit
+    visit.wait_for("Exposed for")
+    expect(visit.page.get_by_alt_text("what the camera sees")).to_be_visible()
+    visit.set_number("Exposure, ms", "90")
+    visit.wait_for("Exposed for 90 ms. Clipped: ")
+    assert visit.page.get_by_text("Clipped: 0.0 %").count() == 0
+    visit.set_number("Exposure, ms", "20")
+    visit.wait_for("Exposed for 20 ms. Clipped: 0.0 %")
+    visit.choose("Projector", "Black")
+    visit.wait_for("median 0 % of the range")
+
+
+def test_a_scan_shows_progress_then_the_cloud(console: Console) -> None:
+    visit = console.visit
+    before = visit.colours_in_scene()
+    visit.press("Scan")
+    visit.wait_for("Scanning")
+    expect(visit.page.get_by_role("progressbar")).to_be_visible()
+    expect(visit.page.get_by_role("button", name="Check", exact=True)).to_be_disabled()
+    visit.wait_for("Points, %")
+    for text in ("Calibrated", "focal length, px", "Angle A–B: ", "This rig is simulated"):
+        visit.wait_for(text)
+    visit.page.wait_for_timeout(1500)
+    assert visit.colours_in_scene() > before + 30
+    result = console.folder / "scans" / "room"
+    assert read_calibration(result / "calibration.yaml").sigma
+    assert {frame[0] for frame in open_capture(result / "capture").read_back} == {20_000.0}
+
+
+def test_a_cancelled_scan_keeps_what_was_captured(console: Console) -> None:
+    visit = console.visit
+    console.config.write_text(LONG)  # read anew for each scan
+    visit.press("Scan")
+    kept = console.folder / "scans" / ".room-2"
+    until(lambda: any(console.folder.glob("scans/.room-2.*/capture/frames/003.png")))
+    visit.wait_for("Capturing and decoding, ")
+    visit.press("Cancel")
+    visit.wait_for("frames captured so far are in scans/room-2-incomplete/capture")
+    assert len(open_capture(console.folder / "scans/room-2-incomplete/capture").files) >= 3
+    assert not kept.exists()
+    assert not (console.folder / "scans" / "room-2").exists()
+
+
+def test_a_message_instead_of_a_traceback(console: Console) -> None:
+    visit = console.visit
+    console.config.write_text(CONFIG.replace("furniture", "furnitur"))
+    visit.press("Live image")
+    visit.wait_for("did you mean 'rig.furniture'?")
+    assert visit.page.get_by_text("Traceback").count() == 0
+    console.config.write_text(CONFIG)
+
+
+def test_the_check_tells_what_it_finds(console: Console) -> None:
+    visit = console.visit
+    visit.press("Check")
+    visit.wait_for("Checking")
+    visit.wait_for("Use the exposure that it proposes")
+    for row in ("camera, ok", "exposure, ", "coverage, "):
+        visit.wait_for(row)
+
+
+def test_an_earlier_result_is_opened_by_keyboard(console: Console) -> None:
+    visit = console.visit
+    visit.page.get_by_role("button", name="Scan", exact=True).focus()
+    for _ in range(40):
+        visit.page.keyboard.press("Tab")
+        if visit.page.evaluate("document.activeElement.innerText") == "Open":
+            break
+    visit.page.keyboard.press("Enter")
+    visit.wait_for("Result: room")
+
+
+def test_it_is_readable_and_keeps_to_itself(console: Console) -> None:
+    assert console.visit.small_texts() == []
+    assert console.visit.complaints == []
+    assert console.visit.foreign == []
+
+
+def test_ctrl_c_ends_it_and_keeps_a_running_capture(console: Console) -> None:
+    console.config.write_text(LONG)
+    console.visit.press("Scan")
+    until(lambda: any(console.folder.glob("scans/.room-2.*/capture/frames/003.png")))
+    code, said = console.served.interrupt()
+    assert code == 130
+    assert "captured so far are in scans/room-2-incomplete-2/capture" in " ".join(said.split())
+    assert "Traceback" not in said
+
+
+def test_what_is_missing_is_said_before_there_is_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "room.yaml").write_text("rig: {backend: simulated}\n")
+    assert main(["console", "--config", str(tmp_path / "room.yaml"), "--no-browser"]) == 2
+    assert "give the size of its image" in capsys.readouterr().err

@@ -1,0 +1,90 @@
+"""`scan view` in a real browser, on a result in which everything is known."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser
+
+from calib.geometry.camera import Intrinsics
+from calib.pointcloud.corner_view import View
+from calib.pointcloud.merged_cloud import merged
+from calib.pointcloud.organised_cloud import build_cloud
+from scanner.commands.main import main
+from scanner.io.ply import write_merged_ply
+from tests.support.browsing import Served, Visit, visiting
+from tests.support.result_folder import write_result
+
+pytestmark = pytest.mark.xdist_group("browser")
+
+SMALL = Intrinsics(204, 171, (149.5, 149.5), (104.5, 88.0), (-0.05, 0.0, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    folder = tmp_path_factory.mktemp("view")
+    written = write_result(folder / "room", camera=SMALL)
+    cloud = build_cloud(written.scene.matches, written.scene.texture, written.scan.calibration)
+    view = View(cloud.points, None, SMALL, written.scene.corner)
+    write_merged_ply(folder / "room" / "merged.ply", merged([cloud], [view], (1,)))
+    with Served(folder, "view", folder / "room") as served:
+        yield served
+
+
+@pytest.fixture(scope="module")
+def visit(served: Served, browser: Browser) -> Iterator[Visit]:
+    with visiting(browser, served.address) as visit:
+        visit.wait_for("Points, %")
+        yield visit
+
+
+def test_everything_about_the_result_is_there(visit: Visit) -> None:
+    for text in (
+        "Angle A–B: ",
+        "Face A: flat to",
+        "focal length, px",
+        "Between them",
+        "showing all",
+        "does not say how far",
+    ):
+        visit.wait_for(text)
+
+
+def test_the_cloud_is_in_the_picture_and_can_be_hidden(visit: Visit) -> None:
+    visit.page.wait_for_function("document.querySelector('canvas') !== null")
+    visit.page.wait_for_timeout(1000)
+    with_everything = visit.colours_in_scene()
+    assert with_everything > 50
+    for part in ("Devices", "Faces, ruler", "Names"):
+        visit.page.get_by_label(part, exact=True).uncheck()
+    visit.page.wait_for_timeout(1000)
+    assert 10 < visit.colours_in_scene() < with_everything
+
+
+def test_points_are_thinned_and_coloured(visit: Visit) -> None:
+    visit.choose("Cloud", "The capture")
+    visit.choose("Colour", "Faces")
+    visit.wait_for("A orange, B sky blue, C green")
+    visit.choose("Colour", "Uncertainty of depth")
+    visit.wait_for("Standard deviation of the depth: dark blue")
+    percent = visit.page.locator(".mantine-NumberInput-input")  # the slider's
+    percent.fill("25")
+    percent.press("Enter")
+    visit.wait_for("Showing 1 in 4 of")
+
+
+def test_it_is_readable_and_keeps_to_itself(visit: Visit) -> None:
+    assert visit.small_texts() == []
+    assert visit.complaints == []
+    assert visit.foreign == []
+
+
+def test_ctrl_c_ends_it(served: Served, visit: Visit) -> None:
+    code, said = served.interrupt()
+    assert code == 130
+    assert "Traceback" not in said
+
+
+def test_a_folder_that_is_no_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["view", str(tmp_path), "--no-browser"]) == 2
+    assert "expected a result folder" in capsys.readouterr().err

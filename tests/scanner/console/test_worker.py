@@ -1,0 +1,211 @@
+"""The worker that owns the rig, without a browser."""
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hw.errors import DeviceError
+from hw.open_rig import OpenedRig
+from hw.rig import Frame, Rig
+from scanner import pipeline
+from scanner.console import worker as worker_module
+from scanner.console.progress import CancelledError, Stage, StagedProgress
+from scanner.console.settings import Picture, Settings
+from scanner.console.worker import Activity, Status, Worker
+from tests.support.notebook import Notebook, until
+
+SIZE = (32, 24)
+CONFIG = "rig: {backend: simulated}\ncamera: {width: 32, height: 24}\nprojector: {width: 32, height: 24}\n"
+
+
+class Wall:
+    """A projector and a camera that sees a share of what is shown, until `fails_after` frames were taken."""
+
+    size = SIZE
+    highest_level = 255
+    exposure_limits_us = (10.0, 1e6)
+
+    def __init__(self) -> None:
+        self.exposure_us = 10_000.0
+        self.taken = 0
+        self.fails_after = 10**9
+        self.image = np.zeros(SIZE[::-1], np.uint8)
+        self.open = 0
+        self.opened = 0
+
+    def show(self, image: np.ndarray) -> None:
+        self.image = image
+
+    def expose_for(self, exposure_us: float) -> float:
+        self.exposure_us = exposure_us
+        return exposure_us
+
+    def grab(self) -> Frame:
+        if self.taken >= self.fails_after:
+            raise DeviceError("camera: it went away. Check the cable.")
+        self.taken += 1
+        time.sleep(0.01)
+        return Frame(self.image // 2, exposure_us=self.exposure_us)
+
+    @contextmanager
+    def rig(self, *_: object) -> Iterator[Rig]:
+        self.open += 1
+        self.opened += 1
+        assert self.open == 1, "the rig is open twice"
+        try:
+            yield Rig(self, self)
+        finally:
+            self.open -= 1
+
+
+@pytest.fixture
+def wall(monkeypatch: pytest.MonkeyPatch) -> Wall:
+    wall = Wall()
+
+    @contextmanager
+    def open_rig(*_: object) -> Iterator[OpenedRig]:
+        with wall.rig() as rig:
+            yield OpenedRig(rig, None)
+
+    monkeypatch.setattr(worker_module, "opened", wall.rig)
+    monkeypatch.setattr(pipeline, "open_rig", open_rig)
+    return wall
+
+
+@pytest.fixture
+def page() -> Notebook:
+    return Notebook()
+
+
+@pytest.fixture
+def worker(wall: Wall, page: Notebook, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Worker]:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "wall.yaml").write_text(CONFIG)
+    worker = Worker(Settings(Path("wall.yaml")), page)
+    worker.start()
+    yield worker
+    worker.close()
+    assert wall.open == 0
+
+
+def test_live_image_follows_the_settings_on_one_open_rig(worker: Worker, page: Notebook, wall: Wall) -> None:
+    assert worker.request(Activity.LIVE)
+    until(lambda: page.frames)
+    assert page.frames[-1].image.max() == 127
+    worker.change(exposure_us=20_000.0, picture=Picture.BLACK)
+    until(lambda: page.frames[-1].exposure_us == 20_000.0)
+    until(lambda: page.frames[-1].image.max() == 0)
+    assert wall.opened == 1
+    assert worker.status.activity is Activity.LIVE
+
+
+def test_a_gain_needs_the_rig_opened_anew(worker: Worker, page: Notebook, wall: Wall, tmp_path: Path) -> None:
+    (tmp_path / "wall.yaml").write_text(CONFIG.replace("simulated", "aravis"))
+    worker.request(Activity.LIVE)
+    until(lambda: page.frames)
+    worker.change(gain=3.0)
+    until(lambda: wall.opened == 2 and wall.open == 1)
+
+
+def test_the_live_image_ends_when_asked_to(worker: Worker, page: Notebook, wall: Wall) -> None:
+    worker.request(Activity.LIVE)
+    until(lambda: page.frames)
+    assert worker.request(Activity.NOTHING)
+    until(lambda: worker.status == Status())
+    until(lambda: wall.open == 0)
+
+
+def test_a_device_that_fails_is_a_message(worker: Worker, page: Notebook, wall: Wall) -> None:
+    wall.fails_after = 3
+    worker.request(Activity.LIVE)
+    until(lambda: worker.status.message)
+    assert worker.status == Status(message="camera: it went away. Check the cable.")
+    assert len(page.frames) == 3
+    wall.fails_after = 10**9
+    assert worker.request(Activity.LIVE)  # and it can be tried again
+    until(lambda: len(page.frames) > 3)
+
+
+def test_a_scan_that_is_cancelled_keeps_its_frames(worker: Worker, page: Notebook, wall: Wall, tmp_path: Path) -> None:
+    worker.request(Activity.LIVE)
+    until(lambda: page.frames)
+    shown = len(page.frames)
+    assert worker.request(Activity.SCANNING)
+    until(lambda: worker.status.stage and worker.status.stage.done >= 2)
+    assert not worker.request(Activity.LIVE), "the rig is busy"
+    worker.cancel()
+    until(lambda: worker.status.message)
+    assert worker.status.message.startswith("Cancelled.\nThe ")
+    assert "frames captured so far are in scans/wall-incomplete/capture" in worker.status.message
+    frames = list((tmp_path / "scans/wall-incomplete/capture/frames").iterdir())
+    assert 2 <= len(frames) < 44
+    assert len(page.frames) > shown, "the page shows what is captured"
+    assert page.results == []
+    assert any(status.cancelling for status in page.statuses)
+
+
+def test_a_refused_scan_says_why_and_where_the_matches_are(worker: Worker, page: Notebook, tmp_path: Path) -> None:
+    worker.request(Activity.SCANNING)
+    until(lambda: worker.status.message)
+    assert worker.status.message.startswith("no trustworthy calibration: ")
+    assert "The matches and a report are in scans/wall." in worker.status.message
+    assert (tmp_path / "scans/wall/report.html").is_file()
+    assert page.results == []
+
+
+def test_a_bug_is_a_message_with_a_file(worker: Worker, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr(worker_module, "scan", broken)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    worker.request(Activity.SCANNING)
+    until(lambda: worker.status.message)
+    assert "a bug in this program: ZeroDivisionError" in worker.status.message
+    assert "Traceback" not in worker.status.message
+    (log,) = tmp_path.glob("scan-*.log")
+    assert "Traceback" in log.read_text()
+
+
+def test_closing_cancels_and_tells_how_it_ended(worker: Worker, tmp_path: Path) -> None:
+    worker.request(Activity.SCANNING)
+    until(lambda: worker.status.stage and worker.status.stage.done >= 2)
+    assert "scans/wall-incomplete/capture" in worker.close().message
+
+
+def test_requests_come_one_at_a_time(worker: Worker, page: Notebook) -> None:
+    worker.request(Activity.SCANNING)
+    until(lambda: worker.status.activity is Activity.SCANNING)
+    answers: list[bool] = []
+    threads = [threading.Thread(target=lambda: answers.append(worker.request(Activity.SCANNING))) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert answers == [False] * 8
+
+
+def test_progress_shows_frames_and_stops_between_them() -> None:
+    cancelled, stages, frames = threading.Event(), [], []
+    progress = StagedProgress(cancelled, stages.append, frames.append)
+    frame = Frame(np.zeros((2, 2), np.uint8))
+    taken = progress.track([("pattern", frame), ("pattern", frame), ("pattern", frame)], 3, "Capturing")
+    assert next(taken)
+    assert next(taken)
+    cancelled.set()
+    with pytest.raises(CancelledError):
+        next(taken)
+    assert stages == [Stage("Capturing", 0, 3), Stage("Capturing", 1, 3)]
+    assert frames == [frame, frame]
+    with pytest.raises(CancelledError), progress.step("Calibrating"):
+        pytest.fail("a step began after it was cancelled")
+
+
+def test_a_stage_in_per_cent() -> None:
+    assert Stage("x", 5, 20).percent == 25
+    assert Stage("x").percent == 0

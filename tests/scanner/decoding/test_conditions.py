@@ -1,0 +1,177 @@
+"""The same sequence under other light, with other cameras: no false alarm, and the masks and warnings that belong."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from calib.numerics.array_types import Image
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.patterns.pattern import White, sequence_for
+from scanner.patterns.presets import PRESETS, PresetName
+from tests.support.synthetic_capture import Scene, decode, dimmed
+
+SCENE = Scene()
+STANDARD = sequence_for(SCENE.projector)
+
+
+@dataclass(frozen=True)
+class Case:
+    """`median`: what the error of a coordinate may be in px."""
+
+    name: str
+    scene: Scene
+    median: tuple[float, float]
+
+    def __str__(self) -> str:
+        return self.name
+
+
+CASES = [
+    Case("linear projector", replace(SCENE, gamma=1.0), (0.01, 0.03)),
+    Case("strong gamma", replace(SCENE, gamma=3.0), (0.01, 0.03)),
+    Case("hardly any noise", replace(SCENE, read_noise=0.0, electrons_per_level=1e6), (0.001, 0.01)),
+    Case("noisy camera", replace(SCENE, read_noise=6.0), (0.03, 0.12)),
+    Case("a tenth of the light", dimmed(SCENE, 0.1), (0.08, 0.2)),
+    Case("more indirect light than direct", replace(SCENE, indirect=2.0, exposure=80.0), (0.02, 0.1)),
+    Case("bright room", replace(SCENE, ambient=100.0, exposure=120.0), (0.02, 0.06)),
+    Case("blurred projector", replace(SCENE, projector_blur_px=3.0), (0.02, 0.1)),
+    Case("camera on its side", replace(SCENE, turn_deg=80.0), (0.01, 0.03)),
+    Case("camera upside down", replace(SCENE, turn_deg=-170.0), (0.01, 0.03)),
+    Case("close up", replace(SCENE, zoom=0.2), (0.01, 0.03)),
+    Case("far away", replace(SCENE, zoom=3.0), (0.01, 0.06)),
+    Case("12 bits", replace(SCENE, depth_bits=12), (0.005, 0.03)),
+    Case("16 bits, in colour", replace(SCENE, depth_bits=16, colour=True), (0.005, 0.03)),
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_a_condition(case: Case) -> None:
+    decoding = case.scene.decode(STANDARD)
+    errors = np.abs(case.scene.errors(decoding))
+    assert case.median[0] < np.median(errors) < case.median[1]
+    assert np.mean(decoding.reasons[case.scene.well_lit()] == MaskReason.KEPT) > 0.99
+    assert all("faint" in warning for warning in decoding.warnings)
+    assert not decoding.warnings or case.name in ("far away", "blurred projector")
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("gamma", [1.0, 2.2, 3.0])
+def test_no_gamma_ripples_a_preset(preset: PresetName, gamma: float) -> None:
+    scene = replace(SCENE, gamma=gamma, read_noise=0.2, electrons_per_level=1000.0)
+    decoding = scene.decode(PRESETS[preset].patterns(SCENE.projector))
+    for errors, coordinate in zip(scene.errors(decoding).T, decoding.matches.projector_px.T, strict=True):
+        for period in PRESETS[preset].periods:
+            phase = 2 * np.pi * coordinate / period
+            ripple = [2 * abs(np.mean(np.clip(errors, -0.5, 0.5) * np.exp(1j * k * phase))) for k in (1, 2, 3, 4, 8)]
+            assert 0 < max(ripple) < 0.02
+
+
+def test_flicker_is_measured_and_reported() -> None:
+    for preset in PRESETS:
+        patterns = PRESETS[preset].patterns(SCENE.projector)
+        frames = SCENE.frames(patterns)
+        steady = decode(patterns, frames, SCENE.projector)
+        # A few groups of frames tell it roughly: within a factor of two, mostly.
+        found = [decode(patterns, flickering(frames, seed), SCENE.projector) for seed in range(5)]
+        if preset == "quick":
+            assert {each.flicker for each in found} == {None}, "two fringes say too little"
+            continue
+        assert steady.flicker is not None
+        assert 0 <= steady.flicker < 0.006
+        assert 0.02 < np.median([each.flicker or 0 for each in found]) < 0.08
+        warned = [any("brightness of the frames varies" in warning for warning in each.warnings) for each in found]
+        assert sum(warned) >= 4
+
+
+def flickering(frames: Sequence[Image], seed: int) -> list[Image]:
+    """Each frame brighter or darker, by 4 % as a standard deviation."""
+    rng = np.random.default_rng(seed)
+    return [np.rint(np.clip(frame * rng.normal(1, 0.04), 0, 255)).astype(np.uint8) for frame in frames]
+
+
+@pytest.mark.parametrize("gamma", [1.8, 2.2, 3.0])
+def test_three_shifts_are_straightened_without_knowing_the_gamma(gamma: float) -> None:
+    scene = replace(SCENE, gamma=gamma, read_noise=0.2, electrons_per_level=1000.0)
+    decoding = scene.decode(sequence_for(SCENE.projector, periods=(16.0,), shifts=3))
+    errors = scene.errors(decoding)[:, 0]
+    phase = 2 * np.pi * decoding.matches.projector_px[:, 0] / 16
+    ripple = 2 * abs(np.mean(np.clip(errors, -0.5, 0.5) * np.exp(3j * phase)))
+    assert 0 < ripple < 0.03, "0.5 to 1.0 px as it is measured"
+
+
+def test_the_shadow_is_dark_and_the_edges_are_isolated() -> None:
+    decoding = SCENE.decode(STANDARD)
+    v, u = np.mgrid[: SCENE.camera[1], : SCENE.camera[0]].astype(np.float32)
+    deep = np.all([SCENE.is_shadow(u + du, v + dv) for du in (-4, 0, 4) for dv in (-4, 0, 4)], axis=0)
+    assert np.mean(decoding.reasons[deep] == MaskReason.DARK) > 0.99
+    isolated = decoding.reasons == MaskReason.ISOLATED
+    assert 0.005 < np.mean(isolated) < 0.02
+    assert not np.any(isolated & SCENE.well_lit())
+
+
+def test_saturated_pixels_are_masked_and_the_rest_stays_right() -> None:
+    scene = replace(SCENE, exposure=330.0)
+    decoding = scene.decode(STANDARD)
+    saturated = decoding.reasons == MaskReason.SATURATED
+    assert 0.4 < np.mean(saturated) < 0.95
+    assert np.all(decoding.texture[saturated] >= 250)
+    assert np.quantile(np.abs(scene.errors(decoding)).max(axis=1), 0.99) < 0.5
+    assert any("saturated" in warning for warning in decoding.warnings)
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_saturation_is_found_whatever_the_number_of_bits(bits: int) -> None:
+    decoding = replace(SCENE, exposure=330.0, depth_bits=bits).decode(STANDARD)
+    assert 0.4 < np.mean(decoding.reasons == MaskReason.SATURATED) < 0.95
+
+
+def test_what_is_too_dark_is_masked_not_guessed() -> None:
+    scene = dimmed(SCENE, 0.05)
+    decoding = scene.decode(STANDARD)
+    errors = np.abs(scene.errors(decoding)).max(axis=1)
+    assert np.mean(decoding.reasons == MaskReason.DARK) > 0.3
+    assert len(errors) > 0
+    assert np.quantile(errors, 0.999) < 2.0
+
+
+def test_the_texture_is_the_white_frame_in_its_own_colours() -> None:
+    scene = replace(SCENE, colour=True)
+    frames = scene.frames(STANDARD)
+    texture = decode(STANDARD, frames, scene.projector).texture
+    assert texture.shape == (*scene.camera[::-1], 3)
+    assert np.array_equal(texture, frames[STANDARD.index(White())])
+
+
+def test_without_white_the_texture_is_the_brightest_of_all_frames() -> None:
+    frames = SCENE.frames(STANDARD)
+    decoding = decode(STANDARD[1:], frames[1:], SCENE.projector)
+    assert np.array_equal(decoding.texture, np.max(frames[1:], axis=0))
+    difference = decoding.texture.astype(float) - frames[0]
+    assert 0 < np.median(difference[SCENE.well_lit()]) < 10
+
+
+def test_the_noise_is_measured() -> None:
+    for patterns in (STANDARD, sequence_for(SCENE.projector, inverses=False)[2:]):
+        noise = SCENE.decode(patterns).noise
+        for level in (20, 80):
+            true = np.sqrt(level / SCENE.electrons_per_level + SCENE.read_noise**2 + 1 / 12)
+            assert 0.75 < noise.sigma(np.array(level)) / true < 1.5
+
+
+def test_the_frames_are_not_changed_and_may_be_reused() -> None:
+    frames = SCENE.frames(STANDARD)
+    before = [frame.copy() for frame in frames]
+    whole = decode(STANDARD, frames, SCENE.projector)
+    assert all(np.array_equal(*pair) for pair in zip(frames, before, strict=True))
+
+    buffer = np.empty_like(frames[0])
+
+    def grabbed() -> object:
+        for frame in frames:
+            buffer[...] = frame
+            yield buffer
+
+    again = decode(STANDARD, grabbed(), SCENE.projector)
+    assert np.array_equal(whole.matches.projector_px, again.matches.projector_px)

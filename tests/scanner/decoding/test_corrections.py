@@ -1,0 +1,100 @@
+"""Shading and systematic errors on made-up images, whose truth is known to the last digit."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from scanner.decoding.edge_shift_correction import footprint_variance, log_amplitude, shift_per_variance
+from scanner.decoding.systematic_error import add_systematic
+
+TILE = 48
+OVERSAMPLED = 8
+Floats = NDArray[np.float32]
+
+
+def seen(sigma_px: float, seed: int = 1) -> tuple[Floats, Floats, Floats]:
+    """A slanted coordinate through a Gaussian footprint on patchy paint: its true and its seen value, and ln A."""
+    rng = np.random.default_rng(seed)
+    paint = np.kron(rng.uniform(0.5, 1.0, (6, 6)), np.ones((TILE * OVERSAMPLED // 6,) * 2))
+    step = (np.arange(TILE * OVERSAMPLED) + 0.5) / OVERSAMPLED - 0.5
+    coordinate = 0.7 * step[None, :] + 0.2 * step[:, None]
+    phasor = paint * np.exp(2j * np.pi * coordinate / 8)
+    blurred = [cv2.GaussianBlur(part, (0, 0), sigma_px * OVERSAMPLED) for part in (phasor.real, phasor.imag)]
+    middle = np.s_[OVERSAMPLED // 2 :: OVERSAMPLED]
+    cosine, sine = (part[middle, middle].astype(np.float32) for part in blurred)
+    true = coordinate[middle, middle].astype(np.float32)
+    phase = np.arctan2(sine, cosine) / (2 * np.pi) * 8
+    return true, true + (phase - true + 4) % 8 - 4, log_amplitude(cosine**2 + sine**2)
+
+
+@pytest.mark.parametrize("sigma_px", [0.5, 0.8])
+def test_shading_is_taken_out(sigma_px: float) -> None:
+    true, value, log_a = seen(sigma_px)
+    usable = np.ones(value.shape, np.bool_)
+    inner = np.s_[4:-4, 4:-4]
+    shift = sigma_px**2 * shift_per_variance(value, log_a, usable)
+    before, after = (np.sqrt(np.mean((v - true)[inner] ** 2)) for v in (value, value - shift))
+    assert before > 0.01
+    assert 0 < after < before / 2
+
+
+@pytest.mark.parametrize("sigma_px", [0.5, 0.8])
+def test_the_footprint_is_measured(sigma_px: float) -> None:
+    tiles = [seen(sigma_px, seed) for seed in range(12)]
+    value, log_a = (np.concatenate([tile[k] for tile in tiles]) for k in (1, 2))
+    usable = np.ones(value.shape, np.bool_)
+    rng = np.random.default_rng(0)
+    noisy = value + rng.normal(0, 0.02, value.shape).astype(np.float32)
+    log_lit = log_a + rng.normal(0, 0.01, value.shape).astype(np.float32)
+    found = footprint_variance([(noisy, log_a)], log_lit, usable, TILE)
+    assert 0.8 * sigma_px**2 < found < 1.3 * sigma_px**2
+
+
+def test_a_plain_wall_shows_no_footprint() -> None:
+    rng = np.random.default_rng(0)
+    shape = (8 * TILE, TILE)
+    value = np.broadcast_to(0.7 * np.arange(TILE), shape) + rng.normal(0, 0.02, shape)
+    log_a, log_lit = (rng.normal(0, 0.01, shape).astype(np.float32) for _ in range(2))
+    found = footprint_variance([(value.astype(np.float32), log_a)], log_lit, np.ones(shape, np.bool_), TILE)
+    assert found == 0
+
+
+def test_nothing_is_corrected_beside_unusable_pixels() -> None:
+    _, value, log_a = seen(0.5)
+    usable = np.ones(value.shape, np.bool_)
+    usable[20, 20] = False
+    shift = shift_per_variance(value, log_a, usable)
+    assert not shift[[20, 19, 21, 20, 20], [20, 20, 20, 19, 21]].any()
+    assert shift[18, 18] != 0
+
+
+def test_what_two_periods_disagree_by_is_found() -> None:
+    rng = np.random.default_rng(0)
+    shape = (96, 96)
+    noise = [np.full(shape, sigma**2, np.float32) for sigma in (0.03, 0.02)]
+    coordinates = [rng.normal(0, np.sqrt(variance)).astype(np.float32) for variance in noise]
+    coordinates[0][:, 48:] += 0.2
+    long, short = added((8.43, 6.1), coordinates, noise)
+    assert 0 <= np.median(long[:, :40]) < 0.03**2 / 4
+    assert 0.15**2 < np.median(long[:, 56:]) < 0.3**2
+    assert np.all(short[:, 56:] < long[:, 56:])
+
+
+def added(periods: tuple[float, ...], coordinates: list[Floats], noise: list[Floats]) -> Floats:
+    """What is added to the variances (fringes, H, W) of the noise where all pixels are usable."""
+    count, shape = len(periods), noise[0].shape
+    variances = np.stack(noise)
+    flat = variances.reshape(count, -1)
+    add_systematic(periods, np.stack(coordinates).reshape(count, -1), flat, np.ones(flat.shape[1], np.bool_), shape)
+    return variances - np.stack(noise)
+
+
+def test_the_middle_one_of_three_periods_has_the_larger_of_two_errors() -> None:
+    shape = (40, 41)
+    offsets = [np.full(shape, offset, np.float32) for offset in (0.0, 0.1, 0.4)]
+    long, middle, short = added((21.0, 20.0, 19.0), offsets, [np.zeros(shape, np.float32)] * 3)
+    cubes = np.array([21.0, 20.0, 19.0]) ** 3
+    assert np.allclose(long, 1.6 * 0.1**2 * cubes[0] / (cubes[0] + cubes[1]), rtol=1e-4)
+    assert np.allclose(middle, 1.6 * 0.3**2 * cubes[1] / (cubes[1] + cubes[2]), rtol=1e-4)
+    assert np.allclose(short, 1.6 * 0.3**2 * cubes[2] / (cubes[1] + cubes[2]), rtol=1e-4)

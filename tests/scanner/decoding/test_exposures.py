@@ -1,0 +1,141 @@
+"""Several exposures of each pattern: what one exposure leaves too dark or saturates, another shows."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.numerics.array_types import Image
+from hw.errors import DeviceError
+from hw.rig import Frame, Rig
+from hw.settings import SimulatedRigSettings
+from hw.simulated.rig import SimulatedCamera, SimulatedProjector
+from hw.simulated.simulation import SimulatedRoom
+from scanner.capture.recording import open_capture, record
+from scanner.capture.stream import capture
+from scanner.decoding.decoder import Decoder, Decoding
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.errors import InputError
+from scanner.patterns.pattern import Black, Pattern, White, sequence_for
+from tests.support.synthetic_capture import Scene
+
+PATTERNS = sequence_for((300, 200), inverses=False)
+
+
+def exposed(scene: Scene, factor: float) -> Scene:
+    return replace(scene, exposure=factor * scene.exposure, ambient=factor * scene.ambient, seed=round(7 * factor))
+
+
+def bracketed(scene: Scene, factors: Sequence[float]) -> list[tuple[Image, float]]:
+    of_factors = [exposed(scene, factor).frames(PATTERNS) for factor in factors]
+    return [
+        (image, 1000 * factor)
+        for images in zip(*of_factors, strict=True)
+        for image, factor in zip(images, factors, strict=True)
+    ]
+
+
+def decoded(frames: Sequence[tuple[Image, float | None]], patterns: Sequence[Pattern]) -> Decoding:
+    decoder = Decoder(patterns, (300, 200))
+    for image, exposure_us in frames:
+        decoder.add(image, exposure_us)
+    return decoder.finish()
+
+
+def twice(patterns: Sequence[Pattern]) -> tuple[Pattern, ...]:
+    return tuple(pattern for pattern in patterns for _ in range(2))
+
+
+@pytest.mark.parametrize(("bits", "colour"), [(8, False), (8, True), (12, False)])
+def test_two_exposures_see_what_neither_sees_alone(bits: int, colour: bool) -> None:
+    scene = Scene(box_brightness=8.0, indirect=0.02, read_noise=2.0, depth_bits=bits, colour=colour)
+    short, long = exposed(scene, 0.1), exposed(scene, 1.0)
+    lit = scene.well_lit()
+    kept = [np.mean(s.decode(PATTERNS).reasons[lit] == MaskReason.KEPT) for s in (short, long)]
+    merged = decoded(bracketed(scene, (0.1, 1.0)), twice(PATTERNS))
+    assert kept[0] < 0.9, "the short one is noisy"
+    assert kept[1] < 0.95, "the long one is saturated"
+    assert np.mean(merged.reasons[lit] == MaskReason.KEPT) > 0.98 > max(kept)
+    error = np.abs(scene.errors(merged))
+    assert 0.005 < np.median(error) < 0.15
+    assert merged.matches.sigma_px is not None
+    assert 0.7 < np.std(np.clip(scene.errors(merged) / merged.matches.sigma_px[:, None], -6, 6)) < 1.35
+
+
+def test_the_texture_is_that_of_the_shortest_exposure() -> None:
+    scene = Scene()
+    frames = bracketed(scene, (0.5, 2.0))
+    merged = decoded(frames, twice(PATTERNS))
+    difference = merged.texture.astype(float) - frames[0][0]
+    assert np.abs(np.median(difference)) < 1
+    assert 0 < np.std(difference) < 4
+
+
+def test_the_order_of_the_exposures_is_free() -> None:
+    scene = Scene()
+    up, down = (decoded(bracketed(scene, factors), twice(PATTERNS)) for factors in ((0.4, 2.0), (2.0, 0.4)))
+    assert np.array_equal(up.matches.projector_px, down.matches.projector_px)
+
+
+@pytest.mark.parametrize(
+    ("exposures_us", "said"),
+    [
+        ((None, None), "not their exposure_us"),
+        ((500.0, 500.0), "differ"),
+        ((500.0, 2000.0, 400.0, 2000.0), "first pattern"),
+    ],
+)
+def test_exposures_that_do_not_fit_are_refused(exposures_us: tuple[float | None, ...], said: str) -> None:
+    images = [image for image, _ in bracketed(Scene(), (0.5, 2.0))][:4]
+    with pytest.raises(InputError, match=said):
+        decoded(list(zip(images, exposures_us * 2, strict=False)), twice(PATTERNS))
+
+
+def test_white_comes_first() -> None:
+    with pytest.raises(InputError, match="white"):
+        Decoder(twice((Black(), White(), *PATTERNS[2:])), (300, 200))
+
+
+def test_a_missing_frame_is_counted() -> None:
+    frames = bracketed(Scene(), (0.5, 2.0))
+    with pytest.raises(
+        InputError, match=rf"has {len(frames)} frames, found {len(frames) - 2}.*frame {len(frames) - 2} "
+    ):
+        decoded(frames[:-1], twice(PATTERNS))
+
+
+@pytest.mark.xdist_group("decode-simulation")
+def test_a_simulated_capture_is_recorded_and_replayed(tmp_path: Path) -> None:
+    settings = SimulatedRigSettings(seed=0, furniture=False, interreflection=False)
+    room = SimulatedRoom(settings, (306, 256), (214, 120))
+    projector = SimulatedProjector(room)
+    rig = Rig(projector, SimulatedCamera(room, projector))
+    exposure_us = room.sensor.exposure_us
+    live = record(capture(rig, sequence_for((214, 120)), (0.2 * exposure_us, 2 * exposure_us)), tmp_path / "capture")
+    seen = [(pattern, frame) for pattern, frame in live.frames]
+    assert [round(frame.exposure_us / exposure_us, 6) for _, frame in seen[:2] if frame.exposure_us] == [0.2, 2.0]
+    replayed = open_capture(tmp_path / "capture").stream()
+    assert replayed.patterns == live.patterns
+    decoder = Decoder(replayed.patterns, replayed.projector_size)
+    for _, frame in replayed.frames:
+        decoder.add(frame.image, frame.exposure_us)
+    truth = room.ground_truth().projector_px
+    matches = decoder.finish().matches
+    x, y = np.rint(matches.camera_px).astype(int).T
+    error = np.linalg.norm(matches.projector_px - truth[y, x], axis=1)
+    assert 0.005 < np.nanmedian(error) < 0.1
+    assert np.mean(np.isfinite(error)) > 0.99
+
+
+def test_a_camera_of_one_exposure_is_refused() -> None:
+    class Fixed:
+        size = (8, 8)
+
+        def grab(self) -> Frame:
+            raise NotImplementedError
+
+    room = SimulatedRoom(SimulatedRigSettings(furniture=False, interreflection=False), (64, 48), (64, 48))
+    with pytest.raises(DeviceError, match="exposures_us"):
+        capture(Rig(SimulatedProjector(room), Fixed()), sequence_for((64, 48)), (1000.0, 2000.0))

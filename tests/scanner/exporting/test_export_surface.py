@@ -1,0 +1,186 @@
+"""`scan export` of points and triangles: PLY, E57, OBJ and GLB, loaded again with the libraries of each."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from calib.pointcloud.image_mesh import SeenPoints, image_triangles
+from scanner.commands.main import main
+from scanner.exporting.mesh import Mesh, build_mesh
+from tests.support.cloud_scene import SPHERE_RADIUS_M
+from tests.support.result_folder import Written, write_result
+
+# From the camera's axes (x right, y down, z forward) to y up, looking along −z; and to z up, looking along y.
+Y_UP = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1]])
+Z_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+    return write_result(tmp_path_factory.mktemp("surface") / "room")
+
+
+@pytest.fixture(scope="module")
+def mesh(written: Written) -> Mesh:
+    return build_mesh(written.scan)
+
+
+def export(result: Path, to: str, out: Path) -> Path:
+    assert main(["export", str(result), "--to", to, "--out", str(out), "--quiet"]) == 0
+    return out
+
+
+def test_the_cloud_is_the_cloud(written: Written, tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    out = export(written.folder, "ply", tmp_path / "cloud.ply")
+    assert out.read_bytes() == (written.folder / "cloud.ply").read_bytes()
+    cloud = trimesh.load(out)
+    assert np.array_equal(cloud.vertices, written.scan.points)
+    assert np.array_equal(cloud.colors[:, :3], written.scan.colours)
+
+
+@pytest.mark.parametrize("unit", ["m", "mm"])
+def test_e57_is_upright_and_in_metres(tmp_path: Path, unit: str) -> None:
+    pye57 = pytest.importorskip("pye57", reason="pye57 is not installed")
+    written = write_result(tmp_path / "room", unit=unit)
+    with pye57.E57(str(export(written.folder, "e57", tmp_path / "room.e57"))) as file:
+        assert file.scan_count == 1
+        data = file.read_scan(0, colors=True, row_column=True)
+    points = np.stack([data[f"cartesian{axis}"] for axis in "XYZ"], axis=1)
+    assert np.allclose(points, written.scan.points @ Z_UP.T * {"m": 1.0, "mm": 1e-3}[unit], rtol=1e-12)
+    colours = np.stack([data[f"color{name}"] for name in ("Red", "Green", "Blue")], axis=1)
+    assert np.array_equal(colours, written.scan.colours)
+    assert np.array_equal(data["columnIndex"], written.scan.pixel[:, 0])
+    assert np.array_equal(data["rowIndex"], written.scan.pixel[:, 1])
+
+
+def loaded(path: Path) -> Any:
+    """The mesh as trimesh has it, with nothing merged or reordered."""
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    read = trimesh.load(path, process=False)
+    if not isinstance(read, trimesh.Scene):
+        return read
+    (mesh,) = read.geometry.values()
+    assert np.array_equal(read.graph.get(read.graph.nodes_geometry[0])[0], np.eye(4))
+    return mesh
+
+
+@pytest.mark.parametrize(("name", "axes"), [("m.ply", np.eye(3)), ("m.obj", Y_UP), ("m.glb", Y_UP)])
+def test_every_kind_of_mesh_is_the_same_surface(
+    written: Written, mesh: Mesh, tmp_path: Path, name: str, axes: NDArray[np.int64]
+) -> None:
+    read = loaded(export(written.folder, "mesh", tmp_path / name))
+    normals, points, triangles = (np.array(part) for part in (read.vertex_normals, read.vertices, read.faces))
+    assert np.allclose(points, mesh.points @ axes.T, rtol=1e-6, atol=1e-6)
+    assert np.array_equal(triangles, mesh.triangles)
+    assert np.allclose(normals, mesh.normals @ axes.T, atol=1e-4)
+    corners = points[triangles]
+    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert np.mean(np.sum(facing * corners[:, 0], axis=1) < 0) > 0.999  # the camera is at the origin
+
+
+def test_ply_and_obj_show_the_cameras_colours(written: Written, mesh: Mesh, tmp_path: Path) -> None:
+    for name in ("m.ply", "m.obj"):
+        read = loaded(export(written.folder, "mesh", tmp_path / name))
+        assert np.abs(read.visual.vertex_colors[:, :3].astype(int) - mesh.colours).max() <= 1
+    assert np.ptp(mesh.colours) > 50
+
+
+def test_colours_of_glb_are_linear(written: Written, mesh: Mesh, tmp_path: Path) -> None:
+    read = loaded(export(written.folder, "mesh", tmp_path / "m.glb"))
+    linear = np.asarray(read.visual.vertex_attributes["color"], np.float64)[:, :3] / 65535
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    assert np.abs(255 * shown - mesh.colours).max() < 0.6
+    assert np.abs(255 * linear - mesh.colours).max() > 30
+
+
+def test_glb_is_in_metres(tmp_path: Path) -> None:
+    written = write_result(tmp_path / "room", unit="mm")
+    points = loaded(export(written.folder, "mesh", tmp_path / "m.glb")).vertices
+    assert np.allclose(points, 1e-3 * build_mesh(written.scan).points @ Y_UP, rtol=1e-6, atol=1e-9)
+
+
+def test_no_triangle_joins_what_is_not_joined(written: Written, mesh: Mesh) -> None:
+    """The ball hangs before the walls: a triangle has all of its corners on it, or none."""
+    from_centre = np.linalg.norm(mesh.points - written.scene.sphere_centre, axis=1)
+    on_ball = np.abs(from_centre - SPHERE_RADIUS_M) < 0.01
+    corners = on_ball[mesh.triangles].sum(axis=1)
+    assert np.count_nonzero(corners == 3) > 2_000
+    assert np.count_nonzero(corners == 0) > 20_000
+    assert not np.any((corners == 1) | (corners == 2))
+
+
+def test_the_surface_is_whole(written: Written, mesh: Mesh) -> None:
+    """Two triangles for nearly every pixel, on the scene's surfaces, of nearly the area that these have."""
+    assert 1.9 < len(mesh.triangles) / len(written.scan) < 2.0
+    assert 0.99 < len(mesh.points) / len(written.scan) <= 1.0
+    middles = mesh.points[mesh.triangles].mean(axis=1)
+    scene = written.scene
+    distances = np.abs((middles - scene.corner.vertex) @ scene.corner.normals.T)
+    ball = np.abs(np.linalg.norm(middles - scene.sphere_centre, axis=1) - SPHERE_RADIUS_M)
+    off = np.minimum(distances.min(axis=1), ball)
+    assert 0 < np.median(off) < 1e-3
+    assert np.quantile(off, 0.999) < 0.01
+
+
+def flat(normal: tuple[float, float, float], shape: tuple[int, int] = (40, 50)) -> tuple[SeenPoints, NDArray[np.int64]]:
+    """A plane through (0, 0, 2) seen by a camera of 100 px focal length, and the index of each pixel's point."""
+    column, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
+    pixel = np.stack([column, row], axis=-1).reshape(-1, 2).astype(float)
+    rays = np.column_stack([(pixel - (25, 20)) / 100, np.ones(len(pixel))])
+    direction = np.array(normal) / np.linalg.norm(normal)
+    points = rays * (2 * direction[2] / (rays @ direction))[:, None]
+    index = np.arange(len(points)).reshape(shape)
+    return SeenPoints(pixel, points, np.tile(direction, (len(points), 1)), 100), index
+
+
+@pytest.mark.parametrize("tilt_deg", [0, 60, 80, 86])
+def test_a_slanting_plane_is_not_cut(tilt_deg: float) -> None:
+    tilt = np.radians(tilt_deg)
+    seen, index = flat((0, np.sin(tilt), -np.cos(tilt)), (12, 50))
+    assert len(image_triangles(seen, index)) == 2 * 11 * 49
+
+
+def test_a_step_is_cut_and_a_missing_pixel_costs_its_triangles() -> None:
+    seen, index = flat((0, 0, -1))
+    stepped = seen.points.copy()
+    stepped[index[:, 25:].ravel()] *= 0.9  # 0.2 nearer, ten times the step of a pixel
+    assert len(image_triangles(replace(seen, points=stepped), index)) == 2 * 39 * (24 + 24)
+    holed = index.copy()
+    holed[20, 20] = -1
+    triangles = image_triangles(seen, holed)
+    assert len(triangles) == 2 * 39 * 49 - 4
+    assert 20 * 50 + 20 not in triangles
+
+
+def test_strips_leave_no_seam() -> None:
+    assert len(image_triangles(*flat((0, 0, -1), (300, 10)))) == 2 * 299 * 9
+
+
+def test_scattered_points_make_a_surface_too(tmp_path: Path) -> None:
+    """One point for about nine pixels, as with a projector whose pixels are larger than the camera's."""
+    rng = np.random.default_rng(0)
+    written = write_result(tmp_path / "room", keep=lambda pixels: rng.random(len(pixels)) < 0.11)
+    mesh = build_mesh(written.scan)
+    assert 1.5 < len(mesh.triangles) / len(written.scan) < 2.0
+    corners = mesh.points[mesh.triangles]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert np.mean(np.sum(outward * corners[:, 0], axis=1) < 0) > 0.995
+    on_ball = np.linalg.norm(corners - written.scene.sphere_centre, axis=2) < SPHERE_RADIUS_M + 0.01
+    assert np.count_nonzero(on_ball.all(axis=1)) > 200
+    assert np.count_nonzero(on_ball.any(axis=1) & ~on_ball.all(axis=1)) == 0
+
+
+def test_a_gap_is_not_bridged() -> None:
+    seen, index = flat((0, 0, -1))
+    kept = np.flatnonzero((index.ravel() % 3 == 0) & (np.abs(seen.pixel[:, 0] - 25) > 8))
+    few = SeenPoints(seen.pixel[kept], seen.points[kept], seen.normals[kept], 100)
+    sparse = np.full(index.shape, -1)
+    sparse[tuple(few.pixel.astype(int).T[::-1])] = np.arange(len(kept))
+    left = few.pixel[image_triangles(few, sparse)][..., 0] < 25
+    assert np.count_nonzero(left.all(axis=1)) > 100
+    assert np.array_equal(left.all(axis=1), left.any(axis=1))

@@ -1,0 +1,70 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.geometry.matches import Matches
+from scanner.errors import InputError
+from scanner.io.image_file import write_png
+from scanner.reconstruction.face_masks import label_by_masks, read_masks
+
+SIZE = (40, 30)
+
+
+def draw_mask(folder: Path, name: str, columns: slice, shape: tuple[int, ...] = (30, 40), value: int = 255) -> None:
+    mask = np.zeros(shape, np.uint8)
+    mask[:, columns] = value
+    write_png(folder / name, mask)
+
+
+@pytest.fixture
+def masks(tmp_path: Path) -> Path:
+    draw_mask(tmp_path, "c_floor.png", slice(0, 10))
+    draw_mask(tmp_path, "a_left.PNG", slice(10, 20), value=1)
+    draw_mask(tmp_path, "b_right.png", slice(20, 30), shape=(30, 40, 3))
+    return tmp_path
+
+
+def test_faces_are_numbered_in_the_order_of_the_file_names(masks: Path) -> None:
+    (masks / "notes.txt").touch()
+    (masks / ".hidden.png").touch()
+    camera_px = np.array([[5.0, 7], [15, 0], [25, 29], [35, 7], [9.6, 1], [-3, 5], [15, 400]])
+    matches = label_by_masks(Matches(camera_px, camera_px), read_masks(masks, SIZE))
+    assert matches.face is not None
+    assert matches.face.tolist() == [2, 0, 1, -1, 0, -1, -1]
+
+
+def remove(folder: Path) -> None:
+    (folder / "a_left.PNG").unlink()
+
+
+WRONG: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
+    "two": (remove, ("three PNG", "found 2", "b_right.png, c_floor.png")),
+    "four": (lambda folder: draw_mask(folder, "d.png", slice(35, 40)), ("three PNG", "found 4")),
+    "overlap": (
+        lambda folder: draw_mask(folder, "a_left.PNG", slice(15, 25)),
+        ("a_left.PNG and b_right.png overlap in 150 pixels",),
+    ),
+    "another size": (
+        lambda folder: draw_mask(folder, "a_left.PNG", slice(15, 25), shape=(30, 60)),
+        ("a_left.PNG", "40 × 30", "60 × 30"),
+    ),
+    "empty": (lambda folder: draw_mask(folder, "a_left.PNG", slice(0, 0)), ("a_left.PNG", "every pixel is zero")),
+    "no image": (lambda folder: (folder / "a_left.PNG").write_text("hello"), ("a_left.PNG", "decoded")),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_masks_are_refused(masks: Path, name: str) -> None:
+    break_it, words = WRONG[name]
+    break_it(masks)
+    with pytest.raises(InputError) as caught:
+        read_masks(masks, SIZE)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder of masks"):
+        read_masks(tmp_path / "masks", SIZE)

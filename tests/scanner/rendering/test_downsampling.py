@@ -1,0 +1,87 @@
+"""Maps and matches reduced to what a page shows."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scanner.rendering.downsampling import averaged, cells_over, extent, labels_on_grid, one_in_cells, places_within
+
+
+@pytest.mark.parametrize("size", [(4, 3), (5, 4), (12, 9)])
+def test_a_plane_stays_a_plane(size: tuple[int, int]) -> None:
+    row, column = np.mgrid[:9, :12]
+    reduced = averaged((2 + 0.5 * column - 0.25 * row).astype(np.float32), size)
+    width, height = size
+    x, y = (np.arange(width) + 0.5) * 12 / width - 0.5, (np.arange(height) + 0.5) * 9 / height - 0.5
+    assert reduced.shape == (height, width)
+    # Within a pixel that is cut in two, a plane is a step.
+    assert np.abs(reduced - (2 + 0.5 * x - 0.25 * y[:, None])).max() < 0.12
+    assert reduced.mean() == pytest.approx(2 + 0.5 * 5.5 - 0.25 * 4)
+
+
+def test_only_what_is_there_counts() -> None:
+    values = np.full((4, 6), np.nan, np.float32)
+    values[0, 0], values[1, 1], values[3, 4] = 1.0, 3.0, -5.0
+    assert averaged(values, (3, 2)) == pytest.approx(
+        np.array([[2.0, np.nan, np.nan], [np.nan, np.nan, -5.0]]), nan_ok=True
+    )
+
+
+@given(st.integers(1, 12), st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11)), max_size=6))
+def test_the_extent_of_what_is_there(height: int, width: int, places: list[tuple[int, int]]) -> None:
+    values = np.full((height, width), np.nan, np.float32)
+    for row, column in places:
+        values[row % height, column % width] = 0.0
+    rows, columns = np.nonzero(np.isfinite(values))
+    expected = (rows.min(), rows.max(), columns.min(), columns.max()) if len(rows) else (0, -1, 0, -1)
+    assert extent(values) == expected
+
+
+def test_labels_and_matches_of_cells() -> None:
+    rng = np.random.default_rng(1)
+    size = (200, 100)
+    camera_px = rng.uniform((-5, -5), (205, 105), (3000, 2))
+    label = rng.integers(-1, 3, 3000).astype(np.int32)
+    side, rows, columns = cells_over(size, 300)
+    assert (side, rows, columns) == (9, 12, 23)
+    drawn = one_in_cells(camera_px, label, 0, side, rows, columns)
+    grid = labels_on_grid(camera_px, label, size, (20, 10))
+    assert (drawn >= 0).mean() > 0.8
+    for (row, column), found in np.ndenumerate(drawn):
+        inside = np.all(np.floor((camera_px + 0.5) / side) == (column, row), axis=1) & (label >= 0)
+        assert found in np.flatnonzero(inside) if inside.any() else found == -1
+    for (row, column), found in np.ndenumerate(grid):
+        inside = np.all(np.floor((camera_px + 0.5) / 10) == (column, row), axis=1) & (label >= 0)
+        assert found - 1 == (label[inside][-1] if inside.any() else -1)
+
+
+def test_what_is_drawn_lies_anywhere_in_its_cell() -> None:
+    """Of a match for every pixel, as a decoder gives them: no grid remains, and neighbours are drawn alike."""
+    pixels = np.stack(np.meshgrid(np.arange(350), np.arange(280)), -1).reshape(-1, 2).astype(np.float32)
+    drawn = one_in_cells(pixels, np.zeros(len(pixels), np.int32), 0, 7, 40, 50)
+    places, counts = np.unique(pixels[drawn.ravel()] % 7, axis=0, return_counts=True)
+    assert len(places) == 49
+    assert 10 < counts.min() < counts.max() < 80  # 41 on average
+
+
+@given(st.integers(0, 60), st.integers(1, 80), st.integers(0, 2**32 - 1))
+def test_places_are_drawn_evenly_out_of_those_within(most_there: int, most: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = np.full((7, 11), np.nan, np.float32)
+    some = rng.permutation(values.size)[:most_there]
+    values.ravel()[some] = rng.uniform(-3, 3, len(some))
+    count, places = places_within(values, 2.0, most)
+    within = np.flatnonzero(np.abs(values) <= 2)
+    assert count == len(within)
+    assert len(places) <= most
+    assert np.all(np.diff(places) > 0)
+    assert set(places) <= set(within)
+    stretch = max(1, -(-count // most))
+    assert [int(np.searchsorted(within, place)) // stretch for place in places] == list(range(-(-count // stretch)))
+
+
+def test_a_column_of_many_is_drawn_from_every_column() -> None:
+    _, places = places_within(np.zeros((100, 100), np.float32), np.inf, 1000)
+    counts = np.bincount(places % 100, minlength=100)
+    assert 0 < counts.min() < counts.max() < 30  # 10 on average

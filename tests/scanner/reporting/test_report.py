@@ -1,0 +1,317 @@
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from scanner.capture.facts import CaptureFacts
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.patterns.pattern import sequence_for
+from scanner.quantities.calibration_numbers import Quantity, device_quantities
+from scanner.reporting.contents import ReportInput
+from scanner.reporting.page import write_report
+from scanner.reporting.sections import describe_patterns, faces, mask
+from scanner.reporting.verdict import verdict
+from tests.support.cloud_scene import Scene, room
+from tests.support.reports import SIZES, calibrated_report, refused_report
+
+VOID = {"meta", "img", "br", "hr", "input", "link"}
+
+
+class Page(HTMLParser):
+    """Checks that tags close in order, and collects text, attributes and ids."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.text = ""
+        self.attributes: list[tuple[str, str, str]] = []
+        self.feed(html)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] not in ("style", "script"):
+            self.text += data
+
+    def ids(self) -> list[str]:
+        return [value for _, name, value in self.attributes if name == "id"]
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return room()
+
+
+@pytest.fixture(scope="module")
+def calibrated(scene: Scene) -> ReportInput:
+    return calibrated_report(scene)
+
+
+@pytest.fixture(scope="module")
+def refused(scene: Scene) -> ReportInput:
+    return refused_report(scene)
+
+
+def page_of(report: ReportInput, folder: Path) -> tuple[str, Page]:
+    write_report(folder / "report.html", report)
+    html = (folder / "report.html").read_text(encoding="utf-8")
+    return html, Page(html)
+
+
+@pytest.fixture(scope="module")
+def calibrated_html(calibrated: ReportInput, tmp_path_factory: pytest.TempPathFactory) -> str:
+    return page_of(calibrated, tmp_path_factory.mktemp("calibrated"))[0]
+
+
+@pytest.fixture(scope="module")
+def refused_html(refused: ReportInput, tmp_path_factory: pytest.TempPathFactory) -> str:
+    return page_of(refused, tmp_path_factory.mktemp("refused"))[0]
+
+
+def test_it_tells_verdict_numbers_and_facts(calibrated_html: str) -> None:
+    page = Page(calibrated_html)
+    for expected in (
+        "A room",
+        "Calibrated, well enough for a first look",
+        "known to ± 1.3 %",
+        "0.083 projector px",
+        "299.5",
+        "4.0",
+        "+0.5 (+0.17 %)",
+        "exact",
+        "face A",
+        "Some frames are dark.",
+        "off by +0.10 degrees",
+        "33.33 ms",
+        "saturated: lower the exposure",
+        "Lengths are in m.",
+    ):
+        assert expected in page.text, expected
+
+
+def test_sections_come_in_the_order_in_which_one_asks(calibrated_html: str) -> None:
+    page = Page(calibrated_html)
+    sections = [value for tag, name, value in page.attributes if (tag, name) == ("section", "id")]
+    assert sections == [
+        "calibration",
+        "faces",
+        "cloud",
+        "profile",
+        "flatness",
+        "residuals",
+        "misses",
+        "capture",
+        "mask",
+    ]
+    parts = [value for tag, name, value in page.attributes if (tag, name) == ("div", "id")]
+    assert parts == ["trust", "measured", "quality", "capturing"]
+
+
+def test_a_refusal_gives_reason_and_advice_and_no_numbers(refused_html: str) -> None:
+    page = Page(refused_html)
+    assert "Not calibrated" in page.text
+    assert "The faces are not square." in page.text
+    assert "Choose another corner." in page.text
+    assert "focal length" not in page.text
+    sections = [value for tag, name, value in page.attributes if (tag, name) == ("section", "id")]
+    assert sections == ["scene", "capture", "mask"]
+
+
+def test_a_given_calibration_has_no_sigmas_and_no_profile(calibrated: ReportInput, tmp_path: Path) -> None:
+    assert calibrated.calibration is not None
+    given = replace(
+        calibrated, cloud=None, solution=None, truth=None, calibration=replace(calibrated.calibration, sigma={})
+    )
+    _, page = page_of(given, tmp_path)
+    assert "Reconstructed with the calibration that was given" in page.text
+    assert "standard deviation" not in page.text
+    assert "profile" not in page.ids()
+
+
+def test_matches_alone_make_a_report(calibrated: ReportInput, tmp_path: Path) -> None:
+    _, page = page_of(replace(calibrated, decoding=None, cloud=None, capture=CaptureFacts(*SIZES)), tmp_path)
+    assert "face C" in page.text
+    assert "mask" not in page.ids()
+
+
+@pytest.mark.parametrize("kind", ["calibrated", "refused"])
+def test_it_needs_nothing_from_outside(kind: str, request: pytest.FixtureRequest) -> None:
+    html = request.getfixturevalue(f"{kind}_html")
+    page = Page(html)
+    assert "http" not in re.sub(r"data:image/[^\"]*", "", html).replace("http-equiv", "")
+    links = [(tag, value) for tag, name, value in page.attributes if name in ("src", "href", "xlink:href", "data")]
+    assert links
+    assert all(value.startswith(("data:image/", "#")) for _, value in links)
+    assert not {tag for tag, _, _ in page.attributes} & {"link", "iframe"}
+    assert len(html) < 6_000_000
+
+
+def test_ids_are_unique_and_references_resolve(calibrated_html: str) -> None:
+    html, page = calibrated_html, Page(calibrated_html)
+    ids = page.ids()
+    assert len(ids) == len(set(ids)) > 10
+    referred = re.findall(r'(?:href="|url\()#([^")]+)', html)
+    assert referred
+    assert set(referred) <= set(ids)
+
+
+def test_no_text_is_smaller_than_12_px(calibrated_html: str) -> None:
+    html = calibrated_html
+    css = html[html.index("<style>") : html.index("</style>")]
+    assert min(float(size) for size in re.findall(r"font(?:-size)?: (\d+)px", css)) >= 12
+    widths = {int(width) for width in re.findall(r'class="plot"[^>]*viewBox="0 0 (\d+) ', html)}
+    assert widths == {int(width) for width in re.findall(r"min-width: (\d+)px", css)} & widths  # never drawn smaller
+
+
+def test_hostile_strings_stay_text(calibrated: ReportInput, tmp_path: Path) -> None:
+    hostile = "</style><script>alert(1)</script>\"'><img src=x>{{ 7 * 7 }}"
+    assert calibrated.solution is not None
+    assert calibrated.calibration is not None
+    spoiled = replace(
+        calibrated,
+        title=hostile,
+        cloud=None,
+        capture=replace(calibrated.capture, identity={hostile: hostile}),
+        calibration=replace(calibrated.calibration, unit=hostile),
+        solution=replace(calibrated.solution, notes=(hostile,)),
+        warnings=(hostile,),
+        files=(hostile,),
+    )
+    html, page = page_of(spoiled, tmp_path)
+    assert page.text.count(hostile) >= 6
+    assert "<script>alert" not in html
+    assert ("img", "src", "x") not in page.attributes
+
+
+def test_pictures_are_what_they_say(calibrated_html: str) -> None:
+    page = Page(calibrated_html)
+    uris = [value for tag, name, value in page.attributes if (tag, name) == ("img", "src")]
+    assert len(uris) == 10
+    for uri in uris:
+        encoded = np.frombuffer(base64.b64decode(uri.partition(",")[2]), dtype=np.uint8)
+        picture = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
+        assert min(picture.shape[:2]) > 100
+        assert picture.std() > 5
+
+
+def test_the_edges_of_the_right_corner_lie_between_the_faces(calibrated: ReportInput, scene: Scene) -> None:
+    drawn = faces(replace(calibrated, calibration=scene.calibration))
+    assert drawn is not None
+    assert len(drawn.overlay.edges) == 3
+    face = np.full(scene.texture.shape[:2], -1)
+    column, row = scene.matches.camera_px.astype(int).T
+    face[row, column] = scene.surface
+    for leg, edge in enumerate(drawn.overlay.edges):
+        points = np.array([[float(number) for number in point.split(",")] for point in edge.split()])
+        near = {int(face[y, x]) for x, y in _around(points[20:200])} - {-1, 3}
+        assert near == {0, 1, 2} - {leg}
+
+
+def _around(points: np.ndarray) -> list[tuple[int, int]]:
+    offsets = np.stack(np.meshgrid([-3, 0, 3], [-3, 0, 3]), -1).reshape(-1, 2)
+    pixels = (np.rint(points)[:, None] + offsets).reshape(-1, 2).astype(int)
+    inside = np.all((pixels >= 0) & (pixels < SIZES[0]), axis=1)
+    return [(int(x), int(y)) for x, y in pixels[inside]]
+
+
+def test_shares_of_the_mask_reasons(calibrated: ReportInput) -> None:
+    assert calibrated.decoding is not None
+    found = mask(calibrated.decoding)
+    assert found is not None
+    assert found.legend[0].label == "matched"
+    assert sum(float(entry.share.removesuffix(" %")) for entry in found.legend) == pytest.approx(100, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("share", "words"), [(0.0, "0.0 %"), (1e-5, "< 0.1 %"), (0.25, "25.0 %"), (0.99999, "> 99.9 %"), (1.0, "100.0 %")]
+)
+def test_rounding_hides_nothing(calibrated: ReportInput, share: float, words: str) -> None:
+    assert calibrated.decoding is not None
+    reasons = np.full((1, 100_000), MaskReason.DARK, dtype=np.uint8)
+    reasons[0, : round(share * reasons.size)] = MaskReason.KEPT
+    found = mask(replace(calibrated.decoding, reasons=reasons))
+    assert found is not None
+    assert {entry.label: entry.share for entry in found.legend}.get("matched", "0.0 %") == words
+
+
+def test_every_mask_reason_has_words_and_a_colour_of_its_own(calibrated: ReportInput) -> None:
+    assert calibrated.decoding is not None
+    reasons = np.array([[int(reason) for reason in MaskReason]], dtype=np.uint8)
+    found = mask(replace(calibrated.decoding, reasons=reasons))
+    assert found is not None
+    assert (
+        len({entry.colour for entry in found.legend}) == len({entry.label for entry in found.legend}) == len(MaskReason)
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "grade"),
+    [
+        ({"camera_focal_px": 0.5, "projector_focal_px": 2.0}, "good"),
+        ({"camera_focal_px": 0.5, "projector_focal_px": 40.0}, "fair"),
+        ({}, "fair"),
+    ],
+)
+def test_the_grade_follows_the_sigmas(calibrated: ReportInput, changes: dict[str, Any], grade: str) -> None:
+    assert calibrated.calibration is not None
+    assert verdict(replace(calibrated, calibration=replace(calibrated.calibration, sigma=changes))).grade == grade
+
+
+def test_rays_that_miss_in_a_pattern_are_pointed_out(calibrated: ReportInput) -> None:
+    assert calibrated.cloud is not None
+    statistics = replace(calibrated.cloud.statistics, calibration_px=1.5)
+    found = verdict(replace(calibrated, cloud=replace(calibrated.cloud, statistics=statistics)))
+    assert (found.grade, "errors that show" in found.headline) == ("fair", True)
+
+
+def test_a_report_is_of_a_calibration_or_of_a_refusal(calibrated: ReportInput, refused: ReportInput) -> None:
+    with pytest.raises(ValueError, match="not both"):
+        replace(calibrated, refusal=refused.refusal)
+    with pytest.raises(ValueError, match="not both"):
+        replace(refused, refusal=None)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "value", "error"),
+    [
+        (Quantity("f", 895.4321, "px", 8.16, 900.0), "895.4", "−4.6"),
+        (Quantity("f", 895.4321, "px", 0.0123, 895.4), "895.432", "+0.032"),
+        (Quantity("f", 895.4321, "px", 160.0, 900.0), "895", "−5"),
+        (Quantity("f", 1234.5678, "px", None, None), "1234.6", ""),
+        (Quantity("k", -0.00001, "", 0.001, 0.0), "0.0000", "+0.0000"),
+        (Quantity("k", -0.05, "", None, None), "−0.05000", ""),
+    ],
+)
+def test_numbers_show_two_digits_of_their_sigma(quantity: Quantity, value: str, error: str) -> None:
+    assert quantity.shown(quantity.value) == value
+    assert quantity.shown(quantity.error, signed=True) == error
+
+
+def test_quantities_against_the_truth(calibrated: ReportInput, scene: Scene) -> None:
+    assert calibrated.calibration is not None
+    focal = device_quantities("camera", calibrated.calibration, scene.calibration)[0]
+    assert focal.error == pytest.approx(0.5)
+    assert focal.error_sigmas == pytest.approx(0.125)
+    assert focal.error_percent == pytest.approx(100 * 0.5 / 299)
+
+
+def test_patterns_in_words() -> None:
+    words = describe_patterns(sequence_for((854, 480)))
+    assert words.startswith("white, black, 14 × Gray code along x (cell 8 px), 4 × fringe along x (period 16 px)")

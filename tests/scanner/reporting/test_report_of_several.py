@@ -1,0 +1,172 @@
+"""What a report says about several captures, about the uncertainty of points, and about an assumption."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.diagnostics.uncertainty import Uncertainty
+from calib.geometry.calibration import Calibration
+from calib.geometry.corner import Corner
+from calib.geometry.matches import Matches
+from calib.geometry.radial_distortion import unproject
+from calib.pointcloud.corner_view import View
+from calib.pointcloud.merged_cloud import merged
+from calib.pointcloud.organised_cloud import build_cloud
+from calib.refinement.parameters import SHARED, State
+from calib.self_calibration.rig import Profile, SelfCalibration
+from scanner.capture.facts import CaptureFacts
+from scanner.reporting.contents import CaptureRow, ReportInput
+from scanner.reporting.focal import focal_length
+from scanner.reporting.page import write_report
+from scanner.reporting.uncertainty import point_sigmas, price_of_principal_point
+from scanner.reporting.verdict import verdict
+from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
+
+SIGMA_F = 0.01
+
+
+def state_of(calibration: Calibration) -> State:
+    camera, projector = (
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        for device in (calibration.camera, calibration.projector)
+    )
+    translation = calibration.translation / calibration.baseline
+    return State(camera, projector, calibration.rotation, translation, np.zeros((1, 3)), ())
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return room()
+
+
+@pytest.fixture(scope="module")
+def report(scene: Scene) -> ReportInput:
+    """Of a calibration that is sure but for the camera's focal length, with a sigma of one per cent."""
+    covariance = np.zeros((SHARED, SHARED))
+    covariance[0, 0] = SIGMA_F**2
+    by_principal_point = np.zeros((SHARED, 2))
+    by_principal_point[0] = 0.001, -0.0002
+    by_principal_point[5] = 0.0005, 0.0
+    baseline = scene.calibration.baseline
+    calibration = replace(scene.calibration, translation=scene.calibration.translation / baseline, unit="baseline")
+    solution = SelfCalibration(
+        calibration,
+        scene.matches,
+        Corner(scene.corner.vertex / baseline, scene.corner.legs),
+        Profile(np.linspace(200, 400, 9), np.linspace(-4, 4, 9) ** 2, "cost"),
+        0.1,
+        "refined",
+        uncertainty=Uncertainty(state_of(scene.calibration), covariance, by_principal_point, 1e-4),
+    )
+    cloud = build_cloud(scene.matches, scene.texture, calibration)
+    view = View(cloud.points, None, CAMERA, solution.corner)
+    sizes = (CAMERA.width, CAMERA.height), (PROJECTOR.width, PROJECTOR.height)
+    return ReportInput(
+        CaptureFacts(*sizes),
+        scene.matches,
+        solution=solution,
+        calibration=calibration,
+        cloud=cloud,
+        photograph=scene.texture,
+        together=2,
+        captures=(
+            CaptureRow("capture 1", "captures/1/report.html", 1234, 0.0712, 0.05, 1200),
+            CaptureRow("capture <2>", "", 5678, None, None, None),
+        ),
+        merged=merged([cloud], [view], (0,)),
+        remarks=("The 2 clouds are merged.",),
+    )
+
+
+@pytest.fixture(scope="module")
+def page(report: ReportInput, tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(path, report)
+    return path.read_text()
+
+
+def test_it_lists_the_captures_and_shows_their_cloud(page: str) -> None:
+    for words in (
+        "from 2 captures together",
+        '<a href="captures/1/report.html">capture 1</a>',
+        "capture &lt;2&gt;",
+        "1,234",
+        "0.071 px",
+        "The 2 clouds are merged.",
+        "the merged point cloud, top view",
+    ):
+        assert words in page, words
+    order = re.findall(r'<section id="(\w+)"', page)
+    assert order == [
+        "calibration",
+        "captures",
+        "faces",
+        "cloud",
+        "profile",
+        "sigmas",
+        "flatness",
+        "residuals",
+        "misses",
+        "capture",
+    ]
+
+
+def test_a_capture_alone_has_no_list(report: ReportInput, tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", replace(report, together=1, captures=(), merged=None, remarks=()))
+    alone = (tmp_path / "report.html").read_text()
+    assert 'id="captures"' not in alone
+    assert "captures together" not in alone
+
+
+def test_the_sigmas_of_points_are_those_of_trials(report: ReportInput, scene: Scene) -> None:
+    """The camera's focal length is moved; per sigma of it the points move by theirs, but for what "nearest" means."""
+    found = point_sigmas(report)
+    assert found is not None
+    assert found.map.scale.low.endswith(" %")
+    state = state_of(scene.calibration)
+    moved = replace(state, camera=state.camera * np.array([np.exp(1e-4), 1, 1, 1, 1]))
+    before, after = (_triangulated(each, scene.matches) for each in (state, moved))
+    change = np.linalg.norm(after - before, axis=1) / np.linalg.norm(before, axis=1) / 1e-4
+    assert found.median_percent == pytest.approx(100 * SIGMA_F * np.median(change), rel=0.05)
+
+
+def _triangulated(state: State, matches: Matches) -> np.ndarray:
+    """Where the camera's rays come nearest to the projector's."""
+    rays, q = unproject(state.camera, matches.camera_px)[0], unproject(state.projector, matches.projector_px)[0]
+    turned = rays @ state.rotation.T
+    a, b, c = (np.sum(x * y, axis=1) for x, y in ((turned, turned), (turned, q), (q, q)))
+    depth = (b * (q @ state.translation) - c * (turned @ state.translation)) / (a * c - b * b)
+    return rays * depth[:, None]
+
+
+def test_the_price_of_the_principal_point(report: ReportInput) -> None:
+    (sentence,) = price_of_principal_point(report.solution)
+    assert "10 px in x would move the camera's focal length by +1.00 % and the projector's by +0.50 %" in sentence
+    assert "10 px in y would move the camera's focal length by −0.20 %" in sentence
+    assert report.solution is not None
+    assert report.solution.uncertainty is not None
+    estimated = replace(report.solution.uncertainty, by_principal_point=None)
+    assert price_of_principal_point(replace(report.solution, uncertainty=estimated)) == ()
+    assert price_of_principal_point(None) == ()
+
+
+def test_a_method_without_sigmas_has_no_map(report: ReportInput) -> None:
+    assert report.solution is not None
+    assert point_sigmas(replace(report, solution=replace(report.solution, uncertainty=None))) is None
+
+
+def test_the_papers_objective_is_lowest_near_the_truth_once_the_lenses_are_straight(report: ReportInput) -> None:
+    """With lenses as bent as these it would be 27 % off. Of the minima, one is marked there."""
+    found = focal_length(report)
+    assert found is not None
+    assert found.objective is not None
+    marked = [int(focal) for focal in re.findall(r">(\d+)</text>", found.objective)]
+    assert 0 < min(abs(focal / CAMERA.focal_px[0] - 1) for focal in marked) < 0.02
+
+
+def test_the_advice_knows_how_many_captures_there_were(report: ReportInput) -> None:
+    assert "A further capture" in verdict(report).advice
+    assert "three times" in verdict(replace(report, together=1)).advice

@@ -1,0 +1,135 @@
+"""The verdict and the covariance, written into a calibration file and read from it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from calib.diagnostics.uncertainty import Uncertainty
+from calib.geometry.calibration import Calibration
+from calib.geometry.relative_pose import Motion
+from calib.geometry.triangulation import intersect
+from calib.numerics.array_types import Floats
+from calib.refinement.parameters import CAMERA, ROTATION, SHARED, TRANSLATION, State
+from scanner.errors import InputError
+from scanner.io.calibration_file import read_calibration, write_calibration
+from scanner.results.stated_uncertainty import COLUMNS, confidence_entries, read_uncertainty, read_verdict
+from scanner.results.verdict import Verdict
+from tests.support.cloud_scene import Scene, room
+
+VERDICT = Verdict("fair", "Calibrated, well enough for a first look", ("± 3 %: “known”", "# no: comment"), "Once more.")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return room(noise_px=0.0)
+
+
+def uncertainty_of(calibration: Calibration, covariance: Floats) -> Uncertainty:
+    camera, projector = (
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        for device in (calibration.camera, calibration.projector)
+    )
+    translation = calibration.translation / calibration.baseline
+    state = State(camera, projector, calibration.rotation, translation, np.zeros((1, 3)), ())
+    return Uncertainty(state, covariance, None, 0.04)
+
+
+def drawn_covariance() -> Floats:
+    root = np.random.default_rng(3).normal(size=(SHARED, SHARED)) * 1e-3
+    covariance: Floats = root @ root.T
+    return covariance
+
+
+def test_both_are_read_back_and_the_calibration_is_the_same(scene: Scene, tmp_path: Path) -> None:
+    path, calibration = tmp_path / "calibration.yaml", scene.calibration
+    given = uncertainty_of(calibration, drawn_covariance())
+    write_calibration(path, calibration, confidence_entries(VERDICT, given))
+    assert read_calibration(path).camera == calibration.camera
+    assert read_verdict(path) == VERDICT
+    found = read_uncertainty(path, read_calibration(path))
+    assert found is not None
+    assert found.covariance == pytest.approx(given.covariance, rel=1e-9, abs=1e-15)
+    sample = scene.matches[::97]
+    assert found.of_points(sample) == pytest.approx(given.of_points(sample), rel=1e-6)
+
+
+def test_the_columns_are_what_the_format_says(scene: Scene, tmp_path: Path) -> None:
+    """A step of one column of the file, made as docs/formats.md describes it, is the model's."""
+    calibration = scene.calibration
+    direction = calibration.translation / calibration.baseline
+    for column, name in ((CAMERA.start, "camera_log_focal"), (ROTATION.start + 2, "rotation_z_rad")):
+        covariance = np.zeros((SHARED, SHARED))
+        covariance[column, column] = 4.0
+        written = confidence_entries(VERDICT, uncertainty_of(calibration, covariance))["covariance"]
+        values = np.array(written["values"])
+        assert values[COLUMNS.index(name), COLUMNS.index(name)] == 4.0
+        assert np.count_nonzero(values) == 1
+    step = np.zeros(6)
+    step[3:5] = 1e-4, -2e-4
+    covariance = np.zeros((SHARED, SHARED))
+    covariance[TRANSLATION, TRANSLATION] = np.outer(step[3:5], step[3:5])
+    values = np.array(confidence_entries(VERDICT, uncertainty_of(calibration, covariance))["covariance"]["values"])
+    moved = Motion(calibration.rotation, direction).moved(step).translation - direction
+    assert values[13:, 13:] == pytest.approx(np.outer(moved, moved), rel=1e-3, abs=1e-11)
+    assert np.abs(values[13:, 13:] @ direction).max() < 1e-15
+
+
+def test_the_sigma_of_points_is_that_of_calibrations_drawn_from_the_file(scene: Scene, tmp_path: Path) -> None:
+    """Only from what the format says: draw focal lengths, rotations and directions, and triangulate with each."""
+    calibration, sample = scene.calibration, scene.matches[::211]
+    covariance = np.diag([1e-6, 0, 0, 0, 0, 4e-6, 0, 0, 0, 0, 1e-8, 4e-8, 1e-8, 1e-7, 2e-7])
+    path = tmp_path / "calibration.yaml"
+    write_calibration(path, calibration, confidence_entries(VERDICT, uncertainty_of(calibration, covariance)))
+    entry = yaml.safe_load(path.read_text(encoding="utf-8"))["covariance"]
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(16), entry["values"], 400, method="eigh")
+    depths = [intersect(sample, _moved(calibration, dict(zip(entry["columns"], draw, strict=True)))) for draw in draws]
+    found = read_uncertainty(path, calibration)
+    assert found is not None
+    exact = replace(sample, sigma_px=np.full(len(sample), 1e-9))
+    predicted = calibration.baseline * found.of_points(exact)[:, 2]
+    ratio = np.std([met.points[:, 2] for met in depths], axis=0) / predicted
+    assert 0.8 < ratio.min() < ratio.max() < 1.2
+
+
+def _moved(calibration: Calibration, step: dict[str, float]) -> Calibration:
+    camera, projector = (
+        replace(device, focal_px=(device.focal_px[0] * np.exp(step[f"{name}_log_focal"]),) * 2)
+        for name, device in (("camera", calibration.camera), ("projector", calibration.projector))
+    )
+    turned = np.array([step[f"rotation_{axis}_rad"] for axis in "xyz"])
+    direction = calibration.translation / calibration.baseline
+    direction = direction + np.array([step[f"translation_{axis}"] for axis in "xyz"])
+    motion = Motion(calibration.rotation, direction).moved(np.append(turned, [0.0, 0.0, 0.0]))
+    return replace(
+        calibration,
+        camera=camera,
+        projector=projector,
+        rotation=motion.rotation,
+        translation=calibration.baseline * direction / np.linalg.norm(direction),
+    )
+
+
+def test_an_older_result_says_neither(scene: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    write_calibration(path, scene.calibration)
+    assert read_verdict(path) is None
+    assert read_uncertainty(path, scene.calibration) is None
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ("verdict: {grade: splendid, headline: a, reasons: [], advice: ''}", "grade"),
+        ("covariance: {columns: [a], match_px: 0.1, values: [[1.0]]}", "columns"),
+        (f"covariance: {{columns: [{', '.join(COLUMNS)}], match_px: 0.1, values: [[1.0]]}}", "16 rows"),
+        (f"covariance: {{columns: [{', '.join(COLUMNS)}], match_px: 0.1, values: [[.nan]]}}", "values"),
+    ],
+)
+def test_what_is_malformed_is_refused(scene: Scene, tmp_path: Path, entry: str, message: str) -> None:
+    path = tmp_path / "calibration.yaml"
+    path.write_text(entry, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        read_uncertainty(path, scene.calibration)

@@ -1,0 +1,216 @@
+"""A result folder as something to look at, against the scene that it was made from."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.diagnostics.uncertainty import Uncertainty
+from calib.geometry.triangulation import intersect
+from calib.pointcloud.corner_view import View
+from calib.pointcloud.merged_cloud import merged
+from calib.pointcloud.organised_cloud import build_cloud
+from calib.pointcloud.point_covariance import point_covariances
+from calib.refinement.parameters import SHARED, State
+from scanner.errors import InputError
+from scanner.io.calibration_file import read_calibration, write_calibration
+from scanner.io.ply import write_merged_ply
+from scanner.results.stated_uncertainty import confidence_entries
+from scanner.results.verdict import Verdict
+from scanner.viewing.colouring import Colouring, coloured, possible_colourings
+from scanner.viewing.geometry import (
+    FIELD_OF_VIEW_RAD,
+    frustum_lines,
+    nice_step,
+    picture_corners,
+    ruler_lines,
+    viewpoint,
+)
+from scanner.viewing.result import ALL_CAPTURES, ViewedCloud, ViewedResult
+from tests.support.cloud_scene import room
+from tests.support.result_folder import Written, write_result
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+    return write_result(tmp_path_factory.mktemp("viewing") / "room")
+
+
+@pytest.fixture(scope="module")
+def cloud(written: Written) -> ViewedCloud:
+    result = ViewedResult(written.folder)
+    assert result.names == ("The capture",)
+    return result.cloud("The capture")
+
+
+def test_the_corner_is_where_it_is(written: Written, cloud: ViewedCloud) -> None:
+    assert cloud.corner is not None
+    found, true = cloud.corner.corner, written.scene.corner
+    assert 0 < np.linalg.norm(found.vertex - true.vertex) < 0.001
+    assert np.min(np.sum(found.legs * true.legs, axis=1)) > 0.99999
+    for angle in cloud.corner.angles:
+        assert 0 < abs(angle.angle_deg - 90) < 0.05
+
+
+def test_outlines_begin_at_the_vertex_and_hold_their_points(written: Written, cloud: ViewedCloud) -> None:
+    assert cloud.corner is not None
+    for face, outline in enumerate(cloud.corner.outlines):
+        origin, first, _, second = outline
+        assert np.allclose(origin, cloud.corner.corner.vertex)
+        edges = np.stack([first - origin, second - origin], axis=1)
+        points = cloud.points[cloud.scan.matches.face == face] - origin
+        share = np.linalg.lstsq(edges, points.T, rcond=None)[0]
+        assert 0.98 < np.mean(np.all((share > -0.02) & (share <= 1), axis=0)) < 1
+
+
+def test_up_is_up(written: Written, cloud: ViewedCloud) -> None:
+    assert cloud.up @ written.scene.corner.legs[2] > 0.9999  # the scene's z axis, and its camera is upright
+
+
+def test_the_first_view_shows_cloud_and_devices_from_behind_the_camera(cloud: ViewedCloud) -> None:
+    view = viewpoint(cloud)
+    (rig,) = cloud.rigs
+    forward = (view.target - view.position) / np.linalg.norm(view.target - view.position)
+    right = np.cross(forward, view.up) / np.linalg.norm(np.cross(forward, view.up))
+    for point in (rig.position, rig.projector_centre, *cloud.points[::997]):
+        seen = point - view.position
+        assert seen @ forward > 0
+        for side in (right, np.cross(right, forward)):
+            assert abs(seen @ side) < np.tan(FIELD_OF_VIEW_RAD / 2) * (seen @ forward)
+    ahead = np.median(cloud.points, axis=0)
+    assert (rig.position - view.position) @ ahead > 0, "behind the camera"
+    assert (view.position - rig.position) @ view.up > 0, "above it"
+
+
+def test_points_can_be_coloured_by_what_is_known(written: Written, cloud: ViewedCloud) -> None:
+    assert possible_colourings(cloud) == tuple(Colouring)
+    chosen = cloud.order[:1000]
+    for colouring in Colouring:
+        told = coloured(cloud, chosen, colouring)
+        assert told.colours.shape == (1000, 3)
+        assert told.colours.dtype == np.uint8
+        assert told.legend
+    face = cloud.scan.matches.face[chosen]
+    colours = coloured(cloud, chosen, Colouring.FACES).colours
+    assert len({tuple(colour) for colour in colours[face == 1]}) == 1
+    assert len({tuple(colour) for colour in colours}) == len(np.unique(face))
+
+
+def test_the_sigma_of_depth_is_that_of_the_errors(written: Written, cloud: ViewedCloud) -> None:
+    chosen = cloud.order[:5000]
+    true = {
+        tuple(pixel): point for pixel, point in zip(written.scene.matches.camera_px, written.scene.points, strict=True)
+    }
+    depth = np.array([true[tuple(pixel)][2] for pixel in cloud.scan.matches.camera_px[chosen]])
+    errors = (cloud.points[chosen, 2] - depth) / cloud.depth_sigma(chosen)
+    # Of the two coordinates' noise, the part along the epipolar line moves the point.
+    assert 0.9 < np.sqrt(np.mean(errors**2)) < 1.1
+
+
+def test_the_sigma_of_depth_contains_the_calibrations(tmp_path: Path) -> None:
+    """Of a result that knows its covariance, here an uncertain focal length of the camera alone."""
+    written = write_result(tmp_path / "room", noise_px=0.005)
+    calibration = read_calibration(written.folder / "calibration.yaml")
+    covariance = np.zeros((SHARED, SHARED))
+    covariance[0, 0] = 0.001**2
+    devices = (
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        for device in (calibration.camera, calibration.projector)
+    )
+    direction = calibration.translation / calibration.baseline
+    state = State(*devices, calibration.rotation, direction, np.zeros((0, 3)), ())
+    more = confidence_entries(Verdict("good", "Well", ("so",)), Uncertainty(state, covariance, None, 0.05))
+    write_calibration(written.folder / "calibration.yaml", calibration, more)
+    result = ViewedResult(written.folder)
+    assert result.verdict == Verdict("good", "Well", ("so",))
+    cloud = result.cloud("The capture")
+    chosen = cloud.order[:2000]
+    noise = np.sqrt(point_covariances(cloud.scan.matches[chosen], calibration)[:, 2, 2])
+    camera = replace(calibration.camera, focal_px=(1.001 * calibration.camera.focal_px[0],) * 2)
+    moved = intersect(cloud.scan.matches[chosen], replace(calibration, camera=camera)).points[:, 2]
+    expected = np.hypot(noise, moved - cloud.points[chosen, 2])
+    assert np.median(expected / noise) > 2
+    ratio = cloud.depth_sigma(chosen) / expected
+    # The rays that no longer meet are taken to meet halfway, and here where the camera's is nearest to the other.
+    assert 0.9 < np.quantile(ratio, 0.05) < np.quantile(ratio, 0.95) < 1.1
+    assert "covariance" in coloured(cloud, chosen, Colouring.SIGMA).legend
+
+
+def test_without_faces_and_sigmas_there_is_still_a_cloud(tmp_path: Path, edit_matches: Callable[..., None]) -> None:
+    folder = write_result(tmp_path / "room").folder
+    edit_matches(folder, drop=("face", "sigma_px"))
+    cloud = ViewedResult(folder).cloud("The capture")
+    assert cloud.corner is None
+    assert possible_colourings(cloud) == (Colouring.CAMERA,)
+    assert np.array_equal(cloud.up, [0, -1, 0])
+    assert np.all(np.isfinite(viewpoint(cloud).position))
+
+
+@pytest.fixture
+def edit_matches() -> Callable[..., None]:
+    def edit(folder: Path, drop: tuple[str, ...]) -> None:
+        with np.load(folder / "matches.npz") as arrays:
+            kept = {name: arrays[name] for name in arrays.files if name not in drop}
+        np.savez(folder / "matches.npz", **kept)
+
+    return edit
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2])
+def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path, turn: int) -> None:
+    written = write_result(tmp_path / "room")
+    scene = room()
+    calibration = replace(scene.calibration, unit="m")
+    cloud = build_cloud(scene.matches, scene.texture, calibration)
+    view = View(cloud.points, None, calibration.camera, scene.corner)
+    write_merged_ply(tmp_path / "room" / "merged.ply", merged([cloud], [view], (turn,)))
+    result = ViewedResult(written.folder)
+    assert result.names == (ALL_CAPTURES, "The capture")
+    found = result.cloud(ALL_CAPTURES)
+    (rig,) = found.rigs
+    assert 0 <= np.linalg.norm(rig.position - view.in_corner(np.zeros((1, 3)), turn)[0]) < 0.002
+    assert abs(found.up[2]) == 1
+    assert possible_colourings(found) == (Colouring.CAMERA,)
+    with pytest.raises(ValueError, match="cannot be coloured"):
+        coloured(found, found.order[:5], Colouring.FACES)
+
+
+def test_older_captures_are_found(tmp_path: Path) -> None:
+    folder = write_result(tmp_path / "room").folder
+    for number in ("1", "2"):
+        write_result(folder / "captures" / number)
+    assert ViewedResult(folder).names == ("Capture 3", "Capture 2", "Capture 1")
+
+
+def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected a result folder"):
+        ViewedResult(tmp_path / "nothing")
+    folder = write_result(tmp_path / "room").folder
+    write_calibration(folder / "calibration.yaml", replace(room().calibration, unit="baseline"))
+    (folder / "cloud.ply").write_bytes(b"ply\n")
+    with pytest.raises(InputError, match=r"cloud\.ply"):
+        ViewedResult(folder).cloud("The capture")
+
+
+def test_frusta_end_where_the_picture_is_seen() -> None:
+    camera = room().calibration.camera
+    corners = picture_corners(replace(camera, distortion=(0.0, 0.0, 0.0, 0.0, 0.0)), 2.0)
+    assert np.all(corners[:, 2] == 2.0)
+    seen = replace(camera, distortion=(0.0, 0.0, 0.0, 0.0, 0.0)).project(corners)
+    right, bottom = camera.width - 0.5, camera.height - 0.5
+    assert np.allclose(seen, [[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+    lines = frustum_lines(corners)
+    assert lines.shape == (8, 2, 3)
+    assert np.all(lines[:4, 0] == 0)
+
+
+@pytest.mark.parametrize(
+    ("length", "step"), [(1.0, 0.2), (2.0, 0.5), (4.0, 1.0), (9.9, 2.0), (0.041, 0.01), (1700, 200)]
+)
+def test_rulers_have_nice_steps(length: float, step: float) -> None:
+    assert nice_step(length) == pytest.approx(step)
+    lines = ruler_lines(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), length)
+    assert len(lines) == 2 + int(length / step + 1e-9)
+    assert np.max(lines) <= length

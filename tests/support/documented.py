@@ -1,0 +1,130 @@
+"""The commands that README.md and docs/*.md show: where they stand, and how they are run or, if not, checked."""
+
+import re
+import runpy
+import shlex
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from scanner.commands.main import _choose, _parser
+from scanner.configuration.schema import load_config
+from tests.support.places import ROOT
+
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+
+# Commands whose arguments are only parsed, and why they are not run.
+NEED_DEVICES = "needs a camera and a projector"
+NOT_RUN = {
+    "scan devices": NEED_DEVICES,
+    "scan --config configs/room.yaml": NEED_DEVICES,
+    "scan --config my-room.yaml": NEED_DEVICES,
+    "scan check --config configs/room.yaml": NEED_DEVICES,
+    "scan console": "serves until it is stopped",
+    "scan view": "serves until it is stopped",
+    "scan photos": "needs two photographs",
+    "make": "installs packages, or runs for minutes",
+    "python": "runs for minutes, or changes files of this repository",
+    "pytest": "is what runs this test",
+}
+# These are for other programs: nothing of ours is in them.
+FOREIGN = ("git clone", "cd", "source", "xdg-open", "apt-get", "sudo apt-get", "pip install", "python -m pip")
+
+
+@dataclass(frozen=True)
+class Documented:
+    """A command, without comment, variables and folder of the program, and the place where it stands."""
+
+    page: str
+    line: int
+    text: str
+
+    @property
+    def words(self) -> list[str]:
+        """As a shell splits it."""
+        return shlex.split(self.text)
+
+    @property
+    def why_not_run(self) -> str:
+        """The reason why it is only parsed; '' if it is run."""
+        return next((why for start, why in NOT_RUN.items() if _starts(self.text, start)), "")
+
+    @property
+    def foreign(self) -> bool:
+        """Whether it is another program's."""
+        return any(_starts(self.text, start) for start in FOREIGN)
+
+
+def _starts(text: str, start: str) -> bool:
+    return text == start or text.startswith(start + " ")
+
+
+def commands() -> list[Documented]:
+    """Every line of every block of shell commands."""
+    return [command for page in PAGES for command in commands_in(page)]
+
+
+def commands_in(page: Path) -> Iterator[Documented]:
+    """Those of one page; a line that ends in a backslash goes on in the next."""
+    inside, started, text = False, 0, ""
+    for number, line in enumerate(map(str.strip, page.read_text(encoding="utf-8").splitlines()), start=1):
+        if line.startswith("```"):
+            inside = line in ("```sh", "```bash", "```console") and not inside
+            continue
+        if not inside:
+            continue
+        started = started if text else number
+        text += line.removesuffix("\\")
+        if line.endswith("\\"):
+            continue
+        words, text = shlex.split(text.removeprefix("$ "), comments=True), ""
+        while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
+            del words[0]
+        if words:
+            words[0] = words[0].removeprefix(".venv/bin/")
+            yield Documented(page.relative_to(ROOT).as_posix(), started, shlex.join(words))
+
+
+def parse(command: Documented) -> None:
+    """Check the arguments of a command that is not run. Raises AssertionError, InputError or SystemExit."""
+    program, *rest = command.words
+    if program == "make":
+        targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+        assert set(rest) <= set(targets), f"the Makefile has no {rest}"
+    elif program == "pytest":
+        assert all((ROOT / word).exists() for word in rest if word.startswith("tests/"))
+    elif program == "python":
+        _parse_script(rest)
+    else:
+        chosen, arguments = _choose(rest)
+        options = _parser(chosen).parse_args(arguments)
+        configuration = getattr(options, "config", None)
+        if configuration is not None and (ROOT / configuration).exists():
+            load_config(ROOT / configuration, getattr(options, "set", None) or ())
+
+
+class _Parsed(Exception):  # noqa: N818
+    """The script has read its arguments; it need not go on."""
+
+
+def _parse_script(words: list[str]) -> None:
+    script = ROOT / words[0]
+    assert script.is_file(), f"there is no {words[0]}"
+    if "parse_args" not in script.read_text(encoding="utf-8"):
+        assert len(words) == 1, f"{words[0]} takes no arguments"
+        return
+    parse_args = ArgumentParser.parse_args
+
+    def stop_after(parser: ArgumentParser, *arguments: object) -> Namespace:
+        parse_args(parser, *arguments)
+        raise _Parsed
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ArgumentParser, "parse_args", stop_after)
+        patch.setattr(sys, "argv", words)
+        with pytest.raises(_Parsed):
+            runpy.run_path(str(script), run_name="__main__")

@@ -1,0 +1,100 @@
+"""A loopback rig for tests, scans with it, and what its frames should show."""
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+
+from hw.loopback.launcher import CameraProcess, VirtualScreen, camera_process, shown_on, virtual_screen
+from hw.loopback.settings import LoopbackSettings
+from hw.simulated.simulation import SimulatedRoom
+from scanner.capture.recording import open_capture
+from scanner.commands.main import main
+from scanner.patterns.pattern import Pattern, draw
+
+CAMERA, PROJECTOR = (306, 256), (320, 180)
+CONFIG = f"""
+rig: {{backend: aravis, camera: 127.0.0.1, exposure_us: 33333, refresh_hz: 60, packet_size: 8000}}
+camera: {{width: {CAMERA[0]}, height: {CAMERA[1]}}}
+projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
+sequence: {{preset: quick, cell: 12}}
+corner: {{squareness_deg: 0}}
+"""
+
+
+@dataclass(frozen=True)
+class Loopback:
+    """A screen and a camera that looks at it."""
+
+    screen: VirtualScreen
+    camera: CameraProcess
+
+    @property
+    def alive(self) -> bool:
+        return self.screen.process.poll() is None and self.camera.process.poll() is None
+
+
+class Keeper:
+    """Keeps a rig running from test to test, and starts another when a test has killed one."""
+
+    def __init__(self) -> None:
+        self._running = ExitStack()
+        self._rig: Loopback | None = None
+
+    def rig(self) -> Loopback:
+        if self._rig is None or not self._rig.alive:
+            self.end()
+            screen = self._running.enter_context(virtual_screen(PROJECTOR))
+            self._running.enter_context(shown_on(screen))
+            camera = self._running.enter_context(camera_process(screen, LoopbackSettings(camera_size=CAMERA)))
+            self._rig = Loopback(screen, camera)
+        return self._rig
+
+    def end(self) -> None:
+        self._rig = None
+        self._running.close()
+
+
+def scan(config: Path, *more: str) -> tuple[int, Path]:
+    """Run a scan; its exit code, and the folder of what was captured."""
+    out = config.with_name("result")
+    code = main(["--config", str(config), "--out", str(out), "--quiet", *more])
+    return code, (out if code in (0, 4) else out.with_name("result-incomplete")) / "capture"
+
+
+def after_frames(count: int, config: Path, act: Callable[[], object]) -> None:
+    """Do something as soon as a running scan has recorded so many frames."""
+
+    def recorded() -> int:
+        listings = config.parent.glob(".result*/capture/capture.yaml")
+        return sum(listing.read_text().count("file:") for listing in listings)
+
+    def watch() -> None:
+        while recorded() < count:
+            time.sleep(0.005)
+        act()
+
+    Thread(target=watch, daemon=True).start()
+
+
+def digits(room: SimulatedRoom, pattern: Pattern) -> np.ndarray:
+    """What the camera sees of a pattern, without noise."""
+    return room.electrons(draw(pattern, PROJECTOR)) * (255 / room.sensor.full_well_electrons)
+
+
+def check_frames(capture: Path, room: SimulatedRoom) -> int:
+    """Every frame shows its own pattern, and nothing of the pattern before or after it. Returns how many there are."""
+    recording = open_capture(capture)
+    frames = [frame.image.astype(float) for _, frame in recording.stream().frames]
+    seen = [digits(room, pattern) for pattern in recording.patterns]
+    for index, (frame, own) in enumerate(zip(frames, seen, strict=True)):
+        assert np.sqrt(np.mean((frame - own) ** 2)) < 2.5, f"frame {index} is not of {recording.patterns[index]}"
+        for other in seen[max(0, index - 1) : index] + seen[index + 1 : index + 2]:
+            towards = other - own
+            share = np.sum(towards * (frame - own)) / np.sum(towards**2)
+            assert abs(share) < 0.02, f"{100 * share:.1f} % of frame {index} are of a neighbouring pattern"
+    return len(frames)

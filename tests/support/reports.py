@@ -1,0 +1,68 @@
+"""Reports of made-up scenes, for the tests that read the page and for those that open it in a browser."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.geometry.corner import Corner
+from calib.geometry.matches import Matches
+from calib.pointcloud.organised_cloud import build_cloud
+from calib.refusal import RefusalError
+from calib.self_calibration.rig import Profile, SelfCalibration
+from scanner.capture.facts import CaptureFacts
+from scanner.decoding.decoder import Decoding
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.noise_model import NoiseModel
+from scanner.patterns.pattern import sequence_for
+from scanner.reporting.contents import ReportInput
+from tests.support.cloud_scene import Scene
+
+SIZES = ((408, 342), (854, 480))
+
+
+def decoding_of(scene: Scene) -> Decoding:
+    reasons = np.full(scene.texture.shape[:2], MaskReason.DARK, dtype=np.uint8)
+    column, row = scene.matches.camera_px.astype(int).T
+    reasons[row, column] = MaskReason.KEPT
+    reasons[:20] = MaskReason.SATURATED
+    return Decoding(scene.matches, scene.texture, reasons, NoiseModel(2.0, 0.01), 0.8, ("Some frames are dark.",))
+
+
+def calibrated_report(scene: Scene) -> ReportInput:
+    camera = replace(scene.calibration.camera, focal_px=(299.5, 299.5))
+    sigma: dict[str, float | tuple[float, ...]] = {
+        "camera_focal_px": 4.0,
+        "camera_principal_point_px": (0.0, 0.0),
+        "projector_focal_px": 11.0,
+        "projector_principal_point_px": (2.0, 3.0),
+    }
+    calibration = replace(scene.calibration, camera=camera, sigma=sigma)
+    focal_px = np.geomspace(120, 1600, 60)
+    decoding = decoding_of(scene)
+    solution = SelfCalibration(
+        replace(calibration, translation=calibration.translation / calibration.baseline, unit="baseline"),
+        scene.matches,
+        Corner(scene.corner.vertex / calibration.baseline, scene.corner.legs),
+        Profile(focal_px, 400 * np.log(focal_px / 299.5) ** 2, "−2 log likelihood above the best"),
+        0.083,
+        "refined",
+        ("The faces seem to be off by +0.10 degrees.",),
+    )
+    return ReportInput(
+        CaptureFacts(*SIZES, sequence_for(SIZES[1]), {"camera": "Simulated"}, (33333.0, 33333.0)),
+        scene.matches,
+        "A room",
+        decoding,
+        solution,
+        calibration,
+        build_cloud(scene.matches, scene.texture, calibration),
+        None,
+        scene.calibration,
+        decoding.warnings,
+    )
+
+
+def refused_report(scene: Scene) -> ReportInput:
+    refusal = RefusalError("The faces are not square.", "Choose another corner.")
+    matches = Matches(scene.matches.camera_px, scene.matches.projector_px)
+    return ReportInput(CaptureFacts(*SIZES), matches, "A room", decoding_of(scene), refusal=refusal)

@@ -1,0 +1,99 @@
+"""A projector and a camera on a clock that only they move: what real ones do with time, exactly and at once."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from calib.numerics.array_types import Image
+from hw.errors import FrameLostError
+from hw.rig import Frame
+
+SIZE = (8, 6)
+
+
+class Bench:
+    """Both devices; the wall shows a picture `latency_s` after its flip, the camera sees the wall pixel by pixel."""
+
+    name = "bench"
+    size = SIZE
+    highest_level = 4095
+
+    def __init__(
+        self,
+        latency_s: float = 0.05,
+        *,
+        exposure_s: float = 1 / 30,
+        transfer_s: float = 0.02,
+        readout_s: float = 0.0,
+        jitter_s: float = 0.0,
+        noise: float = 0.0,
+        lost: frozenset[int] = frozenset(),
+        gain: float = 1.0,
+    ) -> None:
+        self.now = 0.0
+        self.exposure_s = exposure_s
+        self._latency_s, self._transfer_s, self._readout_s, self._jitter_s = latency_s, transfer_s, readout_s, jitter_s
+        self._noise, self._gain = noise, gain
+        self._lost = lost
+        self._rng = np.random.default_rng(0)
+        self._prepared = np.zeros(SIZE[::-1], np.uint8)
+        self._wall: list[tuple[float, Image]] = [(-1.0, self._prepared)]
+        self._begin = 0.0
+        self.exposures = 0
+        self.log: list[str] = []
+
+    def install(self, monkeypatch: pytest.MonkeyPatch) -> "Bench":
+        clock = SimpleNamespace(monotonic=lambda: self.now, sleep=self._sleep)
+        for module in ("hw.flashes", "hw.synchronisation"):
+            monkeypatch.setattr(f"{module}.time", clock)
+        return self
+
+    def prepare(self, image: Image) -> None:
+        self._sleep(0.001)
+        self._prepared = image
+        self.log.append("prepare")
+
+    def flip(self) -> None:
+        self._sleep(0.002)
+        light = self.now + self._latency_s + self._jitter_s * self._rng.random()
+        self._wall.append((light, self._prepared))
+        self.log.append("flip")
+
+    def show(self, image: Image) -> None:
+        self.prepare(image)
+        self.flip()
+
+    def expose(self) -> None:
+        self._begin = self.now
+        self._sleep(self.exposure_s)
+        self.exposures += 1
+        self.log.append("expose")
+
+    def collect(self) -> Frame:
+        self._sleep(self._transfer_s)
+        self.log.append("collect")
+        if self.exposures - 1 in self._lost:
+            raise FrameLostError("incomplete: missing-packets")
+        rows = [self._seen(row) for row in range(SIZE[1])]
+        image = self._gain * np.stack(rows) + self._noise * self._rng.standard_normal(SIZE[::-1])
+        return Frame(np.rint(image).clip(0, 4095).astype(np.uint16))
+
+    def grab(self) -> Frame:
+        self.expose()
+        return self.collect()
+
+    def _seen(self, row: int) -> np.ndarray:
+        """A row of the wall, averaged over its exposure; levels 10 to 3070, and one pixel in five unlit."""
+        begin = self._begin + self._readout_s * row / SIZE[1]
+        end = begin + self.exposure_s
+        since = [moment for moment, _ in self._wall]
+        total = np.zeros(SIZE[0])
+        for (moment, image), until in zip(self._wall, [*since[1:], np.inf], strict=True):
+            total += max(0.0, min(until, end) - max(moment, begin)) / self.exposure_s * image[row]
+        lit = np.arange(SIZE[0]) % 5 != 4
+        return 10.0 + 12.0 * total * lit
+
+    def _sleep(self, seconds: float) -> None:
+        assert seconds >= 0
+        self.now += seconds

@@ -1,0 +1,33 @@
+"""A capture folder that is as small as can be: a camera that sees exactly what the projector shows."""
+
+from pathlib import Path
+
+import yaml
+
+from scanner.io.image_file import write_png
+from scanner.patterns.pattern import Pattern, draw, sequence_for
+from scanner.patterns.sequence_file import pattern_to_dict
+
+SIZE = (48, 32)
+PATTERNS = sequence_for(SIZE, cell=8, shifts=3)
+
+
+def write_capture(folder: Path, patterns: tuple[Pattern, ...] = PATTERNS) -> Path:
+    """Write a capture of `patterns`; a test then breaks it."""
+    (folder / "frames").mkdir(parents=True)
+    frames = []
+    for index, pattern in enumerate(patterns):
+        file = f"frames/{index:03d}.png"
+        write_png(folder / file, draw(pattern, SIZE) // 2 + 20)
+        frames.append({"file": file, "pattern": pattern_to_dict(pattern)})
+    size = {"width": SIZE[0], "height": SIZE[1]}
+    write_listing(folder, {"format": 1, "projector": size, "camera": size, "frames": frames})
+    return folder
+
+
+def read_listing(folder: Path) -> dict:
+    return yaml.safe_load((folder / "capture.yaml").read_text())
+
+
+def write_listing(folder: Path, listing: dict) -> None:
+    (folder / "capture.yaml").write_text(yaml.safe_dump(listing))

@@ -1,0 +1,171 @@
+"""Frames of a made-up scene: a wall and a box in front of it, seen askew, lit by a projector with all its faults.
+
+The picture is formed as in a real rig, and nothing is shared with the decoder but the drawing of the patterns: the
+8-bit pattern goes through the projector's gamma and lens blur, is looked up at 3 × 3 points of each camera pixel on
+whichever surface they see, shaded, blurred by the camera's lens, joined by light that has bounced about and by ambient
+light, and read out with shot noise, read noise and quantisation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics.array_types import Bools, Image
+from scanner.decoding.decoder import Decoder, Decoding
+from scanner.patterns.pattern import Pattern, Phase, draw, phase_sequence
+
+Light = NDArray[np.float32]
+_FINE = 3
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Sizes are (width, height). `exposure`: grey level (of 255) of a white wall of albedo 1, fully lit."""
+
+    camera: tuple[int, int] = (300, 225)
+    projector: tuple[int, int] = (300, 200)
+    gamma: float = 2.2
+    exposure: float = 200.0
+    ambient: float = 8.0
+    black_level: float = 0.01
+    indirect: float = 0.15
+    projector_blur_px: float = 0.5
+    camera_blur_px: float = 0.6
+    read_noise: float = 1.0
+    electrons_per_level: float = 30.0
+    depth_bits: int = 8
+    colour: bool = False
+    turn_deg: float = 4.0
+    zoom: float = 0.8
+    box_brightness: float = 1.0
+    seed: int = 1
+
+    def wall(self, u: Light, v: Light) -> tuple[Light, Light]:
+        """Projector coordinates of the wall that camera pixels (u, v) see."""
+        return self._plane(u, v, shift=0.0, tilt=0.12)
+
+    def box(self, u: Light, v: Light) -> tuple[Light, Light]:
+        """The same for the front of the box."""
+        return self._plane(u, v, shift=-0.11, tilt=-0.25)
+
+    def _plane(self, u: Light, v: Light, shift: float, tilt: float) -> tuple[Light, Light]:
+        (width, height), (p_width, p_height) = self.camera, self.projector
+        a, b = (u - width / 2) / width, (v - height / 2) / width
+        turn = np.radians(self.turn_deg)
+        a, b = np.cos(turn) * a - np.sin(turn) * b, np.sin(turn) * a + np.cos(turn) * b
+        w = (1 + tilt * a + 0.05 * b) / self.zoom
+        return (a / w + shift + 0.5) * p_width - 0.5, b / w * p_width + (p_height - 1) / 2
+
+    def is_box(self, u: Light, v: Light) -> Bools:
+        """Whether camera pixels (u, v) see the box."""
+        width, height = self.camera
+        return (np.abs(u - 0.42 * width - 0.03 * v) < 0.13 * width) & (np.abs(v - 0.55 * height) < 0.22 * height)
+
+    def is_shadow(self, u: Light, v: Light) -> Bools:
+        """Whether they see the wall where the box throws its shadow on it."""
+        width, height = self.camera
+        beside = np.abs(u - 0.62 * width - 0.03 * v) < 0.08 * width
+        return beside & (np.abs(v - 0.55 * height) < 0.22 * height) & ~self.is_box(u, v)
+
+    @cached_property
+    def fine(self) -> tuple[Light, Light, Light, Bools]:
+        """Of the sub-pixels: projector x and y, how bright they are in full light, and whether they are on the box."""
+        width, height = self.camera
+        steps = [(np.arange(size * _FINE) + 0.5) / _FINE - 0.5 for size in (width, height)]
+        u, v = np.meshgrid(*steps)
+        on_box = self.is_box(u, v)
+        x, y = (np.where(on_box, a, b).astype(np.float32) for a, b in zip(self.box(u, v), self.wall(u, v), strict=True))
+        inside = (x > -0.5) & (x < self.projector[0] - 0.5) & (y > -0.5) & (y < self.projector[1] - 0.5)
+        texture = 0.75 + 0.1 * np.sin(u / 9) * np.cos(v / 13) + 0.1 * ((u // 47 + v // 31) % 2)
+        albedo = np.where(on_box, self.box_brightness * (0.8 - 0.2 * ((v // 23) % 2)), texture)
+        return x, y, (albedo * inside * ~self.is_shadow(u, v)).astype(np.float32), on_box
+
+    def frame(self, pattern: Pattern, number: int) -> Image:
+        """What the camera records."""
+        rng = np.random.default_rng((self.seed, number))
+        levels = self.exposure * _light(_lit_alike(self), pattern) + self.ambient
+        variance = levels / self.electrons_per_level + self.read_noise**2
+        levels = levels + np.sqrt(variance) * rng.standard_normal(levels.shape, np.float32)
+        top = 2**self.depth_bits - 1
+        grey = np.clip(np.rint(levels * (top / 255)), 0, top).astype(np.uint8 if self.depth_bits == 8 else np.uint16)
+        return np.stack([grey // 2, grey, grey], axis=-1) if self.colour else grey
+
+    def frames(self, patterns: Sequence[Pattern]) -> list[Image]:
+        """All frames of a sequence."""
+        return [self.frame(pattern, number) for number, pattern in enumerate(patterns)]
+
+    def decode(self, patterns: Sequence[Pattern]) -> Decoding:
+        """Frames of a sequence, decoded."""
+        return decode(patterns, self.frames(patterns), self.projector)
+
+    def errors(self, decoding: Decoding) -> NDArray[np.float64]:
+        """(N, 2): how far the matches are from what their camera pixels see; at the box's edge, the nearer of two."""
+        u, v = decoding.matches.camera_px.T
+        on_wall, on_box = (
+            decoding.matches.projector_px - np.stack(surface(u, v), axis=1) for surface in (self.wall, self.box)
+        )
+        around = [self.is_box(u + du, v + dv) for du in (-1, 0, 1) for dv in (-1, 0, 1)]
+        box_is_nearer = np.linalg.norm(on_box, axis=1) < np.linalg.norm(on_wall, axis=1)
+        takes_box = np.all(around, axis=0) | (np.any(around, axis=0) & box_is_nearer)
+        return np.where(takes_box[:, None], on_box, on_wall)
+
+    def well_lit(self, margin_px: int = 3) -> Bools:
+        """(H, W): pixels that the projector reaches directly, away from all edges."""
+        _, _, reflected, on_box = self.fine
+        lit, boxed = (
+            cv2.resize(part.astype(np.uint8), self.camera, interpolation=cv2.INTER_NEAREST)
+            for part in (reflected > 0, on_box)
+        )
+        kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
+        edge = cv2.morphologyEx(boxed, cv2.MORPH_GRADIENT, kernel)
+        return (cv2.erode(lit, kernel, borderValue=0) > 0) & (edge == 0)
+
+
+def _lit_alike(scene: Scene) -> Scene:
+    """The scene without what concerns the camera's read-out only, so that its light is computed once."""
+    return replace(scene, exposure=1.0, ambient=0.0, read_noise=0.0, depth_bits=8, colour=False, seed=0)
+
+
+@lru_cache(maxsize=512)
+def _light(scene: Scene, pattern: Pattern) -> Light:
+    """What reaches the camera, 1 for full light on white, (H, W)."""
+    shown = (draw(pattern, scene.projector) / np.float32(255)) ** np.float32(scene.gamma)
+    shown = scene.black_level + (1 - scene.black_level) * shown
+    if scene.projector_blur_px:
+        shown = cv2.GaussianBlur(shown, (0, 0), scene.projector_blur_px, borderType=cv2.BORDER_REPLICATE)
+    x, y, reflected, _ = _fine(scene)
+    fine = reflected * cv2.remap(shown, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    direct = cv2.resize(fine, scene.camera, interpolation=cv2.INTER_AREA)
+    if scene.camera_blur_px:
+        direct = cv2.GaussianBlur(direct, (0, 0), scene.camera_blur_px)
+    coarse = cv2.resize(direct, None, fx=0.1, fy=0.1, interpolation=cv2.INTER_AREA)
+    around = cv2.GaussianBlur(coarse, (0, 0), coarse.shape[1] / 5, borderType=cv2.BORDER_CONSTANT)
+    bounced = cv2.resize(around, scene.camera, interpolation=cv2.INTER_CUBIC)
+    return direct + np.float32(scene.indirect) * bounced
+
+
+@lru_cache(maxsize=8)
+def _fine(scene: Scene) -> tuple[Light, Light, Light, Bools]:
+    return scene.fine
+
+
+def decode(patterns: Sequence[Pattern], frames: Sequence[Image], projector: tuple[int, int]) -> Decoding:
+    """All frames through a decoder."""
+    decoder = Decoder(patterns, projector)
+    for frame in frames:
+        decoder.add(frame)
+    return decoder.finish()
+
+
+def dimmed(scene: Scene, factor: float) -> Scene:
+    """The same scene at a fraction of the light."""
+    return replace(scene, exposure=scene.exposure * factor, ambient=scene.ambient * factor)
+
+
+def fringes(periods: Sequence[float], shifts: int) -> tuple[Phase, ...]:
+    """Fringes along both axes."""
+    return tuple(p for axis in ("x", "y") for period in periods for p in phase_sequence(axis, period, shifts))

@@ -1,0 +1,72 @@
+"""The whole real path on this machine: Xvfb, a pyglet window, GigE Vision on 127.0.0.1, a simulated room in between.
+
+There is one camera port per machine, so all these tests run in one process, one after the other.
+"""
+
+import ctypes
+import importlib.util
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hw.loopback.settings import Conditions
+from hw.settings import SimulatedRigSettings
+from hw.simulated.simulation import SimulatedRoom
+from scanner import pipeline
+from scanner.commands import scan as scan_command
+from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Keeper, Loopback
+
+
+def missing_packages() -> str:
+    """What the loopback rig lacks, or nothing."""
+    missing = [name for name in ("gi", "pyglet") if importlib.util.find_spec(name) is None]
+    missing += [] if shutil.which("Xvfb") else ["Xvfb"]
+    try:
+        ctypes.CDLL("libaravis-0.8.so.0")
+    except OSError:
+        missing.append("Aravis")
+    return ", ".join(missing)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    missing = missing_packages()
+    for item in items:
+        if missing and Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.skip(reason=f"THE REAL PATH IS NOT TESTED: {missing} missing; make rig"))
+
+
+@pytest.fixture(scope="session")
+def room() -> SimulatedRoom:
+    """The room that the loopback camera looks at."""
+    return SimulatedRoom(SimulatedRigSettings(seed=0), CAMERA, PROJECTOR)
+
+
+@pytest.fixture(scope="session")
+def keeper() -> Iterator[Keeper]:
+    keeper = Keeper()
+    yield keeper
+    keeper.end()
+
+
+@pytest.fixture
+def rig(keeper: Keeper) -> Loopback:
+    """A rig under usual conditions."""
+    rig = keeper.rig()
+    rig.camera.change(Conditions())
+    return rig
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "room.yaml"
+    path.write_text(CONFIG)
+    return path
+
+
+@pytest.fixture
+def capture_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scan ends with its capture and decoding: what comes after is the same for every rig, and takes long."""
+    monkeypatch.setattr(pipeline, "reconstruct", lambda found, *_, **__: found)
+    monkeypatch.setattr(scan_command, "show_outcome", lambda *_: None)

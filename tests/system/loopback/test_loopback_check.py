@@ -1,0 +1,31 @@
+"""`scan check` through the real path: the camera's exposure is tried, and what was found is written."""
+
+import pytest
+
+from scanner.commands.main import main
+from scanner.configuration.schema import load_config
+
+pytestmark = pytest.mark.xdist_group("loopback")
+
+PERIOD_US = 1e6 / 60
+
+
+def test_a_check_finds_and_writes_the_exposure(config, rig, capsys):
+    text = config.read_text().replace("33333", "150000")
+    config.write_text(text)
+    assert main(["check", "--config", str(config), "--write"]) in (0, 4)
+    table = " ".join(capsys.readouterr().out.split())
+    for words in ("ok camera Aravis Fake loopback", "light comes", "is clipped", "gamma 2.2", "transfer"):
+        assert words in table
+    changed = load_config(config)
+    assert changed.rig.exposure_us == pytest.approx(2 * PERIOD_US, rel=1e-3)
+    assert changed.projector.known_response.gamma == pytest.approx(2.2, abs=0.05)
+    assert config.with_name("room.yaml.bak").read_text() == text
+
+
+def test_a_camera_that_dies_is_a_row_and_exit_code_3(config, rig, capsys):
+    rig.camera.process.kill()
+    assert main(["check", "--config", str(config)]) == 3
+    captured = capsys.readouterr()
+    assert "failed" in captured.out
+    assert "no camera answers" in captured.err

@@ -1,0 +1,174 @@
+"""What can go wrong with real devices, done to the loopback rig while it scans.
+
+A scan completes, every frame of its own pattern, or stops with exit code 3, a message that names the device and says
+what to do, and every frame captured so far on disk.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from hw.loopback.launcher import shown_on, virtual_screen
+from hw.loopback.settings import Conditions
+from hw.open_rig import import_aravis, open_rig
+from scanner.capture.recording import open_capture
+from scanner.capture.stream import capture
+from scanner.configuration.schema import load_config
+from scanner.patterns.pattern import Black, White
+from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, after_frames, check_frames, scan
+
+pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
+
+FRAMES = 19  # of the sequence in CONFIG
+
+
+def stopped_scan(config: Path, capsys: pytest.CaptureFixture[str], *words: str) -> Path:
+    """Scan, and expect exit code 3 with these words and advice; the folder of what was captured."""
+    code, folder = scan(config)
+    message = capsys.readouterr().err
+    assert code == 3, message
+    for word in words:
+        assert word in message
+    assert any(advice in message for advice in ("Check ", "Close ", "Set ", "set ", "Change "))
+    assert "Traceback" not in message
+    return folder
+
+
+@pytest.mark.parametrize("latency_ms", [0, 50, 120])
+def test_the_latency_is_measured_whatever_it_is(config, rig, room, latency_ms):
+    rig.camera.change(Conditions(latency_ms=latency_ms))
+    code, folder = scan(config)
+    assert code == 0
+    assert check_frames(folder, room) == FRAMES
+    measured = open_capture(folder).metadata["synchronisation"]["latency_ms"]
+    assert -15 < measured - latency_ms < 30  # tests beside this one keep the processors busy
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05])
+def test_lost_packets(config, rig, room, capsys, share):
+    rig.camera.change(Conditions(lost_packets=share))
+    code, folder = scan(config)
+    if code == 0:
+        assert check_frames(folder, room) == FRAMES
+        assert open_capture(folder).metadata["synchronisation"]["retriggered_frames"] >= (share > 0.01)
+    else:
+        message = capsys.readouterr().err
+        assert code == 3
+        assert "camera Aravis Fake loopback" in message
+        assert "rig.packet_size" in message
+        assert not folder.exists() or check_frames(folder, room) > 0
+
+
+def test_a_network_that_loses_almost_everything(config, rig, capsys):
+    rig.camera.change(Conditions(lost_packets=0.9))
+    folder = stopped_scan(config, capsys, "its frames do not arrive", "rig.packet_size")
+    assert not folder.exists()
+
+
+def test_the_camera_dies(config, rig, room, capsys):
+    after_frames(5, config, rig.camera.process.kill)
+    folder = stopped_scan(config, capsys, "camera Aravis Fake loopback", "cable and power", "frames captured so far")
+    assert check_frames(folder, room) >= 5
+
+
+def test_the_camera_stops_for_a_while(config, rig, room, capsys):
+    def stop() -> None:
+        rig.camera.process.send_signal(signal.SIGSTOP)
+        time.sleep(3.0)
+        rig.camera.process.send_signal(signal.SIGCONT)
+
+    after_frames(5, config, stop)
+    code, folder = scan(config)
+    if code == 0:
+        assert check_frames(folder, room) == FRAMES
+    else:
+        assert code == 3
+        assert check_frames(folder, room) >= 5
+        assert "camera Aravis Fake loopback" in capsys.readouterr().err
+
+
+def test_the_camera_starts_late(config, keeper, room, capsys):
+    keeper.end()
+    with virtual_screen(PROJECTOR) as screen, shown_on(screen):
+        folder = stopped_scan(config, capsys, "no camera answers to '127.0.0.1'", "Found: none", "scan devices")
+    assert not folder.exists()
+    keeper.rig()
+    code, folder = scan(config)
+    assert code == 0
+    assert check_frames(folder, room) == FRAMES
+
+
+def test_another_program_controls_the_camera(config, rig, capsys):
+    settings = load_config(config)
+    with import_aravis().AravisCamera(settings.rig, CAMERA, 10_000.0):
+        stopped_scan(config, capsys, "camera Aravis Fake loopback", "another program controls it")
+
+
+def test_the_screen_dies(config, rig, room, capsys):
+    after_frames(5, config, rig.screen.process.kill)
+    folder = stopped_scan(config, capsys, "projector on screen 0", "320x180", "is gone", "frames captured so far")
+    assert check_frames(folder, room) >= 5
+
+
+def test_ctrl_c(config, rig, room):
+    command = [sys.executable, "-m", "scanner", "--config", str(config), "--out", str(config.with_name("result"))]
+    # What runs in a shell's background is started deaf to Ctrl-C, and its children inherit that.
+    listening = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listening)
+    after_frames(5, config, lambda: process.send_signal(signal.SIGINT))
+    message = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert "interrupted" in message
+    assert check_frames(config.with_name("result-incomplete") / "capture", room) >= 5
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("packet_size: 8000", "pixel_format: Mono12"), ("Mono12",)),
+        (("packet_size: 8000", "gain: 99"), ("Gain", "99")),
+        (("packet_size: 8000", "trigger: line, trigger_line: Line9"), ("Line9",)),
+        ((f"width: {CAMERA[0]}", "width: 400"), ("Width", "400")),
+        (("width: 320", "width: 640"), ("screen 0", "320x180", "640 × 180")),
+        (("packet_size: 8000", "screen: 3"), ("rig.screen: 3",)),
+        (("camera: 127.0.0.1", "camera: nobody"), ("'nobody'", "Found: Aravis Fake loopback at 127.0.0.1")),
+    ],
+)
+def test_what_the_devices_cannot_do_is_refused(config, rig, capsys, change, words):
+    config.write_text(CONFIG.replace(*change))
+    stopped_scan(config, capsys, *words)
+
+
+def test_many_scans_in_one_process_leave_nothing_behind(config, rig):
+    settings = load_config(config)
+
+    def one_scan() -> None:
+        with open_rig(settings.required_rig, settings.camera_size, settings.projector_size) as opened:
+            assert len(list(capture(opened.rig, (White(), Black())).frames)) == 2
+
+    for _ in range(4):
+        one_scan()
+    before = resources()
+    for _ in range(16):
+        one_scan()
+    memory_mb, files, threads = (now - then for now, then in zip(resources(), before, strict=True))
+    assert files <= 0
+    assert threads <= 0
+    assert memory_mb < 16 * 0.1  # the buffers of a scan alone are 0.3
+
+
+def resources() -> tuple[float, int, int]:
+    """Megabytes of memory, open files, threads of this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return (
+        pages * os.sysconf("SC_PAGE_SIZE") / 1e6,
+        sum(1 for _ in Path("/proc/self/fd").iterdir()),
+        threading.active_count(),
+    )

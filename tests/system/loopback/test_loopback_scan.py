@@ -1,0 +1,82 @@
+"""Whole scans through the real path."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hw.open_rig import open_rig
+from hw.simulated.simulation import SimulatedRoom
+from scanner.capture.recording import open_capture
+from scanner.capture.stream import capture
+from scanner.commands.main import main
+from scanner.configuration.schema import load_config
+from scanner.io.calibration_file import read_calibration
+from scanner.patterns.pattern import Black, White
+from scanner.quantities.calibration_numbers import intrinsic_errors_percent
+from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, check_frames, scan
+
+pytestmark = pytest.mark.xdist_group("loopback")
+
+
+def mean_error_percent(result: Path, room: SimulatedRoom) -> float:
+    found = read_calibration(result / "calibration.yaml")
+    return float(np.abs(intrinsic_errors_percent(found, room.calibration)).mean())
+
+
+def test_a_scan_is_as_good_as_on_the_simulated_rig(tmp_path, config, rig, room):
+    point = list(room.calibration.camera.principal_point_px)
+    more = ["--set", f"camera.principal_point={{known: {point}}}", "--set", "sequence={preset: standard}"]
+    code, capture_folder = scan(config, *more)
+    assert code == 0
+    recording = open_capture(capture_folder)
+    assert check_frames(capture_folder, room) == len(recording.patterns) > 30
+    assert recording.metadata["devices"]["camera"] == "Aravis Fake loopback"
+    assert recording.metadata["devices"]["exposure"] == "33.33 ms"
+    assert recording.metadata["synchronisation"]["overlapping"] is True
+    assert {exposure for exposure, _ in recording.read_back} == {33333.0}
+    report = (capture_folder.parent / "report.html").read_text()
+    for words in (
+        "Aravis Fake loopback",
+        "light after a flip",
+        "frames dropped, and taken again",
+        "of it over exposure and latency",
+    ):
+        assert words in report
+
+    simulated = tmp_path / "simulated"
+    code = main(["--config", str(config), "--out", str(simulated), "--quiet", *more, "--set", "rig={seed: 0}"])
+    assert code == 0
+    error, without_hardware = (mean_error_percent(result, room) for result in (capture_folder.parent, simulated))
+    assert 0 < without_hardware < 1
+    assert 0 < error < max(1.0, 2 * without_hardware)
+
+
+@pytest.mark.parametrize(
+    ("settings", "kind", "channels"),
+    [
+        ("pixel_format: Mono16", np.uint16, 1),
+        ("pixel_format: BayerRG8", np.uint8, 3),
+        ("pixel_format: Mono8, trigger: free-run", np.uint8, 1),
+    ],
+)
+def test_other_settings_act(config, rig, settings, kind, channels):
+    config.write_text(CONFIG.replace("packet_size: 8000", f"packet_size: 8000, {settings}"))
+    chosen = load_config(config)
+    with open_rig(chosen.required_rig, chosen.camera_size, chosen.projector_size) as opened:
+        white, black = (frame.image for _, frame in capture(opened.rig, (White(), Black())).frames)
+    assert white.dtype == kind
+    assert white.shape == ((*CAMERA[::-1], channels) if channels > 1 else CAMERA[::-1])
+    full = np.iinfo(kind).max
+    assert 0.5 * full < np.percentile(white, 99.5) < full
+    assert np.percentile(black, 99.5) < 0.2 * full
+
+
+def test_devices_are_listed_with_lines_to_paste(rig, capsys):
+    assert main(["devices"]) == 0
+    text = capsys.readouterr().out
+    assert "Aravis Fake loopback at 127.0.0.1" in text
+    assert 'rig: {backend: aravis, camera: "Aravis-Fake-loopback", pixel_format: Mono8}' in text
+    assert f"camera: {{width: {CAMERA[0]}, height: {CAMERA[1]}}}" in text
+    assert 'rig: {backend: aravis, screen: "320x180+0+0", refresh_hz: 60}' in text
+    assert f"projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}" in text

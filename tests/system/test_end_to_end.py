@@ -1,0 +1,178 @@
+"""The commands on a simulated room that is small enough for a test: what files appear, and how true they are."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.geometry.matches import NO_FACE
+from scanner.capture.recording import open_capture
+from scanner.commands.main import main
+from scanner.io.calibration_file import read_calibration
+from scanner.io.image_file import write_png
+from scanner.io.matches_file import read_matches, write_matches
+from scanner.quantities.calibration_numbers import intrinsic_errors_percent
+from tests.support.small_capture import read_listing, write_listing
+
+CONFIG = """
+rig: {backend: simulated, seed: 0, furniture: false}
+camera: {width: 612, height: 512, principal_point: {known: [314.1, 263.6]}}
+projector: {width: 427, height: 240}
+corner: {squareness_deg: 0}
+"""
+
+CALIBRATED = {"calibration.yaml", "cloud.ply", "matches.npz", "report.html", "scan.log"}
+
+pytestmark = pytest.mark.xdist_group("end to end")
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+@dataclass(frozen=True)
+class Scanned:
+    config: Path
+    result: Path
+    exit_code: int
+
+
+@pytest.fixture(scope="module")
+def scanned(tmp_path_factory: pytest.TempPathFactory) -> Scanned:
+    folder = tmp_path_factory.mktemp("scan")
+    config, result = folder / "room.yaml", folder / "result"
+    config.write_text(CONFIG)
+    return Scanned(config, result, run("--config", config, "--out", result, "--quiet"))
+
+
+def test_a_scan_is_whole_and_true(scanned: Scanned) -> None:
+    assert scanned.exit_code == 0
+    assert names(scanned.result) == CALIBRATED | {"capture", "truth.yaml"}
+    found, truth = (read_calibration(scanned.result / name) for name in ("calibration.yaml", "truth.yaml"))
+    error = np.abs(intrinsic_errors_percent(found, truth)).mean()
+    assert 0 < error < 4.3
+    assert found.unit == "baseline"
+    assert truth.unit == "m"
+    assert names(scanned.result.parent) == {"room.yaml", "result"}
+
+
+def test_a_replay_finds_the_same(scanned: Scanned, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "replayed"
+    assert run("replay", scanned.result / "capture", "--config", scanned.config, "--out", out) == 0
+    assert names(out) == CALIBRATED | {"capture"}
+    live, replayed = (read_calibration(folder / "calibration.yaml") for folder in (scanned.result, out))
+    assert np.allclose(replayed.camera.focal_px, live.camera.focal_px, rtol=1e-9)
+    assert open_capture(out / "capture").patterns == open_capture(scanned.result / "capture").patterns
+    summary = capsys.readouterr().out
+    for words in ("Calibration", "focal length, px", "matches", "points in the cloud", str(out)):
+        assert words in summary
+    assert "truth" not in summary
+
+
+def test_a_replay_with_a_known_calibration_only_triangulates(scanned: Scanned, tmp_path: Path) -> None:
+    out = tmp_path / "known"
+    truth = scanned.result / "truth.yaml"
+    assert run("replay", scanned.result / "capture", "--calibration", truth, "--out", out, "--quiet") == 0
+    assert names(out) == CALIBRATED | {"capture"}
+    used = read_calibration(out / "calibration.yaml")
+    assert used.camera == read_calibration(truth).camera
+    assert used.unit == "m"
+    assert read_matches(out).face is None
+    assert b"comment unit m" in (out / "cloud.ply").read_bytes()[:300]
+
+
+def test_matches_are_calibrated_like_a_capture(scanned: Scanned, tmp_path: Path) -> None:
+    out = tmp_path / "calibrated"
+    arguments = ("--config", scanned.config, "--set", "scale.baseline_m=0.5", "--out", out, "--quiet")
+    assert run("calibrate", scanned.result, *arguments) == 0
+    assert names(out) == CALIBRATED
+    live, again = (read_calibration(folder / "calibration.yaml") for folder in (scanned.result, out))
+    assert np.allclose(again.camera.focal_px, live.camera.focal_px, rtol=1e-6)
+    assert again.unit == "m"
+    assert again.baseline == pytest.approx(0.5)
+
+
+def test_matches_of_another_decoder_need_no_labels_or_their_own(scanned: Scanned, tmp_path: Path) -> None:
+    matches = read_matches(scanned.result)
+    assert matches.face is not None
+    live = read_calibration(scanned.result / "calibration.yaml")
+    for name, face in (("none", None), ("own", np.where(matches.face == NO_FACE, NO_FACE, 3 * matches.face + 1))):
+        file = tmp_path / f"{name}.npz"
+        write_matches(file, matches.with_faces(face))
+        out = tmp_path / name
+        assert run("calibrate", file, "--config", scanned.config, "--out", out, "--quiet") == 0
+        again = read_calibration(out / "calibration.yaml")
+        assert np.allclose(again.camera.focal_px, live.camera.focal_px, rtol=1e-3)
+
+
+def test_hand_drawn_faces(scanned: Scanned, tmp_path: Path) -> None:
+    matches = read_matches(scanned.result)
+    assert matches.face is not None
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    for label in range(3):
+        mask = np.zeros((512, 612), np.uint8)
+        column, row = np.rint(matches.on_face(label).camera_px).astype(int).T
+        mask[row, column] = 255
+        write_png(masks / f"{label}.png", mask)
+    out = tmp_path / "masked"
+    capture = scanned.result / "capture"
+    assert run("replay", capture, "--config", scanned.config, "--masks", masks, "--out", out, "--quiet") == 0
+    np.testing.assert_array_equal(read_matches(out).face, matches.face)
+
+
+def test_the_method_of_the_paper(scanned: Scanned, tmp_path: Path) -> None:
+    out = tmp_path / "paper"
+    arguments = ("--config", scanned.config, "--set", "method=paper", "--out", out, "--quiet")
+    assert run("calibrate", scanned.result, *arguments) == 0
+    assert read_calibration(out / "calibration.yaml").sigma == {}
+
+
+def test_a_refused_capture_keeps_its_matches(
+    scanned: Scanned, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    for label in range(3):  # three stripes of whatever is there are no corner
+        mask = np.zeros((512, 612), np.uint8)
+        mask[:, 200 * label : 200 * label + 180] = 255
+        write_png(masks / f"{label}.png", mask)
+    out = tmp_path / "refused"
+    assert run("replay", scanned.result / "capture", "--masks", masks, "--out", out) == 4
+    assert names(out) == {"matches.npz", "report.html", "scan.log", "capture"}
+    assert len(read_matches(out)) == len(read_matches(scanned.result))
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert "no trustworthy calibration" in output.err
+    assert str(out) in output.err
+
+
+def test_a_calibration_of_another_rig_is_refused(scanned: Scanned, tmp_path: Path) -> None:
+    truth = (scanned.result / "truth.yaml").read_text()
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text(truth.replace("translation: [", "translation: [1000.0, -1000.0, 0.0] # ["))
+    assert run("replay", scanned.result / "capture", "--calibration", wrong, "--out", tmp_path / "out", "--quiet") == 4
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [(0, 1), (2, 3), (4, 8), (5, 14), (-1, -2)],
+    ids=["white and black", "bit and inverse", "two bits", "bit and fringe", "two steps of a fringe"],
+)
+def test_swapped_frames_are_noticed(
+    scanned: Scanned, tmp_path: Path, capsys: pytest.CaptureFixture[str], first: int, second: int
+) -> None:
+    capture = tmp_path / "capture"
+    open_capture(scanned.result / "capture").copy_to(capture)
+    listing = read_listing(capture)
+    a, b = listing["frames"][first], listing["frames"][second]
+    a["file"], b["file"] = b["file"], a["file"]
+    write_listing(capture, listing)
+    assert run("replay", capture, "--config", scanned.config, "--out", tmp_path / "out", "--quiet") == 2
+    assert capsys.readouterr().err.startswith("scan: ")
+    assert not (tmp_path / "out").exists()
