@@ -1,14 +1,15 @@
 """What the program makes of captures in which something is wrong: light, lenses, motion, pictures, files.
 
     python benchmarks/bench_conditions.py --quick            one room, the standard sequence: some minutes
-    python benchmarks/bench_conditions.py --jobs 2 --write   all of it, an hour or two; the table goes to docs/decoding.md
+    python benchmarks/bench_conditions.py --jobs 2 --write   all of it, an hour or two; writes into docs/decoding.md
     python benchmarks/bench_conditions.py --only flicker --seeds 3 --sequences gray -v
 
 Each capture is taken of a simulated room, written as a capture folder, and replayed through the command line in this
 process; the principal point is given, and the walls are known to be square, as they are. Two totals matter:
 
-- *refused that could be decoded*: the exit code is not 0, but the matches of a plain decoder (`conditions/plain_decoder.py`,
-  a page without checks) have a median error of at most 0.5 px, and calibrating with them errs by at most 4 sigma or 2 %;
+- *refused that could be decoded*: the exit code is not 0, but the matches of a page of plain code without checks
+  (`conditions/plain_decoder.py`) have a median error of at most 0.5 px, and calibrating with them errs by at most
+  4 sigma or by at most 2 %;
 - *confident and wrong*: the exit code is 0, and one of f_c, f_p, x_p, y_p errs by more than 4 sigma or 2 %.
 
 Mistakes (exchanged frames, a wrong size) may always be refused. A picture that no pinhole with square pixels throws is
@@ -17,7 +18,6 @@ held against the truth by the camera's focal length alone.
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -26,16 +26,13 @@ from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("NUMBA_NUM_THREADS", "1")
-ROOT = Path(__file__).parents[1]
-sys.path.append(str(ROOT))
-
+sys.path.append(str(Path(__file__).parents[1]))
 from benchmarks.conditions.captures import SEQUENCES
 from benchmarks.conditions.catalogue import Condition, conditions
 from benchmarks.conditions.table import confident_and_wrong, markdown, refused_needlessly, write_into
 from benchmarks.conditions.trial import Outcome, Setup, named, run
 
+ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "decoding.md"
 
 
