@@ -44,7 +44,10 @@ def main() -> None:
     outcomes = [*_earlier(options.results)]
     done = {(o.name, o.strength, o.seed, o.sequence) for o in outcomes}
     tasks = [
-        (c.name, c.strength, s) for s in setups for c in chosen if (c.name, c.strength, s.seed, s.sequence) not in done
+        (c.name, c.strength, s, options.keep)
+        for s in setups
+        for c in chosen
+        if (c.name, c.strength, s.seed, s.sequence) not in done
     ]
     # Workers are started, not forked: threads of a library do not survive a fork.
     with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
@@ -70,15 +73,16 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--projector", type=int, nargs=2, default=[427, 240])
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--results", type=Path, metavar="FILE", help="keep outcomes here, and go on where it ends")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep captures and results in this folder")
     parser.add_argument("--write", action="store_true", help=f"write the table into {PAGE.relative_to(ROOT)}")
     parser.add_argument("-v", "--verbose", action="store_true", help="say what came of each capture")
     return parser.parse_args()
 
 
-def _run(task: tuple[str, str, Setup]) -> Outcome:
-    name, strength, setup = task
+def _run(task: tuple[str, str, Setup, Path | None]) -> Outcome:
+    name, strength, setup, keep = task
     condition: Condition = named(name, strength)  # lambdas do not travel between processes
-    return run(condition, setup)
+    return run(condition, setup, keep)
 
 
 def _earlier(path: Path | None) -> Iterator[Outcome]:

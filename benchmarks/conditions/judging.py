@@ -63,14 +63,14 @@ class CalibrationError:
 
 
 def calibration_error(found: Calibration, truth: Truth) -> CalibrationError:
-    """How far a calibration is from the truth; the sigmas are infinite where the calibration states none."""
+    """How far a calibration is from the truth; no sigma is stated: no number of them."""
     number = _NUMBERS if truth.pinhole else 1
     percent = intrinsic_errors_percent(found, truth.calibration)[:number]
     true = truth.calibration
     values = np.array([true.camera.focal_px[0], true.projector.focal_px[0], *true.projector.principal_point_px])
     keys = ("camera_focal_px", "projector_focal_px", "projector_principal_point_px")
     stated = np.concatenate([np.atleast_1d(found.sigma[key]) for key in keys]) if found.sigma else np.zeros(_NUMBERS)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = percent / 100 * values[:number] / stated[:number]
     return CalibrationError(percent, sigmas)
 

@@ -60,17 +60,22 @@ class Outcome:
     decodable: bool | None = None
 
 
-def run(condition: Condition, setup: Setup) -> Outcome:
-    """Take the capture, replay it, and hold what comes out against the truth."""
+def run(condition: Condition, setup: Setup, keep: Path | None = None) -> Outcome:
+    """Take the capture, replay it, and hold what comes out against the truth.
+
+    `keep`: a folder in which capture, configuration and result then stay, in one of their own; else they are deleted.
+    """
     capture, truth = captured(condition, setup)
-    with tempfile.TemporaryDirectory(prefix="conditions-") as folder:
-        place = Path(folder)
+    with contextlib.ExitStack() as temporary:
+        if keep is None:
+            place = Path(temporary.enter_context(tempfile.TemporaryDirectory(prefix="conditions-")))
+        else:
+            place = keep / f"{condition.name} {condition.strength} {setup.sequence} {setup.seed}".replace("/", "-")
         capture.write(place / "capture")
         code, message = _replayed(place, truth)
         figures = _figures(place / "result", truth)
     decodable = None if code == 0 else could_be_decoded(plain_decodings(capture), truth)
-    wrong = code == 0 and bool(figures.pop("wrong", False))
-    figures.pop("wrong", None)
+    wrong = figures.pop("wrong", False) and code == 0
     about = (condition.name, condition.strength, setup.seed, setup.sequence)
     return Outcome(*about, code, message, wrong=wrong, decodable=decodable, **figures)
 
