@@ -1,24 +1,25 @@
 """What can be wrong with a capture, each at rising strength."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from benchmarks.conditions.captures import Capture, blended, brightened, inverses
+from scanner.patterns import Pattern
 
 # The room of all conditions has 0.05; white in the camera's range reaches 0.85.
 AMBIENT = 0.05
 Random = np.random.Generator
-OfRig = Mapping[str, Any] | Callable[[int, Random], Mapping[str, Any]]
+OfRig = Mapping[str, Any] | Callable[[Sequence[Pattern], Random], Mapping[str, Any]]
 OfFrames = Callable[[Capture, Random], Capture]
 
 
 @dataclass(frozen=True)
 class Condition:
-    """`rig`: settings of the simulated rig, or how to draw them for a number of frames; `exposure`: relative to the one
-    that suits the room; `frames`: what becomes of the frames. `moves`: devices move, which one of the axes sees and the
+    """`rig`: settings of the simulated rig, or how to draw them for a sequence; `exposure`: relative to the one that
+    suits the room; `frames`: what becomes of the frames. `moves`: devices move, which one of the axes sees and the
     other does not. `fault`: nothing that a device does, but a mistake; refusing it is right whatever could be decoded.
     """
 
@@ -30,9 +31,9 @@ class Condition:
     moves: bool = False
     fault: bool = False
 
-    def settings(self, count: int, rng: Random) -> dict[str, Any]:
-        """Of the rig, for a capture of so many frames."""
-        return dict(self.rig(count, rng) if callable(self.rig) else self.rig)
+    def settings(self, patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
+        """Of the rig, for a capture of some patterns."""
+        return dict(self.rig(patterns, rng) if callable(self.rig) else self.rig)
 
 
 def conditions() -> Iterator[Condition]:
@@ -95,9 +96,9 @@ def _scene() -> Iterator[Condition]:
 
 def _motion() -> Iterator[Condition]:
     for device in ("camera", "projector"):
-        for place, share in (("between the axes", 0.5), ("within an axis", None)):
+        for place, when in (("between the axes", _first_of_y), ("within an axis", _within_an_axis)):
             for px in (0.3, 1.0, 3.0, 10.0):
-                yield Condition(f"{device} bumped {place}", f"{px:g} px", _bumped(device, px, share), moves=True)
+                yield Condition(f"{device} bumped {place}", f"{px:g} px", _bumped(device, px, when), moves=True)
     for device in ("camera", "projector"):
         for px in (0.3, 1.0, 3.0):
             yield Condition(f"{device} drifts over the capture", f"{px:g} px", _drifting(device, px), moves=True)
@@ -125,29 +126,36 @@ def _frames() -> Iterator[Condition]:
 
 def _switched(share: float, more: float) -> OfRig:
     # White and black come first and are never between the two.
-    return lambda count, _: {"light": {"frame": round(2 + share * (count - 2)), "ambient": AMBIENT + more}}
+    return lambda patterns, _: {"light": {"frame": round(2 + share * (len(patterns) - 2)), "ambient": AMBIENT + more}}
 
 
 def _passing(width_m: float) -> OfRig:
-    def settings(count: int, rng: Random) -> dict[str, Any]:
-        first = int(rng.integers(2, count - 6))
+    def settings(patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
+        first = int(rng.integers(2, len(patterns) - 6))
         return {"passer": {"width_m": width_m, "first_frame": first, "last_frame": first + 5}}
 
     return settings
 
 
-def _bumped(device: str, px: float, share: float | None) -> OfRig:
-    def settings(count: int, rng: Random) -> dict[str, Any]:
-        at = rng.uniform(0.1, 0.4) if share is None else share
-        frame = round(2 + at * (count - 2))
+def _first_of_y(patterns: Sequence[Pattern], _: Random) -> int:
+    return next(number for number, pattern in enumerate(patterns) if getattr(pattern, "axis", "") == "y")
+
+
+def _within_an_axis(patterns: Sequence[Pattern], rng: Random) -> int:
+    return int(rng.choice([n for n in range(4, len(patterns)) if n != _first_of_y(patterns, rng)]))
+
+
+def _bumped(device: str, px: float, when: Callable[[Sequence[Pattern], Random], int]) -> OfRig:
+    def settings(patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
+        frame = when(patterns, rng)
         return {"bump": {"device": device, "frame": frame, "px": px, "direction_deg": float(rng.uniform(0, 360))}}
 
     return settings
 
 
 def _drifting(device: str, px: float) -> OfRig:
-    def settings(count: int, rng: Random) -> dict[str, Any]:
-        step = px / (count - 1)
+    def settings(patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
+        step = px / (len(patterns) - 1)
         return {"drift": {"device": device, "px_per_frame": step, "direction_deg": float(rng.uniform(0, 360))}}
 
     return settings

@@ -84,17 +84,12 @@ def captured(condition: Condition, setup: Setup) -> tuple[Capture, Truth]:
     """The capture of a condition, the same whenever it is asked for, and what is true of its first frame."""
     patterns = patterns_of(setup.sequence, setup.projector_size)
     rng = np.random.default_rng([setup.seed, crc32(f"{condition.name} {condition.strength} {setup.sequence}".encode())])
-    settings = condition.settings(len(patterns), rng)
-    askew_deg = settings.pop("furniture_askew_deg", 0.0)
-    room = _room(setup.seed, setup.camera_size, setup.projector_size, askew_deg).under(**settings)
-    capture = take(room, patterns, condition.exposure)
+    settings = condition.settings(patterns, rng)
+    seen = setup.seed, setup.camera_size, setup.projector_size, settings.pop("furniture_askew_deg", 0.0)
+    capture = take(_room(*seen).under(**settings), patterns, condition.exposure)
     if condition.frames is not None:
         capture = condition.frames(capture, rng)
-    true = room.calibration
-    square = true is not None and np.ptp(true.projector.focal_px) < 1e-6 * true.projector.focal_px[0]
-    if true is None:
-        true = room.under(panel={}).calibration
-    return capture, Truth(room.ground_truth().projector_px.astype(np.float32), true, square)
+    return capture, _truth(*seen, tuple(settings.get("panel", {}).items()))
 
 
 def named(name: str, strength: str) -> Condition:
@@ -107,6 +102,17 @@ def named(name: str, strength: str) -> Condition:
 def _room(seed: int, camera_size: Size, projector_size: Size, askew_deg: float) -> SimulatedRoom:
     settings = SimulatedRigSettings(seed=seed, ambient=AMBIENT, furniture_askew_deg=askew_deg)
     return SimulatedRoom(settings, camera_size, projector_size)
+
+
+@lru_cache(maxsize=8)
+def _truth(seed: int, camera_size: Size, projector_size: Size, askew_deg: float, panel: tuple) -> Truth:
+    room = _room(seed, camera_size, projector_size, askew_deg)
+    shown = room.under(panel=dict(panel))
+    projector_px = shown.ground_truth().projector_px.astype(np.float32)
+    true = shown.calibration
+    if true is None or np.ptp(true.projector.focal_px) > 1e-6 * true.projector.focal_px[0]:
+        return Truth(projector_px, room.calibration, pinhole=False)
+    return Truth(projector_px, true)
 
 
 def plain_decodings(capture: Capture) -> list:
