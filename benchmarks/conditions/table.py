@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.conditions.catalogue import conditions
+from benchmarks.conditions.judging import MOST_SIGMAS
 from benchmarks.conditions.trial import Outcome
 
 BEGIN, END = "<!-- conditions: begin, written by benchmarks/bench_conditions.py --write -->", "<!-- conditions: end -->"
@@ -34,6 +35,13 @@ def refused_needlessly(outcomes: Iterable[Outcome]) -> list[Outcome]:
 def confident_and_wrong(outcomes: Iterable[Outcome]) -> list[Outcome]:
     """Captures with an answer that the program stands behind and that is too far from the truth."""
     return [o for o in outcomes if o.wrong]
+
+
+def admitted(outcomes: Iterable[Outcome]) -> list[Outcome]:
+    """Of the wrong answers those that are more than 2 % off, but say so: within their sigmas, and for a first look."""
+    return [
+        o for o in outcomes if o.wrong and o.grade == "fair" and o.sigmas and _worst(np.array(o.sigmas)) <= MOST_SIGMAS
+    ]
 
 
 def markdown(outcomes: Sequence[Outcome]) -> str:
@@ -82,9 +90,11 @@ def _totals(outcomes: Sequence[Outcome]) -> list[str]:
         if those:
             lines.append(
                 f"{title}, {len(those)} captures: **{len(refused_needlessly(those))} refused that could be decoded, "
-                f"{len(confident_and_wrong(those))} confident and wrong**."
+                f"{len(confident_and_wrong(those))} confident and wrong** ({len(admitted(those))} of them by more than 2 %, "
+                f"but within {MOST_SIGMAS:g} sigma, and graded as a first look only)."
             )
-    return lines
+            lines.append("")
+    return lines[:-1]
 
 
 Figure = Callable[[Outcome], "float | tuple[float, ...] | None"]

@@ -112,16 +112,16 @@ def test_totals_leave_out_mistakes_and_count_only_what_a_plain_decoder_can():
         REFUSED,
         replace(REFUSED, decodable=False),
         replace(REFUSED, name=fault.name, strength=fault.strength),
-        replace(FOUND, wrong=True),
+        replace(FOUND, wrong=True, grade="fair"),
         replace(FOUND, name="projector bumped between the axes", strength="1 px", wrong=True),
     ]
     assert refused_needlessly(outcomes) == [REFUSED]
     assert len(confident_and_wrong(outcomes)) == 2
     text = markdown(outcomes)
-    assert "Devices at rest, 5 captures: **1 refused that could be decoded, 1 confident and wrong**." in text
-    assert "Devices that move, 1 captures: **0 refused that could be decoded, 1 confident and wrong**." in text
+    assert "Devices at rest, 5 captures: **1 refused that could be decoded, 1 confident and wrong** (1 of" in text
+    assert "Devices that move, 1 captures: **0 refused that could be decoded, 1 confident and wrong** (0 of" in text
     assert "| flicker | 5 % | 2 | – | – | – | – | – | 1 | – |" in text
-    assert "| nothing |  | 0 | 99.0% | 0.03, 0.10 | 0.19, 0.30 | 1.9, 3.0 | good × 2 | – | 1 |" in text
+    assert "| nothing |  | 0 | 99.0% | 0.03, 0.10 | 0.19, 0.30 | 1.9, 3.0 | fair × 1, good × 1 | – | 1 |" in text
 
 
 def test_a_table_replaces_the_one_before_it(tmp_path: Path):
