@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calib.numerics import Image, compiled
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Component, Floats32, Words
+from scanner.decoding.equalise import Correction
 from scanner.decoding.sequence_plan import AxisPlan
 
 
@@ -19,8 +20,9 @@ class Signals:
 
     `words`: per code, (P,). `least` (codes, P) unless fringes contradict wrong bits, and `contrast` (codes, P)
     without fringes, as in `GrayFold`; else with no codes. `components` of each fringe, longest period first: (H, W)
-    each, which times its `scales` are in grey levels. `brightest`, `middle` (P,): grey level when lit, and half-way
-    between lit and unlit. `peak` (P,): largest among the fringes. `log_exposure` (P,): None if all are alike.
+    each, which times its `scales` are in grey levels and then need its `corrections`. `brightest`, `middle` (P,): grey level when lit, and half-way
+    between lit and unlit. `peak` (P,): largest among the fringes. `log_exposure` (P,): None if all are alike. `rows`
+    (P,): of the image; empty if nothing depends on them.
     """
 
     shape: tuple[int, int]
@@ -29,6 +31,8 @@ class Signals:
     contrast: Floats32
     components: list[tuple[Component, Component]]
     scales: list[float]
+    corrections: list[Correction | None]
+    rows: NDArray[np.int64]
     brightest: Floats32
     middle: Floats32
     peak: Image
@@ -41,7 +45,10 @@ class Signals:
             # A part of an image is not in one piece, and a loop over what is not takes ten times as long.
             flat = cast(Component, np.ascontiguousarray(component).reshape(-1))
             _scale(flat, np.float32(self.scales[number]), levels)
-        return cosine, sine
+        correction = self.corrections[number]
+        if correction is None:
+            return cosine, sine
+        return correction.apply(cosine, sine, self.middle, self.brightest, self.rows)
 
 
 def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArray[Any]]) -> Iterator[Signals]:
@@ -50,6 +57,10 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
     shape = middle.shape[0], middle.shape[1]
     brightest, half_lit = _stack([select(accumulators.brightest), middle], shape)
     exposure = None if log_exposure is None else select(log_exposure).reshape(-1)
+    rows = np.empty(0, np.int64)
+    if any(fold.correction is not None for fold in accumulators.fringes):
+        height, width = accumulators.middle.shape
+        rows = select(np.broadcast_to(np.arange(height)[:, None], (height, width))).reshape(-1)
 
     def of_axis(axis: AxisPlan) -> Signals:
         codes = [fold for fold in accumulators.codes if fold.code in axis.codes]
@@ -61,6 +72,8 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
             _stack([select(fold.contrast) for fold in codes if fold.contrast is not None], shape),
             [(select(fold.cosine), select(fold.sine)) for fold in fringes],
             [fold.scale for fold in fringes],
+            [fold.correction for fold in fringes],
+            rows,
             brightest,
             half_lit,
             peak.reshape(-1),

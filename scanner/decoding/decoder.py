@@ -21,10 +21,11 @@ from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.code_cells import average_cells
 from scanner.decoding.code_checks import check_codes
+from scanner.decoding.brightness import Gains, Places, flicker_of
 from scanner.decoding.connected_components import small_patches
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
+from scanner.decoding.equalise import PairEqualiser, correction, swings_of
 from scanner.decoding.exposure_fusion import ExposureMerger, exposures_of
-from scanner.decoding.flicker import flicker_of
 from scanner.decoding.frame_checks import check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
 from scanner.decoding.mask_reasons import MaskReason
@@ -97,10 +98,11 @@ class Decoder:
         grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
-            self._held = Accumulators(self._plan, grey), Sample(shape, neighbours=needs_neighbours(self._plan))
+            sample = Sample(shape, neighbours=needs_neighbours(self._plan))
+            self._held = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape)), sample
         accumulators, sample = self._held
-        accumulators.add(self._count, grey)
         sample.add(grey)
+        accumulators.add(self._count, grey)
         self._note_texture(image)
         self._count += 1
 
@@ -165,10 +167,34 @@ class _Learnt:
     flicker: float | None
 
 
+def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
+    """Make frames of different brightness alike, in the sample and for good; returns the flicker, None if unknown."""
+    plan, (height, width) = accumulators.plan, accumulators.brightest.shape
+    places = Places(sample.pixels // width, height)
+    found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
+    middle, brightest = (
+        image.reshape(-1)[sample.pixels].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
+    )
+    swings = swings_of(plan, sample.levels, places)
+    for fold in accumulators.fringes:
+        if fold.fringe in swings:
+            gains, common = swings[fold.fringe]
+            found.append((fold.fringe.frames, gains))
+            if gains.matter:
+                fold.correction = correction(fold.fringe, gains, common, middle, brightest)
+    for frames, gains in found:
+        if gains.matter:
+            for frame, of_frame in zip(frames, gains.at(places.rows), strict=True):
+                sample.divide(frame, of_frame)
+    return flicker_of([gains for _, gains in found])
+
+
 def _learn(accumulators: Accumulators, sample: Sample) -> _Learnt:
     """Check the frames, and learn noise and tolerances from the sample. Raises InputError."""
-    plan, levels = accumulators.plan, sample.levels
+    plan = accumulators.plan
     accumulators.finish()
+    flicker = _equalise(accumulators, sample)
+    levels = sample.levels
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(plan, sample, saturation)
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
@@ -179,11 +205,10 @@ def _learn(accumulators: Accumulators, sample: Sample) -> _Learnt:
         check_frames(plan, levels, noise, saturation)
         check_codes(plan, accumulators.codes, noise, accumulators.middle)
         decoders = calibrating.result()
-        flickering = aside.submit(flicker_of, plan, levels)
         for decoder, signals in zip(decoders, thin, strict=True):
             check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
-        return _Learnt(decoders, noise, modulation(decoders, thin), flickering.result())
+        return _Learnt(decoders, noise, modulation(decoders, thin), flicker)
 
 
 def _match(plan: SequencePlan, maps: Maps, brightest: Image) -> tuple[Matches, NDArray[np.uint8]]:

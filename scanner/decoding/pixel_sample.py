@@ -1,11 +1,11 @@
 """A thin sample of every frame: what noise, tolerances and the checks between frames are computed from."""
 
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image
+from calib.numerics import Floats, Image
 from scanner.decoding.arrays import Floats32
 
 _MOST_PIXELS = 16384
@@ -32,9 +32,9 @@ class Sample:
         row, column = np.divmod(chosen, inner)
         self.pixels: NDArray[np.int64] = row * width + column + margin
         self._margin = margin
-        self._frames: list[Image] = []
-        self._left: list[Image] = []
-        self._right: list[Image] = []
+        self._frames: list[NDArray[Any]] = []
+        self._left: list[NDArray[Any]] = []
+        self._right: list[NDArray[Any]] = []
 
     def add(self, grey: Image) -> None:
         """Take the sample of one frame (H, W)."""
@@ -44,10 +44,23 @@ class Sample:
             self._left.append(flat[self.pixels - _STEP])
             self._right.append(flat[self.pixels + _STEP])
 
-    @cached_property
+    def has(self, *frames: int) -> bool:
+        """Whether these frames have come."""
+        return max(frames) < len(self._frames)
+
+    def level(self, frame: int) -> NDArray[Any]:
+        """(P,) grey levels of a frame that has come."""
+        return self._frames[frame]
+
+    def divide(self, frame: int, by: Floats) -> None:
+        """Make a frame that has come darker by so many times, (P,) or (1,), and its neighbours with it."""
+        for levels in (self._frames, self._left, self._right)[: 3 if self._margin else 1]:
+            levels[frame] = (levels[frame] / by).astype(np.float32)
+
+    @property
     def levels(self) -> Floats32:
         """(frames, P) grey levels, once all frames are in."""
-        return np.stack(self._frames).astype(np.float32)
+        return np.stack(self._frames, dtype=np.float32)
 
     @property
     def curvature(self) -> Floats32 | None:

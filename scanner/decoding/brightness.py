@@ -1,0 +1,190 @@
+"""How bright each frame is next to the others, from the light that several frames must show together.
+
+A pattern and its inverse add up to the same light as every other such pair; so do opposite steps of a fringe, or every
+three, or any odd number of steps that divide its cycle evenly. Where lamp, colour wheel, mains or exposure made frames brighter or darker, there are
+weights w with Σ w I = N · M at all pixels, M being the light that the groups have in common: a linear least-squares
+problem of as many unknowns as the group has frames, whatever the frames show. A rolling shutter makes them depend on
+the row. Stripes so fine that they lose light make all weights of a group larger, not their ratios, and ratios are all
+that is used.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Floats, Image
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.phase_unwrapping import GAUSSIAN_MEDIAN
+from scanner.decoding.sequence_plan import Fringe
+
+# Smaller differences change hardly a bit, and a phase less than its noise.
+LEAST_DIFFERENCE = 0.015
+# The harmonic of as many cycles as a group has steps stays in its sum: relative to the fringe, at a gamma of 3.
+_HARMONICS = {2: 0.4, 3: 0.07}
+_MOST_MISTAKEN = 0.03
+_SIGNIFICANT = 5.0
+_BANDS = 32
+_FEWEST_PER_BAND = 64
+_FEWEST_BANDS = 4
+# What bands may leave of the squared residuals of one weight for all rows: chance leaves 0.99, uneven phases 0.95.
+_BANDED = 0.85
+# How far the weights of a band may well be from those of the whole frame.
+_BAND_SIGMA = 0.2
+# Of a bit that one pixel in twelve sees change.
+_LEAST_VARIETY = 0.3
+# Darker pixels than this share of the median count less: theirs is noise.
+_FAINT = 0.25
+_OUTLYING = 4.0
+# Close to the largest level of the frames, which may be where the camera saturates.
+_SATURATED = 0.98
+
+
+@dataclass(frozen=True)
+class Places:
+    """The `rows` (P,) of some pixels of an image of `height`."""
+
+    rows: NDArray[np.int64]
+    height: int
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Brightness of the frames of a group, their geometric mean being 1: (frames, rows of the image), or (frames, 1)
+    where rows do not differ.
+    """
+
+    of_rows: Floats
+
+    @property
+    def matter(self) -> bool:
+        """Whether the frames differ enough to do harm."""
+        logs = np.log(self.of_rows)
+        return bool(np.max(np.ptp(logs, axis=0)) > LEAST_DIFFERENCE)
+
+    @property
+    def are_banded(self) -> bool:
+        """Whether rows differ."""
+        return self.of_rows.shape[1] > 1
+
+    def at(self, rows: NDArray[np.int64]) -> Floats:
+        """(frames, P), or (frames, 1) where rows do not differ."""
+        return self.of_rows[:, rows] if self.are_banded else self.of_rows
+
+    def equalised(self, frame: int, image: Image) -> Image:
+        """One of the frames (H, W) as bright as the darkest of the group, of the same type."""
+        factors = self.of_rows.min(axis=0) / self.of_rows[frame]
+        result: Image = np.rint(image * factors.astype(np.float32)[:, None]).astype(image.dtype)
+        return result
+
+
+def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
+    """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,)."""
+    return _gains([_weights(levels, common, places, np.zeros((1, len(common)), np.float32))])
+
+
+def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places) -> Gains:
+    """Those of the steps (N, P) of a fringe in even steps around the `common` light (P,); 1 where a view of few cycles
+    and a bent brightness curve could be taken for them.
+    """
+    order = np.argsort(np.mod(np.array(fringe.shifts) + 1e-9, 1))
+    count = len(order)
+    size = next((steps for steps in range(3, count + 1, 2) if count % steps == 0), 2)
+    cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), levels, axes=1)
+    phase = np.arctan2(sine, cosine)
+    mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase, np.hypot(cosine, sine), size)
+    if mistaken > _MOST_MISTAKEN:
+        return Gains(np.ones((count, 1)))
+    harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
+    groups = [order[first :: count // size] for first in range(count // size)]
+    found = _gains([_weights(levels[group], common, places, harmonic) for group in groups], mistaken)
+    return Gains(found.of_rows[np.argsort(np.concatenate(groups))])
+
+
+def _unevenness(phase: Floats32, amplitude: Floats32, size: int) -> float:
+    """How far the phases of lit pixels are from even, where a harmonic of `size` cycles looks like the fringe itself."""
+    lit = phase[amplitude > np.median(amplitude) / 2]
+    return max(abs(complex(np.mean(np.exp(1j * cycles * lit)))) for cycles in (size - 1, size + 1))
+
+
+def flicker_of(groups: Sequence[Gains]) -> float | None:
+    """Standard deviation of the brightness of frames, relative, about that of their groups; None without any."""
+    freedom = sum(len(gains.of_rows) - 1 for gains in groups)
+    squares = sum(float(np.sum(np.mean(np.log(gains.of_rows) ** 2, axis=1))) for gains in groups)
+    return sqrt(squares / freedom) if freedom else None
+
+
+def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0) -> Gains:
+    """From weights (frames, rows or 1) of groups that share their light, and how wrong each and all of them may be."""
+    rows = max(weights.shape[1] for weights, _ in found)
+    weights = np.concatenate([np.broadcast_to(of_group, (len(of_group), rows)) for of_group, _ in found])
+    if np.any(weights <= 0) or np.ptp(np.log(weights)) <= max(error for _, error in found) + mistaken:
+        return Gains(np.ones((len(weights), 1)))
+    logs = -np.log(weights)
+    return Gains(np.exp(logs - logs.mean(axis=0)))
+
+
+def _weights(levels: Floats32, common: Floats32, places: Places, harmonic: Floats32) -> tuple[Floats, float]:
+    """(frames, rows of the image or 1), and how far they may be from the truth: infinitely if the pixels do not tell.
+
+    The mean of the frames is explained by the common light and the frames' distances from it. So what else is in the
+    mean, as `harmonic` (terms, P) of a bent brightness curve or lost light, is left over and pulls at nothing.
+    """
+    count = len(levels)
+    scale = 1 / np.maximum(common, np.float32(_FAINT * float(np.median(common)) + 1e-3))
+    mean = levels.mean(axis=0)
+    design: Floats = (np.concatenate([common[None], levels - mean]) * scale).T.astype(np.float64)
+    target: Floats = (mean * scale).astype(np.float64)
+    largest = levels.max(axis=0)
+    chosen = largest < _SATURATED * largest.max()
+    if np.count_nonzero(chosen) < _BANDS * _FEWEST_PER_BAND // 2 or _variety(design[chosen]) < _LEAST_VARIETY:
+        return np.ones((count, 1)), inf
+    for _ in range(2):
+        terms, *_ = np.linalg.lstsq(design[chosen], target[chosen], rcond=1e-6)
+        away = np.abs(target - design @ terms)
+        chosen &= away <= _OUTLYING * np.median(away[chosen]) / GAUSSIAN_MEDIAN + 1e-6
+    design, target, rows = design[chosen], target[chosen], places.rows[chosen]
+    left = target - design @ terms
+    left -= harmonic.T[chosen] @ np.linalg.lstsq(harmonic.T[chosen], left, rcond=1e-6)[0]
+    noise = float(np.mean(left**2)) + 1e-12
+    # Noise in what explains draws its weights together: a share of them as large as it is next to what it explains.
+    spread = np.linalg.eigvalsh(design.T @ design / len(left))[1]
+    error = count * _SIGNIFICANT * sqrt(noise / (spread * len(left))) + 2 * noise / spread
+    bands = _bands(design, left, rows * _BANDS // places.height, noise)
+    if bands is None:
+        return _weights_from(terms[:, None]), error
+    centres = (np.arange(_BANDS) + 0.5) * places.height / _BANDS - 0.5
+    every_row = np.arange(places.height)
+    return _weights_from(np.array([np.interp(every_row, centres, term) for term in (terms + bands).T])), error
+
+
+def _weights_from(terms: Floats) -> Floats:
+    """Those with which the frames add up to the common light, from a M + Σ b (I − mean) = mean; (1 + frames, rows)."""
+    of_common, of_frames = terms[0], terms[1:]
+    weights: Floats = (1 / len(of_frames) - of_frames + of_frames.mean(axis=0)) / of_common
+    return weights
+
+
+def _bands(design: Floats, left: Floats, band: NDArray[np.int64], noise: float) -> Floats | None:
+    """How far the terms of each band of rows are from those of all (bands, terms); None if they are not, or unknown."""
+    prior = np.eye(design.shape[1]) * noise / _BAND_SIGMA**2
+    found, remaining, variety = np.zeros((_BANDS, design.shape[1])), 0.0, np.zeros(_BANDS)
+    for number in range(_BANDS):
+        own, rest = design[band == number], left[band == number]
+        if len(rest) < _FEWEST_PER_BAND:
+            return None
+        found[number] = np.linalg.solve(own.T @ own + prior, own.T @ rest)
+        remaining += float(np.sum((rest - own @ found[number]) ** 2))
+        variety[number] = _variety(own)
+    is_told = np.median(variety) > _LEAST_VARIETY
+    return found if is_told and remaining < _BANDED * noise * len(left) else None
+
+
+def _variety(design: Floats) -> float:
+    """How much the frames' distances from their mean vary over pixels: 0 if each is alike everywhere, as inside one
+    stripe, where it cannot be told from the common light; 1 if each is as often above as below.
+    """
+    squares, means = np.mean(design[:, 1:] ** 2, axis=0), np.mean(design[:, 1:], axis=0)
+    return float(np.min(1 - means**2 / np.maximum(squares, 1e-12)))
