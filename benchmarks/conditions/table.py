@@ -90,8 +90,8 @@ def _totals(outcomes: Sequence[Outcome]) -> list[str]:
         if those:
             lines.append(
                 f"{title}, {len(those)} captures: **{len(refused_needlessly(those))} refused that could be decoded, "
-                f"{len(confident_and_wrong(those))} confident and wrong** ({len(admitted(those))} of them by more than 2 %, "
-                f"but within {MOST_SIGMAS:g} sigma, and graded as a first look only)."
+                f"{len(confident_and_wrong(those))} confident and wrong** ({len(admitted(those))} of them "
+                f"by more than 2 %, but within {MOST_SIGMAS:g} sigma, and graded as a first look only)."
             )
             lines.append("")
     return lines[:-1]
