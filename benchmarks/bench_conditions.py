@@ -38,7 +38,7 @@ PAGE = ROOT / "docs" / "decoding.md"
 
 def main() -> None:
     options = _options()
-    chosen = [c for c in conditions() if options.only in f"{c.name} {c.strength}"]
+    chosen = [c for c in conditions() if any(text in f"{c.name} {c.strength}" for text in options.only)]
     seeds, sequences = ([0], ["standard"]) if options.quick else (options.seeds, options.sequences)
     setups = [Setup(*which, tuple(options.camera), tuple(options.projector)) for which in product(seeds, sequences)]
     outcomes = [*_earlier(options.results)]
@@ -67,7 +67,9 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="rooms")
     parser.add_argument("--sequences", nargs="+", choices=SEQUENCES, default=list(SEQUENCES))
-    parser.add_argument("--only", default="", metavar="TEXT", help="conditions whose name or strength has it in it")
+    parser.add_argument(
+        "--only", nargs="+", default=[""], metavar="TEXT", help="conditions with it in name or strength"
+    )
     parser.add_argument("--quick", action="store_true", help="one room and one sequence")
     parser.add_argument("--camera", type=int, nargs=2, default=[612, 512])
     parser.add_argument("--projector", type=int, nargs=2, default=[427, 240])
