@@ -17,6 +17,7 @@ from scanner.quantities import intrinsic_errors_percent
 MOST_SIGMAS = 4.0
 MOST_PERCENT = 2.0
 MOST_MATCH_ERROR_PX = 0.5  # median
+DISTURBED_PX = 2.0
 _NUMBERS = 4
 
 
@@ -77,10 +78,15 @@ def calibration_error(found: Calibration, truth: Truth) -> CalibrationError:
 
 def match_errors(matches: Matches, truth: Truth) -> Floats:
     """Distances (k,) in projector px from what the camera pixels see; where they see an edge or nothing is left out."""
+    errors = np.linalg.norm(matches.projector_px - _expected_px(matches, truth), axis=1)
+    return errors[np.isfinite(errors)]
+
+
+def _expected_px(matches: Matches, truth: Truth) -> Floats:
+    """What should have been matched, (N, 2), NaN at edges and where nothing is lit."""
     places = np.asarray(matches.camera_px, np.float64).T[::-1]
     expected = [ndimage.map_coordinates(truth.projector_px[..., axis], places, order=1, cval=np.nan) for axis in (0, 1)]
-    errors = np.linalg.norm(matches.projector_px - np.stack(expected, axis=1), axis=1)
-    return errors[np.isfinite(errors)]
+    return np.stack(expected, axis=1)
 
 
 def matched_share(matches: Matches, truth: Truth) -> float:
@@ -93,8 +99,19 @@ def matched_share(matches: Matches, truth: Truth) -> float:
 
 
 def could_be_decoded(candidates: Sequence[Matches], truth: Truth) -> bool:
-    """Whether any of some plain decodings is right, and the calibration that follows from it useful."""
-    return any(_is_right(matches, truth) for matches in candidates)
+    """Whether any of some plain decodings is right, and the calibration that follows from it useful.
+
+    Where most of the matches are right, the others may be left out: what goes past a person would mask.
+    """
+    return any(_is_right(some, truth) for matches in candidates for some in (matches, _undisturbed(matches, truth)))
+
+
+def _undisturbed(matches: Matches, truth: Truth) -> Matches:
+    expected = _expected_px(matches, truth)
+    near = np.linalg.norm(matches.projector_px - expected, axis=1) < DISTURBED_PX
+    if np.mean(near[np.isfinite(expected[:, 0])]) < 1 / 2:
+        return matches
+    return Matches(matches.camera_px[near], matches.projector_px[near])
 
 
 def _is_right(matches: Matches, truth: Truth) -> bool:

@@ -105,6 +105,15 @@ def test_a_good_capture_could_be_decoded_and_a_bit_turned_over_could_not(undistu
     assert not could_be_decoded([plain_matches(turned.patterns, turned.frames)], truth)
 
 
+def test_what_is_disturbed_in_places_could_be_decoded(undisturbed):
+    capture, truth = undisturbed
+    matches = plain_matches(capture.patterns, capture.frames)
+    passed = matches.camera_px[:, 0] < np.quantile(matches.camera_px[:, 0], 0.2)
+    moved = matches.projector_px + np.where(passed, 40.0, 0.0)[:, None] * np.array([1.0, -0.5])
+    assert could_be_decoded([Matches(matches.camera_px, moved)], truth)
+    assert not could_be_decoded([Matches(matches.camera_px, matches.projector_px[:, ::-1])], truth)
+
+
 def test_totals_leave_out_mistakes_and_count_only_what_a_plain_decoder_can():
     fault = next(condition for condition in conditions() if condition.fault)
     outcomes = [
