@@ -62,7 +62,7 @@ class Gains:
     def matter(self) -> bool:
         """Whether the frames differ enough to do harm."""
         logs = np.log(self.of_rows)
-        return bool(np.max(np.ptp(logs, axis=0)) > LEAST_DIFFERENCE)
+        return float(np.max(np.ptp(logs, axis=0))) > LEAST_DIFFERENCE
 
     @property
     def are_banded(self) -> bool:
@@ -92,15 +92,20 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     order = np.argsort(np.mod(np.array(fringe.shifts) + 1e-9, 1))
     count = len(order)
     size = next((steps for steps in range(3, count + 1, 2) if count % steps == 0), 2)
-    cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), levels, axes=1)
+    groups = [order[first :: count // size] for first in range(count // size)]
+    back = np.argsort(np.concatenate(groups))
+    nothing = np.zeros((1, len(common)), np.float32)
+    first = Gains(_gains([_weights(levels[group], common, places, nothing) for group in groups]).of_rows[back])
+    # The phases of frames that differ are not those of the fringe.
+    alike = (levels / first.at(places.rows)).astype(np.float32)
+    cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
     phase = np.arctan2(sine, cosine)
     mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase, np.hypot(cosine, sine), size)
     if mistaken > _MOST_MISTAKEN:
         return Gains(np.ones((count, 1)))
     harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
-    groups = [order[first :: count // size] for first in range(count // size)]
     found = _gains([_weights(levels[group], common, places, harmonic) for group in groups], mistaken)
-    return Gains(found.of_rows[np.argsort(np.concatenate(groups))])
+    return Gains(found.of_rows[back])
 
 
 def _unevenness(phase: Floats32, amplitude: Floats32, size: int) -> float:

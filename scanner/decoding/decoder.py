@@ -23,10 +23,11 @@ from scanner.decoding.code_cells import average_cells
 from scanner.decoding.code_checks import check_codes
 from scanner.decoding.brightness import Gains, Places, flicker_of
 from scanner.decoding.connected_components import small_patches
+from scanner.decoding.consequences import judge, suspecting
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
 from scanner.decoding.equalise import PairEqualiser, correction, swings_of
 from scanner.decoding.exposure_fusion import ExposureMerger, exposures_of
-from scanner.decoding.frame_checks import check_frames
+from scanner.decoding.frame_checks import Oddity, check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
@@ -118,14 +119,17 @@ class Decoder:
         (accumulators, sample), self._held = self._held, None
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
-        learnt = _learn(accumulators, sample)
-        del sample
-        maps = coordinate_maps(accumulators, learnt.decoders)
-        # The running images are as large as the matches, and have served.
-        brightest = accumulators.brightest
-        del accumulators
-        matches, reasons = _match(self._plan, maps, brightest)
-        warnings = tuple(warnings_of(reasons, learnt.modulation, learnt.flicker))
+        oddities: list[Oddity] = []
+        with suspecting(oddities):
+            learnt = _learn(accumulators, sample, oddities)
+            del sample
+            maps = coordinate_maps(accumulators, learnt.decoders)
+            # The running images are as large as the matches, and have served.
+            brightest = accumulators.brightest
+            del accumulators
+            matches, reasons = _match(self._plan, maps, brightest)
+        odd = (judge(oddities, reasons, matches),) if oddities else ()
+        warnings = (*odd, *warnings_of(reasons, learnt.modulation, learnt.flicker))
         texture = self._texture if self._merger is None else self._merger.alike(self._texture)
         return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker)
 
@@ -189,8 +193,8 @@ def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
     return flicker_of([gains for _, gains in found])
 
 
-def _learn(accumulators: Accumulators, sample: Sample) -> _Learnt:
-    """Check the frames, and learn noise and tolerances from the sample. Raises InputError."""
+def _learn(accumulators: Accumulators, sample: Sample, oddities: list[Oddity]) -> _Learnt:
+    """Check the frames, adding to the `oddities`, and learn noise and tolerances from the sample. Raises InputError."""
     plan = accumulators.plan
     accumulators.finish()
     flicker = _equalise(accumulators, sample)
@@ -202,11 +206,11 @@ def _learn(accumulators: Accumulators, sample: Sample) -> _Learnt:
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, noise, saturation, thin)
-        check_frames(plan, levels, noise, saturation)
+        oddities += check_frames(plan, levels, noise, saturation)
         check_codes(plan, accumulators.codes, noise, accumulators.middle)
         decoders = calibrating.result()
         for decoder, signals in zip(decoders, thin, strict=True):
-            check_fringes(plan, decoder, signals)
+            oddities += check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
         return _Learnt(decoders, noise, modulation(decoders, thin), flicker)
 

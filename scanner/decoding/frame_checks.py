@@ -2,7 +2,9 @@
 
 Light adds up: white is the brightest of all frames and black the darkest, a pattern and its inverse make white plus
 black, and a fringe's mean over its shifts is the same grey everywhere. This holds under any interreflection and any
-brightness curve of the projector. Frames that were exchanged, doubled or taken from elsewhere break it.
+brightness curve of the projector. Frames that were exchanged, doubled or taken from elsewhere break it; so do people who
+walk through the picture, and devices with habits of their own. An exchange is proven by exchanging the frames back, and
+a double by its twin. What is not proven is only odd: the coordinates decide what comes of it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,6 +40,12 @@ _MOST_UNEVEN = 2.0
 _UNEXPLAINED = 0.25
 # Spread of a fringe's frames in standard deviations of the noise; a fringe that is just seen has 3.
 _BLURRED_AWAY = 2.0
+# An exchange of frames is the cause if undoing it leaves no more than this share of the contradictions.
+_REPAIRED = 0.3
+_FEWEST_COMPARED = 400
+# Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
+_SAME_SIGMAS = 4.0
+_SAME_SHARE = 0.98
 
 
 @dataclass(frozen=True)
@@ -69,8 +77,19 @@ class _ShownFringe:
         return amplitude
 
 
-def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> None:
-    """Raise InputError naming the frames of the sample `levels` (frames, P) that contradict the sequence."""
+@dataclass(frozen=True)
+class Oddity:
+    """A contradiction, `said` in a few words, and the `frames` that are suspected."""
+
+    said: str
+    frames: tuple[int, ...]
+
+
+def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> list[Oddity]:
+    """What contradicts the sequence in the sample `levels` (frames, P).
+
+    Raises InputError if nothing is lit, or if frames were exchanged or doubled beyond doubt.
+    """
     high, low = levels.max(axis=0), levels.min(axis=0)
     swing = high - low
     sigma = noise.sigma((high + low) / 2)
@@ -81,7 +100,64 @@ def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, satura
     seen = [fringe for fringe in (_shown_fringe(fringe, shown) for fringe in plan.fringes) if fringe.is_seen]
     found = [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown, seen), *_shifts(plan, seen)]
     if found:
-        raise InputError("the frames do not show what the capture says: " + "; ".join(found))
+        proof = _exchange(plan, shown, found) or _double(plan, shown, found)
+        if proof:
+            said = "; ".join([*(oddity.said for oddity in found), proof])
+            raise InputError(f"the frames do not show what the capture says: {said}")
+    return found
+
+
+def _exchange(plan: SequencePlan, shown: _Shown, found: Sequence[Oddity]) -> str:
+    """Says which two frames, exchanged back, make the sample consistent; '' if none do."""
+    few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
+    levels, swing = shown.levels[:, few], shown.swing[few]
+    suspects = sorted({frame for oddity in found for frame in oddity.frames})
+    best, pair = _REPAIRED * _contradiction(plan, levels, swing), (0, 0)
+    for first in suspects:
+        for second in range(len(levels)):
+            if first == second or (second in suspects and second < first):
+                continue
+            order = np.arange(len(levels))
+            order[[first, second]] = second, first
+            left = _contradiction(plan, levels[order], swing)
+            if left < best:
+                best, pair = left, (first, second)
+    return f"with {plan.names(pair)} exchanged they do" if pair[0] != pair[1] else ""
+
+
+def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
+    """Sum of squares of all that cannot be, in swings of the pixels, averaged over them; `levels` (frames, P)."""
+    total = 0.0
+    for frame, side in ((plan.white, 1), (plan.black, -1)):
+        if frame is not None:
+            total += float(np.sum(np.maximum(side * (levels - levels[frame]) / swing, 0) ** 2))
+    pairs = np.array(plan.complements)
+    if len(pairs) > 1:
+        sums = levels[pairs[:, 0]] + levels[pairs[:, 1]]
+        total += float(np.sum(((sums - medians(sums, axis=0)) / swing) ** 2))
+    means = []
+    for fringe in plan.fringes:
+        of_fringe = levels[list(fringe.frames)]
+        angles = 2 * np.pi * np.array(fringe.shifts)
+        design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
+        unexplained = of_fringe - (design @ fringe.weights).astype(np.float32) @ of_fringe
+        total += float(np.sum((unexplained / swing) ** 2))
+        means.append(len(angles) * np.mean(of_fringe, axis=0) / swing)
+    if len(means) > 1:
+        total += float(np.sum((np.stack(means) - medians(np.stack(means), axis=0)) ** 2))
+    return total / len(swing)
+
+
+def _double(plan: SequencePlan, shown: _Shown, found: Sequence[Oddity]) -> str:
+    """Says which of the suspected frames is the same as another one; '' if none is."""
+    for frame in sorted({frame for oddity in found for frame in oddity.frames}):
+        alike = np.abs(shown.levels - shown.levels[frame]) < _SAME_SIGMAS * np.sqrt(2) * shown.sigma
+        share = np.mean(alike, axis=1)
+        share[frame] = 0
+        twin = int(np.argmax(share))
+        if share[twin] > _SAME_SHARE:
+            return f"{plan.names((frame, twin))} show the same"
+    return ""
 
 
 def _well_lit(swing: Floats32, sigma: Floats32, saturated: Bools) -> Bools:
@@ -101,7 +177,7 @@ def _well_lit(swing: Floats32, sigma: Floats32, saturated: Bools) -> Bools:
     return well_lit if np.count_nonzero(well_lit) >= _ENOUGH_LIT else lit
 
 
-def _extremes(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
+def _extremes(plan: SequencePlan, shown: _Shown) -> Iterator[Oddity]:
     for frame, side, word in ((plan.white, 1, "darker"), (plan.black, -1, "brighter")):
         if frame is None:
             continue
@@ -110,13 +186,14 @@ def _extremes(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
         wrong = np.mean(beyond.any(axis=0))
         if wrong > _WRONG_SHARE:
             suspect = int(np.argmax(np.count_nonzero(beyond, axis=1)))
-            yield (
+            yield Oddity(
                 f"{plan.name(frame)} is {word} than others at {wrong:.0%} of the lit pixels, above all than "
-                f"{plan.name(suspect)}"
+                f"{plan.name(suspect)}",
+                (frame, suspect),
             )
 
 
-def _complements(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
+def _complements(plan: SequencePlan, shown: _Shown) -> Iterator[Oddity]:
     pairs = plan.complements
     if len(pairs) < 2:
         return
@@ -124,13 +201,14 @@ def _complements(plan: SequencePlan, shown: _Shown) -> Iterator[str]:
     wrong = np.mean(np.abs(sums - medians(sums, axis=0)) > _WRONG * shown.swing, axis=1)
     if wrong.max() > _WRONG_SHARE:
         suspects = [frame for pair, share in zip(pairs, wrong, strict=True) for frame in pair if share > _WRONG_SHARE]
-        yield (
+        yield Oddity(
             f"pattern and inverse do not complement each other at {wrong.max():.0%} of the lit pixels, in "
-            f"{plan.names(suspects)}"
+            f"{plan.names(suspects)}",
+            tuple(suspects),
         )
 
 
-def _means(plan: SequencePlan, shown: _Shown, seen: Sequence[_ShownFringe]) -> Iterator[str]:
+def _means(plan: SequencePlan, shown: _Shown, seen: Sequence[_ShownFringe]) -> Iterator[Oddity]:
     even = [one for one in seen if one.fringe.equal_steps]
     if not even:
         return
@@ -142,10 +220,13 @@ def _means(plan: SequencePlan, shown: _Shown, seen: Sequence[_ShownFringe]) -> I
     for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):
         steps = len(one.fringe.shifts)
         if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG_MEAN * amplitude:
-            yield f"the mean of {plan.names(one.fringe.frames)} is no even grey, as it is for a fringe in equal steps"
+            yield Oddity(
+                f"the mean of {plan.names(one.fringe.frames)} is no even grey, as it is for a fringe in equal steps",
+                one.fringe.frames,
+            )
 
 
-def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[str]:
+def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[Oddity]:
     """Measure amplitude and shift of each frame against the fringe that all of them make together."""
     for one in seen:
         fringe, swings = one.fringe, one.levels - one.offset
@@ -154,7 +235,7 @@ def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[str]:
         components = np.stack([one.cosine, one.sine])
         unexplained = swings - phasors.T.astype(np.float32) @ components
         if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):
-            yield f"{plan.names(fringe.frames)} make no fringe together"
+            yield Oddity(f"{plan.names(fringe.frames)} make no fringe together", fringe.frames)
             continue
         components = components.astype(np.float64)
         gram = components @ components.T
@@ -163,7 +244,8 @@ def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[str]:
         wrong = np.linalg.norm(np.linalg.solve(gram, components @ swings.T) - phasors, axis=0) > _WRONG_SHIFT
         if wrong.any():
             suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
-            yield f"{plan.names(suspects)} have another shift or period than their patterns"
+            said = f"{plan.names(suspects)} have another shift or period than their patterns"
+            yield Oddity(said, tuple(suspects))
 
 
 def _shown_fringe(fringe: Fringe, shown: _Shown) -> _ShownFringe:

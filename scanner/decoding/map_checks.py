@@ -4,6 +4,7 @@ Fringes that run backwards decode like any others. But fringes must follow the G
 projector see the same side of a surface, so that the map between them is never mirrored.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from math import sqrt
@@ -15,6 +16,7 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.frame_checks import Oddity
 from scanner.decoding.lines import lines_of
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.phase_unwrapping import disagreements, widest_tolerances
@@ -25,8 +27,12 @@ from scanner.errors import InputError
 _FEWEST_PIXELS = 100
 # The mean cosine of the phase that a Gray cell leaves; cells that leave less say too little about the phase.
 _INFORMATIVE = 0.3
-# Periods that have nothing to do with each other are a quarter cycle apart in the median; a rippled phase 0.06.
-_UNRELATED_CYCLES = 0.1
+# Fringes that have nothing to do with the code leave nothing of that cosine.
+_UNRELATED_SHARE = 0.2
+# Periods that have nothing to do with each other are a quarter cycle apart in the median; a rippled phase 0.06. Orders
+# are right as long as they are less than half a cycle apart.
+_ODD_CYCLES = 0.1
+_UNRELATED_CYCLES = 0.2
 _MOST_BAD = 0.6
 _STRIDE = 3
 _MOST_COMPARED = 100_000
@@ -34,8 +40,11 @@ _LINES = 48
 _FARTHEST_PX = 16
 
 
-def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> None:
-    """Raise InputError if the fringes of an axis follow neither its Gray code nor each other; on a sample."""
+def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Oddity]:
+    """Where the fringes of an axis follow its Gray code or each other badly; on a sample.
+
+    Raises InputError if they do not follow at all.
+    """
     axis = decoder.plan
     if not axis.fringes:
         return
@@ -48,20 +57,30 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
         expected = float(np.sinc(axis.cell / fringe.period))
         found = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
         if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and found < expected / 2:
-            raise InputError(
-                f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were some "
-                f"of these frames exchanged{_or_code(plan, axis)}?"
+            if found < _UNRELATED_SHARE * expected:
+                raise InputError(
+                    f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were "
+                    f"some of these frames exchanged{_or_code(plan, axis)}?"
+                )
+            yield Oddity(
+                f"the fringes of {plan.names(fringe.frames)} follow the Gray code along {axis.axis} badly",
+                fringe.frames,
             )
     between_px = disagreements(measured.orders, interval, agreeing(measured)).between_px
     for (longer, shorter), distance in zip(pairwise(axis.fringes[: decoder.finest + 1]), between_px, strict=False):
         apart = float(np.median(distance))
+        if apart <= _ODD_CYCLES * shorter.period:
+            continue
+        said = (
+            f"along {axis.axis} the fringes of period {longer.period:g} and {shorter.period:g} px contradict each "
+            f"other by {apart:.1f} px: {plan.names([*longer.frames, *shorter.frames])}"
+        )
         if apart > _UNRELATED_CYCLES * shorter.period:
             raise InputError(
-                f"along {axis.axis} the fringes of period {longer.period:g} and {shorter.period:g} px contradict each "
-                f"other by {apart:.1f} px: {plan.names([*longer.frames, *shorter.frames])}. Were some of these "
-                f"exchanged{_or_code(plan, axis)}? Or do the projector's gamma or interreflection bend the fringes so "
-                "much that more shifts or shorter periods are needed?"
+                f"{said}. Were some of these exchanged{_or_code(plan, axis)}? Or do the projector's gamma or "
+                "interreflection bend the fringes so much that more shifts or shorter periods are needed?"
             )
+        yield Oddity(said, (*longer.frames, *shorter.frames))
 
 
 def check_maps(plan: SequencePlan, maps: Maps, kept: Bools) -> None:

@@ -1,0 +1,87 @@
+"""What comes of frames that are odd: decoded all the same, and judged by the coordinates.
+
+Whatever device, light or scene: what one camera and one projector see obeys one epipolar geometry, and what codes and
+fringes say agrees with itself and with the pixels around it. A frame that shows something else breaks this where
+its pattern differs; a lamp that flickers or a person who walks by breaks it nowhere, or there only.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import cv2
+import numpy as np
+
+from calib.geometry import Matches
+from calib.numerics import Floats
+from scanner.decoding.arrays import Reasons
+from scanner.decoding.frame_checks import Oddity
+from scanner.decoding.mask_reasons import MaskReason, count_reasons
+from scanner.errors import InputError
+
+# A frame that shows another pattern is wrong where the two differ, at half of the pixels; then at least a part of the
+# coordinates that depend on it contradict the others or break the surface. People in the picture cover less.
+_MOST_BROKEN = 0.35
+_BROKEN = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE, MaskReason.ISOLATED)
+# Distance from the epipolar line in projector pixels that a lens without a model, or a poor sigma, may explain.
+_EPIPOLAR_PX, _EPIPOLAR_SIGMAS = 3.0, 5.0
+_MOST_OFF = 0.15
+_FEWEST_MATCHES, _MOST_MATCHES = 100, 4000
+_SEED = 5
+
+
+@contextmanager
+def suspecting(oddities: Sequence[Oddity]) -> Iterator[None]:
+    """Names what is odd about the frames in an InputError that follows from it."""
+    try:
+        yield
+    except InputError as error:
+        if not oddities:
+            raise
+        raise InputError(f"{_said(oddities)}; and {error}") from error
+
+
+def judge(oddities: Sequence[Oddity], reasons: Reasons, matches: Matches) -> str:
+    """A sentence for the operator about odd frames that do no harm; of all pixels the `reasons` (H, W).
+
+    Raises InputError if they do.
+    """
+    counts = count_reasons(reasons, (MaskReason.KEPT, *_BROKEN))
+    broken = int(sum(counts[reason] for reason in _BROKEN))
+    share = broken / max(1, broken + int(counts[MaskReason.KEPT]))
+    if share > _MOST_BROKEN:
+        raise InputError(f"{_said(oddities)}; and {share:.0%} of the lit pixels contradict themselves or their surface")
+    if len(matches) < _FEWEST_MATCHES:
+        return f"{_said(oddities)}. Too few pixels have a match to tell what comes of it."
+    distance, off = _epipolar(matches)
+    if off > _MOST_OFF:
+        raise InputError(
+            f"{_said(oddities)}; and {off:.0%} of the matches are more than {_EPIPOLAR_PX:g} projector pixels from the "
+            "epipolar geometry of the others"
+        )
+    return (
+        f"{_said(oddities)}. It was decoded all the same: {1 - share:.0%} of the lit pixels agree with themselves and "
+        f"their surface, and with one epipolar geometry to {distance:.2f} px. Did someone walk through the picture, or "
+        "the light change?"
+    )
+
+
+def _said(oddities: Sequence[Oddity]) -> str:
+    return "the frames do not show what the capture says: " + "; ".join(oddity.said for oddity in oddities)
+
+
+def _epipolar(matches: Matches) -> tuple[float, float]:
+    """The median distance of the matches from the lines of the fundamental matrix that most of them obey, in projector
+    pixels; and the share of those that are far from theirs.
+    """
+    count = len(matches)
+    chosen = np.random.default_rng(_SEED).choice(count, min(count, _MOST_MATCHES), replace=False)
+    camera, projector = (np.asarray(px[chosen], np.float64) for px in (matches.camera_px, matches.projector_px))
+    matrix, _ = cv2.findFundamentalMat(camera, projector, cv2.USAC_MAGSAC, _EPIPOLAR_PX, 0.999, 2000)
+    if matrix is None or matrix.shape != (3, 3):
+        return 0.0, 1.0
+    lines: Floats = np.column_stack([camera, np.ones(len(camera))]) @ matrix.T
+    distance = np.abs(np.sum(lines[:, :2] * projector, axis=1) + lines[:, 2])
+    distance /= np.hypot(lines[:, 0], lines[:, 1]) + 1e-12
+    sigma = np.zeros(len(chosen)) if matches.sigma_px is None else matches.sigma_px[chosen]
+    off = np.mean(distance > np.maximum(_EPIPOLAR_PX, _EPIPOLAR_SIGMAS * sigma))
+    return float(np.median(distance)), float(off)
