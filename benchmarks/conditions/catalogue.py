@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.conditions.captures import Capture, blended, brightened, inverses
+from hw.simulated.simulation import SimulatedRoom
 from scanner.patterns import Pattern
 
 # The room of all conditions has 0.05; white in the camera's range reaches 0.85.
@@ -26,10 +27,14 @@ class Condition:
     name: str
     strength: str = ""
     rig: OfRig = field(default_factory=dict)
-    exposure: float = 1.0
+    exposure: float | Callable[[SimulatedRoom], float] = 1.0
     frames: OfFrames | None = None
     moves: bool = False
     fault: bool = False
+
+    def exposed(self, room: SimulatedRoom) -> float:
+        """The exposure relative to the one that suits the room."""
+        return self.exposure(room) if callable(self.exposure) else self.exposure
 
     def settings(self, patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
         """Of the rig, for a capture of some patterns."""
@@ -81,8 +86,8 @@ def _camera() -> Iterator[Condition]:
         yield Condition("camera out of focus", f"{blur:g} px", {"camera_blur_px": blur})
     for darker in (2, 4, 8):
         yield Condition("darker", f"1/{darker}", exposure=1 / darker)
-    for brighter, share in ((1.4, "10 %"), (1.9, "30 %")):
-        yield Condition("saturated", share, exposure=brighter)
+    for percent in (10, 30):
+        yield Condition("saturated in white", f"{percent} % of lit pixels", exposure=_saturating(percent / 100))
     for quality in (95, 85, 70, 50):
         yield Condition("JPEG", f"quality {quality}", frames=lambda c, _, q=quality: replace(c, jpeg=q))
 
@@ -122,6 +127,16 @@ def _frames() -> Iterator[Condition]:
     yield Condition("two frames exchanged", frames=_exchanged, fault=True)
     yield Condition("one frame repeated", frames=_repeated, fault=True)
     yield Condition("a bit and its inverse exchanged", frames=_inverted, fault=True)
+
+
+def _saturating(share: float) -> Callable[[SimulatedRoom], float]:
+    def exposure(room: SimulatedRoom) -> float:
+        optics = room.room.projector.optics
+        white = room.electrons(np.full((optics.height, optics.width), 255, np.uint8))
+        lit = room.renderer.direct(np.ones((optics.height, optics.width), np.float32)) > 0
+        return room.sensor.full_well_electrons / float(np.quantile(white[lit], 1 - share))
+
+    return exposure
 
 
 def _switched(share: float, more: float) -> OfRig:

@@ -86,7 +86,8 @@ def captured(condition: Condition, setup: Setup) -> tuple[Capture, Truth]:
     rng = np.random.default_rng([setup.seed, crc32(f"{condition.name} {condition.strength} {setup.sequence}".encode())])
     settings = condition.settings(patterns, rng)
     seen = setup.seed, setup.camera_size, setup.projector_size, settings.pop("furniture_askew_deg", 0.0)
-    capture = take(_room(*seen).under(**settings), patterns, condition.exposure)
+    room = _room(*seen).under(**settings)
+    capture = take(room, patterns, condition.exposed(room))
     if condition.frames is not None:
         capture = condition.frames(capture, rng)
     return capture, _truth(*seen, tuple(settings.get("panel", {}).items()))

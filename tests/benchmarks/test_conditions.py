@@ -152,6 +152,12 @@ def test_every_condition_can_be_drawn_for_every_sequence_and_has_a_name_of_its_o
             assert all(2 <= frame < len(patterns) for frame in frames), condition
 
 
+def test_as_many_lit_pixels_saturate_as_is_said(undisturbed):
+    saturated, truth = captured(named("saturated in white", "30 % of lit pixels"), SETUP)
+    assert 0.2 < np.mean(saturated.frames[0][truth.lit] == 255) < 0.4
+    assert np.mean(undisturbed[0].frames[0][truth.lit] == 255) < 0.01
+
+
 def test_mistakes_with_frames_change_frames_and_nothing_else(undisturbed):
     capture, rng = undisturbed[0], np.random.default_rng(0)
     for name, changed_frames in (("two frames exchanged", 2), ("one frame repeated", 1)):
