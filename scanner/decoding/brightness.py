@@ -40,6 +40,10 @@ _FAINT = 0.25
 _OUTLYING = 4.0
 # Close to the largest level of the frames, which may be where the camera saturates.
 _SATURATED = 0.98
+# Pixels that swing less than this share of what the brightest few do are hardly lit.
+_LIT, _BRIGHT = 0.25, 0.98
+# Gains explain part of what the frames' sum is off, or they are none: a camera that is not linear is off as well.
+_UNEXPLAINED = 0.8
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ class Gains:
 
 def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
     """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,)."""
-    return _gains([_weights(levels, common, places, np.zeros((1, len(common)), np.float32))])
+    return _gains([_weights(levels, common, places, np.zeros((1, len(common)), np.float32), is_pair=True)])
 
 
 def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places) -> Gains:
@@ -131,7 +135,9 @@ def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0) -> Gain
     return Gains(np.exp(logs - logs.mean(axis=0)))
 
 
-def _weights(levels: Floats32, common: Floats32, places: Places, harmonic: Floats32) -> tuple[Floats, float]:
+def _weights(
+    levels: Floats32, common: Floats32, places: Places, harmonic: Floats32, *, is_pair: bool = False
+) -> tuple[Floats, float]:
     """(frames, rows of the image or 1), and how far they may be from the truth: infinitely if the pixels do not tell.
 
     The mean of the frames is explained by the common light and the frames' distances from it. So what else is in the
@@ -142,8 +148,8 @@ def _weights(levels: Floats32, common: Floats32, places: Places, harmonic: Float
     mean = levels.mean(axis=0)
     design: Floats = (np.concatenate([common[None], levels - mean]) * scale).T.astype(np.float64)
     target: Floats = (mean * scale).astype(np.float64)
-    largest = levels.max(axis=0)
-    chosen = largest < _SATURATED * largest.max()
+    largest, swing = levels.max(axis=0), np.abs(levels - mean).max(axis=0)
+    chosen = (largest < _SATURATED * largest.max()) & (swing > _LIT * np.quantile(swing, _BRIGHT))
     if np.count_nonzero(chosen) < _BANDS * _FEWEST_PER_BAND // 2 or _variety(design[chosen]) < _LEAST_VARIETY:
         return np.ones((count, 1)), inf
     for _ in range(2):
@@ -151,9 +157,11 @@ def _weights(levels: Floats32, common: Floats32, places: Places, harmonic: Float
         away = np.abs(target - design @ terms)
         chosen &= away <= _OUTLYING * np.median(away[chosen]) / GAUSSIAN_MEDIAN + 1e-6
     design, target, rows = design[chosen], target[chosen], places.rows[chosen]
-    left = target - design @ terms
-    left -= harmonic.T[chosen] @ np.linalg.lstsq(harmonic.T[chosen], left, rcond=1e-6)[0]
+    left = _without(harmonic.T[chosen], target - design @ terms)
     noise = float(np.mean(left**2)) + 1e-12
+    of_common = design[:, 0] * (design[:, 0] @ target / (design[:, 0] @ design[:, 0]))
+    if is_pair and noise > _UNEXPLAINED * np.mean((target - of_common) ** 2):
+        return np.ones((count, 1)), inf
     # Noise in what explains draws its weights together: a share of them as large as it is next to what it explains.
     spread = np.linalg.eigvalsh(design.T @ design / len(left))[1]
     error = count * _SIGNIFICANT * sqrt(noise / (spread * len(left))) + 2 * noise / spread
@@ -163,6 +171,12 @@ def _weights(levels: Floats32, common: Floats32, places: Places, harmonic: Float
     centres = (np.arange(_BANDS) + 0.5) * places.height / _BANDS - 0.5
     every_row = np.arange(places.height)
     return _weights_from(np.array([np.interp(every_row, centres, term) for term in (terms + bands).T])), error
+
+
+def _without(terms: Floats32, values: Floats) -> Floats:
+    """What the terms (P, terms) do not explain of the values (P,)."""
+    rest: Floats = values - terms @ np.linalg.lstsq(terms, values, rcond=1e-6)[0]
+    return rest
 
 
 def _weights_from(terms: Floats) -> Floats:

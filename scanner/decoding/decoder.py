@@ -197,8 +197,8 @@ def _learn(accumulators: Accumulators, sample: Sample, oddities: list[Oddity]) -
     """Check the frames, adding to the `oddities`, and learn noise and tolerances from the sample. Raises InputError."""
     plan = accumulators.plan
     accumulators.finish()
-    flicker = _equalise(accumulators, sample)
     levels = sample.levels
+    flicker = _equalise(accumulators, sample)
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(plan, sample, saturation)
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
@@ -206,7 +206,7 @@ def _learn(accumulators: Accumulators, sample: Sample, oddities: list[Oddity]) -
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, noise, saturation, thin)
-        oddities += check_frames(plan, levels, noise, saturation)
+        oddities += check_frames(plan, levels, sample.levels, noise, saturation)
         check_codes(plan, accumulators.codes, noise, accumulators.middle)
         decoders = calibrating.result()
         for decoder, signals in zip(decoders, thin, strict=True):

@@ -8,7 +8,7 @@ a double by its twin. What is not proven is only odd: the coordinates decide wha
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,8 +40,10 @@ _MOST_UNEVEN = 2.0
 _UNEXPLAINED = 0.25
 # Spread of a fringe's frames in standard deviations of the noise; a fringe that is just seen has 3.
 _BLURRED_AWAY = 2.0
-# An exchange of frames is the cause if undoing it leaves no more than this share of the contradictions.
-_REPAIRED = 0.3
+# Each frame in a wrong place adds the square of its difference from the right one to the contradictions, twice that if
+# only one other frame contradicts it; undoing an exchange takes away at least this part of it.
+_REPAIRED = 0.5
+_DIFFERENT = 0.02
 _FEWEST_COMPARED = 400
 # Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
 _SAME_SIGMAS = 4.0
@@ -85,8 +87,10 @@ class Oddity:
     frames: tuple[int, ...]
 
 
-def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> list[Oddity]:
-    """What contradicts the sequence in the sample `levels` (frames, P).
+def check_frames(
+    plan: SequencePlan, levels: Floats32, alike: Floats32, noise: NoiseModel, saturation: float
+) -> list[Oddity]:
+    """What contradicts the sequence in the sample `levels` (frames, P), even after the frames were made `alike`.
 
     Raises InputError if nothing is lit, or if frames were exchanged or doubled beyond doubt.
     """
@@ -96,32 +100,41 @@ def check_frames(plan: SequencePlan, levels: Floats32, noise: NoiseModel, satura
     lit = np.flatnonzero(_well_lit(swing, sigma, high >= saturation))
     lit = lit[:: max(1, len(lit) // _MOST_LIT)]
     shown = _Shown(levels[:, lit], swing[lit], sigma[lit])
+    found = _contradictions(plan, shown)
+    if not found:
+        return found
+    proof = _exchange(plan, shown, found) or _double(plan, shown, found)
+    if proof:
+        said = "; ".join([*(oddity.said for oddity in found), proof])
+        raise InputError(f"the frames do not show what the capture says: {said}")
+    return _contradictions(plan, replace(shown, levels=alike[:, lit]))
+
+
+def _contradictions(plan: SequencePlan, shown: _Shown) -> list[Oddity]:
     # One that the lenses have blurred away shows nothing, right or wrong.
     seen = [fringe for fringe in (_shown_fringe(fringe, shown) for fringe in plan.fringes) if fringe.is_seen]
-    found = [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown, seen), *_shifts(plan, seen)]
-    if found:
-        proof = _exchange(plan, shown, found) or _double(plan, shown, found)
-        if proof:
-            said = "; ".join([*(oddity.said for oddity in found), proof])
-            raise InputError(f"the frames do not show what the capture says: {said}")
-    return found
+    return [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown, seen), *_shifts(plan, seen)]
 
 
 def _exchange(plan: SequencePlan, shown: _Shown, found: Sequence[Oddity]) -> str:
-    """Says which two frames, exchanged back, make the sample consistent; '' if none do."""
+    """Says which two frames, exchanged back, make the sample more consistent by what they differ; '' if none do.
+
+    If they were not exchanged, that makes it less consistent by as much.
+    """
     few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for oddity in found for frame in oddity.frames})
-    best, pair = _REPAIRED * _contradiction(plan, levels, swing), (0, 0)
+    before, best, pair = _contradiction(plan, levels, swing), _REPAIRED, (0, 0)
     for first in suspects:
         for second in range(len(levels)):
-            if first == second or (second in suspects and second < first):
+            differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
+            if differ < _DIFFERENT or (second in suspects and second < first):
                 continue
             order = np.arange(len(levels))
             order[[first, second]] = second, first
-            left = _contradiction(plan, levels[order], swing)
-            if left < best:
-                best, pair = left, (first, second)
+            repaired = (before - _contradiction(plan, levels[order], swing)) / differ
+            if repaired > best:
+                best, pair = repaired, (first, second)
     return f"with {plan.names(pair)} exchanged they do" if pair[0] != pair[1] else ""
 
 
