@@ -5,6 +5,9 @@ only for the one that they are compared with, or that gives their threshold.
 """
 
 from collections import defaultdict
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, cast
 
@@ -20,19 +23,24 @@ from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
 
 Planes = NDArray[np.uint8]
 _NO_BIT = np.uint8(0)
+# As many of the finest bits may not be resolved.
+_FINE_BITS = 3
 
 
 class GrayFold:
     """The code word of each pixel, with how far its bits were from their thresholds.
 
     `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels; `contrast`
-    is None where fringes tell what is lit.
+    is None where fringes tell what is lit. Where none do, the `fine` bits have images of their own, by bit, and are not
+    among the `least`: whether the camera resolves them is known in the end.
     """
 
     def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool) -> None:
         self.code = code
         self.contrast: Image | None = np.zeros(shape, dtype) if contrast else None
         self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
+        self.fine: dict[int, Image] = {}
+        self._keeps_fine = contrast and code.base is None
         planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
         self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
 
@@ -40,8 +48,11 @@ class GrayFold:
         """Set a bit where `bright` is brighter than `dark`; `half` if one of them is the threshold between two."""
         place, position = divmod(self.code.bits - 1 - bit, 8)
         plane, largest = self._planes[place].reshape(-1), bright.dtype.type(np.iinfo(bright.dtype).max)
+        least = self.least
+        if self._keeps_fine and 0 < self.code.bits - bit <= _FINE_BITS < self.code.bits:
+            least = self.fine.setdefault(bit, np.full_like(self.least, largest))
         bright, dark = bright.reshape(-1), dark.reshape(-1)
-        _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, self.least.reshape(-1))
+        _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, least.reshape(-1))
         if self.contrast is not None:
             _note_contrast(bright, dark, half, largest, self.contrast.reshape(-1))
 
@@ -55,12 +66,24 @@ class GrayFold:
         words: Words = merged.view("<u2" if len(planes) == 2 else "<u4")[..., 0]
         return self.code.relative_to_base(words)
 
+    def without_finest(self, count: int) -> "GrayFold":
+        """The coarser code that the other bits are, once all frames are in; its `least` is that of all its bits."""
+        other = copy(self)
+        other.code, other.fine = self.code.without_finest(count), {}
+        other.words = self.words >> self.words.dtype.type(count)
+        other.least = self.least.copy()
+        for bit, image in self.fine.items():
+            if bit < other.code.bits:
+                np.minimum(other.least, image, out=other.least)
+        return other
+
 
 class FringeFold:
     """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
 
-    `cosine` and `sine` times `scale` are in grey levels, and then need the `correction` if there is one. Of four equal shifts each is the difference of two frames, in
-    whole numbers, of which the first waits for the second; others are weighted sums.
+    `cosine` and `sine` times `scale` are in grey levels, and then need the `correction` if there is one. Of four equal
+    shifts each is the difference of two frames, in whole numbers, of which the first waits for the second; others are
+    weighted sums.
     """
 
     def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
@@ -187,6 +210,14 @@ class Accumulators:
         if self._darkest is not None:
             self._threshold = _mean(self.brightest, self._darkest)
         self._fold_alone()
+
+    def decode_as(self, codes: Sequence[GrayFold]) -> None:
+        """Go on with these in place of the codes that were shown, one for one."""
+        x, y = (
+            replace(axis, codes=tuple(n.code for o, n in zip(self.codes, codes, strict=True) if o.code in axis.codes))
+            for axis in self.plan.axes
+        )
+        self.plan, self.codes = replace(self.plan, x=x, y=y), list(codes)
 
     def forget_contrasts(self) -> None:
         """Free the bits' distances from their thresholds where the fringes contradict wrong bits anyway."""

@@ -6,6 +6,7 @@ from math import pi, sqrt
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32, Reasons
@@ -183,9 +184,7 @@ class AxisDecoder:
 
     def _from_codes(self, signals: Signals) -> Coordinate:
         interval = interval_of(self.plan, signals.words, len(signals.middle))
-        difference_sigma = np.float32(sqrt(2)) * self.noise.sigma(signals.middle)
-        least_certain = np.maximum(np.float32(_LEAST_DIFFERENCE), np.float32(_CERTAIN_BIT) * difference_sigma)
-        least_seen = np.maximum(np.float32(2 * _LEAST_DIFFERENCE), np.float32(_SEEN) * difference_sigma)
+        least_certain, least_seen = least_contrasts(self.noise, signals.middle)
         against = np.empty(len(signals.middle), np.uint8)
         note_codes(interval.outside, interval.contradictory, against)
         for least, contrast in zip(signals.least, signals.contrast, strict=True):
@@ -194,6 +193,13 @@ class AxisDecoder:
         variance = np.float32(1 / 12) * (interval.high - interval.low) ** 2
         shape = signals.shape
         return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reasons_of(against).reshape(shape))
+
+
+def least_contrasts(noise: NoiseModel, middle: NDArray[np.generic]) -> tuple[Floats32, Floats32]:
+    """From which contrast on a bit is certain, and a code is seen, at each level half-way between lit and unlit."""
+    difference_sigma = np.float32(sqrt(2)) * noise.sigma(middle)
+    certain = np.maximum(np.float32(_LEAST_DIFFERENCE), np.float32(_CERTAIN_BIT) * difference_sigma)
+    return certain, np.maximum(np.float32(2 * _LEAST_DIFFERENCE), np.float32(_SEEN) * difference_sigma)
 
 
 def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:

@@ -1,11 +1,11 @@
 """How bright each frame is next to the others, from the light that several frames must show together.
 
 A pattern and its inverse add up to the same light as every other such pair; so do opposite steps of a fringe, or every
-three, or any odd number of steps that divide its cycle evenly. Where lamp, colour wheel, mains or exposure made frames brighter or darker, there are
-weights w with Σ w I = N · M at all pixels, M being the light that the groups have in common: a linear least-squares
-problem of as many unknowns as the group has frames, whatever the frames show. A rolling shutter makes them depend on
-the row. Stripes so fine that they lose light make all weights of a group larger, not their ratios, and ratios are all
-that is used.
+three, or any odd number of steps that divide its cycle evenly. Where lamp, colour wheel, mains or exposure made frames
+brighter or darker, there are weights w with Σ w I = N · M at all pixels, M being the light that the groups have in
+common: a linear least-squares problem of as many unknowns as the group has frames, whatever the frames show. A rolling
+shutter makes them depend on the row. Stripes so fine that they lose light make all weights of a group larger, not their
+ratios, and ratios are all that is used.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Image
+from calib.numerics import Bools, Floats, Image
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.phase_unwrapping import GAUSSIAN_MEDIAN
 from scanner.decoding.sequence_plan import Fringe
@@ -66,7 +66,7 @@ class Gains:
     def matter(self) -> bool:
         """Whether the frames differ enough to do harm."""
         logs = np.log(self.of_rows)
-        return float(np.max(np.ptp(logs, axis=0))) > LEAST_DIFFERENCE
+        return any(difference > LEAST_DIFFERENCE for difference in np.ptp(logs, axis=0).tolist())
 
     @property
     def are_banded(self) -> bool:
@@ -86,12 +86,14 @@ class Gains:
 
 def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
     """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,)."""
-    return _gains([_weights(levels, common, places, np.zeros((1, len(common)), np.float32), is_pair=True)])
+    nothing, lit = np.zeros((1, len(common)), np.float32), lit_by(np.abs(levels[0] - levels[1]))
+    return _gains([_weights(levels, common, places, nothing, lit, is_pair=True)])
 
 
-def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places) -> Gains:
-    """Those of the steps (N, P) of a fringe in even steps around the `common` light (P,); 1 where a view of few cycles
-    and a bent brightness curve could be taken for them.
+def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places, lit: Bools) -> Gains:
+    """Those of the steps (N, P) of a fringe in even steps around the `common` light (P,), at `lit` pixels.
+
+    1 where few cycles are in view, so that the harmonics of a bent brightness curve could be taken for them.
     """
     order = np.argsort(np.mod(np.array(fringe.shifts) + 1e-9, 1))
     count = len(order)
@@ -99,23 +101,29 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     groups = [order[first :: count // size] for first in range(count // size)]
     back = np.argsort(np.concatenate(groups))
     nothing = np.zeros((1, len(common)), np.float32)
-    first = Gains(_gains([_weights(levels[group], common, places, nothing) for group in groups]).of_rows[back])
+    guesses = [weights for weights, _ in (_weights(levels[g], common, places, nothing, lit) for g in groups)]
+    first = _gains([(weights, 0.0) for weights in guesses])
     # The phases of frames that differ are not those of the fringe.
-    alike = (levels / first.at(places.rows)).astype(np.float32)
+    alike = (levels / first.of_rows[back].mean(axis=1, keepdims=True)).astype(np.float32)
     cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
     phase = np.arctan2(sine, cosine)
-    mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase, np.hypot(cosine, sine), size)
+    mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase[lit], size)
     if mistaken > _MOST_MISTAKEN:
         return Gains(np.ones((count, 1)))
     harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
-    found = _gains([_weights(levels[group], common, places, harmonic) for group in groups], mistaken)
+    found = _gains([_weights(levels[group], common, places, harmonic, lit) for group in groups], mistaken)
     return Gains(found.of_rows[back])
 
 
-def _unevenness(phase: Floats32, amplitude: Floats32, size: int) -> float:
-    """How far the phases of lit pixels are from even, where a harmonic of `size` cycles looks like the fringe itself."""
-    lit = phase[amplitude > np.median(amplitude) / 2]
-    return max(abs(complex(np.mean(np.exp(1j * cycles * lit)))) for cycles in (size - 1, size + 1))
+def lit_by(swing: Floats32) -> Bools:
+    """Which pixels the patterns light up, from how much they change (P,)."""
+    lit: Bools = swing > _LIT * np.quantile(swing, _BRIGHT)
+    return lit
+
+
+def _unevenness(phase: Floats32, size: int) -> float:
+    """How far phases (P,) are from evenly spread, where a harmonic of `size` cycles looks like the fringe itself."""
+    return max(abs(complex(np.mean(np.exp(1j * cycles * phase)))) for cycles in (size - 1, size + 1))
 
 
 def flicker_of(groups: Sequence[Gains]) -> float | None:
@@ -136,7 +144,7 @@ def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0) -> Gain
 
 
 def _weights(
-    levels: Floats32, common: Floats32, places: Places, harmonic: Floats32, *, is_pair: bool = False
+    levels: Floats32, common: Floats32, places: Places, harmonic: Floats32, lit: Bools, *, is_pair: bool = False
 ) -> tuple[Floats, float]:
     """(frames, rows of the image or 1), and how far they may be from the truth: infinitely if the pixels do not tell.
 
@@ -148,8 +156,8 @@ def _weights(
     mean = levels.mean(axis=0)
     design: Floats = (np.concatenate([common[None], levels - mean]) * scale).T.astype(np.float64)
     target: Floats = (mean * scale).astype(np.float64)
-    largest, swing = levels.max(axis=0), np.abs(levels - mean).max(axis=0)
-    chosen = (largest < _SATURATED * largest.max()) & (swing > _LIT * np.quantile(swing, _BRIGHT))
+    largest = levels.max(axis=0)
+    chosen = lit & (largest < _SATURATED * largest.max())
     if np.count_nonzero(chosen) < _BANDS * _FEWEST_PER_BAND // 2 or _variety(design[chosen]) < _LEAST_VARIETY:
         return np.ones((count, 1)), inf
     for _ in range(2):

@@ -19,9 +19,10 @@ from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
+from scanner.decoding.bit_resolution import resolve_bits
+from scanner.decoding.brightness import Gains, Places, flicker_of
 from scanner.decoding.code_cells import average_cells
 from scanner.decoding.code_checks import check_codes
-from scanner.decoding.brightness import Gains, Places, flicker_of
 from scanner.decoding.connected_components import small_patches
 from scanner.decoding.consequences import judge, suspecting
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
@@ -125,11 +126,11 @@ class Decoder:
             del sample
             maps = coordinate_maps(accumulators, learnt.decoders)
             # The running images are as large as the matches, and have served.
-            brightest = accumulators.brightest
+            plan, brightest = accumulators.plan, accumulators.brightest
             del accumulators
-            matches, reasons = _match(self._plan, maps, brightest)
+            matches, reasons = _match(plan, maps, brightest)
         odd = (judge(oddities, reasons, matches),) if oddities else ()
-        warnings = (*odd, *warnings_of(reasons, learnt.modulation, learnt.flicker))
+        warnings = (*odd, *learnt.notes, *warnings_of(reasons, learnt.modulation, learnt.flicker))
         texture = self._texture if self._merger is None else self._merger.alike(self._texture)
         return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker)
 
@@ -169,6 +170,7 @@ class _Learnt:
     noise: NoiseModel
     modulation: float | None
     flicker: float | None
+    notes: tuple[str, ...]
 
 
 def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
@@ -201,6 +203,8 @@ def _learn(accumulators: Accumulators, sample: Sample, oddities: list[Oddity]) -
     flicker = _equalise(accumulators, sample)
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(plan, sample, saturation)
+    notes = tuple(resolve_bits(accumulators, noise, sample.pixels))
+    plan = accumulators.plan
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
@@ -212,7 +216,7 @@ def _learn(accumulators: Accumulators, sample: Sample, oddities: list[Oddity]) -
         for decoder, signals in zip(decoders, thin, strict=True):
             oddities += check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
-        return _Learnt(decoders, noise, modulation(decoders, thin), flicker)
+        return _Learnt(decoders, noise, modulation(decoders, thin), flicker, notes)
 
 
 def _match(plan: SequencePlan, maps: Maps, brightest: Image) -> tuple[Matches, NDArray[np.uint8]]:

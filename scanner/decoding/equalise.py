@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.brightness import Gains, Places, gains_of_fringe, gains_of_pair
+from scanner.decoding.brightness import Gains, Places, gains_of_fringe, gains_of_pair, lit_by
 from scanner.decoding.medians import medians
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
@@ -41,9 +40,10 @@ class PairEqualiser:
             self._begin_with_white_and_black()
         found = None
         if self._pairs:
-            found = gains_of_pair(levels, self._total / np.float32(2 * self._pairs), self._places)
+            common: Floats32 = self._total / np.float32(2 * self._pairs)
+            found = gains_of_pair(levels, common, self._places)
             self.found[pair] = found
-            levels = levels / found.at(self._places.rows).astype(np.float32)
+            levels = (levels / found.at(self._places.rows)).astype(np.float32)
         self._add(levels)
         return found if found is not None and found.matter else None
 
@@ -96,19 +96,21 @@ def correction(fringe: Fringe, gains: Gains, common: Floats32, middle: Floats32,
 
 
 def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Fringe, tuple[Gains, Floats32]]:
-    """Of each fringe in even steps, if there are two, given the sample `levels` (frames, P): the gains of its steps, and
-    the light around which it swings (P,).
+    """Of each fringe in even steps: the gains of its steps, and the light around which it swings (P,).
+
+    `levels` (frames, P): of a sample. What a single fringe swings around, no other tells: then there are none.
     """
     even = [fringe for fringe in plan.fringes if fringe.equal_steps]
     if len(even) < 2:
         return {}
     found: dict[Fringe, tuple[Gains, Floats32]] = {}
+    lit = lit_by(np.ptp(levels, axis=0))
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
     # The light around which a fringe swings is known from the others: what is wrong with it there is wrong elsewhere.
     for _ in range(_PASSES):
         for number, fringe in enumerate(even):
             of_fringe, others = levels[list(fringe.frames)], means[:number] + means[number + 1 :]
-            gains = gains_of_fringe(fringe, of_fringe, medians(np.stack(others), axis=0), places)
+            gains = gains_of_fringe(fringe, of_fringe, medians(np.stack(others), axis=0), places, lit)
             means[number] = (of_fringe / gains.at(places.rows)).mean(axis=0).astype(np.float32)
             found[fringe] = gains, means[number]
         if not any(gains.matter for gains, _ in found.values()):

@@ -2,9 +2,9 @@
 
 Light adds up: white is the brightest of all frames and black the darkest, a pattern and its inverse make white plus
 black, and a fringe's mean over its shifts is the same grey everywhere. This holds under any interreflection and any
-brightness curve of the projector. Frames that were exchanged, doubled or taken from elsewhere break it; so do people who
-walk through the picture, and devices with habits of their own. An exchange is proven by exchanging the frames back, and
-a double by its twin. What is not proven is only odd: the coordinates decide what comes of it.
+brightness curve of the projector. Frames that were exchanged, doubled or taken from elsewhere break it; so do people
+who walk through the picture, and devices with habits of their own. An exchange is proven by exchanging the frames back,
+and a double by its twin. What is not proven is only odd: the coordinates decide what comes of it.
 """
 
 from collections.abc import Iterator, Sequence

@@ -5,7 +5,7 @@ Everything that can be known before the first frame is worked out, or refused, h
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, inf
 
@@ -51,6 +51,13 @@ class GrayCode:
         shown = sum(1 << self.bits - 1 - bit for bit in {*self.normal, *self.inverse} - {self.base})
         base = words >> words.dtype.type(self.bits - 1 - self.base) & words.dtype.type(1)
         return words ^ base * words.dtype.type(shown)
+
+    def without_finest(self, count: int) -> "GrayCode":
+        """The code of longer cells that is left without its finest bits."""
+        bits = self.bits - count
+        normal, inverse = ({b: f for b, f in frames.items() if b < bits} for frames in (self.normal, self.inverse))
+        constant = self.constant >> count
+        return replace(self, bits=bits, cell=self.cell << count, normal=normal, inverse=inverse, constant=constant)
 
     @property
     def pairs(self) -> dict[int, tuple[int, int]]:

@@ -1,0 +1,66 @@
+"""Bits of a Gray code whose stripes the lenses do not resolve, left out: longer cells are decoded instead.
+
+A bit is weak where its contrast is a small part of what the coarse bits have at the same pixel. It then follows
+sharpening, crosstalk and stray light rather than the pattern. Weak bits are left out if that decides more pixels than
+their finer cells are worth, or if without them neighbouring cells are neighbours.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Image
+from scanner.decoding.accumulators import Accumulators, GrayFold
+from scanner.decoding.axis_decoder import least_contrasts
+from scanner.decoding.code_checks import check_codes
+from scanner.decoding.noise_model import NoiseModel
+from scanner.errors import InputError
+
+# The 90 % quantile of a bit's contrast relative to the coarse bits': a half of it is lost in the middle between two
+# stripes anyway. An exchanged frame does not make a bit weak.
+_WEAK = 0.25
+_USUAL = 0.9
+_FEWEST_LIT = 100
+
+
+def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
+    """Leave out what the frames do not resolve, judged by a sample of pixels (P,); yields a sentence for each code."""
+    chosen = []
+    for fold in accumulators.codes:
+        count = _count_left_out(accumulators, fold, noise, pixels) if fold.fine else 0
+        chosen.append(fold.without_finest(count) if fold.fine else fold)
+        if count:
+            code = fold.code
+            bits = ", ".join(str(bit) for bit in range(code.bits - count, code.bits))
+            yield (
+                f"Bit {bits} of the Gray code along {code.axis} is too fine for the lenses and was left out: cells of "
+                f"{chosen[-1].code.cell} px are decoded. Focus camera and projector, or move closer."
+            )
+    accumulators.decode_as(chosen)
+
+
+def _count_left_out(accumulators: Accumulators, fold: GrayFold, noise: NoiseModel, pixels: NDArray[np.int64]) -> int:
+    def at(image: Image) -> Image:
+        return image.reshape(-1)[pixels]
+
+    contrast = at(fold.least if fold.contrast is None else fold.contrast)
+    certain_from, seen_from = least_contrasts(noise, at(accumulators.middle))
+    lit = contrast > seen_from
+    if np.count_nonzero(lit) < _FEWEST_LIT:
+        return 0
+    weak = 0
+    for bit in sorted(fold.fine, reverse=True):
+        if np.quantile(at(fold.fine[bit])[lit] / contrast[lit], _USUAL) >= _WEAK:
+            break
+        weak += 1
+    folds = [fold.without_finest(count) for count in range(weak + 1)]
+    # A cell twice as long is worth half as much.
+    served = [np.count_nonzero(at(one.least)[lit] > certain_from[lit]) / 2**count for count, one in enumerate(folds)]
+    for count in range(int(np.argmax(served)), weak):
+        try:
+            check_codes(accumulators.plan, [folds[count]], noise, accumulators.middle)
+        except InputError:
+            continue
+        return count
+    return weak
