@@ -28,7 +28,7 @@ _MOST_MISTAKEN = 0.03
 _SIGNIFICANT = 5.0
 _BANDS = 32
 _FEWEST_PER_BAND = 64
-_FEWEST_BANDS = 4
+_FEWEST_PIXELS = 1000
 # What bands may leave of the squared residuals of one weight for all rows: chance leaves 0.99, uneven phases 0.95.
 _BANDED = 0.85
 # How far the weights of a band may well be from those of the whole frame.
@@ -71,7 +71,7 @@ class Gains:
     @property
     def are_banded(self) -> bool:
         """Whether rows differ."""
-        return self.of_rows.shape[1] > 1
+        return len(self.of_rows[0]) > 1
 
     def at(self, rows: NDArray[np.int64]) -> Floats:
         """(frames, P), or (frames, 1) where rows do not differ."""
@@ -84,9 +84,9 @@ class Gains:
         return result
 
 
-def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
-    """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,)."""
-    nothing, lit = np.zeros((1, len(common)), np.float32), lit_by(np.abs(levels[0] - levels[1]))
+def gains_of_pair(levels: Floats32, common: Floats32, places: Places, lit: Bools) -> Gains:
+    """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,), at `lit` pixels."""
+    nothing = np.zeros((1, len(common)), np.float32)
     return _gains([_weights(levels, common, places, nothing, lit, is_pair=True)])
 
 
@@ -158,10 +158,11 @@ def _weights(
     target: Floats = (mean * scale).astype(np.float64)
     largest = levels.max(axis=0)
     chosen = lit & (largest < _SATURATED * largest.max())
-    if np.count_nonzero(chosen) < _BANDS * _FEWEST_PER_BAND // 2 or _variety(design[chosen]) < _LEAST_VARIETY:
+    seen = design[chosen]
+    if len(seen) < _FEWEST_PIXELS or _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < _LEAST_VARIETY:
         return np.ones((count, 1)), inf
     for _ in range(2):
-        terms, *_ = np.linalg.lstsq(design[chosen], target[chosen], rcond=1e-6)
+        terms = _least_squares(design[chosen], target[chosen])
         away = np.abs(target - design @ terms)
         chosen &= away <= _OUTLYING * np.median(away[chosen]) / GAUSSIAN_MEDIAN + 1e-6
     design, target, rows = design[chosen], target[chosen], places.rows[chosen]
@@ -183,7 +184,7 @@ def _weights(
 
 def _without(terms: Floats32, values: Floats) -> Floats:
     """What the terms (P, terms) do not explain of the values (P,)."""
-    rest: Floats = values - terms @ np.linalg.lstsq(terms, values, rcond=1e-6)[0]
+    rest: Floats = values - terms @ _least_squares(terms.astype(np.float64), values)
     return rest
 
 
@@ -195,23 +196,35 @@ def _weights_from(terms: Floats) -> Floats:
 
 
 def _bands(design: Floats, left: Floats, band: NDArray[np.int64], noise: float) -> Floats | None:
-    """How far the terms of each band of rows are from those of all (bands, terms); None if they are not, or unknown."""
-    prior = np.eye(design.shape[1]) * noise / _BAND_SIGMA**2
-    found, remaining, variety = np.zeros((_BANDS, design.shape[1])), 0.0, np.zeros(_BANDS)
-    for number in range(_BANDS):
-        own, rest = design[band == number], left[band == number]
-        if len(rest) < _FEWEST_PER_BAND:
-            return None
-        found[number] = np.linalg.solve(own.T @ own + prior, own.T @ rest)
-        remaining += float(np.sum((rest - own @ found[number]) ** 2))
-        variety[number] = _variety(own)
-    is_told = np.median(variety) > _LEAST_VARIETY
-    return found if is_told and remaining < _BANDED * noise * len(left) else None
+    """How far the terms of each band of rows are from those of all (bands, terms); None if they are not, or unknown.
 
-
-def _variety(design: Floats) -> float:
-    """How much the frames' distances from their mean vary over pixels: 0 if each is alike everywhere, as inside one
-    stripe, where it cannot be told from the common light; 1 if each is as often above as below.
+    `band` (P,) rises.
     """
-    squares, means = np.mean(design[:, 1:] ** 2, axis=0), np.mean(design[:, 1:], axis=0)
-    return float(np.min(1 - means**2 / np.maximum(squares, 1e-12)))
+    starts = np.searchsorted(band, np.arange(_BANDS))
+    counts = np.diff(np.append(starts, len(band)))
+    if counts.min() < _FEWEST_PER_BAND:
+        return None
+    squares = np.add.reduceat(design[:, :, None] * design[:, None, :], starts)
+    products = np.add.reduceat(design * left[:, None], starts)
+    prior = np.eye(design.shape[1]) * noise / _BAND_SIGMA**2
+    found: Floats = np.linalg.solve(squares + prior, products[..., None])[..., 0]
+    explained = 2 * np.sum(found * products) - np.einsum("bi,bij,bj", found, squares, found)
+    means = np.add.reduceat(design, starts) / counts[:, None]
+    is_told = np.median(_variety(np.diagonal(squares, axis1=1, axis2=2) / counts[:, None], means)) > _LEAST_VARIETY
+    return found if is_told and explained > (1 - _BANDED) * noise * len(left) else None
+
+
+def _variety(squares: Floats, means: Floats) -> Floats:
+    """How much the frames' distances from their mean vary over pixels, given their mean squares and means (…, terms).
+
+    0 if each is alike everywhere, as inside one stripe, where it cannot be told from the common light; 1 if each is as
+    often above as below.
+    """
+    variety: Floats = np.min(1 - means[..., 1:] ** 2 / np.maximum(squares[..., 1:], 1e-12), axis=-1)
+    return variety
+
+
+def _least_squares(design: Floats, target: Floats) -> Floats:
+    """The terms (N,) of a design (P, N) of few columns, which need not be independent: their smallest."""
+    terms: Floats = np.linalg.pinv(design.T @ design, rcond=1e-9, hermitian=True) @ (design.T @ target)
+    return terms

@@ -26,7 +26,7 @@ from scanner.decoding.code_checks import check_codes
 from scanner.decoding.connected_components import small_patches
 from scanner.decoding.consequences import judge, suspecting
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
-from scanner.decoding.equalise import PairEqualiser, correction, swings_of
+from scanner.decoding.equalise import STRIDE, PairEqualiser, correction, swings_of
 from scanner.decoding.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.frame_checks import Oddity, check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
@@ -176,12 +176,12 @@ class _Learnt:
 def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
     """Make frames of different brightness alike, in the sample and for good; returns the flicker, None if unknown."""
     plan, (height, width) = accumulators.plan, accumulators.brightest.shape
-    places = Places(sample.pixels // width, height)
     found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
+    few = sample.pixels[::STRIDE]
     middle, brightest = (
-        image.reshape(-1)[sample.pixels].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
+        image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
     )
-    swings = swings_of(plan, sample.levels, places)
+    swings = swings_of(plan, sample.levels[:, ::STRIDE], Places(few // width, height))
     for fold in accumulators.fringes:
         if fold.fringe in swings:
             gains, common = swings[fold.fringe]
@@ -190,7 +190,7 @@ def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
                 fold.correction = correction(fold.fringe, gains, common, middle, brightest)
     for frames, gains in found:
         if gains.matter:
-            for frame, of_frame in zip(frames, gains.at(places.rows), strict=True):
+            for frame, of_frame in zip(frames, gains.at(sample.pixels // width), strict=True):
                 sample.divide(frame, of_frame)
     return flicker_of([gains for _, gains in found])
 

@@ -16,8 +16,8 @@ from scanner.decoding.medians import medians
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
-# Of the sample, one pixel in so many is enough for two frames.
-_STRIDE = 4
+# Of the sample, one pixel in so many is enough for a few numbers.
+STRIDE = 4
 _PASSES = 3
 
 
@@ -30,8 +30,9 @@ class PairEqualiser:
     def __init__(self, plan: SequencePlan, sample: Sample, shape: tuple[int, int]) -> None:
         self.found: dict[tuple[int, int], Gains] = {}
         self._plan, self._sample = plan, sample
-        self._places = Places(sample.pixels[::_STRIDE] // shape[1], shape[0])
+        self._places = Places(sample.pixels[::STRIDE] // shape[1], shape[0])
         self._total, self._pairs = np.zeros(len(self._places.rows), np.float32), 0
+        self._swing = np.zeros_like(self._total)
 
     def gains(self, pair: tuple[int, int]) -> Gains | None:
         """Those of two frames that are in the sample; None if they do not matter."""
@@ -41,7 +42,7 @@ class PairEqualiser:
         found = None
         if self._pairs:
             common: Floats32 = self._total / np.float32(2 * self._pairs)
-            found = gains_of_pair(levels, common, self._places)
+            found = gains_of_pair(levels, common, self._places, lit_by(self._swing))
             self.found[pair] = found
             levels = (levels / found.at(self._places.rows)).astype(np.float32)
         self._add(levels)
@@ -53,10 +54,11 @@ class PairEqualiser:
             self._add(self._levels((white, black)))
 
     def _levels(self, pair: tuple[int, int]) -> Floats32:
-        return np.stack([self._sample.level(frame)[::_STRIDE] for frame in pair]).astype(np.float32)
+        return np.stack([self._sample.level(frame)[::STRIDE] for frame in pair]).astype(np.float32)
 
     def _add(self, levels: Floats32) -> None:
         self._total += levels.sum(axis=0)
+        self._swing = np.maximum(self._swing, np.ptp(levels, axis=0))
         self._pairs += 1
 
 

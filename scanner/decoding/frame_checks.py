@@ -103,11 +103,12 @@ def check_frames(
     found = _contradictions(plan, shown)
     if not found:
         return found
-    proof = _exchange(plan, shown, found) or _double(plan, shown, found)
+    made_alike = replace(shown, levels=alike[:, lit])
+    proof = _exchange(plan, shown, made_alike, found) or _double(plan, shown, found)
     if proof:
         said = "; ".join([*(oddity.said for oddity in found), proof])
         raise InputError(f"the frames do not show what the capture says: {said}")
-    return _contradictions(plan, replace(shown, levels=alike[:, lit]))
+    return _contradictions(plan, made_alike)
 
 
 def _contradictions(plan: SequencePlan, shown: _Shown) -> list[Oddity]:
@@ -116,15 +117,17 @@ def _contradictions(plan: SequencePlan, shown: _Shown) -> list[Oddity]:
     return [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown, seen), *_shifts(plan, seen)]
 
 
-def _exchange(plan: SequencePlan, shown: _Shown, found: Sequence[Oddity]) -> str:
+def _exchange(plan: SequencePlan, shown: _Shown, alike: _Shown, found: Sequence[Oddity]) -> str:
     """Says which two frames, exchanged back, make the sample more consistent by what they differ; '' if none do.
 
-    If they were not exchanged, that makes it less consistent by as much.
+    If they were not exchanged, that makes it less consistent by as much. Nor were they if the sample is as consistent
+    once frames are made alike in brightness.
     """
     few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for oddity in found for frame in oddity.frames})
     before, best, pair = _contradiction(plan, levels, swing), _REPAIRED, (0, 0)
+    otherwise = _contradiction(plan, alike.levels[:, few], swing)
     for first in suspects:
         for second in range(len(levels)):
             differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
@@ -132,9 +135,9 @@ def _exchange(plan: SequencePlan, shown: _Shown, found: Sequence[Oddity]) -> str
                 continue
             order = np.arange(len(levels))
             order[[first, second]] = second, first
-            repaired = (before - _contradiction(plan, levels[order], swing)) / differ
-            if repaired > best:
-                best, pair = repaired, (first, second)
+            left = _contradiction(plan, levels[order], swing)
+            if (before - left) / differ > best and left < otherwise:
+                best, pair = (before - left) / differ, (first, second)
     return f"with {plan.names(pair)} exchanged they do" if pair[0] != pair[1] else ""
 
 

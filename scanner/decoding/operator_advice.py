@@ -28,8 +28,9 @@ def warnings_of(reasons: Reasons, modulation: float | None, flicker: float | Non
         )
     if flicker is not None and flicker > MUCH_FLICKER:
         yield (
-            f"The brightness of the frames varies by {flicker:.1%}: expose for whole periods of the projector's "
-            "refresh, which are also whole turns of its colour wheel, and shut out other lamps."
+            f"The brightness of the frames varies by {flicker:.1%}, which was taken out as far as the frames tell it. "
+            "Better: expose for whole periods of the projector's refresh, which are also whole turns of its colour "
+            "wheel, and shut out other lamps."
         )
     if modulation is not None and modulation < _LOW_MODULATION:
         yield (

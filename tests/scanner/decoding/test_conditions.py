@@ -75,9 +75,6 @@ def test_flicker_is_measured_and_reported() -> None:
         steady = decode(patterns, frames, SCENE.projector)
         # A few groups of frames tell it roughly: within a factor of two, mostly.
         found = [decode(patterns, flickering(frames, seed), SCENE.projector) for seed in range(5)]
-        if preset == "quick":
-            assert {each.flicker for each in found} == {None}, "two fringes say too little"
-            continue
         assert steady.flicker is not None
         assert 0 <= steady.flicker < 0.006
         assert 0.02 < np.median([each.flicker or 0 for each in found]) < 0.08

@@ -1,0 +1,104 @@
+"""Devices and people that do not behave: decoded all the same, and said so; what it cannot be is still refused."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+
+from calib.numerics import Image
+from scanner.decoding.decoder import MaskReason
+from scanner.patterns import Pattern, sequence_for
+from tests.support.synthetic_capture import Scene, decode
+
+SCENE = Scene(camera=(400, 300), projector=(400, 260))
+# Ambient light is stronger than the projector's, so that a brighter frame is brighter by more than a bit.
+BRIGHT_ROOM = replace(SCENE, exposure=60.0, ambient=70.0, black_level=0.03)
+STANDARD = sequence_for(SCENE.projector)
+CODE = sequence_for(SCENE.projector, shifts=0, cell=1)
+
+Change = Callable[[list[Image]], Sequence[np.ndarray]]
+
+
+def flickering(frames: list[Image]) -> list[np.ndarray]:
+    rng = np.random.default_rng(5)
+    return [frame * rng.uniform(0.85, 1.15) for frame in frames]
+
+
+def banded(frames: list[Image]) -> list[np.ndarray]:
+    rng, rows = np.random.default_rng(5), np.arange(len(frames[0]))[:, None]
+    return [frame * (1 + 0.05 * np.sin(6 * np.pi * rows / len(rows) + rng.uniform(0, 6.3))) for frame in frames]
+
+
+def lit_from_the_20th_on(frames: list[Image]) -> list[np.ndarray]:
+    return [frame + (number >= 20) * 0.06 * frames[0] for number, frame in enumerate(frames)]
+
+
+def the_10th_darker(frames: list[Image]) -> list[np.ndarray]:
+    return [frame * (0.6 if number == 10 else 1.0) for number, frame in enumerate(frames)]
+
+
+def passed_by(frames: list[Image]) -> list[np.ndarray]:
+    result: list[np.ndarray] = list(frames)
+    for number in range(6, 11):
+        seen, at = frames[number].copy(), 30 + 12 * number
+        seen[100:, at : at + 60] = 0.3 * seen[100:, at : at + 60] + 20
+        result[number] = seen
+    return result
+
+
+def sharpened(frames: list[Image]) -> list[np.ndarray]:
+    return [2.0 * frame - cv2.GaussianBlur(frame.astype(np.float64), (0, 0), 1.5) for frame in frames]
+
+
+@dataclass(frozen=True)
+class Case:
+    """`median`: what the error of a coordinate may be in px; `kept`: least share of the lit pixels."""
+
+    scene: Scene
+    patterns: tuple[Pattern, ...]
+    change: Change
+    median: float
+    kept: float
+
+    def __str__(self) -> str:
+        room = "bright room" if self.scene.ambient > self.scene.exposure else "dark room"
+        return f"{self.change.__name__}, {room}, {'fringes' if self.patterns is STANDARD else 'code'}"
+
+
+CASES = [
+    Case(SCENE, STANDARD, flickering, 0.03, 0.99),
+    Case(BRIGHT_ROOM, STANDARD, flickering, 0.12, 0.99),
+    Case(SCENE, CODE, flickering, 0.3, 0.6),
+    Case(SCENE, STANDARD, banded, 0.035, 0.99),
+    Case(SCENE, STANDARD, lit_from_the_20th_on, 0.03, 0.99),
+    Case(BRIGHT_ROOM, STANDARD, the_10th_darker, 0.12, 0.99),
+    Case(BRIGHT_ROOM, CODE, the_10th_darker, 0.3, 0.4),
+    Case(SCENE, STANDARD, passed_by, 0.03, 0.7),
+    Case(SCENE, STANDARD, sharpened, 0.04, 0.99),
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_an_odd_capture_decodes(case: Case) -> None:
+    frames = [np.rint(np.clip(f, 0, 255)).astype(np.uint8) for f in case.change(case.scene.frames(case.patterns))]
+    decoding = decode(case.patterns, frames, case.scene.projector)
+    errors = np.abs(case.scene.errors(decoding))
+    assert 0.005 < np.median(errors) < case.median
+    assert np.mean(errors.max(axis=1) > 3) < 0.02
+    assert np.mean(decoding.reasons[case.scene.well_lit()] == MaskReason.KEPT) > case.kept
+    if case.change in (flickering, banded, the_10th_darker):
+        assert any("brightness of the frames varies" in warning for warning in decoding.warnings)
+    if case.change is passed_by:
+        assert any("frame 6 (" in warning and "decoded all the same" in warning for warning in decoding.warnings)
+
+
+@pytest.mark.parametrize("scene", [replace(SCENE, projector_blur_px=2.5), replace(SCENE, camera_blur_px=3.0)])
+def test_bits_that_are_not_resolved_are_left_out(scene: Scene) -> None:
+    decoding = scene.decode(CODE)
+    assert any("was left out: cells of 2 px" in warning for warning in decoding.warnings)
+    assert 5_000 < len(decoding.matches) < 30_000, "a few hundred with all bits"
+    assert decoding.matches.sigma_px is not None
+    ratio = scene.errors(decoding) / decoding.matches.sigma_px[:, None]
+    assert 0.2 < np.median(np.abs(ratio)) < 1.0, "evenly spread over cells of two, and averaged over their pixels"
