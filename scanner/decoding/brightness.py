@@ -29,6 +29,8 @@ _SIGNIFICANT = 5.0
 _BANDS = 32
 _FEWEST_PER_BAND = 64
 _FEWEST_PIXELS = 1000
+# A pair of which one frame is brighter by so much has a sum that goes with its difference by as much.
+_STEADY = LEAST_DIFFERENCE / 2
 # What bands may leave of the squared residuals of one weight for all rows: chance leaves 0.99, uneven phases 0.95.
 _BANDED = 0.85
 # How far the weights of a band may well be from those of the whole frame.
@@ -86,8 +88,22 @@ class Gains:
 
 def gains_of_pair(levels: Floats32, common: Floats32, places: Places, lit: Bools) -> Gains:
     """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,), at `lit` pixels."""
+    if _are_alike(levels, common, places):
+        return Gains(np.ones((2, 1)))
     nothing = np.zeros((1, len(common)), np.float32)
     return _gains([_weights(levels, common, places, nothing, lit, is_pair=True)])
+
+
+def _are_alike(levels: Floats32, common: Floats32, places: Places) -> bool:
+    """Whether the sum of a pair goes with its difference nowhere, as it does in steady light: quickly told."""
+    total, difference = levels[0] + levels[1], levels[0] - levels[1]
+    rest = total - common * (float(common @ total) / max(float(common @ common), 1e-12))
+    bands = np.searchsorted(places.rows * _BANDS // places.height, np.arange(_BANDS))
+    if bands[-1] >= len(rest):
+        return False
+    products, squares = (np.add.reduceat(difference * other, bands) for other in (rest, difference))
+    whole = abs(float(products.sum())) / max(float(squares.sum()), 1e-12)
+    return whole < _STEADY and float(np.median(np.abs(products) / np.maximum(squares, 1e-12))) < 2 * _STEADY
 
 
 def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places, lit: Bools) -> Gains:
@@ -117,7 +133,7 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
 
 def lit_by(swing: Floats32) -> Bools:
     """Which pixels the patterns light up, from how much they change (P,)."""
-    lit: Bools = swing > _LIT * np.quantile(swing, _BRIGHT)
+    lit: Bools = swing >= _LIT * np.quantile(swing, _BRIGHT)
     return lit
 
 
@@ -207,7 +223,7 @@ def _bands(design: Floats, left: Floats, band: NDArray[np.int64], noise: float) 
     squares = np.add.reduceat(design[:, :, None] * design[:, None, :], starts)
     products = np.add.reduceat(design * left[:, None], starts)
     prior = np.eye(design.shape[1]) * noise / _BAND_SIGMA**2
-    found: Floats = np.linalg.solve(squares + prior, products[..., None])[..., 0]
+    found = np.linalg.solve(squares + prior, products[..., None])[..., 0].astype(np.float64)
     explained = 2 * np.sum(found * products) - np.einsum("bi,bij,bj", found, squares, found)
     means = np.add.reduceat(design, starts) / counts[:, None]
     is_told = np.median(_variety(np.diagonal(squares, axis1=1, axis2=2) / counts[:, None], means)) > _LEAST_VARIETY

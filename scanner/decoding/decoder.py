@@ -188,10 +188,15 @@ def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
             found.append((fold.fringe.frames, gains))
             if gains.matter:
                 fold.correction = correction(fold.fringe, gains, common, middle, brightest)
+    pairs = sample.levels[plan.complements].mean(axis=(1, 2)) if plan.complements else np.ones(1)
     for frames, gains in found:
         if gains.matter:
             for frame, of_frame in zip(frames, gains.at(sample.pixels // width), strict=True):
                 sample.divide(frame, of_frame)
+            if len(frames) == 2:  # which are as bright as other pairs are
+                brightness = np.mean([np.mean(sample.level(frame)) for frame in frames]) / np.median(pairs)
+                for frame in frames:
+                    sample.divide(frame, np.array([brightness]))
     return flicker_of([gains for _, gains in found])
 
 
