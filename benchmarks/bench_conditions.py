@@ -90,8 +90,8 @@ def _run(task: tuple[str, str, Setup, Path | None]) -> Outcome:
 def _earlier(path: Path | None) -> Iterator[Outcome]:
     if path is None or not path.exists():
         return
-    for line in path.read_text(encoding="utf-8").splitlines():
-        yield Outcome(**json.loads(line))
+    found = [Outcome(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
+    yield from {(o.name, o.strength, o.seed, o.sequence): o for o in found}.values()  # of several, the last
 
 
 def _tell(outcome: Outcome, number: int, of: int, *, verbose: bool) -> None:
