@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.numerics.array_types import Floats
+from calib.numerics import Floats
 from hw.settings import BumpSettings, DriftSettings
 from hw.simulated.device import PlacedDevice
 

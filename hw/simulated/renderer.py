@@ -18,6 +18,7 @@ from hw.simulated.mesh import build_mesh
 from hw.simulated.motion import steered
 from hw.simulated.picture import PictureOptics
 from hw.simulated.room import Room
+from hw.simulated.shapes import Block
 from hw.simulated.texture import paint
 
 _RAYS_PER_NODE = 384
@@ -51,7 +52,12 @@ class Renderer:
     @cached_property
     def ambient(self) -> Light:
         """Brightness without the projector, (H, W)."""
-        return self._of_nodes(np.float32(self.ambient_level) * self.ceiling)
+        return np.float32(self.ambient_level) * self.room_light
+
+    @cached_property
+    def room_light(self) -> Light:
+        """What `ambient` is at a level of one, (H, W)."""
+        return self._of_nodes(self.ceiling)
 
     def render(self, picture: Image) -> Light:
         """Brightness of the camera's pixels, (H, W), for an 8-bit projector picture, before the camera's own lens."""
@@ -74,12 +80,13 @@ class Renderer:
             light = np.asarray(cv2.warpPerspective(light, self.turn, light.shape[::-1]), np.float32)
         return self._of_nodes(self.interreflection.irradiance(self.picture.pyramid(light)))
 
-    def moved(self, camera: PlacedDevice, projector: PlacedDevice) -> "Renderer":
+    def moved(self, camera: PlacedDevice, projector: PlacedDevice, passer: Block | None = None) -> "Renderer":
         """The view after the devices of a renderer that has not moved were turned a little: only rays are cast anew.
 
-        A projector that turns about its lens lights the room like one that rests and shows its picture turned.
+        A projector that turns about its lens lights the room like one that rests and shows its picture turned. What
+        goes past hides and shades, but the exchange of light between surfaces is taken to go on without it.
         """
-        caster = self.caster.moved(camera, projector)
+        caster = self.caster.moved(camera, projector, passer)
         turn = steered(self.caster.light.projector, projector)
         return replace(self, caster=caster, footprints=caster.cast(), turn=turn)
 
@@ -93,7 +100,7 @@ def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Ge
     projector = room.projector.optics
     picture = PictureOptics(
         projector.width, projector.height, settings.gamma, settings.contrast, settings.projector_blur_px
-    )
+    ).under(settings)
     light = ProjectorLight(room.scene, room.projector)
     wallpaper = np.random.default_rng([settings.seed, _WALLPAPER_STREAM]) if settings.wallpaper else None
     texture = paint(room.scene, rng, settings.albedo, wallpaper)

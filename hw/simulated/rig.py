@@ -6,6 +6,7 @@ from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Frame
 from hw.simulated.arrays import Light
+from hw.simulated.lamp import Lamp
 from hw.simulated.renderer import Renderer
 from hw.simulated.simulation import SimulatedRoom
 
@@ -56,10 +57,12 @@ class SimulatedCamera:
         self._room = room
         self._projector = projector
         self._noise = np.random.default_rng([room.settings.seed, _NOISE_STREAM, room.settings.pose])
-        self._pulses = np.random.default_rng([room.settings.seed, _PULSE_STREAM, room.settings.pose])
+        pulses = np.random.default_rng([room.settings.seed, _PULSE_STREAM, room.settings.pose])
+        self._lamp = Lamp(room.settings, pulses)
         self._exposure_us = room.sensor.exposure_us
         self._frame = 0
         self._seen: tuple[Light, Renderer, Light] | None = None
+        self._unlit: tuple[Renderer, Light] | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -95,24 +98,21 @@ class SimulatedCamera:
     def grab(self) -> Frame:
         """One frame of what the projector shows now."""
         sensor = self._room.sensor
-        longer = self._exposure_us / sensor.exposure_us
-        electrons = self._expected() * np.float32(longer * self._pulse())
+        thrown, unlit = self._expected()
+        lamp = self._lamp.brightness(self._exposure_us, len(thrown))
+        electrons = thrown * lamp + unlit * np.float32(self._room.ambient_level(self._frame))
+        electrons *= np.float32(self._exposure_us / sensor.exposure_us)
         self._frame += 1
         return Frame(sensor.read(electrons, self._noise), exposure_us=self._exposure_us)
 
-    def _expected(self) -> Light:
-        """Electrons (H, W) at the sensor's own exposure; computed once for pictures that are looked at repeatedly."""
-        light, renderer = self._projector.light, self._room.at(self._frame)
-        if self._seen is None or self._seen[0] is not light or self._seen[1] is not renderer:
-            self._seen = light, renderer, self._room.sensor.electrons(renderer.thrown(light) + renderer.ambient)
-        return self._seen[2]
+    def _expected(self) -> tuple[Light, Light]:
+        """Electrons (H, W) at the sensor's own exposure: the projector's, and those of ambient light as bright.
 
-    def _pulse(self) -> float:
-        """How bright light that pulsates comes out in this frame; of whole periods every frame sees the same."""
-        settings = self._room.settings
-        if settings.pulsation == 0:
-            return 1.0
-        periods = self._exposure_us / 1e6 * settings.refresh_hz
-        # Mean of 1 + m cos(2πt + φ) over an exposure of that many periods, beginning at any moment.
-        seen = settings.pulsation * np.sinc(periods)
-        return float(1 + seen * np.cos(self._pulses.uniform(0, 2 * np.pi)))
+        Pictures that are looked at repeatedly are computed once.
+        """
+        light, renderer, sensor = self._projector.light, self._room.at(self._frame), self._room.sensor
+        if self._seen is None or self._seen[0] is not light or self._seen[1] is not renderer:
+            self._seen = light, renderer, sensor.electrons(renderer.thrown(light))
+        if self._unlit is None or self._unlit[0] is not renderer:
+            self._unlit = renderer, sensor.electrons(renderer.room_light)
+        return self._seen[2], self._unlit[1]

@@ -11,6 +11,7 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.device import PlacedDevice
 from hw.simulated.motion import offset_px, turned
+from hw.simulated.passer import passer_in
 from hw.simulated.placement import resized
 from hw.simulated.renderer import Renderer, build_renderer
 from hw.simulated.room import Room, draw_room
@@ -21,7 +22,7 @@ from hw.simulated.truth import GroundTruth, true_calibration, true_view
 _RENDERING_STREAM = 100
 # What decides where light goes in the room: with other values of these, all of it would have to be found out again.
 _OF_THE_ROOM = (
-    *("seed", "pose", "walls_off_deg", "furniture", "hide_vertex", "sphere_radius_m"),
+    *("seed", "pose", "walls_off_deg", "furniture", "furniture_askew_deg", "hide_vertex", "sphere_radius_m"),
     *("albedo", "wallpaper", "interreflection", "distortion"),
 )
 
@@ -63,27 +64,31 @@ class SimulatedRoom:
         self._last: tuple[tuple[float, ...], Renderer] | None = None
 
     def at(self, frame: int) -> Renderer:
-        """The view in a frame, counted from 0: another one than `renderer` if a device has moved."""
+        """The view in a frame, counted from 0: another one than `renderer` if something has moved."""
         bump, drift = self.settings.bump, self.settings.drift
         camera, projector = (offset_px(name, bump, drift, frame) for name in ("camera", "projector"))
-        moved = (*camera, *projector)
-        if not any(moved):
+        placed = turned(self.room.camera, camera)
+        passer = passer_in(frame, self.settings.passer, placed)
+        if passer is None and not any((*camera, *projector)):
             return self.renderer
+        moved = (*camera, *projector, *(() if passer is None else passer.origin))
         if self._last is None or self._last[0] != moved:
-            self._last = (
-                moved,
-                self.renderer.moved(turned(self.room.camera, camera), turned(self.room.projector, projector)),
-            )
+            self._last = moved, self.renderer.moved(placed, turned(self.room.projector, projector), passer)
         return self._last[1]
+
+    def ambient_level(self, frame: int) -> float:
+        """How much light there is in a frame beside the projector's, relative to its white."""
+        light = self.settings.light
+        return self.settings.ambient if light.ambient is None or frame < light.frame else light.ambient
 
     def electrons(self, picture: Image) -> Light:
         """Expected electrons (H, W) of the camera's pixels while the projector shows an 8-bit picture, in frame 0."""
         return self.sensor.electrons(self.renderer.render(picture))
 
     @property
-    def calibration(self) -> Calibration:
-        """The true calibration in frame 0, in metres."""
-        return true_calibration(self.room)
+    def calibration(self) -> Calibration | None:
+        """The true calibration in frame 0, in metres; None if no pinhole throws the picture."""
+        return true_calibration(self.room, self.renderer.picture.shape)
 
     def ground_truth(self) -> GroundTruth:
         """What is true of each camera pixel in frame 0."""
