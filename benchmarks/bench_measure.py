@@ -40,6 +40,12 @@ def settings_of(seed: int, pose: int) -> SimulatedRigSettings:
     )
 
 
+def true_rig(room: Room) -> Calibration:
+    found = true_calibration(room)
+    assert found is not None, "every room has a pinhole for a projector unless its picture is reshaped"
+    return found
+
+
 def note(errors: Errors, kind: str, error: float, budget: object) -> None:
     shares = [getattr(budget, name) for name in ("sigma", "scatter", "smooth", "calibration")]
     errors[kind].append((error, *shares))
@@ -57,7 +63,7 @@ def compare(errors: Errors, how: str, folder: Path, room: Room) -> None:
         note(errors, f"{how}: angle, °", angle.angle_deg - true_deg, angle.budget)
     for face in scene.faces:
         note(errors, f"{how}: flatness, m", face.deviation, face.budget)
-    note_lengths(errors, how, found, scene, true_calibration(room))
+    note_lengths(errors, how, found, scene, true_rig(room))
     try:
         measured = measure(found, scene, [DIAMETER_M, DIAMETER_M], [])
     except NoMeasurementError as reason:
@@ -96,14 +102,14 @@ def run(seed: int, folder: Path, errors: Errors) -> None:
         f"rig: {settings}\n".replace("'", "")
         + f"camera: {{width: {CAMERA[0]}, height: {CAMERA[1]}}}\n"
         + f"projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}\n"
-        + f"scale: {{baseline_m: {true_calibration(rooms[0]).baseline}}}\n"
+        + f"scale: {{baseline_m: {true_rig(rooms[0]).baseline}}}\n"
     )
     together, alone = folder / f"{seed}-together", folder / f"{seed}-alone"
     asked = ["--config", str(config), "--quiet", "--out"]
     if scan([*asked, str(together), "--captures", str(PLACES)]) == 0:
         for place, room in enumerate(rooms):
             compare(errors, "together", folder_of(together, place, PLACES), room)
-        known = true_calibration(rooms[-1]).camera.principal_point_px
+        known = true_rig(rooms[-1]).camera.principal_point_px
         point = f"camera.principal_point.known={list(known)}"
         if scan(["calibrate", str(together / "matches.npz"), *asked, str(alone), "--set", point]) == 0:
             compare(errors, "alone", alone, rooms[-1])

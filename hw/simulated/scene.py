@@ -44,7 +44,12 @@ class Scene:
     def spheres(self) -> dict[int, Sphere]:
         """The spheres by their surfaces' numbers."""
         there = (sphere for sphere in (self.sphere, self.second_sphere) if sphere is not None)
-        return dict(enumerate(there, start=6 + 6 * len(self.blocks)))
+        return dict(enumerate(there, start=self.sphere_surface))
+
+    @property
+    def sphere_surface(self) -> int:
+        """The first sphere's number; no surface's if there is none."""
+        return 6 + 6 * len(self.blocks)
 
     @property
     def _solids(self) -> tuple[Block | Sphere, ...]:
