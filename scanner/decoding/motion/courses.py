@@ -124,6 +124,7 @@ def _nearest(fit: FringeFit, target: Floats) -> Floats:
 
 def _median_of_group(values: Floats, group: Ints) -> Floats:
     """For each value (P,) the median of those of its group; the groups are in order."""
+    ordered = values[np.lexsort((values, group))]
     starts = np.flatnonzero(np.diff(group, prepend=-1))
-    medians = [float(np.median(part)) for part in np.split(values, starts[1:])]
-    return np.repeat(medians, np.diff(starts, append=len(values)))
+    counts = np.diff(starts, append=len(values))
+    return np.repeat((ordered[starts + (counts - 1) // 2] + ordered[starts + counts // 2]) / 2, counts)

@@ -8,7 +8,7 @@ from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.axis_signals import Signals, signals_of
 from scanner.decoding.gray_code import interval_of
-from scanner.decoding.motion.tile_sample import TileSample
+from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
 from scanner.decoding.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan
 
@@ -95,22 +95,16 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     """Planes (tiles, 3, 2) through the coordinates of each tile: offset, slopes by camera x and y; and the pixels that
     are on them.
     """
-    centre = _sums(tiles, tiles.camera_px) / np.bincount(tiles.tile)[:, None]
-    terms = np.concatenate([np.ones((len(usable), 1)), tiles.camera_px - centre[tiles.tile]], axis=1)
-    on = usable
+    offset = tiles.camera_px[: TILE_PX**2] - tiles.camera_px[: TILE_PX**2].mean(axis=0)
+    terms = np.concatenate([np.ones((TILE_PX**2, 1)), offset], axis=1)  # of every tile alike
+    seen, on = projector_px.reshape(tiles.count, TILE_PX**2, 2), usable.reshape(tiles.count, TILE_PX**2)
+    fit = on
     for _ in range(_TRIMS + 1):
-        weight = on.astype(np.float64)
-        gram = _sums(tiles, (terms[:, :, None] * terms[:, None, :] * weight[:, None, None]).reshape(-1, 9))
-        right = _sums(tiles, (terms[:, :, None] * projector_px[:, None, :] * weight[:, None, None]).reshape(-1, 6))
-        gram = gram.reshape(-1, 3, 3) + 1e-9 * np.eye(3)
-        planes: Floats = np.linalg.solve(gram, right.reshape(-1, 3, 2)).astype(np.float64)
-        off = np.linalg.norm(projector_px - np.einsum("pa,pac->pc", terms, planes[tiles.tile]), axis=1)
-        count = np.maximum(np.bincount(tiles.tile, weight), 1)
-        rough = np.sqrt(np.bincount(tiles.tile, weight * off**2) / count)
-        on = usable & (off <= np.maximum(_MOST_OFF_SIGMAS * rough[tiles.tile], 1e-3))
+        weighted = terms.T * fit[:, None, :]
+        planes: Floats = np.linalg.solve(weighted @ terms + 1e-9 * np.eye(3), weighted @ seen)
+        off = np.linalg.norm(seen - terms @ planes, axis=2)
+        count = np.maximum(np.count_nonzero(fit, axis=1), 1)
+        rough = np.sqrt(np.sum(fit * off**2, axis=1) / count)
+        fit = on & (off <= np.maximum(_MOST_OFF_SIGMAS * rough, 1e-3)[:, None])
     smooth = (rough < _MOST_ROUGH_PX) & (count >= _FEWEST_IN_TILE)
-    return planes, on & smooth[tiles.tile]
-
-
-def _sums(tiles: TileSample, values: Floats) -> Floats:
-    return np.stack([np.bincount(tiles.tile, column, tiles.count) for column in values.T], axis=1)
+    return planes, (fit & smooth[:, None]).reshape(-1)

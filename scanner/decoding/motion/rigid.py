@@ -5,7 +5,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import Floats, Ints
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints
 
 # Of each device: shifts of its picture to the right and down, a roll and a change of scale.
 PER_DEVICE = 4
@@ -74,7 +74,7 @@ def fit_motion(design: Floats, seen_px: Floats, precision: Floats, group: Ints) 
         information = design.T @ (design * weight[:, None]) + prior
         motion = np.linalg.solve(information, design.T @ (weight * seen_px)).astype(np.float64)
         normalised = (seen_px - design @ motion) * np.sqrt(precision)
-        scale = max(float(np.median(np.abs(normalised))) / 0.6745, 1e-3)
+        scale = max(SIGMA_PER_MEDIAN * float(np.median(np.abs(normalised))), 1e-3)
         weight = precision * np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(normalised), 1e-9))
     residual = seen_px - design @ motion
     scores = design * (weight * residual)[:, None]
