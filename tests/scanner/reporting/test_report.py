@@ -323,7 +323,10 @@ def test_quantities_against_the_truth(calibrated: ReportInput, scene: Scene) -> 
 
 def test_patterns_in_words() -> None:
     words = describe_patterns(sequence_for((854, 480)))
-    assert words.startswith("white, black, 14 × Gray code along x (cell 8 px), 4 × fringe along x (period 16 px)")
+    assert words.startswith(
+        "white, black, 14 × Gray code along x (cell 8 px), 12 × Gray code along y (cell 8 px), "
+        "4 × fringe along x (period 16 px)"
+    )
 
 
 def test_a_misfit_beyond_the_noise_is_no_good_result(calibrated: ReportInput) -> None:
