@@ -2,6 +2,9 @@
 
 import http.client
 from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from email.message import Message
 from urllib.parse import urlsplit
 
 import pytest
@@ -24,13 +27,21 @@ def where() -> Iterator[str]:
         yield address
 
 
-def ask(where: str, path: str = "/", **headers: str) -> http.client.HTTPResponse:
-    connection = http.client.HTTPConnection(urlsplit(where).netloc, timeout=20)
-    connection.putrequest("GET", path, skip_host="Host" in headers)
-    for name, value in headers.items():
-        connection.putheader(name, value)
-    connection.endheaders()
-    return connection.getresponse()
+@dataclass(frozen=True)
+class Answer:
+    status: int
+    headers: Message
+    text: str
+
+
+def ask(where: str, path: str = "/", **headers: str) -> Answer:
+    with closing(http.client.HTTPConnection(urlsplit(where).netloc, timeout=20)) as connection:
+        connection.putrequest("GET", path, skip_host="Host" in headers)
+        for name, value in headers.items():
+            connection.putheader(name, value)
+        connection.endheaders()
+        response = connection.getresponse()
+        return Answer(response.status, response.headers, response.read().decode())
 
 
 def cookie(where: str) -> str:
@@ -48,14 +59,14 @@ def cookie(where: str) -> str:
 def test_the_printed_address_opens_the_page(where: str) -> None:
     response = ask(where, Cookie=cookie(where))
     assert response.status == 200
-    assert "<html" in response.read().decode()
+    assert "<html" in response.text
 
 
 @pytest.mark.parametrize("path", ["/", "/?token=", "/?token=guessed", "/index.html"])
 def test_without_the_token_there_is_no_page(where: str, path: str) -> None:
     response = ask(where, path)
     assert response.status == 403
-    assert "token" in response.read().decode()
+    assert "token" in response.text
 
 
 def test_a_name_from_a_strangers_dns_is_refused(where: str) -> None:
