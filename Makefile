@@ -58,7 +58,10 @@ unit: $(VENV)/.dev try-rig try-browser
 	$(BIN)/pytest -n auto --dist loadgroup
 
 benchmark: $(VENV)/.dev try-rig
-	@for file in benchmarks/bench_*.py; do echo "== $$file"; OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file || exit 1; done
+	@for file in benchmarks/bench_*.py; do \
+		case $$file in *conditions.py) brief=--quick;; *) brief=;; esac; \
+		echo "== $$file"; OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $$brief || exit 1; \
+	done
 
 $(BIN)/pip:
 	tools/make-venv $(PYTHON) $(VENV)

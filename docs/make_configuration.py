@@ -27,6 +27,8 @@ _UNITS_BY_KEY = {
     "width": "pixels",
     "height": "pixels",
     "known": "pixels",
+    "px": "pixels",
+    "px_per_frame": "pixels",
     "cell": "pixels",
     "periods": "pixels",
     "packet_size": "bytes",

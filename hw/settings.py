@@ -5,6 +5,70 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class BumpSettings(_Part):
+    """Someone knocks once against a simulated device, which then points elsewhere."""
+
+    device: Literal["camera", "projector"] = Field(default="projector", description="Which device it is.")
+    frame: int = Field(
+        default=0, ge=0, description="The first frame after it; they are counted from 0 since the rig is open."
+    )
+    px: float = Field(
+        default=0.0, ge=0.0, le=100.0, description="How far it moves the device's picture, in its own pixels."
+    )
+    direction_deg: float = Field(default=0.0, description="Where to: 0 to the picture's right, 90 down.")
+
+
+class DriftSettings(_Part):
+    """A simulated device turns slowly: a projector that warms up, a tripod that sinks."""
+
+    device: Literal["camera", "projector"] = Field(default="projector", description="Which device it is.")
+    px_per_frame: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=10.0,
+        description="How far the device's picture moves from frame to frame, in its own pixels.",
+    )
+    direction_deg: float = Field(default=0.0, description="Where to: 0 to the picture's right, 90 down.")
+
+
+class LightSettings(_Part):
+    """Someone switches the light in the simulated room."""
+
+    frame: int = Field(
+        default=0, ge=0, description="The first frame after it; they are counted from 0 since the rig is open."
+    )
+    ambient: float | None = Field(
+        default=None, ge=0.0, le=10.0, description="What rig.ambient is from then on; left out, nobody does."
+    )
+
+
+class PasserSettings(_Part):
+    """Somebody, or something, goes past between the devices and the corner of the simulated room."""
+
+    width_m: float = Field(
+        default=0.0, ge=0.0, le=1.0, description="Width of an upright box of 1.8 m; 0.4 is a person, 0 is nobody."
+    )
+    first_frame: int = Field(default=0, ge=0, description="The frame in which it comes in on the camera's left.")
+    last_frame: int = Field(default=0, ge=0, description="The frame in which it leaves on the right.")
+
+
+class PanelSettings(_Part):
+    """What a simulated projector makes of the picture's shape before it shows it."""
+
+    scale: float = Field(
+        default=1.0, ge=0.3, le=3.0, description="Enlargement about the centre; above 1, the edges are cropped."
+    )
+    squeeze: float = Field(default=1.0, ge=0.5, le=1.0, description="Factor on the width: 0.75 shows 16:9 as 4:3.")
+    keystone: float = Field(
+        default=0.0, ge=0.0, le=0.5, description="How much narrower than the bottom edge the top edge is shown."
+    )
+    mirrored: bool = Field(default=False, description="Whether right and left are exchanged, as for a screen's back.")
+
+
 class SimulatedRigSettings(BaseModel):
     """A simulated room with a simulated projector and camera in it."""
 
@@ -22,6 +86,9 @@ class SimulatedRigSettings(BaseModel):
         0.0, ge=0.0, le=10.0, description="Standard deviation of each of the corner's three angles from 90 degrees."
     )
     furniture: bool = Field(True, description="Boxes, a cupboard and a sphere, which hide and shade parts of the room.")
+    furniture_askew_deg: float = Field(
+        0.0, ge=0.0, le=30.0, description="Standard deviation of the cupboard's angle to the wall that it stands at."
+    )
     hide_vertex: bool = Field(False, description="A box stands in the corner and hides its vertex from the camera.")
     sphere_radius_m: float = Field(0.12, ge=0.05, le=0.2, description="Radius of the sphere in metres.")
     albedo: float | None = Field(
@@ -55,11 +122,65 @@ class SimulatedRigSettings(BaseModel):
     )
     gamma: float = Field(2.2, ge=1.0, le=3.0, description="Exponent of the projector's response.")
     contrast: float = Field(1000.0, ge=10.0, description="The projector's white over its black.")
+    ghost: float = Field(
+        0.0,
+        ge=0.0,
+        le=0.9,
+        description="Share of a frame's light that is still the previous picture's, as of a slow panel.",
+    )
+    flicker: float = Field(
+        0.0,
+        ge=0.0,
+        le=0.9,
+        description="How much brighter or darker than usual the projector is in a frame at most, whatever the "
+        "exposure: a lamp or colour wheel that beats with it.",
+    )
+    rolling_shutter_ms: float = Field(
+        0.0,
+        ge=0.0,
+        le=1000.0,
+        description="How much later than the camera's first row the last is exposed: light that flickers or pulsates, "
+        "at refresh_hz, then shows as bands.",
+    )
+    stripe_loss: float = Field(
+        0.0,
+        ge=0.0,
+        le=0.5,
+        description="Share of its light that a stripe of one pixel loses to crosstalk between the panel's pixels; one "
+        "of two pixels loses half as much.",
+    )
+    sharpening: float = Field(
+        0.0,
+        ge=0.0,
+        le=3.0,
+        description="How much the projector sharpens: the share of the difference to the picture blurred by one pixel "
+        "that it adds.",
+    )
+    panel: PanelSettings = Field(
+        default=PanelSettings(), description="{scale: …, keystone: …, …}: the projector changes the picture's shape."
+    )
+    light: LightSettings = Field(
+        default=LightSettings(), description="{frame: …, ambient: …}: the light in the room is switched."
+    )
+    passer: PasserSettings = Field(
+        default=PasserSettings(), description="{width_m: …, first_frame: …, last_frame: …}: somebody goes past."
+    )
+    bump: BumpSettings = Field(
+        default=BumpSettings(), description="{device: …, frame: …, px: …}: a device is knocked against once."
+    )
+    drift: DriftSettings = Field(
+        default=DriftSettings(), description="{device: …, px_per_frame: …}: a device turns slowly."
+    )
     projector_blur_px: float = Field(
-        0.5, ge=0.0, le=3.0, description="Standard deviation of the projector lens's blur in projector pixels."
+        0.5, ge=0.0, le=4.0, description="Standard deviation of the projector lens's blur in projector pixels."
     )
     camera_blur_px: float = Field(
         0.5, ge=0.0, le=3.0, description="Standard deviation of the camera lens's blur in camera pixels."
+    )
+    camera_response: Literal["linear", "srgb", "photo"] = Field(
+        "linear",
+        description="From light to grey levels: as machine vision cameras have it, as web cameras, or as a photo "
+        "camera's JPEG, with more contrast.",
     )
     exposure_us: float | None = Field(
         None,

@@ -4,20 +4,23 @@ A pixel that sees one surface without the projector's light needs one ray. All o
 edges, shadows and fringes are averaged over the pixel's area.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage, sparse
 
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints, in_parallel
 from hw.simulated.arrays import Indices, sparse_matrix
 from hw.simulated.device import PlacedDevice
 from hw.simulated.illumination import SPILL_PX, ProjectorLight
 from hw.simulated.mesh import Mesh
 from hw.simulated.picture import PictureOptics
+from hw.simulated.shapes import Block
 from hw.simulated.texture import Texture
 
 _CAMERA_VIGNETTING = 0.15
+_OPPOSITE_WALL = 3
+_STRIP_PIXELS = 1 << 14  # small enough for its arrays to stay in cache
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,8 @@ class _Seen:
 class FootprintCaster:
     """Casts the rays of camera pixels, a strip of rows at a time; `samples` × `samples` rays for a detailed pixel.
 
-    `stand_in` (nodes,): the node whose light to use at each node.
+    `stand_in` (nodes,): the node whose light to use at each node. `painted` (surfaces,): the surface of texture and
+    mesh that each surface of the scene looks like; None if all look like themselves.
     """
 
     light: ProjectorLight
@@ -56,6 +60,28 @@ class FootprintCaster:
     mesh: Mesh
     stand_in: Indices
     samples: int
+    painted: Ints | None = None
+
+    def moved(self, camera: PlacedDevice, projector: PlacedDevice, passer: Block | None) -> "FootprintCaster":
+        """The same with the devices elsewhere, and perhaps one more block in the scene, which has the walls' paint."""
+        scene, painted = self.light.scene, None
+        if passer is not None:
+            # The surfaces of a scene are numbered: the room's, the blocks' in turn, the sphere's.
+            known = np.arange(scene.surface_count)
+            painted = np.insert(known, scene.sphere_surface, np.full(6, _OPPOSITE_WALL)).astype(np.int32)
+            scene = replace(scene, blocks=(*scene.blocks, passer))
+        return replace(self, camera=camera, light=ProjectorLight(scene, projector), painted=painted)
+
+    def cast(self) -> Footprints:
+        """The footprints of all pixels of the camera."""
+        optics = self.camera.optics
+        step = max(1, _STRIP_PIXELS // optics.width)
+        strips = [range(row, min(row + step, optics.height)) for row in range(0, optics.height, step)]
+        parts = in_parallel(self.strip, strips)
+        return Footprints(
+            sparse.vstack([part.direct for part in parts], format="csr"),
+            sparse.vstack([part.indirect for part in parts], format="csr"),
+        )
 
     def strip(self, rows: range) -> Footprints:
         """The footprints of all pixels in some rows."""
@@ -85,8 +111,11 @@ class FootprintCaster:
         t, surface = self.light.scene.cast(self.camera.centre[:, None], directions)
         points = self.camera.centre[:, None] + t * directions
         uv = self.light.scene.surface_coordinates(surface, points)
-        gain = self.texture.albedo(surface, uv) * self.camera.optics.vignetting(pixels, _CAMERA_VIGNETTING)
+        gain = self.texture.albedo(self._paint(surface), uv) * self.camera.optics.vignetting(pixels, _CAMERA_VIGNETTING)
         return _Seen(surface, points, uv, gain)
+
+    def _paint(self, surface: Ints) -> Ints:
+        return surface if self.painted is None else self.painted[surface]
 
     def _direct(self, pixel: Indices, seen: _Seen, count: int) -> sparse.csr_array:
         projected, irradiance = self.light.direct(seen.surface, seen.points)
@@ -108,11 +137,11 @@ class FootprintCaster:
         gain = np.zeros(count)
         gain[single] = whole.gain
         gain[detailed] = seen.gain.reshape(-1, per_pixel).mean(axis=1)
-        nodes, weights = self.mesh.interpolate(whole.surface, whole.uv)
+        nodes, weights = self.mesh.interpolate(self._paint(whole.surface), whole.uv)
         weights *= gain[single, None]
 
         parts = np.flatnonzero(np.repeat(mixed, per_pixel))
-        part_nodes, part_weights = self.mesh.interpolate(seen.surface[parts], seen.uv[:, parts])
+        part_nodes, part_weights = self.mesh.interpolate(self._paint(seen.surface[parts]), seen.uv[:, parts])
         part_weights *= seen.gain[parts, None] / per_pixel
         pixels = np.concatenate([np.flatnonzero(single), np.repeat(detailed[mixed], per_pixel)])
         return sparse_matrix(

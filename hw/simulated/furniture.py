@@ -9,12 +9,15 @@ from hw.simulated.shapes import Block, Sphere
 _EMBEDDED_M = 0.004
 
 
-def draw_furniture(rng: np.random.Generator, sphere_radius_m: float) -> tuple[tuple[Block, ...], Sphere]:
-    """Three cardboard boxes of any heading, two of them stacked; a cupboard; a sphere on the floor or on a box."""
+def draw_furniture(rng: np.random.Generator, sphere_radius_m: float, askew: float) -> tuple[tuple[Block, ...], Sphere]:
+    """Three cardboard boxes of any heading, two of them stacked; a cupboard; a sphere on the floor or on a box.
+
+    `askew`: the angle in radians by which the cupboard is turned from its wall.
+    """
     large = _standing(rng, rng.uniform((0.25, 0.25, 0.15), (0.45, 0.4, 0.4)), _place(rng, 0.45, 1.1))
     stacked = _on_top(rng, large, rng.uniform((0.12, 0.12, 0.08), (0.2, 0.2, 0.2)))
     other = _standing(rng, rng.uniform((0.15, 0.15, 0.1), (0.35, 0.35, 0.5)), _place(rng, 0.35, 1.2))
-    cupboard = _against_wall(rng, rng.uniform((0.6, 0.3, 0.7), (1.2, 0.45, 1.9)), rng.uniform(0.7, 1.4))
+    cupboard = _against_wall(rng, rng.uniform((0.6, 0.3, 0.7), (1.2, 0.45, 1.9)), rng.uniform(0.7, 1.4), askew)
     x, y = _place(rng, 0.3, 0.9)
     sphere = Sphere(np.array([x, y, sphere_radius_m]), sphere_radius_m)
     return (large, stacked, other, cupboard), sphere
@@ -47,12 +50,13 @@ def _on_top(rng: np.random.Generator, below: Block, size: Floats) -> Block:
     return _box(size, middle[:2] + rng.uniform(-0.05, 0.05, 2), rng.uniform(0, np.pi), float(top[2]))
 
 
-def _against_wall(rng: np.random.Generator, size: Floats, start: float) -> Block:
-    """A cupboard with its back in one of the two walls, beginning `start` metres from the corner."""
+def _against_wall(rng: np.random.Generator, size: Floats, start: float, askew: float) -> Block:
+    """A cupboard with its back, or an edge of it, in one of the two walls, `start` metres from the corner."""
     width, depth, height = size
+    away = (width * abs(np.sin(askew)) + depth * np.cos(askew)) / 2 - _EMBEDDED_M
     if rng.random() < 0.5:
-        return _box(np.array([width, depth, height]), np.array([start + width / 2, depth / 2 - _EMBEDDED_M]), 0.0)
-    return _box(np.array([depth, width, height]), np.array([depth / 2 - _EMBEDDED_M, start + width / 2]), 0.0)
+        return _box(np.array([width, depth, height]), np.array([start + width / 2, away]), askew)
+    return _box(np.array([depth, width, height]), np.array([away, start + width / 2]), askew)
 
 
 def _box(size: Floats, place: Floats, heading: float, floor: float = 0.0) -> Block:

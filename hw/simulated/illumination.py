@@ -9,8 +9,8 @@ from hw.simulated.device import PlacedDevice
 from hw.simulated.scene import Scene
 
 _VIGNETTING = 0.25
-# Light of the outermost pixels spills this far beyond the picture's edge by blur.
-SPILL_PX = 2.0
+# Light of the outermost pixels spills this far beyond the picture's edge by blur, which is 4 pixels at most.
+SPILL_PX = 10.0
 
 
 @dataclass(frozen=True)

@@ -1,34 +1,75 @@
 """From the picture that a projector is shown to the light that leaves its lens."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from calib.numerics import Floats, Image
+from hw.settings import PanelSettings, SimulatedRigSettings
 from hw.simulated.arrays import Indices, Light
 
 _OVERSAMPLING = 3
-_BORDER = 3  # black projector pixels around the picture, for light that blur spills over its edges
+_BORDER = 12  # black projector pixels around the picture, for light that blur spills over its edges
 _PYRAMID_LEVELS = 7
+_SHARPENED_PX = 1.0
 
 
 @dataclass(frozen=True)
 class PictureOptics:
-    """Response and lens of a projector; a picture's pixels are squares of even brightness."""
+    """Electronics, panel and lens of a projector; a picture's pixels are squares of even brightness.
+
+    `sharpening`, `stripe_loss`: as in the settings. `shape` (3, 3): takes the picture's pixels to the panel's, None if
+    they are the same.
+    """
 
     width: int
     height: int
     gamma: float
     contrast: float
     blur_px: float
+    sharpening: float = 0.0
+    stripe_loss: float = 0.0
+    shape: Floats | None = None
+
+    def under(self, settings: SimulatedRigSettings) -> "PictureOptics":
+        """Those of a projector of the same size with other settings."""
+        return replace(
+            self,
+            gamma=settings.gamma,
+            contrast=settings.contrast,
+            blur_px=settings.projector_blur_px,
+            sharpening=settings.sharpening,
+            stripe_loss=settings.stripe_loss,
+            shape=None if settings.panel == PanelSettings() else panel_shape(settings.panel, self.width, self.height),
+        )
 
     def linear(self, picture: Image) -> Light:
-        """8-bit picture (H, W) → light (H, W) from 1 / contrast to 1."""
+        """8-bit picture (H, W) → light (H, W) of the panel's pixels from 1 / contrast to 1."""
+        levels = picture.astype(np.float32)
+        if self.shape is not None:
+            levels = np.asarray(cv2.warpPerspective(levels, self.shape, (self.width, self.height)), np.float32)
+        if self.sharpening:
+            soft = cv2.GaussianBlur(levels, (0, 0), _SHARPENED_PX, borderType=cv2.BORDER_REPLICATE)
+            levels = np.clip(levels + np.float32(self.sharpening) * (levels - soft), 0, 255)
         black = 1.0 / self.contrast
-        response = black + (1.0 - black) * np.linspace(0.0, 1.0, 256) ** self.gamma
-        light: Light = response.astype(np.float32)[picture]
-        return light
+        light: Light = (black + (1.0 - black) * (levels / np.float32(255)) ** np.float32(self.gamma)).astype(np.float32)
+        return self._after_crosstalk(light) if self.stripe_loss else light
+
+    def unshaped(self, pixels: Floats) -> Floats:
+        """The panel's pixels (2, n) → the picture's, (2, n)."""
+        if self.shape is None:
+            return pixels
+        x, y, w = np.linalg.inv(self.shape) @ np.vstack([pixels, np.ones(pixels.shape[1])])
+        return np.stack([x / w, y / w])
+
+    def _after_crosstalk(self, light: Light) -> Light:
+        """Each pixel loses a share of what it has more than each of its four neighbours."""
+        padded = np.pad(light, 1, mode="edge")
+        neighbours = (padded[1:-1, :-2], padded[1:-1, 2:], padded[:-2, 1:-1], padded[2:, 1:-1])
+        lost = sum(np.maximum(light - other, 0) for other in neighbours)
+        left: Light = light - np.float32(self.stripe_loss / 2) * lost  # a stripe of one pixel has two dark neighbours
+        return left
 
     def blurred(self, light: Light) -> Light:
         """Light (H, W) → a finer image of it behind the lens, as a vector (fine_count,)."""
@@ -87,3 +128,24 @@ class PictureOptics:
 
     def _fine_size(self) -> tuple[int, int]:
         return (self.width + 2 * _BORDER) * _OVERSAMPLING, (self.height + 2 * _BORDER) * _OVERSAMPLING
+
+
+def panel_shape(settings: PanelSettings, width: int, height: int) -> Floats:
+    """Takes the picture's pixels to the panel's, (3, 3); of a scale of one the bottom edge is kept."""
+    across = settings.scale * settings.squeeze * (-1 if settings.mirrored else 1)
+    centre = np.array([(width - 1) / 2, (height - 1) / 2])
+    to_centre = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, 1.0]])
+    # In units of half the height: the bottom, y = 1, is kept, the top, y = −1, is divided by 1 / (1 − keystone).
+    lean = (1 / (1 - settings.keystone) - 1) / 2
+    wide = 1 + lean
+    unit = np.diag([2 / height, 2 / height, 1.0])
+    keystone = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -lean, wide]])
+    shape: Floats = (
+        np.linalg.inv(to_centre)
+        @ np.linalg.inv(unit)
+        @ keystone
+        @ unit
+        @ np.diag([across, settings.scale, 1.0])
+        @ to_centre
+    )
+    return shape

@@ -1,65 +1,106 @@
 """The camera's view of a room for any picture: direct light, indirect light, ambient light."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
+import cv2
 import numpy as np
-from scipy import sparse
 
-from calib.numerics import Image, in_parallel
+from calib.numerics import Floats, Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
+from hw.simulated.device import PlacedDevice
 from hw.simulated.footprints import FootprintCaster, Footprints, samples_per_pixel
 from hw.simulated.gather import Gatherer
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.interreflection import Interreflection, solve
 from hw.simulated.mesh import build_mesh
+from hw.simulated.motion import steered
 from hw.simulated.picture import PictureOptics
 from hw.simulated.room import Room
+from hw.simulated.shapes import Block
 from hw.simulated.texture import paint
 
 _RAYS_PER_NODE = 384
 _WALLPAPER_STREAM = 102  # apart from all other random numbers, so that they stay as they are without it
-_STRIP_PIXELS = 1 << 14  # small enough for its arrays to stay in cache
 
 
 @dataclass(frozen=True)
 class Renderer:
     """Light is linear in the picture: what the room does to it is found once, a picture then costs a few products.
 
-    `footprints`: of all camera pixels. `interreflection`: None if light is not to be reflected on to other surfaces.
-    `ambient` (H, W): brightness without the projector.
+    `footprints`: of all camera pixels, as `caster` found them. `interreflection`: None if light is not to be reflected
+    on to other surfaces. `ceiling` (nodes,): irradiance by ambient light as bright as the projector's white, of which
+    there is `ambient_level`. `turn` (3, 3): takes pixels of a projector that has been turned to those that looked the
+    same way when the interreflection was solved; None if it was not turned.
     """
 
     picture: PictureOptics
+    caster: FootprintCaster
     footprints: Footprints
     interreflection: Interreflection | None
-    ambient: Light
+    ceiling: Light
+    ambient_level: float
+    turn: Floats | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the camera's image."""
+        optics = self.caster.camera.optics
+        return optics.height, optics.width
+
+    @cached_property
+    def ambient(self) -> Light:
+        """Brightness without the projector, (H, W)."""
+        return np.float32(self.ambient_level) * self.room_light
+
+    @cached_property
+    def room_light(self) -> Light:
+        """What `ambient` is at a level of one, (H, W)."""
+        return self._of_nodes(self.ceiling)
 
     def render(self, picture: Image) -> Light:
         """Brightness of the camera's pixels, (H, W), for an 8-bit projector picture, before the camera's own lens."""
-        light = self.picture.linear(picture)
-        return self.direct(light) + self.indirect(light) + self.ambient
+        return self.thrown(self.picture.linear(picture)) + self.ambient
+
+    def thrown(self, light: Light) -> Light:
+        """All that comes from the projector on whatever way, for linear light (H, W) of its pixels."""
+        return self.direct(light) + self.indirect(light)
 
     def direct(self, light: Light) -> Light:
         """The part that comes straight from the projector, for linear light (H, W) of its pixels."""
-        image: Light = (self.footprints.direct @ self.picture.blurred(light)).reshape(self.ambient.shape)
+        image: Light = (self.footprints.direct @ self.picture.blurred(light)).reshape(self.shape)
         return image
 
     def indirect(self, light: Light) -> Light:
         """The part that was reflected at least once before it reached the surface that the camera sees."""
         if self.interreflection is None:
-            return np.zeros(self.ambient.shape, np.float32)
-        nodes = self.interreflection.irradiance(self.picture.pyramid(light))
-        image: Light = (self.footprints.indirect @ nodes).reshape(self.ambient.shape)
+            return np.zeros(self.shape, np.float32)
+        if self.turn is not None:
+            light = np.asarray(cv2.warpPerspective(light, self.turn, light.shape[::-1]), np.float32)
+        return self._of_nodes(self.interreflection.irradiance(self.picture.pyramid(light)))
+
+    def moved(self, camera: PlacedDevice, projector: PlacedDevice, passer: Block | None = None) -> "Renderer":
+        """The view after the devices of a renderer that has not moved were turned a little: only rays are cast anew.
+
+        A projector that turns about its lens lights the room like one that rests and shows its picture turned. What
+        goes past hides and shades, but the exchange of light between surfaces is taken to go on without it.
+        """
+        caster = self.caster.moved(camera, projector, passer)
+        turn = steered(self.caster.light.projector, projector)
+        return replace(self, caster=caster, footprints=caster.cast(), turn=turn)
+
+    def _of_nodes(self, irradiance: Light) -> Light:
+        image: Light = (self.footprints.indirect @ irradiance).reshape(self.shape)
         return image
 
 
 def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Generator) -> Renderer:
     """Paint the room, let its surfaces light each other, and find what each camera pixel sees of it."""
-    camera, projector = room.camera.optics, room.projector.optics
+    projector = room.projector.optics
     picture = PictureOptics(
         projector.width, projector.height, settings.gamma, settings.contrast, settings.projector_blur_px
-    )
+    ).under(settings)
     light = ProjectorLight(room.scene, room.projector)
     wallpaper = np.random.default_rng([settings.seed, _WALLPAPER_STREAM]) if settings.wallpaper else None
     texture = paint(room.scene, rng, settings.albedo, wallpaper)
@@ -68,29 +109,21 @@ def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Ge
     interreflection = solve(room.scene, mesh, gathered)
     samples = samples_per_pixel(room.camera, room.projector)
     caster = FootprintCaster(light, room.camera, texture, picture, mesh, interreflection.stand_in, samples)
-
-    dark = Renderer(
+    unscaled = Renderer(
         picture,
-        _all_footprints(caster, camera.width, camera.height),
+        caster,
+        caster.cast(),
         interreflection if settings.interreflection else None,
-        np.zeros((camera.height, camera.width), np.float32),
+        interreflection.ceiling,
+        ambient_level=1.0,
     )
-    return replace(dark, ambient=_ambient(dark, interreflection.ceiling, settings.ambient))
-
-
-def _all_footprints(caster: FootprintCaster, width: int, height: int) -> Footprints:
-    step = max(1, _STRIP_PIXELS // width)
-    strips = [range(row, min(row + step, height)) for row in range(0, height, step)]
-    parts = in_parallel(caster.strip, strips)
-    return Footprints(
-        sparse.vstack([part.direct for part in parts], format="csr"),
-        sparse.vstack([part.indirect for part in parts], format="csr"),
+    return replace(
+        unscaled, ceiling=interreflection.ceiling * _white_over_ambient(unscaled), ambient_level=settings.ambient
     )
 
 
-def _ambient(renderer: Renderer, from_ceiling: Light, level: float) -> Light:
-    """Light that the ceiling sends into the room, scaled to `level` times the projector's white where that falls."""
-    unit: Light = (renderer.footprints.indirect @ from_ceiling).reshape(renderer.ambient.shape)
+def _white_over_ambient(renderer: Renderer) -> np.float32:
+    """The projector's white over the ambient light, where the white falls."""
     white = renderer.direct(np.ones((renderer.picture.height, renderer.picture.width), np.float32))
     lit = white > 0
-    return unit * np.float32(level * np.median(white[lit]) / np.median(unit[lit]))
+    return np.float32(np.median(white[lit]) / np.median(renderer.ambient[lit]))

@@ -6,6 +6,8 @@ from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Frame
 from hw.simulated.arrays import Light
+from hw.simulated.lamp import Lamp
+from hw.simulated.renderer import Renderer
 from hw.simulated.simulation import SimulatedRoom
 
 # Random numbers of the camera's noise; the room's have other streams.
@@ -21,7 +23,8 @@ class SimulatedProjector:
     def __init__(self, room: SimulatedRoom) -> None:
         self._room = room
         width, height = self.size
-        self._electrons = room.electrons(np.zeros((height, width), np.uint8))
+        self._shown = room.renderer.picture.linear(np.zeros((height, width), np.uint8))
+        self._light = self._shown
 
     @property
     def size(self) -> tuple[int, int]:
@@ -30,9 +33,9 @@ class SimulatedProjector:
         return optics.width, optics.height
 
     @property
-    def electrons_in_camera(self) -> Light:
-        """What the room sends to the camera's pixels now."""
-        return self._electrons
+    def light(self) -> Light:
+        """What its pixels send into the room now, (H, W); 1 is white."""
+        return self._light
 
     def show(self, image: Image) -> None:
         """Light the room with an (H, W) 8-bit grey image. Raises ValueError if it has another size or type."""
@@ -42,7 +45,9 @@ class SimulatedProjector:
                 f"the projector shows 8-bit grey images of {width} × {height} pixels, "
                 f"found {image.dtype} of the shape {image.shape}"
             )
-        self._electrons = self._room.electrons(image)
+        before, self._shown = self._shown, self._room.renderer.picture.linear(image)
+        ghost = np.float32(self._room.settings.ghost)
+        self._light = self._shown if ghost == 0 else (1 - ghost) * self._shown + ghost * before
 
 
 class SimulatedCamera:
@@ -52,8 +57,12 @@ class SimulatedCamera:
         self._room = room
         self._projector = projector
         self._noise = np.random.default_rng([room.settings.seed, _NOISE_STREAM, room.settings.pose])
-        self._pulses = np.random.default_rng([room.settings.seed, _PULSE_STREAM, room.settings.pose])
+        pulses = np.random.default_rng([room.settings.seed, _PULSE_STREAM, room.settings.pose])
+        self._lamp = Lamp(room.settings, pulses)
         self._exposure_us = room.sensor.exposure_us
+        self._frame = 0
+        self._seen: tuple[Light, Renderer, Light] | None = None
+        self._unlit: tuple[Renderer, Light] | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -89,16 +98,21 @@ class SimulatedCamera:
     def grab(self) -> Frame:
         """One frame of what the projector shows now."""
         sensor = self._room.sensor
-        longer = self._exposure_us / sensor.exposure_us
-        electrons = self._projector.electrons_in_camera * np.float32(longer * self._pulse())
+        thrown, unlit = self._expected()
+        lamp = self._lamp.brightness(self._exposure_us, len(thrown))
+        electrons = thrown * lamp + unlit * np.float32(self._room.ambient_level(self._frame))
+        electrons *= np.float32(self._exposure_us / sensor.exposure_us)
+        self._frame += 1
         return Frame(sensor.read(electrons, self._noise), exposure_us=self._exposure_us)
 
-    def _pulse(self) -> float:
-        """How bright light that pulsates comes out in this frame; of whole periods every frame sees the same."""
-        settings = self._room.settings
-        if settings.pulsation == 0:
-            return 1.0
-        periods = self._exposure_us / 1e6 * settings.refresh_hz
-        # Mean of 1 + m cos(2πt + φ) over an exposure of that many periods, beginning at any moment.
-        seen = settings.pulsation * np.sinc(periods)
-        return float(1 + seen * np.cos(self._pulses.uniform(0, 2 * np.pi)))
+    def _expected(self) -> tuple[Light, Light]:
+        """Electrons (H, W) at the sensor's own exposure: the projector's, and those of ambient light as bright.
+
+        Pictures that are looked at repeatedly are computed once.
+        """
+        light, renderer, sensor = self._projector.light, self._room.at(self._frame), self._room.sensor
+        if self._seen is None or self._seen[0] is not light or self._seen[1] is not renderer:
+            self._seen = light, renderer, sensor.electrons(renderer.thrown(light))
+        if self._unlit is None or self._unlit[0] is not renderer:
+            self._unlit = renderer, sensor.electrons(renderer.room_light)
+        return self._seen[2], self._unlit[1]

@@ -35,8 +35,8 @@ class _Streams:
     """Independent random numbers for each thing that is drawn, so that a setting of one leaves the others alone."""
 
     def __init__(self, seed: int) -> None:
-        self.walls, self.rig, self.furniture, self.corner_box, self.poses = (
-            np.random.default_rng([seed, stream]) for stream in range(5)
+        self.walls, self.rig, self.furniture, self.corner_box, self.poses, self.askew = (
+            np.random.default_rng([seed, stream]) for stream in range(6)
         )
 
 
@@ -68,7 +68,8 @@ def _furnish(
         blocks: tuple[Block, ...] = ()
         sphere: Sphere | None = None
         if settings.furniture:
-            blocks, sphere = draw_furniture(streams.furniture, settings.sphere_radius_m)
+            askew = np.radians(settings.furniture_askew_deg * streams.askew.standard_normal())
+            blocks, sphere = draw_furniture(streams.furniture, settings.sphere_radius_m, askew)
         if settings.hide_vertex:
             blocks += (draw_corner_box(streams.corner_box),)
         scene = Scene(walls, blocks, sphere)

@@ -1,6 +1,7 @@
 """The camera's sensor: exposure, shot and read noise, quantisation."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -14,6 +15,8 @@ _ELECTRONS_PER_US = 2.0
 _WHITE_LEVEL = 0.85
 _WHITE_PERCENTILE = 99.5
 
+Response = Literal["linear", "srgb", "photo"]
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -24,6 +27,7 @@ class Sensor:
     bit_depth: int
     full_well_electrons: float
     read_noise_electrons: float
+    response: Response = "linear"
 
     def electrons(self, brightness: Light) -> Light:
         """Expected electrons (H, W) for the brightness (H, W) of the pixels, through the camera's lens."""
@@ -36,6 +40,8 @@ class Sensor:
         noise *= np.sqrt(electrons + np.float32(self.read_noise_electrons**2))
         noise += electrons
         noise *= np.float32(highest / self.full_well_electrons)
+        if self.response != "linear":
+            noise = np.float32(highest) * responded(np.clip(noise / np.float32(highest), 0, 1), self.response)
         np.rint(noise, out=noise)
         digits = np.clip(noise, 0, highest, out=noise)
         return digits.astype(np.uint8) if self.bit_depth == 8 else digits.astype(np.uint16)
@@ -44,6 +50,15 @@ class Sensor:
         if self.blur_px == 0:
             return brightness
         return np.asarray(cv2.GaussianBlur(brightness, (0, 0), self.blur_px), np.float32)
+
+
+def responded(light: Light, response: Response) -> Light:
+    """Grey levels 0 … 1 for light 0 … 1: sRGB's curve (IEC 61966-2-1); for photos, half an S on top of it."""
+    if response == "linear":
+        return light
+    bright = 1.055 * np.maximum(light, 1e-6) ** np.float32(1 / 2.4) - 0.055
+    level: Light = np.where(light <= 0.0031308, 12.92 * light, bright).astype(np.float32)
+    return level if response == "srgb" else np.asarray(level * (1 + level * (3 - 2 * level)) / 2, np.float32)
 
 
 def build_sensor(settings: SimulatedRigSettings, white: Light) -> Sensor:
@@ -56,4 +71,5 @@ def build_sensor(settings: SimulatedRigSettings, white: Light) -> Sensor:
         settings.bit_depth,
         settings.full_well_electrons,
         settings.read_noise_electrons,
+        settings.camera_response,
     )

@@ -1,5 +1,6 @@
 """A simulated room, ready to be lit with pictures and looked at."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -9,20 +10,27 @@ from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.device import PlacedDevice
+from hw.simulated.motion import offset_px, turned
+from hw.simulated.passer import passer_in
 from hw.simulated.placement import resized
-from hw.simulated.renderer import build_renderer
+from hw.simulated.renderer import Renderer, build_renderer
 from hw.simulated.room import Room, draw_room
 from hw.simulated.sensor import build_sensor
 from hw.simulated.truth import GroundTruth, true_calibration, true_view
 
 # A stream of random numbers for paint and rays, apart from those of `draw_room`, which are numbered from 0.
 _RENDERING_STREAM = 100
+# What decides where light goes in the room: with other values of these, all of it would have to be found out again.
+_OF_THE_ROOM = (
+    *("seed", "pose", "walls_off_deg", "furniture", "furniture_askew_deg", "hide_vertex", "sphere_radius_m"),
+    *("albedo", "wallpaper", "interreflection", "distortion"),
+)
 
 
 class SimulatedRoom:
     """A room with a camera and a projector of given sizes, (width, height) in pixels.
 
-    Construction takes seconds: it finds out once where all light goes.
+    Construction takes seconds: it finds out once where all light goes. `room` and `renderer` are those of frame 0.
     """
 
     def __init__(
@@ -31,20 +39,59 @@ class SimulatedRoom:
         self.settings = settings
         self.room = place_room(settings, camera_size, projector_size)
         self.renderer = build_renderer(self.room, settings, np.random.default_rng([settings.seed, _RENDERING_STREAM]))
-        white = np.full((projector_size[1], projector_size[0]), 255, np.uint8)
-        self.sensor = build_sensor(settings, self.renderer.render(white))
+        self._begin()
+
+    def under(self, **settings: object) -> "SimulatedRoom":
+        """The same room under other settings of its light, lenses, sensor and motion, which takes no time.
+
+        Raises ValueError for settings of the room itself.
+        """
+        other = copy.copy(self)
+        other.settings = SimulatedRigSettings.model_validate(self.settings.model_dump() | settings)
+        fixed = [key for key in _OF_THE_ROOM if getattr(other.settings, key) != getattr(self.settings, key)]
+        if fixed:
+            raise ValueError(f"{', '.join(fixed)}: needs a room of its own")
+        picture = self.renderer.picture.under(other.settings)
+        other.renderer = replace(self.renderer, picture=picture, ambient_level=other.settings.ambient)
+        other._begin()
+        return other
+
+    def _begin(self) -> None:
+        optics = self.room.projector.optics
+        self.sensor = build_sensor(
+            self.settings, self.renderer.render(np.full((optics.height, optics.width), 255, np.uint8))
+        )
+        self._last: tuple[tuple[float, ...], Renderer] | None = None
+
+    def at(self, frame: int) -> Renderer:
+        """The view in a frame, counted from 0: another one than `renderer` if something has moved."""
+        bump, drift = self.settings.bump, self.settings.drift
+        camera, projector = (offset_px(name, bump, drift, frame) for name in ("camera", "projector"))
+        placed = turned(self.room.camera, camera)
+        passer = passer_in(frame, self.settings.passer, placed)
+        if passer is None and not any((*camera, *projector)):
+            return self.renderer
+        moved = (*camera, *projector, *(() if passer is None else passer.origin))
+        if self._last is None or self._last[0] != moved:
+            self._last = moved, self.renderer.moved(placed, turned(self.room.projector, projector), passer)
+        return self._last[1]
+
+    def ambient_level(self, frame: int) -> float:
+        """How much light there is in a frame beside the projector's, relative to its white."""
+        light = self.settings.light
+        return self.settings.ambient if light.ambient is None or frame < light.frame else light.ambient
 
     def electrons(self, picture: Image) -> Light:
-        """Expected electrons (H, W) of the camera's pixels while the projector shows an 8-bit picture."""
+        """Expected electrons (H, W) of the camera's pixels while the projector shows an 8-bit picture, in frame 0."""
         return self.sensor.electrons(self.renderer.render(picture))
 
     @property
-    def calibration(self) -> Calibration:
-        """The true calibration, in metres."""
-        return true_calibration(self.room)
+    def calibration(self) -> Calibration | None:
+        """The true calibration in frame 0, in metres; None if no pinhole throws the picture."""
+        return true_calibration(self.room, self.renderer.picture.shape)
 
     def ground_truth(self) -> GroundTruth:
-        """What is true of each camera pixel."""
+        """What is true of each camera pixel in frame 0."""
         return true_view(self.room, self.renderer)
 
 

@@ -1,6 +1,6 @@
 """Ground truth of a simulated room, for tests and for the summary; the devices do not tell."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,8 @@ from hw.simulated.device import Optics
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.renderer import Renderer
 from hw.simulated.room import Room
+
+_RECTANGULAR = 1e-9  # what rounding leaves of entries that are zero
 
 
 @dataclass(frozen=True)
@@ -27,13 +29,29 @@ class GroundTruth:
     direct_share: Floats
 
 
-def true_calibration(room: Room) -> Calibration:
-    """The calibration of a room's rig, in metres."""
+def true_calibration(room: Room, shape: Floats | None = None) -> Calibration | None:
+    """The calibration of a room's rig, in metres; None if no pinhole throws the picture.
+
+    `shape` (3, 3): takes the picture's pixels to those of the projector's panel.
+    """
+    projector = _intrinsics(room.projector.optics)
+    if shape is not None:
+        found = _reshaped(projector, shape)
+        if found is None:
+            return None
+        projector = found
     rotation = room.projector.rotation @ room.camera.rotation.T
     translation = room.projector.rotation @ (room.camera.centre - room.projector.centre)
-    return Calibration(
-        _intrinsics(room.camera.optics), _intrinsics(room.projector.optics), rotation, translation, unit="m"
-    )
+    return Calibration(_intrinsics(room.camera.optics), projector, rotation, translation, unit="m")
+
+
+def _reshaped(panel: Intrinsics, shape: Floats) -> Intrinsics | None:
+    """What throws a picture that is shown enlarged; None for one that is mirrored or no rectangle any more."""
+    (a, b, x), (c, d, y), (e, f, g) = shape.tolist()
+    if max(map(abs, (b, c, e, f))) > _RECTANGULAR or a <= 0 or d <= 0:
+        return None
+    (fx, fy), (x0, y0) = panel.focal_px, panel.principal_point_px
+    return replace(panel, focal_px=(g * fx / a, g * fy / d), principal_point_px=((g * x0 - x) / a, (g * y0 - y) / d))
 
 
 def true_view(room: Room, renderer: Renderer) -> GroundTruth:
@@ -45,13 +63,15 @@ def true_view(room: Room, renderer: Renderer) -> GroundTruth:
     along = t * directions
     points = room.camera.centre[:, None] + along
     pixels, irradiance = ProjectorLight(room.scene, room.projector).direct(surface, points)
-    lit = (irradiance > 0) & room.projector.optics.sees(pixels)
+    picture = renderer.picture.unshaped(pixels)
+    projector = room.projector.optics
+    lit = (irradiance > 0) & projector.sees(pixels) & projector.sees(picture)
 
     light = np.ones((renderer.picture.height, renderer.picture.width), np.float32)
     direct = renderer.direct(light).astype(np.float64)
     shape = (optics.height, optics.width)
     return GroundTruth(
-        np.where(lit, pixels, np.nan).T.reshape(*shape, 2),
+        np.where(lit, picture, np.nan).T.reshape(*shape, 2),
         (room.camera.rotation @ along).T.reshape(*shape, 3),
         room.scene.labels[surface].reshape(shape),
         direct / (direct + renderer.indirect(light) + renderer.ambient),

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.numerics.array_types import Floats
+from calib.numerics import Floats
 from hw.simulated.scene import Label, Scene
 from hw.simulated.shapes import Block, Sphere
 

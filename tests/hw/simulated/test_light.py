@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Floats
+from calib.numerics import Floats
 from hw.settings import SimulatedRigSettings
 from hw.simulated.device import Optics, PlacedDevice
 from hw.simulated.gather import Gathered, Gatherer

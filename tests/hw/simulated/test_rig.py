@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from calib.numerics.array_types import Bools, Floats
+from calib.numerics import Bools, Floats
 from hw.open_rig import open_rig
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector

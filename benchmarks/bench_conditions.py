@@ -1,0 +1,109 @@
+"""What the program makes of captures in which something is wrong: light, lenses, motion, pictures, files.
+
+    python benchmarks/bench_conditions.py --quick            one room, the standard sequence: some minutes
+    python benchmarks/bench_conditions.py --jobs 2 --write   all of it, an hour or two; writes into docs/decoding.md
+    python benchmarks/bench_conditions.py --only flicker --seeds 3 --sequences gray -v
+
+Each capture is taken of a simulated room, written as a capture folder, and replayed through the command line in this
+process; the principal point is given, and the walls are known to be square, as they are. Two totals matter:
+
+- *refused that could be decoded*: the exit code is not 0, but the matches of a page of plain code without checks
+  (`conditions/plain_decoder.py`) have a median error of at most 0.5 px, and calibrating with them errs by at most
+  4 sigma or by at most 2 %;
+- *confident and wrong*: the exit code is 0, and one of f_c, f_p, x_p, y_p errs by more than 4 sigma or 2 %.
+
+Mistakes (exchanged frames, a wrong size) may always be refused. A picture that no pinhole with square pixels throws is
+held against the truth by the camera's focal length alone.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1]))
+from benchmarks.conditions.captures import SEQUENCES
+from benchmarks.conditions.catalogue import Condition, conditions
+from benchmarks.conditions.table import confident_and_wrong, markdown, refused_needlessly, write_into
+from benchmarks.conditions.trial import Outcome, Setup, named, run
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "decoding.md"
+
+
+def main() -> None:
+    options = _options()
+    chosen = [c for c in conditions() if any(text in f"{c.name} {c.strength}" for text in options.only)]
+    seeds, sequences = ([0], ["standard"]) if options.quick else (options.seeds, options.sequences)
+    setups = [Setup(*which, tuple(options.camera), tuple(options.projector)) for which in product(seeds, sequences)]
+    outcomes = [*_earlier(options.results)]
+    done = {(o.name, o.strength, o.seed, o.sequence) for o in outcomes}
+    tasks = [
+        (c.name, c.strength, s, options.keep)
+        for s in setups
+        for c in chosen
+        if (c.name, c.strength, s.seed, s.sequence) not in done
+    ]
+    # Workers are started, not forked: threads of a library do not survive a fork.
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+        for outcome in pool.map(_run, tasks, chunksize=4):
+            outcomes.append(outcome)
+            _tell(outcome, len(outcomes), len(tasks) + len(done), verbose=options.verbose)
+            if options.results:
+                with options.results.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(outcome)) + "\n")
+    text = markdown(outcomes)
+    print(text)
+    if options.write:
+        write_into(PAGE, text)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="rooms")
+    parser.add_argument("--sequences", nargs="+", choices=SEQUENCES, default=list(SEQUENCES))
+    parser.add_argument(
+        "--only", nargs="+", default=[""], metavar="TEXT", help="conditions with it in name or strength"
+    )
+    parser.add_argument("--quick", action="store_true", help="one room and one sequence")
+    parser.add_argument("--camera", type=int, nargs=2, default=[612, 512])
+    parser.add_argument("--projector", type=int, nargs=2, default=[427, 240])
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--results", type=Path, metavar="FILE", help="keep outcomes here, and go on where it ends")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep captures and results in this folder")
+    parser.add_argument("--write", action="store_true", help=f"write the table into {PAGE.relative_to(ROOT)}")
+    parser.add_argument("-v", "--verbose", action="store_true", help="say what came of each capture")
+    return parser.parse_args()
+
+
+def _run(task: tuple[str, str, Setup, Path | None]) -> Outcome:
+    name, strength, setup, keep = task
+    condition: Condition = named(name, strength)  # lambdas do not travel between processes
+    return run(condition, setup, keep)
+
+
+def _earlier(path: Path | None) -> Iterator[Outcome]:
+    if path is None or not path.exists():
+        return
+    for line in path.read_text(encoding="utf-8").splitlines():
+        yield Outcome(**json.loads(line))
+
+
+def _tell(outcome: Outcome, number: int, of: int, *, verbose: bool) -> None:
+    bad = "confident and wrong" if confident_and_wrong([outcome]) else ""
+    bad = "refused, could be decoded" if refused_needlessly([outcome]) else bad
+    if not (verbose or bad):
+        return
+    figures = "" if outcome.percent is None else f"{max(map(abs, outcome.percent)):.2f} %"
+    figures += "" if outcome.sigmas is None else f" {max(map(abs, outcome.sigmas)):.1f} sigma {outcome.grade}"
+    about = f"{outcome.name} {outcome.strength}, room {outcome.seed}, {outcome.sequence}"
+    print(f"{number}/{of} {about}: {outcome.exit_code} {figures} {bad} {outcome.message[:300]}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""A capture as it is taken of a simulated room, and what happens to its frames on their way into a folder."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calib.numerics import Image
+from hw.simulated.rig import SimulatedCamera, SimulatedProjector
+from hw.simulated.simulation import SimulatedRoom
+from scanner.capture import CAPTURE_FILE
+from scanner.io import flow_yaml
+from scanner.patterns import FORMAT, PRESETS, Gray, Pattern, draw, frame_line, sequence_for, size_to_dict
+
+SEQUENCES = (*PRESETS, "gray")
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Patterns and the frames (H, W) that show them; the projector's size (width, height) as it will be stated.
+
+    `jpeg`: quality at which the frames are saved; None for PNG.
+    """
+
+    patterns: tuple[Pattern, ...]
+    frames: tuple[Image, ...]
+    projector_size: tuple[int, int]
+    jpeg: int | None = None
+
+    def replaced(self, frames: dict[int, Image]) -> "Capture":
+        """The same with other frames in some places."""
+        return replace(self, frames=tuple(frames.get(number, frame) for number, frame in enumerate(self.frames)))
+
+    def write(self, folder: Path) -> None:
+        """A capture folder as `scan replay` takes it."""
+        (folder / "frames").mkdir(parents=True)
+        height, width = self.frames[0].shape
+        sizes = {"projector": size_to_dict(self.projector_size), "camera": size_to_dict((width, height))}
+        lines = [f"{key}: {flow_yaml(value)}\n" for key, value in {"format": FORMAT, **sizes}.items()]
+        lines.append("frames:\n")
+        for number, (pattern, frame) in enumerate(zip(self.patterns, self.frames, strict=True)):
+            file = f"frames/{number:03d}.{'png' if self.jpeg is None else 'jpg'}"
+            quality = [cv2.IMWRITE_JPEG_QUALITY, self.jpeg] if self.jpeg is not None else []
+            cv2.imwrite(str(folder / file), frame, quality)
+            lines.append(frame_line(file, pattern))
+        (folder / CAPTURE_FILE).write_text("".join(lines), encoding="utf-8")
+
+
+def patterns_of(sequence: str, projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
+    """Those of a preset, or of 'gray': Gray code down to a pixel with inverses, and no fringes."""
+    if sequence == "gray":
+        return sequence_for(projector_size, cell=1, shifts=0)
+    return PRESETS[sequence].patterns(projector_size)
+
+
+def take(room: SimulatedRoom, patterns: tuple[Pattern, ...], exposure: float) -> Capture:
+    """All frames, at a multiple of the exposure that suits the room."""
+    projector = SimulatedProjector(room)
+    camera = SimulatedCamera(room, projector)
+    camera.expose_for(exposure * room.sensor.exposure_us)
+    frames = []
+    for pattern in patterns:
+        projector.show(draw(pattern, projector.size))
+        frames.append(camera.grab().image)
+    return Capture(patterns, tuple(frames), projector.size)
+
+
+def blended(first: Image, second: Image, share: float) -> Image:
+    """The first image with a share of the second one's light."""
+    return np.rint((1 - share) * first.astype(float) + share * second).astype(first.dtype)
+
+
+def brightened(image: Image, factor: float) -> Image:
+    """An image that was exposed longer or shorter."""
+    return np.rint(np.clip(factor * image.astype(float), 0, 255)).astype(image.dtype)
+
+
+def inverses(patterns: Sequence[Pattern]) -> list[tuple[int, int]]:
+    """Numbers of the frames that show a pattern and its inverse."""
+    number = {pattern: index for index, pattern in enumerate(patterns)}
+    pairs = [(p, replace(p, inverted=True)) for p in patterns if isinstance(p, Gray) and not p.inverted]
+    return [(number[shown], number[inverse]) for shown, inverse in pairs if inverse in number]

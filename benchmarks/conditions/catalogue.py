@@ -1,0 +1,228 @@
+"""What can be wrong with a capture, each at rising strength."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.conditions.captures import Capture, blended, brightened, inverses
+from hw.simulated.simulation import SimulatedRoom
+from scanner.patterns import Pattern
+
+# The room of all conditions has 0.05; white in the camera's range reaches 0.85.
+AMBIENT = 0.05
+Random = np.random.Generator
+OfRig = Mapping[str, Any] | Callable[[Sequence[Pattern], Random], Mapping[str, Any]]
+OfFrames = Callable[[Capture, Random], Capture]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """`rig`: settings of the simulated rig, or how to draw them for a sequence; `exposure`: relative to the one that
+    suits the room; `frames`: what becomes of the frames. `moves`: devices move, which one of the axes sees and the
+    other does not. `fault`: nothing that a device does, but a mistake; refusing it is right whatever could be decoded.
+    """
+
+    name: str
+    strength: str = ""
+    rig: OfRig = field(default_factory=dict)
+    exposure: float | Callable[[SimulatedRoom], float] = 1.0
+    frames: OfFrames | None = None
+    moves: bool = False
+    fault: bool = False
+
+    def exposed(self, room: SimulatedRoom) -> float:
+        """The exposure relative to the one that suits the room."""
+        return self.exposure(room) if callable(self.exposure) else self.exposure
+
+    def settings(self, patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
+        """Of the rig, for a capture of some patterns."""
+        return dict(self.rig(patterns, rng) if callable(self.rig) else self.rig)
+
+
+def conditions() -> Iterator[Condition]:
+    """All of them."""
+    yield Condition("nothing")
+    yield from _light()
+    yield from _optics()
+    yield from _camera()
+    yield from _scene()
+    yield from _motion()
+    yield from _picture()
+    yield from _frames()
+
+
+def _light() -> Iterator[Condition]:
+    for percent in (2, 5, 10, 15, 30):
+        yield Condition("flicker", f"{percent} %", {"flicker": percent / 100})
+    for percent in (5, 15):
+        bands = {"flicker": percent / 100, "rolling_shutter_ms": 40.0}
+        yield Condition("bands of a rolling shutter", f"{percent} %", bands)
+    for share in (0.0, 0.25, 0.5, 0.75, 0.95):
+        yield Condition("light switched on, +10 % of white", f"after {share:.0%}", _switched(share, 0.1))
+    yield Condition("light switched on, +30 % of white", "after 50%", _switched(0.5, 0.3))
+    for factor in (0.6, 1.4):
+        yield Condition("one frame brighter or darker", f"× {factor}", frames=_one_frame(factor))
+
+
+def _optics() -> Iterator[Condition]:
+    for percent in (10, 20, 30, 40):
+        yield Condition("light lost by fine stripes", f"{percent} %", {"stripe_loss": percent / 100})
+    for gamma in (1.0, 1.8, 2.6, 3.0):
+        yield Condition("gamma of the projector", f"{gamma}", {"gamma": gamma})
+    for blur in (1.0, 2.0, 3.0, 4.0):
+        yield Condition("projector out of focus", f"{blur:g} px", {"projector_blur_px": blur})
+    for sharpening in (0.5, 1.0, 2.0):
+        yield Condition("sharpening", f"{sharpening}", {"sharpening": sharpening})
+    for percent in (10, 30):
+        yield Condition("ghost of the last picture", f"{percent} %", {"ghost": percent / 100})
+
+
+def _camera() -> Iterator[Condition]:
+    for response in ("srgb", "photo"):
+        yield Condition("camera's response", response, {"camera_response": response})
+    for blur in (1.0, 2.0, 3.0):
+        yield Condition("camera out of focus", f"{blur:g} px", {"camera_blur_px": blur})
+    for darker in (2, 4, 8):
+        yield Condition("darker", f"1/{darker}", exposure=1 / darker)
+    for percent in (10, 30):
+        yield Condition("saturated in white", f"{percent} % of lit pixels", exposure=_saturating(percent / 100))
+    for quality in (95, 85, 70, 50):
+        yield Condition("JPEG", f"quality {quality}", frames=lambda c, _, q=quality: replace(c, jpeg=q))
+
+
+def _scene() -> Iterator[Condition]:
+    for width in (0.1, 0.2, 0.4):
+        yield Condition("somebody goes past", f"{width} m wide", _passing(width))
+    for angle in (2.0, 5.0):
+        yield Condition("furniture askew", f"{angle:g}°", {"furniture_askew_deg": angle})
+
+
+def _motion() -> Iterator[Condition]:
+    for device in ("camera", "projector"):
+        for place, when in (("between the axes", _first_of_y), ("within an axis", _within_an_axis)):
+            for px in (0.3, 1.0, 3.0, 10.0):
+                yield Condition(f"{device} bumped {place}", f"{px:g} px", _bumped(device, px, when), moves=True)
+    for device in ("camera", "projector"):
+        for px in (0.3, 1.0, 3.0):
+            yield Condition(f"{device} drifts over the capture", f"{px:g} px", _drifting(device, px), moves=True)
+
+
+def _picture() -> Iterator[Condition]:
+    yield Condition("picture mirrored", rig={"panel": {"mirrored": True}})
+    yield Condition("picture scaled", "80 %", {"panel": {"scale": 0.8}})
+    yield Condition("picture cropped", "of 120 %", {"panel": {"scale": 1.2}})
+    yield Condition("picture squeezed", "75 %", {"panel": {"squeeze": 0.75}})
+    for percent in (5, 20):
+        yield Condition("keystone", f"{percent} %", {"panel": {"keystone": percent / 100}})
+    for factor in (0.9, 1.1):
+        yield Condition("projector's size stated", f"× {factor}", frames=_stated(factor), fault=True)
+    yield Condition("projector's size stated", "swapped", frames=_swapped, fault=True)
+
+
+def _frames() -> Iterator[Condition]:
+    yield Condition("projector late in one frame", "half of it", frames=_late(0.5))
+    yield Condition("projector late in one frame", "all of it", frames=_late(1.0), fault=True)
+    yield Condition("two frames exchanged", frames=_exchanged, fault=True)
+    yield Condition("one frame repeated", frames=_repeated, fault=True)
+    yield Condition("a bit and its inverse exchanged", frames=_inverted, fault=True)
+
+
+def _saturating(share: float) -> Callable[[SimulatedRoom], float]:
+    def exposure(room: SimulatedRoom) -> float:
+        optics = room.room.projector.optics
+        white = room.electrons(np.full((optics.height, optics.width), 255, np.uint8))
+        lit = room.renderer.direct(np.ones((optics.height, optics.width), np.float32)) > 0
+        return room.sensor.full_well_electrons / float(np.quantile(white[lit], 1 - share))
+
+    return exposure
+
+
+def _switched(share: float, more: float) -> OfRig:
+    # White and black come first and are never between the two.
+    return lambda patterns, _: {"light": {"frame": round(2 + share * (len(patterns) - 2)), "ambient": AMBIENT + more}}
+
+
+def _passing(width_m: float) -> OfRig:
+    def settings(patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
+        first = int(rng.integers(2, len(patterns) - 6))
+        return {"passer": {"width_m": width_m, "first_frame": first, "last_frame": first + 5}}
+
+    return settings
+
+
+def _first_of_y(patterns: Sequence[Pattern], _: Random) -> int:
+    return next(number for number, pattern in enumerate(patterns) if getattr(pattern, "axis", "") == "y")
+
+
+def _within_an_axis(patterns: Sequence[Pattern], rng: Random) -> int:
+    return int(rng.choice([n for n in range(4, len(patterns)) if n != _first_of_y(patterns, rng)]))
+
+
+def _bumped(device: str, px: float, when: Callable[[Sequence[Pattern], Random], int]) -> OfRig:
+    def settings(patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
+        frame = when(patterns, rng)
+        return {"bump": {"device": device, "frame": frame, "px": px, "direction_deg": float(rng.uniform(0, 360))}}
+
+    return settings
+
+
+def _drifting(device: str, px: float) -> OfRig:
+    def settings(patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
+        step = px / (len(patterns) - 1)
+        return {"drift": {"device": device, "px_per_frame": step, "direction_deg": float(rng.uniform(0, 360))}}
+
+    return settings
+
+
+def _any_frame(capture: Capture, rng: Random) -> int:
+    """Not one of white and black, which are first."""
+    return int(rng.integers(3, len(capture.frames)))
+
+
+def _one_frame(factor: float) -> OfFrames:
+    def changed(capture: Capture, rng: Random) -> Capture:
+        frame = _any_frame(capture, rng)
+        return capture.replaced({frame: brightened(capture.frames[frame], factor)})
+
+    return changed
+
+
+def _late(share: float) -> OfFrames:
+    def changed(capture: Capture, rng: Random) -> Capture:
+        frame = _any_frame(capture, rng)
+        return capture.replaced({frame: blended(capture.frames[frame], capture.frames[frame - 1], share)})
+
+    return changed
+
+
+def _stated(factor: float) -> OfFrames:
+    def changed(capture: Capture, _: Random) -> Capture:
+        width, height = capture.projector_size
+        return replace(capture, projector_size=(round(factor * width), round(factor * height)))
+
+    return changed
+
+
+def _swapped(capture: Capture, _: Random) -> Capture:
+    return replace(capture, projector_size=capture.projector_size[::-1])
+
+
+def _exchanged(capture: Capture, rng: Random) -> Capture:
+    first, second = (int(frame) for frame in rng.choice(len(capture.frames), 2, replace=False))
+    return capture.replaced({first: capture.frames[second], second: capture.frames[first]})
+
+
+def _repeated(capture: Capture, rng: Random) -> Capture:
+    frame = _any_frame(capture, rng)
+    return capture.replaced({frame: capture.frames[int(rng.choice(frame))]})
+
+
+def _inverted(capture: Capture, rng: Random) -> Capture:
+    pairs = inverses(capture.patterns)
+    if not pairs:
+        frame = _any_frame(capture, rng)  # a code without inverses: turned over by the camera's software
+        return capture.replaced({frame: 255 - capture.frames[frame]})
+    shown, inverse = pairs[int(rng.integers(len(pairs)))]
+    return capture.replaced({shown: capture.frames[inverse], inverse: capture.frames[shown]})

@@ -1,0 +1,129 @@
+"""What came of a capture, held against the truth: right, refused although it could be decoded, confident and wrong."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from calib.geometry import Calibration, Matches
+from calib.numerics import Bools, Floats
+from calib.plane_segmentation import find_faces
+from calib.refusal import RefusalError
+from calib.self_calibration import PrincipalPoint, self_calibrate
+from scanner.quantities import intrinsic_errors_percent
+
+MOST_SIGMAS = 4.0
+MOST_PERCENT = 2.0
+MOST_MATCH_ERROR_PX = 0.5  # median
+DISTURBED_PX = 2.0
+_NUMBERS = 4
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Of a simulated capture: `projector_px` (H, W, 2), NaN where the picture does not reach; `calibration`.
+
+    `pinhole`: whether the projector is one, with square pixels. If not, only the camera's focal length is held against
+    the truth.
+    """
+
+    projector_px: Floats
+    calibration: Calibration
+    pinhole: bool = True
+
+    @property
+    def lit(self) -> Bools:
+        """(H, W): pixels that the picture lights, with all pixels around them."""
+        seen = np.isfinite(self.projector_px[..., 0]).astype(np.uint8)
+        lit: Bools = cv2.erode(seen, np.ones((3, 3), np.uint8)) > 0
+        return lit
+
+
+@dataclass(frozen=True)
+class CalibrationError:
+    """Errors of f_c, f_p, x_p, y_p, or of the first of them: `percent` (k,) of the truth, and `sigmas` (k,)."""
+
+    percent: Floats
+    sigmas: Floats
+
+    @property
+    def is_wrong(self) -> bool:
+        """Beyond what a result that the program stands behind may be off by."""
+        return not (self._worst(self.sigmas) <= MOST_SIGMAS and self._worst(self.percent) <= MOST_PERCENT)
+
+    @property
+    def is_useful(self) -> bool:
+        """Within either of the limits."""
+        return self._worst(self.sigmas) <= MOST_SIGMAS or self._worst(self.percent) <= MOST_PERCENT
+
+    @staticmethod
+    def _worst(values: Floats) -> float:
+        return float(np.abs(values).max())
+
+
+def calibration_error(found: Calibration, truth: Truth) -> CalibrationError:
+    """How far a calibration is from the truth; no sigma is stated: no number of them."""
+    number = _NUMBERS if truth.pinhole else 1
+    percent = intrinsic_errors_percent(found, truth.calibration)[:number]
+    true = truth.calibration
+    values = np.array([true.camera.focal_px[0], true.projector.focal_px[0], *true.projector.principal_point_px])
+    keys = ("camera_focal_px", "projector_focal_px", "projector_principal_point_px")
+    stated = np.concatenate([np.atleast_1d(found.sigma[key]) for key in keys]) if found.sigma else np.zeros(_NUMBERS)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigmas = percent / 100 * values[:number] / stated[:number]
+    return CalibrationError(percent, sigmas)
+
+
+def match_errors(matches: Matches, truth: Truth) -> Floats:
+    """Distances (k,) in projector px from what the camera pixels see; where they see an edge or nothing is left out."""
+    errors = np.linalg.norm(matches.projector_px - _expected_px(matches, truth), axis=1)
+    return errors[np.isfinite(errors)]
+
+
+def _expected_px(matches: Matches, truth: Truth) -> Floats:
+    """What should have been matched, (N, 2), NaN at edges and where nothing is lit."""
+    places = np.asarray(matches.camera_px, np.float64).T[::-1]
+    expected = [ndimage.map_coordinates(truth.projector_px[..., axis], places, order=1, cval=np.nan) for axis in (0, 1)]
+    return np.stack(expected, axis=1)
+
+
+def matched_share(matches: Matches, truth: Truth) -> float:
+    """The share of the lit pixels that have a match, or a neighbour that has one."""
+    matched = np.zeros(truth.lit.shape, np.uint8)
+    x, y = np.rint(matches.camera_px).astype(int).T
+    matched[y, x] = 1
+    near = cv2.dilate(matched, np.ones((3, 3), np.uint8)) > 0
+    return float(near[truth.lit].mean())
+
+
+def could_be_decoded(candidates: Sequence[Matches], truth: Truth) -> bool:
+    """Whether any of some plain decodings is right, and the calibration that follows from it useful.
+
+    Where most of the matches are right, the others may be left out: what goes past a person would mask.
+    """
+    return any(_is_right(some, truth) for matches in candidates for some in (matches, _undisturbed(matches, truth)))
+
+
+def _undisturbed(matches: Matches, truth: Truth) -> Matches:
+    expected = _expected_px(matches, truth)
+    near = np.linalg.norm(matches.projector_px - expected, axis=1) < DISTURBED_PX
+    if np.mean(near[np.isfinite(expected[:, 0])]) < 1 / 2:
+        return matches
+    return Matches(matches.camera_px[near], matches.projector_px[near])
+
+
+def _is_right(matches: Matches, truth: Truth) -> bool:
+    errors = match_errors(matches, truth)
+    if not errors.size or np.median(errors) > MOST_MATCH_ERROR_PX:
+        return False
+    camera, projector = truth.calibration.camera, truth.calibration.projector
+    sizes = (camera.width, camera.height), (projector.width, projector.height)
+    known = PrincipalPoint(camera.principal_point_px, 0.0)
+    try:
+        labelled = find_faces(matches, *sizes).matches
+        found = self_calibrate(labelled, *sizes, principal_point=known, squareness_deg=0.0)
+    except RefusalError:
+        return False
+    return calibration_error(found.calibration, truth).is_useful

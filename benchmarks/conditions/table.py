@@ -1,0 +1,123 @@
+"""Outcomes → a table with a row per condition and strength, and the two totals that matter."""
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.conditions.catalogue import conditions
+from benchmarks.conditions.judging import MOST_SIGMAS
+from benchmarks.conditions.trial import Outcome
+
+BEGIN, END = "<!-- conditions: begin, written by benchmarks/bench_conditions.py --write -->", "<!-- conditions: end -->"
+
+_COLUMNS = (
+    "condition",
+    "strength",
+    "exit codes",
+    "lit pixels matched",
+    "match error, px: median, 99 %",
+    "calibration error, %: rms, worst",
+    "in sigmas: rms, worst",
+    "grade",
+    "refused, could be decoded",
+    "confident and wrong",
+)
+
+
+def refused_needlessly(outcomes: Iterable[Outcome]) -> list[Outcome]:
+    """Captures that were refused though a plain decoder has what it takes; mistakes may always be refused."""
+    faults = {(c.name, c.strength) for c in conditions() if c.fault}
+    return [o for o in outcomes if o.exit_code != 0 and o.decodable and (o.name, o.strength) not in faults]
+
+
+def confident_and_wrong(outcomes: Iterable[Outcome]) -> list[Outcome]:
+    """Captures with an answer that the program stands behind and that is too far from the truth."""
+    return [o for o in outcomes if o.wrong]
+
+
+def admitted(outcomes: Iterable[Outcome]) -> list[Outcome]:
+    """Of the wrong answers those that are more than 2 % off, but say so: within their sigmas, and for a first look."""
+    return [
+        o for o in outcomes if o.wrong and o.grade == "fair" and o.sigmas and _worst(np.array(o.sigmas)) <= MOST_SIGMAS
+    ]
+
+
+def markdown(outcomes: Sequence[Outcome]) -> str:
+    """The table, and what it comes to."""
+    by_row = defaultdict(list)
+    for outcome in outcomes:
+        by_row[outcome.name, outcome.strength].append(outcome)
+    lines = [_line(_COLUMNS), _line(["---"] * len(_COLUMNS))]
+    lines += [_row(by_row[c.name, c.strength]) for c in conditions() if (c.name, c.strength) in by_row]
+    return "\n".join([*lines, "", *_totals(outcomes)])
+
+
+def write_into(page: Path, text: str) -> None:
+    """Put a text between the marks of a page."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
+    _, _, after = rest.partition(END)
+    page.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+
+
+def _row(outcomes: Sequence[Outcome]) -> str:
+    codes = Counter(o.exit_code for o in outcomes)
+    grades = Counter(o.grade for o in outcomes if o.exit_code == 0)
+    return _line(
+        [
+            outcomes[0].name,
+            outcomes[0].strength,
+            ", ".join(f"{code} × {number}" if len(codes) > 1 else f"{code}" for code, number in sorted(codes.items())),
+            _over(outcomes, lambda o: o.matched, np.mean, "{:.1%}"),
+            _pair(outcomes, (lambda o: o.match_median_px, np.mean), (lambda o: o.match_99_px, np.mean), "{:.2f}"),
+            _pair(outcomes, (lambda o: o.percent, _rms), (lambda o: o.percent, _worst), "{:.2f}"),
+            _pair(outcomes, (lambda o: o.sigmas, _rms), (lambda o: o.sigmas, _worst), "{:.1f}"),
+            ", ".join(f"{grade} × {number}" for grade, number in sorted(grades.items())) or "–",
+            str(len(refused_needlessly(outcomes)) or "–"),
+            str(len(confident_and_wrong(outcomes)) or "–"),
+        ]
+    )
+
+
+def _totals(outcomes: Sequence[Outcome]) -> list[str]:
+    moving = {(c.name, c.strength) for c in conditions() if c.moves}
+    lines = []
+    for title, those in (
+        ("Devices at rest", [o for o in outcomes if (o.name, o.strength) not in moving]),
+        ("Devices that move", [o for o in outcomes if (o.name, o.strength) in moving]),
+    ):
+        if those:
+            lines.append(
+                f"{title}, {len(those)} captures: **{len(refused_needlessly(those))} refused that could be decoded, "
+                f"{len(confident_and_wrong(those))} confident and wrong** ({len(admitted(those))} of them "
+                f"by more than 2 %, but within {MOST_SIGMAS:g} sigma, and graded as a first look only)."
+            )
+            lines.append("")
+    return lines[:-1]
+
+
+Figure = Callable[[Outcome], "float | tuple[float, ...] | None"]
+Summary = Callable[[np.ndarray], float]
+
+
+def _pair(outcomes: Sequence[Outcome], first: tuple[Figure, Summary], second: tuple[Figure, Summary], form: str) -> str:
+    shown = [_over(outcomes, figure, summary, form) for figure, summary in (first, second)]
+    return "–" if shown[0] == "–" else ", ".join(shown)
+
+
+def _over(outcomes: Sequence[Outcome], figure: Figure, summary: Summary, form: str) -> str:
+    values = [np.atleast_1d(value) for o in outcomes if (value := figure(o)) is not None]
+    return form.format(summary(np.concatenate(values))) if values else "–"
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _worst(values: np.ndarray) -> float:
+    return float(np.abs(values).max())
+
+
+def _line(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"

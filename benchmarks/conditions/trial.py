@@ -1,0 +1,153 @@
+"""One condition in one room with one sequence, through the whole program."""
+
+import contextlib
+import io
+import tempfile
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+import yaml
+
+from benchmarks.conditions.captures import Capture, patterns_of, take
+from benchmarks.conditions.catalogue import AMBIENT, Condition, conditions
+from benchmarks.conditions.judging import Truth, calibration_error, could_be_decoded, match_errors, matched_share
+from benchmarks.conditions.plain_decoder import plain_matches
+from hw.settings import SimulatedRigSettings
+from hw.simulated.simulation import SimulatedRoom
+from scanner.commands.main import main as scan
+from scanner.io import MATCHES_FILE, read_calibration, read_matches
+from scanner.patterns import Phase
+from scanner.results import CALIBRATION_FILE, read_verdict
+
+Size = tuple[int, int]
+
+_UNRESOLVED_BITS = 3  # as many of the finest bits a plain decoder may leave out
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Sizes are (width, height)."""
+
+    seed: int
+    sequence: str
+    camera_size: tuple[int, int]
+    projector_size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of a trial. Shares and errors are None where the program gave no matches or no calibration.
+
+    `decodable`: whether a refused capture could have been decoded; None for one that was not refused.
+    """
+
+    name: str
+    strength: str
+    seed: int
+    sequence: str
+    exit_code: int
+    message: str
+    grade: str | None = None
+    matched: float | None = None
+    match_median_px: float | None = None
+    match_99_px: float | None = None
+    percent: tuple[float, ...] | None = None
+    sigmas: tuple[float, ...] | None = None
+    wrong: bool = False
+    decodable: bool | None = None
+
+
+def run(condition: Condition, setup: Setup, keep: Path | None = None) -> Outcome:
+    """Take the capture, replay it, and hold what comes out against the truth.
+
+    `keep`: a folder in which capture, configuration and result then stay, in one of their own; else they are deleted.
+    """
+    capture, truth = captured(condition, setup)
+    with contextlib.ExitStack() as temporary:
+        if keep is None:
+            place = Path(temporary.enter_context(tempfile.TemporaryDirectory(prefix="conditions-")))
+        else:
+            place = keep / f"{condition.name} {condition.strength} {setup.sequence} {setup.seed}".replace("/", "-")
+        capture.write(place / "capture")
+        code, message = _replayed(place, truth)
+        figures = _figures(place / "result", truth)
+    decodable = None if code == 0 else could_be_decoded(plain_decodings(capture), truth)
+    wrong = figures.pop("wrong", False) and code == 0
+    about = (condition.name, condition.strength, setup.seed, setup.sequence)
+    return Outcome(*about, code, message, wrong=wrong, decodable=decodable, **figures)
+
+
+def captured(condition: Condition, setup: Setup) -> tuple[Capture, Truth]:
+    """The capture of a condition, the same whenever it is asked for, and what is true of its first frame."""
+    patterns = patterns_of(setup.sequence, setup.projector_size)
+    rng = np.random.default_rng([setup.seed, crc32(f"{condition.name} {condition.strength} {setup.sequence}".encode())])
+    settings = condition.settings(patterns, rng)
+    seen = setup.seed, setup.camera_size, setup.projector_size, settings.pop("furniture_askew_deg", 0.0)
+    room = _room(*seen).under(**settings)
+    capture = take(room, patterns, condition.exposed(room))
+    if condition.frames is not None:
+        capture = condition.frames(capture, rng)
+    return capture, _truth(*seen, tuple(settings.get("panel", {}).items()))
+
+
+def named(name: str, strength: str) -> Condition:
+    """A condition of the catalogue."""
+    (found,) = [condition for condition in conditions() if (condition.name, condition.strength) == (name, strength)]
+    return found
+
+
+@lru_cache(maxsize=3)
+def _room(seed: int, camera_size: Size, projector_size: Size, askew_deg: float) -> SimulatedRoom:
+    settings = SimulatedRigSettings(seed=seed, ambient=AMBIENT, furniture_askew_deg=askew_deg)
+    return SimulatedRoom(settings, camera_size, projector_size)
+
+
+@lru_cache(maxsize=8)
+def _truth(seed: int, camera_size: Size, projector_size: Size, askew_deg: float, panel: tuple) -> Truth:
+    room = _room(seed, camera_size, projector_size, askew_deg)
+    shown = room.under(panel=dict(panel))
+    projector_px = shown.ground_truth().projector_px.astype(np.float32)
+    true = shown.calibration
+    if true is None or np.ptp(true.projector.focal_px) > 1e-6 * true.projector.focal_px[0]:
+        return Truth(projector_px, room.calibration, pinhole=False)
+    return Truth(projector_px, true)
+
+
+def plain_decodings(capture: Capture) -> list:
+    """What a page of plain code makes of it; of a Gray code alone also without its finest bits."""
+    alone = not any(isinstance(pattern, Phase) for pattern in capture.patterns)
+    unresolved = range(_UNRESOLVED_BITS + 1 if alone else 1)
+    return [plain_matches(capture.patterns, capture.frames, without_bits=bits) for bits in unresolved]
+
+
+def _replayed(place: Path, truth: Truth) -> tuple[int, str]:
+    """The exit code of `scan replay`, and what it said on stderr."""
+    known = {"known": [float(value) for value in truth.calibration.camera.principal_point_px]}
+    configuration = {"camera": {"principal_point": known}, "corner": {"squareness_deg": 0}}
+    (place / "rig.yaml").write_text(yaml.safe_dump(configuration), encoding="utf-8")
+    said = io.StringIO()
+    arguments = ["--config", place / "rig.yaml", "--out", place / "result", "--quiet"]
+    with contextlib.redirect_stderr(said):
+        code = scan(["replay", str(place / "capture"), *map(str, arguments)])
+    return code, said.getvalue().replace(str(place), "").strip()
+
+
+def _figures(result: Path, truth: Truth) -> dict:
+    figures: dict = {}
+    if (result / MATCHES_FILE).exists():
+        matches = read_matches(result / MATCHES_FILE)
+        errors = match_errors(matches, truth)
+        figures["matched"] = matched_share(matches, truth)
+        if errors.size:
+            figures["match_median_px"] = float(np.median(errors))
+            figures["match_99_px"] = float(np.percentile(errors, 99))
+    if (result / CALIBRATION_FILE).exists():
+        error = calibration_error(read_calibration(result / CALIBRATION_FILE), truth)
+        verdict = read_verdict(result / CALIBRATION_FILE)
+        figures["grade"] = verdict.grade if verdict else None
+        figures["percent"], figures["sigmas"] = tuple(error.percent.tolist()), tuple(error.sigmas.tolist())
+        figures["wrong"] = error.is_wrong
+    return figures
