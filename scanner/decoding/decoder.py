@@ -20,13 +20,13 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
-from scanner.decoding.brightness import Gains, Places, flicker_of
+from scanner.decoding.brightness import Gains, Places, flicker_of, lit_by
 from scanner.decoding.code_cells import average_cells
 from scanner.decoding.code_checks import check_codes
 from scanner.decoding.connected_components import small_patches
 from scanner.decoding.consequences import judge, suspecting
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
-from scanner.decoding.equalise import STRIDE, PairEqualiser, correction, swings_of
+from scanner.decoding.equalise import PairEqualiser, correction, swings_of
 from scanner.decoding.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.frame_checks import Oddity, check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
@@ -186,18 +186,20 @@ def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
     """Make frames of different brightness alike, in the sample and for good; returns the flicker, None if unknown."""
     plan, (height, width) = accumulators.plan, accumulators.brightest.shape
     found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
-    few = sample.pixels[::STRIDE]
+    levels = sample.levels
+    lit = lit_by(np.ptp(levels, axis=0))
+    few = sample.pixels[lit]
     middle, brightest = (
         image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
     )
-    swings = swings_of(plan, sample.levels[:, ::STRIDE], Places(few // width, height))
+    swings = swings_of(plan, levels[:, lit], Places(few // width, height))
     for fold in accumulators.fringes:
         if fold.fringe in swings:
             gains, common = swings[fold.fringe]
             found.append((fold.fringe.frames, gains))
             if gains.matter:
                 fold.correction = correction(fold.fringe, gains, common, middle, brightest)
-    pairs = sample.levels[plan.complements].mean(axis=(1, 2)) if plan.complements else np.ones(1)
+    pairs = levels[plan.complements].mean(axis=(1, 2)) if plan.complements else np.ones(1)
     for frames, gains in found:
         if gains.matter:
             for frame, of_frame in zip(frames, gains.at(sample.pixels // width), strict=True):

@@ -16,8 +16,8 @@ from scanner.decoding.medians import medians
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
-# Of the sample, one pixel in so many is enough for a few numbers.
-STRIDE = 4
+# Which pixels are lit shows in the first pairs, even if one of them is odd.
+_TELLING_PAIRS = 3
 _PASSES = 3
 
 
@@ -30,9 +30,10 @@ class PairEqualiser:
     def __init__(self, plan: SequencePlan, sample: Sample, shape: tuple[int, int]) -> None:
         self.found: dict[tuple[int, int], Gains] = {}
         self._plan, self._sample = plan, sample
-        self._places = Places(sample.pixels[::STRIDE] // shape[1], shape[0])
-        self._total, self._pairs = np.zeros(len(self._places.rows), np.float32), 0
+        self._rows, self._height = sample.pixels // shape[1], shape[0]
+        self._total, self._pairs = np.zeros(len(self._rows), np.float32), 0
         self._swing = np.zeros_like(self._total)
+        self._lit = np.arange(0)
 
     def gains(self, pair: tuple[int, int]) -> Gains | None:
         """Those of two frames that are in the sample; None if they do not matter."""
@@ -41,10 +42,11 @@ class PairEqualiser:
             self._begin_with_white_and_black()
         found = None
         if self._pairs:
-            common: Floats32 = self._total / np.float32(2 * self._pairs)
-            found = gains_of_pair(levels, common, self._places, lit_by(self._swing))
+            common: Floats32 = self._total[self._lit] / np.float32(2 * self._pairs)
+            found = gains_of_pair(levels[:, self._lit], common, Places(self._rows[self._lit], self._height))
             self.found[pair] = found
-            levels = (levels / found.at(self._places.rows)).astype(np.float32)
+            if found.matter:
+                levels = (levels / found.at(self._rows)).astype(np.float32)
         self._add(levels)
         return found if found is not None and found.matter else None
 
@@ -54,12 +56,14 @@ class PairEqualiser:
             self._add(self._levels((white, black)))
 
     def _levels(self, pair: tuple[int, int]) -> Floats32:
-        return np.stack([self._sample.level(frame)[::STRIDE] for frame in pair]).astype(np.float32)
+        return np.stack([self._sample.level(frame) for frame in pair], dtype=np.float32)
 
     def _add(self, levels: Floats32) -> None:
-        self._total += levels.sum(axis=0)
-        self._swing = np.maximum(self._swing, np.ptp(levels, axis=0))
+        self._total += levels[0] + levels[1]
         self._pairs += 1
+        if self._pairs <= _TELLING_PAIRS:
+            self._swing = np.maximum(self._swing, np.abs(levels[0] - levels[1]))
+            self._lit = lit_by(self._swing)
 
 
 @dataclass(frozen=True)
@@ -100,19 +104,18 @@ def correction(fringe: Fringe, gains: Gains, common: Floats32, middle: Floats32,
 def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Fringe, tuple[Gains, Floats32]]:
     """Of each fringe in even steps: the gains of its steps, and the light around which it swings (P,).
 
-    `levels` (frames, P): of a sample. What a single fringe swings around, no other tells: then there are none.
+    `levels` (frames, P): of lit pixels. What a single fringe swings around, no other tells: then there are none.
     """
     even = [fringe for fringe in plan.fringes if fringe.equal_steps]
     if len(even) < 2:
         return {}
     found: dict[Fringe, tuple[Gains, Floats32]] = {}
-    lit = lit_by(np.ptp(levels, axis=0))
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
     # The light around which a fringe swings is known from the others: what is wrong with it there is wrong elsewhere.
     for _ in range(_PASSES):
         for number, fringe in enumerate(even):
             of_fringe, others = levels[list(fringe.frames)], means[:number] + means[number + 1 :]
-            gains = gains_of_fringe(fringe, of_fringe, medians(np.stack(others), axis=0), places, lit)
+            gains = gains_of_fringe(fringe, of_fringe, medians(np.stack(others), axis=0), places)
             means[number] = (of_fringe / gains.at(places.rows)).mean(axis=0).astype(np.float32)
             found[fringe] = gains, means[number]
         if not any(gains.matter for gains, _ in found.values()):
