@@ -69,8 +69,9 @@ def calibration_error(found: Calibration, truth: Truth) -> CalibrationError:
     percent = intrinsic_errors_percent(found, truth.calibration)[:number]
     true = truth.calibration
     values = np.array([true.camera.focal_px[0], true.projector.focal_px[0], *true.projector.principal_point_px])
-    keys = ("camera_focal_px", "projector_focal_px", "projector_principal_point_px")
-    stated = np.concatenate([np.atleast_1d(found.sigma[key]) for key in keys]) if found.sigma else np.zeros(_NUMBERS)
+    devices = found.sigma
+    known = devices.camera.focal_px, devices.projector.focal_px, devices.projector.principal_point_px
+    stated = np.concatenate([np.zeros(n) if s is None else s[:n] for s, n in zip(known, (1, 1, 2), strict=True)])
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = percent / 100 * values[:number] / stated[:number]
     return CalibrationError(percent, sigmas)
