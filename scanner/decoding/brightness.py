@@ -25,13 +25,11 @@ LEAST_DIFFERENCE = 0.015
 _HARMONICS = {2: 0.4, 3: 0.07}
 _MOST_MISTAKEN = 0.03
 _SIGNIFICANT = 5.0
-_BANDS = 32
+BANDS = 32
 _FEWEST_PER_BAND = 64
 _FEWEST_PIXELS = 200
 # So many are enough for a few numbers.
 _MOST_PIXELS = 4096
-# A pair of which one frame is brighter by so much has a sum that goes with its difference by as much.
-_STEADY = LEAST_DIFFERENCE / 2
 # What bands may leave of the squared residuals of one weight for all rows: chance leaves 0.99, uneven phases 0.95.
 _BANDED = 0.85
 # How far the weights of a band may well be from those of the whole frame.
@@ -89,21 +87,8 @@ class Gains:
 
 def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
     """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,)."""
-    if _are_alike(levels, common):
-        return Gains(np.ones((2, 1)))
     nothing = np.zeros((1, len(common)), np.float32)
     return _gains([_weights(levels, common, places, nothing, is_pair=True)])
-
-
-def _are_alike(levels: Floats32, common: Floats32) -> bool:
-    """Whether the sum of a pair goes with its difference nowhere, as it does in steady light: quickly told."""
-    total, difference = levels[0] + levels[1], levels[0] - levels[1]
-    rest = total - common * (float(common @ total) / max(float(common @ common), 1e-12))
-    if len(rest) < _BANDS:
-        return False
-    products, squares = (np.add.reduceat(difference * other, _starts(len(rest))) for other in (rest, difference))
-    whole = abs(float(products.sum())) / max(float(squares.sum()), 1e-12)
-    return whole < _STEADY and float(np.median(np.abs(products) / np.maximum(squares, 1e-12))) < 2 * _STEADY
 
 
 def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places) -> Gains:
@@ -213,8 +198,8 @@ def _weights_from(terms: Floats) -> Floats:
 
 
 def _starts(count: int) -> NDArray[np.int64]:
-    """Where bands of as many pixels each begin, of pixels row by row: the projector may light up a part of the image."""
-    return np.arange(_BANDS) * count // _BANDS
+    """Where bands of as many pixels each begin, of pixels row by row; the projector may light up a part of them."""
+    return np.arange(BANDS) * count // BANDS
 
 
 def _bands(design: Floats, left: Floats, noise: float) -> Floats | None:
