@@ -102,17 +102,17 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     groups = [order[first :: count // size] for first in range(count // size)]
     back = np.argsort(np.concatenate(groups))
     nothing = np.zeros((1, len(common)), np.float32)
-    guesses = [weights for weights, _ in (_weights(levels[g], common, places, nothing) for g in groups)]
+    guesses = [_weights(levels[group], common, places, nothing, variety=0.0)[0] for group in groups]
     first = _gains([(weights, 0.0) for weights in guesses])
-    # The phases of frames that differ are not those of the fringe.
-    alike = (levels / first.of_rows[back].mean(axis=1, keepdims=True)).astype(np.float32)
+    # Neither phases nor variety of frames that differ are those of the fringe.
+    alike = (levels / Gains(first.of_rows[back]).at(places.rows)).astype(np.float32)
     cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
     phase = np.arctan2(sine, cosine)
     mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase, size)
     if mistaken > _MOST_MISTAKEN:
         return Gains(np.ones((count, 1)))
     harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
-    found = _gains([_weights(levels[group], common, places, harmonic) for group in groups], mistaken)
+    found = _gains([_weights(alike[group], common, places, harmonic) for group in groups], mistaken, first)
     return Gains(found.of_rows[back])
 
 
@@ -134,10 +134,14 @@ def flicker_of(groups: Sequence[Gains]) -> float | None:
     return sqrt(squares / freedom) if freedom else None
 
 
-def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0) -> Gains:
-    """From weights (frames, rows or 1) of groups that share their light, and how wrong each and all of them may be."""
+def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0, before: Gains | None = None) -> Gains:
+    """From weights (frames, rows or 1) of groups that share their light, and how wrong each and all of them may be.
+
+    `before`: gains that were taken out of the frames already.
+    """
     rows = max(weights.shape[1] for weights, _ in found)
     weights = np.concatenate([np.broadcast_to(of_group, (len(of_group), rows)) for of_group, _ in found])
+    weights = weights if before is None else weights / before.of_rows
     if np.any(weights <= 0) or np.ptp(np.log(weights)) <= max(error for _, error in found) + mistaken:
         return Gains(np.ones((len(weights), 1)))
     logs = -np.log(weights)
@@ -145,7 +149,13 @@ def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0) -> Gain
 
 
 def _weights(
-    levels: Floats32, common: Floats32, places: Places, harmonic: Floats32, *, is_pair: bool = False
+    levels: Floats32,
+    common: Floats32,
+    places: Places,
+    harmonic: Floats32,
+    *,
+    is_pair: bool = False,
+    variety: float = _LEAST_VARIETY,
 ) -> tuple[Floats, float]:
     """(frames, rows of the image or 1), and how far they may be from the truth: infinitely if the pixels do not tell.
 
@@ -160,7 +170,7 @@ def _weights(
     largest = levels.max(axis=0)
     chosen = largest < _SATURATED * largest.max()
     seen = design[chosen]
-    if len(seen) < _FEWEST_PIXELS or _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < _LEAST_VARIETY:
+    if len(seen) < _FEWEST_PIXELS or _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < variety:
         return np.ones((count, 1)), inf
     for _ in range(2):
         terms = _least_squares(design[chosen], target[chosen])
