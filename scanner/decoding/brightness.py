@@ -23,7 +23,10 @@ from scanner.decoding.sequence_plan import Fringe
 LEAST_DIFFERENCE = 0.015
 # The harmonic of as many cycles as a group has steps stays in its sum: relative to the fringe, at a gamma of 3.
 _HARMONICS = {2: 0.4, 3: 0.07}
-_MOST_MISTAKEN = 0.03
+# Unknown by more than this, and than this part of what they differ, gains are not known.
+_MOST_MISTAKEN, _MOST_MISTAKEN_OF = 0.03, 0.25
+# Each starts from frames that the one before made alike; a much darker frame is well known after the second.
+_GUESSES = 2
 _SIGNIFICANT = 5.0
 BANDS = 32
 _FEWEST_PER_BAND = 64
@@ -102,14 +105,16 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     groups = [order[first :: count // size] for first in range(count // size)]
     back = np.argsort(np.concatenate(groups))
     nothing = np.zeros((1, len(common)), np.float32)
-    guesses = [_weights(levels[group], common, places, nothing, variety=0.0)[0] for group in groups]
-    first = _gains([(weights, 0.0) for weights in guesses])
     # Neither phases nor variety of frames that differ are those of the fringe.
-    alike = (levels / Gains(first.of_rows[back]).at(places.rows)).astype(np.float32)
+    first, alike = Gains(np.ones((count, 1))), levels
+    for _ in range(_GUESSES):
+        guesses = [(_weights(alike[group], common, places, nothing, variety=0.0)[0], 0.0) for group in groups]
+        first = _gains(guesses, before=first)
+        alike = (levels / Gains(first.of_rows[back]).at(places.rows)).astype(np.float32)
     cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
     phase = np.arctan2(sine, cosine)
     mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase, size)
-    if mistaken > _MOST_MISTAKEN:
+    if mistaken > max(_MOST_MISTAKEN, _MOST_MISTAKEN_OF * np.ptp(np.log(first.of_rows))):
         return Gains(np.ones((count, 1)))
     harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
     found = _gains([_weights(alike[group], common, places, harmonic) for group in groups], mistaken, first)
