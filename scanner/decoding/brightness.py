@@ -108,9 +108,9 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     # Neither phases nor variety of frames that differ are those of the fringe.
     first, alike = Gains(np.ones((count, 1))), levels
     for _ in range(_GUESSES):
-        guesses = [(_weights(alike[group], common, places, nothing, variety=0.0)[0], 0.0) for group in groups]
+        guesses = [(_weights(alike[group], common, places, nothing, is_guess=True)[0], 0.0) for group in groups]
         first = _gains(guesses, before=first)
-        alike = (levels / Gains(first.of_rows[back]).at(places.rows)).astype(np.float32)
+        alike = (levels / first.of_rows[back]).astype(np.float32)
     cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
     phase = np.arctan2(sine, cosine)
     mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase, size)
@@ -160,12 +160,13 @@ def _weights(
     harmonic: Floats32,
     *,
     is_pair: bool = False,
-    variety: float = _LEAST_VARIETY,
+    is_guess: bool = False,
 ) -> tuple[Floats, float]:
     """(frames, rows of the image or 1), and how far they may be from the truth: infinitely if the pixels do not tell.
 
     The mean of the frames is explained by the common light and the frames' distances from it. So what else is in the
-    mean, as `harmonic` (terms, P) of a bent brightness curve or lost light, is left over and pulls at nothing.
+    mean, as `harmonic` (terms, P) of a bent brightness curve or lost light, is left over and pulls at nothing. A guess
+    is the same for all rows, and is given even if the pixels do not tell.
     """
     count = len(levels)
     scale = 1 / np.maximum(common, np.float32(_FAINT * float(np.median(common)) + 1e-3))
@@ -175,7 +176,9 @@ def _weights(
     largest = levels.max(axis=0)
     chosen = largest < _SATURATED * largest.max()
     seen = design[chosen]
-    if len(seen) < _FEWEST_PIXELS or _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < variety:
+    if len(seen) < _FEWEST_PIXELS:
+        return np.ones((count, 1)), inf
+    if not is_guess and _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < _LEAST_VARIETY:
         return np.ones((count, 1)), inf
     for _ in range(2):
         terms = _least_squares(design[chosen], target[chosen])
@@ -190,7 +193,7 @@ def _weights(
     # Noise in what explains draws its weights together: a share of them as large as it is next to what it explains.
     spread = np.linalg.eigvalsh(design.T @ design / len(left))[1]
     error = count * _SIGNIFICANT * sqrt(noise / (spread * len(left))) + 2 * noise / spread
-    bands = _bands(design, left, noise)
+    bands = None if is_guess else _bands(design, left, noise)
     if bands is None:
         return _weights_from(terms[:, None]), error
     starts = _starts(len(rows))

@@ -26,7 +26,7 @@ from scanner.decoding.code_checks import check_codes
 from scanner.decoding.connected_components import small_patches
 from scanner.decoding.consequences import judge, suspecting
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
-from scanner.decoding.equalise import PairEqualiser, correction, swings_of
+from scanner.decoding.equalise import PairEqualiser, correction, out_of_line, swings_of
 from scanner.decoding.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.frame_checks import Oddity, check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
@@ -199,15 +199,13 @@ def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
             found.append((fold.fringe.frames, gains))
             if gains.matter:
                 fold.correction = correction(fold.fringe, gains, common, middle, brightest)
-    pairs = levels[plan.complements].mean(axis=(1, 2)) if plan.complements else np.ones(1)
     for frames, gains in found:
         if gains.matter:
             for frame, of_frame in zip(frames, gains.at(sample.pixels // width), strict=True):
                 sample.divide(frame, of_frame)
-            if len(frames) == 2:  # which are as bright as other pairs are
-                brightness = np.mean([np.mean(sample.level(frame)) for frame in frames]) / np.median(pairs)
-                for frame in frames:
-                    sample.divide(frame, np.array([brightness]))
+    for group, by in out_of_line([(frames, gains.matter) for frames, gains in found], sample):
+        for frame in group:
+            sample.divide(frame, np.array([by]))
     return flicker_of([gains for _, gains in found])
 
 

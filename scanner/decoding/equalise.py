@@ -5,6 +5,7 @@ two components are kept; what brighter and darker steps did to them is undone af
 which the fringe swings.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,3 +158,18 @@ def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Frin
         if not any(gains.matter for gains, _ in found.values()):
             break
     return found
+
+
+def out_of_line(
+    groups: Sequence[tuple[tuple[int, ...], bool]], sample: Sample
+) -> Iterator[tuple[tuple[int, ...], float]]:
+    """Yields groups of frames, made alike, that differ from the other pairs or fringes, and how many times brighter.
+
+    `groups`: the frames of pairs and fringes, and whether they differed. Those that did not are the measure, if any.
+    """
+    for kind in ([one for one in groups if len(one[0]) == 2], [one for one in groups if len(one[0]) > 2]):
+        means = np.array([np.mean([np.mean(sample.level(frame)) for frame in frames]) for frames, _ in kind])
+        differed = np.array([differ for _, differ in kind], np.bool_)
+        if differed.any():
+            usual = float(np.median(means if differed.all() else means[~differed]))
+            yield from ((kind[at][0], float(means[at]) / usual) for at in np.flatnonzero(differed))

@@ -4,7 +4,7 @@ Unlike a lamp that flickers it adds to the frames, by an amount of its own at ea
 and fringes: from one on they are all off, by light of one sign.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +40,10 @@ def light_switch(
 
     `swing` (P,): how far the levels of a pixel are apart. `contradiction` measures frames (frames, P).
     """
-    kinds = [plan.complements, [fringe.frames for fringe in plan.fringes if fringe.equal_steps]]
+    kinds: list[Sequence[Sequence[int]]] = [
+        plan.complements,
+        [fringe.frames for fringe in plan.fringes if fringe.equal_steps],
+    ]
     groups = [[list(frames) for frames in kind] for kind in kinds if len(kind) > 1]
     if not groups:
         return None
