@@ -23,8 +23,9 @@ from scanner.decoding.sequence_plan import Fringe
 LEAST_DIFFERENCE = 0.015
 # The harmonic of as many cycles as a group has steps stays in its sum: relative to the fringe, at a gamma of 3.
 _HARMONICS = {2: 0.4, 3: 0.07}
-# Unknown by more than this, and than this part of what they differ, gains are not known.
-_MOST_MISTAKEN, _MOST_MISTAKEN_OF = 0.03, 0.25
+# Gains that are unknown by more than this part of what they differ are not known; nor are any that are unknown by more
+# than the larger limit; the smaller one does no harm. Where few cycles are in view, gains explain what is fringe.
+_MOST_MISTAKEN_OF, _MOST_MISTAKEN = 0.25, (0.03, 0.1)
 # Each starts from frames that the one before made alike; a much darker frame is well known after the second.
 _GUESSES = 2
 _SIGNIFICANT = 5.0
@@ -114,7 +115,7 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
     phase = np.arctan2(sine, cosine)
     mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase, size)
-    if mistaken > max(_MOST_MISTAKEN, _MOST_MISTAKEN_OF * np.ptp(np.log(first.of_rows))):
+    if mistaken > np.clip(_MOST_MISTAKEN_OF * np.ptp(np.log(first.of_rows)), *_MOST_MISTAKEN):
         return Gains(np.ones((count, 1)))
     harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
     found = _gains([_weights(alike[group], common, places, harmonic) for group in groups], mistaken, first)
