@@ -225,12 +225,25 @@ def _learn(accumulators: Accumulators, sample: Sample, oddities: list[Oddity]) -
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, noise, saturation, thin)
         oddities += check_frames(plan, levels, sample.levels, noise, saturation)
-        check_codes(plan, accumulators.codes, noise, accumulators.middle)
+        odd_codes = check_codes(plan, accumulators.codes, noise, accumulators.middle)
+        oddities += _passed_over(plan, odd_codes, oddities)
         decoders = calibrating.result()
         for decoder, signals in zip(decoders, thin, strict=True):
             oddities += check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
         return _Learnt(decoders, noise, modulation(decoders, thin), flicker, notes)
+
+
+def _passed_over(plan: SequencePlan, odd_codes: Sequence[Oddity], seen: Sequence[Oddity]) -> Sequence[Oddity]:
+    """The odd codes, if pairs of their bits were `seen` not to add up, as where someone walks by.
+
+    Raises InputError if one was not: an exchange between pairs is known from their sums, but nothing else tells others.
+    """
+    suspected = {frame for oddity in seen for frame in oddity.frames}
+    for oddity in odd_codes:
+        if not any({*pair} <= suspected.intersection(oddity.frames) for pair in plan.complements):
+            raise InputError(oddity.said)
+    return odd_codes
 
 
 def _match(
