@@ -27,10 +27,10 @@ from multiprocessing import get_context
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[1]))
-from benchmarks.conditions.captures import SEQUENCES
-from benchmarks.conditions.catalogue import Condition, conditions
-from benchmarks.conditions.table import confident_and_wrong, markdown, refused_needlessly, write_into
-from benchmarks.conditions.trial import Outcome, Setup, named, run
+from conditions.captures import SEQUENCES
+from conditions.catalogue import Condition, conditions
+from conditions.table import confident_and_wrong, markdown, refused_needlessly, write_into
+from conditions.trial import Outcome, Setup, named, run
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "decoding.md"
@@ -90,8 +90,8 @@ def _run(task: tuple[str, str, Setup, Path | None]) -> Outcome:
 def _earlier(path: Path | None) -> Iterator[Outcome]:
     if path is None or not path.exists():
         return
-    for line in path.read_text(encoding="utf-8").splitlines():
-        yield Outcome(**json.loads(line))
+    found = [Outcome(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
+    yield from {(o.name, o.strength, o.seed, o.sequence): o for o in found}.values()  # of several, the last
 
 
 def _tell(outcome: Outcome, number: int, of: int, *, verbose: bool) -> None:

@@ -91,6 +91,13 @@ class SimulatedRigSettings(BaseModel):
     )
     hide_vertex: bool = Field(False, description="A box stands in the corner and hides its vertex from the camera.")
     sphere_radius_m: float = Field(0.12, ge=0.05, le=0.2, description="Radius of the sphere in metres.")
+    ball_bar_m: float | None = Field(
+        None,
+        ge=0.15,
+        le=1.0,
+        description="Distance between the centres of the sphere and of a second one, as on a ball bar; left out, there "
+        "is one sphere.",
+    )
     albedo: float | None = Field(
         None,
         ge=0.05,

@@ -10,6 +10,7 @@ A result is left in `out`, whole or not at all; also after RefusalError, with th
 from collections.abc import Sequence
 from pathlib import Path
 
+from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration
 from scanner import pipeline
 from scanner.capture import Recording, check_places, open_capture
@@ -17,7 +18,7 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.reconstruction import read_captures, read_masks, refuse_impossible
-from scanner.results import Scan, new_result
+from scanner.results import Scan, new_result, read_uncertainty
 from scanner.ui import Terminal
 
 _SILENT = Terminal(quiet=True)
@@ -75,7 +76,7 @@ def replay(
     refuse_impossible(settings, len(earlier) + 1)
     with new_result(out, settings, overwrite=overwrite) as folder:
         if known:
-            return pipeline.replay_calibrated(recording, known, settings, folder, terminal)
+            return pipeline.replay_calibrated(recording, *known, settings, folder, terminal)
         return pipeline.replay(recording, settings, folder, terminal, masks=drawn, earlier=earlier)
 
 
@@ -93,8 +94,11 @@ def calibrate(
         return pipeline.reconstruct(captures, config, folder, terminal)
 
 
-def _calibration_for(recording: Recording, path: Path, config: Config) -> Calibration:
-    """A calibration that was given for a recording. Raises InputError if it is of another rig."""
+def _calibration_for(recording: Recording, path: Path, config: Config) -> tuple[Calibration, Uncertainty | None]:
+    """A calibration that was given for a recording, with its covariance if the file states one.
+
+    Raises InputError if it is of another rig.
+    """
     calibration = read_calibration(path)
     for name, device, expected in (
         ("camera", calibration.camera, recording.camera_size),
@@ -110,4 +114,4 @@ def _calibration_for(recording: Recording, path: Path, config: Config) -> Calibr
             "'earlier' says what to calibrate together with, and --calibration that there is no need to: give one "
             "of them, as with --set earlier=[]"
         )
-    return calibration
+    return calibration, read_uncertainty(path, calibration)

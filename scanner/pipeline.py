@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration
 from calib.numerics import Bools
 from hw.open_rig import open_rig
@@ -80,12 +81,20 @@ def replay(
 
 
 def replay_calibrated(
-    recording: Recording, calibration: Calibration, config: Config, folder: Path, terminal: Terminal
+    recording: Recording,
+    calibration: Calibration,
+    stated: Uncertainty | None,
+    config: Config,
+    folder: Path,
+    terminal: Terminal,
 ) -> Scan:
-    """The same with a calibration that is known: nothing is calibrated. Raises InputError, RefusalError."""
+    """The same with a calibration that is known, as is its covariance if `stated`: nothing is calibrated.
+
+    Raises InputError, RefusalError.
+    """
     found = _decode_recording(recording, folder, terminal, calibration)
     with refusal_saved([found], folder) as reached:
-        given = GivenCalibration(found, scaled(calibration, None, config.scale))
+        given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
         captures = triangulate([given], reached, terminal)
     return _finished(Scan(captures), folder, terminal)
 

@@ -41,6 +41,8 @@ def main() -> int:
         return 3
     if code == 0:
         truth = true_calibration(place_room(settings.room, config.camera_size, config.projector_size))
+        if truth is None:
+            return code
         write_calibration(options.out / TRUTH_FILE, truth)
         print(truth_line(read_calibration(options.out / CALIBRATION_FILE), truth))
     return code

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture import CAPTURE_FILE
 from scanner.io import flow_yaml
-from scanner.patterns import FORMAT, PRESETS, Gray, Pattern, draw, frame_line, sequence_for, size_to_dict
+from scanner.patterns import FORMAT, PRESETS, Gray, Pattern, PresetName, draw, frame_line, sequence_for, size_to_dict
 
 SEQUENCES = (*PRESETS, "gray")
 
@@ -52,7 +53,7 @@ def patterns_of(sequence: str, projector_size: tuple[int, int]) -> tuple[Pattern
     """Those of a preset, or of 'gray': Gray code down to a pixel with inverses, and no fringes."""
     if sequence == "gray":
         return sequence_for(projector_size, cell=1, shifts=0)
-    return PRESETS[sequence].patterns(projector_size)
+    return PRESETS[cast(PresetName, sequence)].patterns(projector_size)
 
 
 def take(room: SimulatedRoom, patterns: tuple[Pattern, ...], exposure: float) -> Capture:
@@ -69,12 +70,12 @@ def take(room: SimulatedRoom, patterns: tuple[Pattern, ...], exposure: float) ->
 
 def blended(first: Image, second: Image, share: float) -> Image:
     """The first image with a share of the second one's light."""
-    return np.rint((1 - share) * first.astype(float) + share * second).astype(first.dtype)
+    return cast(Image, np.rint((1 - share) * first.astype(float) + share * second).astype(first.dtype))
 
 
 def brightened(image: Image, factor: float) -> Image:
     """An image that was exposed longer or shorter."""
-    return np.rint(np.clip(factor * image.astype(float), 0, 255)).astype(image.dtype)
+    return cast(Image, np.rint(np.clip(factor * image.astype(float), 0, 255)).astype(image.dtype))
 
 
 def inverses(patterns: Sequence[Pattern]) -> list[tuple[int, int]]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.conditions.captures import Capture, blended, brightened, inverses
+from conditions.captures import Capture, blended, brightened, inverses
 from hw.simulated.simulation import SimulatedRoom
 from scanner.patterns import Pattern
 
@@ -89,7 +89,7 @@ def _camera() -> Iterator[Condition]:
     for percent in (10, 30):
         yield Condition("saturated in white", f"{percent} % of lit pixels", exposure=_saturating(percent / 100))
     for quality in (95, 85, 70, 50):
-        yield Condition("JPEG", f"quality {quality}", frames=lambda c, _, q=quality: replace(c, jpeg=q))
+        yield Condition("JPEG", f"quality {quality}", frames=_compressed(quality))
 
 
 def _scene() -> Iterator[Condition]:
@@ -127,6 +127,13 @@ def _frames() -> Iterator[Condition]:
     yield Condition("two frames exchanged", frames=_exchanged, fault=True)
     yield Condition("one frame repeated", frames=_repeated, fault=True)
     yield Condition("a bit and its inverse exchanged", frames=_inverted, fault=True)
+
+
+def _compressed(quality: int) -> OfFrames:
+    def frames(capture: Capture, _: Random) -> Capture:
+        return replace(capture, jpeg=quality)
+
+    return frames
 
 
 def _saturating(share: float) -> Callable[[SimulatedRoom], float]:

@@ -69,9 +69,9 @@ def calibration_error(found: Calibration, truth: Truth) -> CalibrationError:
     percent = intrinsic_errors_percent(found, truth.calibration)[:number]
     true = truth.calibration
     values = np.array([true.camera.focal_px[0], true.projector.focal_px[0], *true.projector.principal_point_px])
-    devices = found.sigma
-    known = devices.camera.focal_px, devices.projector.focal_px, devices.projector.principal_point_px
-    stated = np.concatenate([np.zeros(n) if s is None else s[:n] for s, n in zip(known, (1, 1, 2), strict=True)])
+    sigma = found.sigma
+    focals = [device.focal_px[0] if device.focal_px else 0.0 for device in (sigma.camera, sigma.projector)]
+    stated = np.array([*focals, *(sigma.projector.principal_point_px or (0.0, 0.0))])
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = percent / 100 * values[:number] / stated[:number]
     return CalibrationError(percent, sigmas)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.conditions.catalogue import conditions
-from benchmarks.conditions.judging import MOST_SIGMAS
-from benchmarks.conditions.trial import Outcome
+from conditions.catalogue import conditions
+from conditions.judging import MOST_SIGMAS
+from conditions.trial import Outcome
 
 BEGIN, END = "<!-- conditions: begin, written by benchmarks/bench_conditions.py --write -->", "<!-- conditions: end -->"
 
@@ -51,7 +51,9 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
         by_row[outcome.name, outcome.strength].append(outcome)
     lines = [_line(_COLUMNS), _line(["---"] * len(_COLUMNS))]
     lines += [_row(by_row[c.name, c.strength]) for c in conditions() if (c.name, c.strength) in by_row]
-    return "\n".join([*lines, "", *_totals(outcomes)])
+    rooms, sequences = sorted({o.seed for o in outcomes}), list(dict.fromkeys(o.sequence for o in outcomes))
+    measured = f"{len(outcomes)} captures, rooms {', '.join(map(str, rooms))}, sequences {', '.join(sequences)}."
+    return "\n".join([*lines, "", measured, "", *_totals(outcomes)])
 
 
 def write_into(page: Path, text: str) -> None:

@@ -6,23 +6,23 @@ import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 import yaml
 
-from benchmarks.conditions.captures import Capture, patterns_of, take
-from benchmarks.conditions.catalogue import AMBIENT, Condition, conditions
-from benchmarks.conditions.judging import Truth, calibration_error, could_be_decoded, match_errors, matched_share
-from benchmarks.conditions.plain_decoder import plain_matches
+from calib.geometry import Matches, Size
+from conditions.captures import Capture, patterns_of, take
+from conditions.catalogue import AMBIENT, Condition, conditions
+from conditions.judging import Truth, calibration_error, could_be_decoded, match_errors, matched_share
+from conditions.plain_decoder import plain_matches
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.commands.main import main as scan
 from scanner.io import MATCHES_FILE, read_calibration, read_matches
 from scanner.patterns import Phase
 from scanner.results import CALIBRATION_FILE, read_verdict
-
-Size = tuple[int, int]
 
 _UNRESOLVED_BITS = 3  # as many of the finest bits a plain decoder may leave out
 
@@ -85,7 +85,7 @@ def captured(condition: Condition, setup: Setup) -> tuple[Capture, Truth]:
     patterns = patterns_of(setup.sequence, setup.projector_size)
     rng = np.random.default_rng([setup.seed, crc32(f"{condition.name} {condition.strength} {setup.sequence}".encode())])
     settings = condition.settings(patterns, rng)
-    seen = setup.seed, setup.camera_size, setup.projector_size, settings.pop("furniture_askew_deg", 0.0)
+    seen = setup.seed, Size(*setup.camera_size), Size(*setup.projector_size), settings.pop("furniture_askew_deg", 0.0)
     room = _room(*seen).under(**settings)
     capture = take(room, patterns, condition.exposed(room))
     if condition.frames is not None:
@@ -106,17 +106,19 @@ def _room(seed: int, camera_size: Size, projector_size: Size, askew_deg: float) 
 
 
 @lru_cache(maxsize=8)
-def _truth(seed: int, camera_size: Size, projector_size: Size, askew_deg: float, panel: tuple) -> Truth:
+def _truth(
+    seed: int, camera_size: Size, projector_size: Size, askew_deg: float, panel: tuple[tuple[str, object], ...]
+) -> Truth:
     room = _room(seed, camera_size, projector_size, askew_deg)
     shown = room.under(panel=dict(panel))
-    projector_px = shown.ground_truth().projector_px.astype(np.float32)
+    projector_px = shown.ground_truth().projector_px.astype(np.float64)
     true = shown.calibration
     if true is None or np.ptp(true.projector.focal_px) > 1e-6 * true.projector.focal_px[0]:
         return Truth(projector_px, room.calibration, pinhole=False)
     return Truth(projector_px, true)
 
 
-def plain_decodings(capture: Capture) -> list:
+def plain_decodings(capture: Capture) -> list[Matches]:
     """What a page of plain code makes of it; of a Gray code alone also without its finest bits."""
     alone = not any(isinstance(pattern, Phase) for pattern in capture.patterns)
     unresolved = range(_UNRESOLVED_BITS + 1 if alone else 1)
@@ -135,8 +137,8 @@ def _replayed(place: Path, truth: Truth) -> tuple[int, str]:
     return code, said.getvalue().replace(str(place), "").strip()
 
 
-def _figures(result: Path, truth: Truth) -> dict:
-    figures: dict = {}
+def _figures(result: Path, truth: Truth) -> dict[str, Any]:
+    figures: dict[str, Any] = {}
     if (result / MATCHES_FILE).exists():
         matches = read_matches(result / MATCHES_FILE)
         errors = match_errors(matches, truth)

@@ -1,5 +1,26 @@
 """What an estimate is worth: uncertainty, degenerate views, the verdict of the numbers, the next best view."""
 
 from calib.diagnostics.acceptance import USEFUL_SIGMA, no_corner, refuse_degenerate, refuse_untrustworthy
-from calib.diagnostics.notes import FURTHER_CAPTURE, notes_on
-from calib.diagnostics.uncertainty import Uncertainty, calibration_of, sigmas_of, uncertainty_of
+from calib.diagnostics.error_propagation import (
+    Budget,
+    LinearFit,
+    Spread,
+    SystematicErrors,
+    length_in_the_middle,
+    spread_of_fit,
+    spread_of_points,
+    spread_of_vertex,
+    stacked,
+)
+from calib.diagnostics.notes import FROM_ONE_PLACE, FURTHER_CAPTURE, notes_on
+from calib.diagnostics.plane_form import PlaneForm, plane_form
+from calib.diagnostics.smooth_errors import footprint_offsets
+from calib.diagnostics.uncertainty import (
+    NOWHERE,
+    Along,
+    Uncertainty,
+    along_valley,
+    calibration_of,
+    sigmas_of,
+    uncertainty_of,
+)

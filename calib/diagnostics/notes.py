@@ -9,6 +9,9 @@ from calib.refinement import CAMERA, Knowledge, Refinement
 # How the note on what a further capture would gain begins.
 FURTHER_CAPTURE = "A further capture of this corner"
 
+# How the note on captures between which the rig was not moved begins.
+FROM_ONE_PLACE = "Taken from the same place: captures"
+
 _WORTH_A_CAPTURE = 0.7
 _TERMS = ("no radial term", "one radial term", "two radial terms")
 
@@ -17,6 +20,7 @@ def notes_on(refinement: Refinement, knowledge: Knowledge) -> tuple[str, ...]:
     """Assumptions, what the data said about them, and what stays unexplained."""
     return (
         *_on_squareness(refinement, knowledge),
+        *_on_repeats(refinement),
         *(() if knowledge.one_camera else _on_next_view(refinement, knowledge)),
         *(_on_one_lens(refinement) if knowledge.one_camera else _on_lenses(refinement)),
         *_on_noise(refinement, knowledge),
@@ -42,6 +46,19 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
             f"−2 log likelihood, where {sameness.limit:.0f} is the most that chance explains. Each was given its own."
         )
     return notes
+
+
+def _on_repeats(refinement: Refinement) -> list[str]:
+    state, count = refinement.fit.state, len(refinement.noise)
+    if state.one_camera:
+        return []
+    groups = {tuple(j + 1 for j in range(count) if state.same_place(i, j)) for i in range(count)}
+    return [
+        f"{FROM_ONE_PLACE} {', '.join(map(str, group[:-1]))} and {group[-1]}. What errs smoothly is the same in each, "
+        "so together they count as one. Move the rig between captures."
+        for group in sorted(groups)
+        if len(group) > 1
+    ]
 
 
 def _on_next_view(refinement: Refinement, knowledge: Knowledge) -> list[str]:

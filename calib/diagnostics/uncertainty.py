@@ -18,22 +18,62 @@ from calib.geometry import (
 from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, Prior, State
 
+# Of the states along the valley, those less probable than this are left to the rest of the covariance.
+_IMPROBABLE = 2e-3
+
+
+@dataclass(frozen=True)
+class Along:
+    """The part of a covariance that is not linear: states along the curved valley of the camera's focal length.
+
+    `steps` (K, 15): to them from the best, `probability` (K,); they make up the covariance Σ p s sᵀ.
+    """
+
+    steps: Floats
+    probability: Floats
+
+    @property
+    def covariance(self) -> Floats:
+        """Their part of the covariance, (15, 15)."""
+        covariance: Floats = (self.steps * self.probability[:, None]).T @ self.steps
+        return covariance
+
+
+NOWHERE = Along(np.zeros((0, SHARED)), np.zeros(0))
+
 
 @dataclass(frozen=True)
 class Uncertainty:
     """Of a rig: its state and `covariance` (15, 15) of the columns of devices and motion; lengths in baselines.
 
     `by_principal_point` (15, 2): how the columns move with the camera's principal point, per pixel, where that was
-    taken as known; else None. `match_px`: scatter of a match where it states no sigma of its own.
+    taken as known; else None. `match_px`: scatter of a match where it states no sigma of its own. `along`: the part of
+    the covariance that is a curve.
     """
 
     state: State
     covariance: Floats
     by_principal_point: Floats | None
     match_px: float
+    along: Along = NOWHERE
+
+    @property
+    def rig(self) -> State:
+        """The state without corners."""
+        state = self.state
+        return State(state.camera, state.projector, state.rotation, state.translation, np.zeros((0, 3)), ())
 
     def of_points(self, matches: Matches) -> Floats:
-        """Standard deviations (N, 3) of triangulated points in the camera's frame, in baselines: along x, y, z.
+        """Standard deviations (N, 3) of triangulated points in the camera's frame, in baselines: along x, y, z."""
+        by_shared, by_match = self.point_jacobians(matches)
+        noise = np.full(len(matches), self.match_px) if matches.sigma_px is None else matches.sigma_px
+        variance = np.einsum("nij,jk,nik->ni", by_shared, self.covariance, by_shared, optimize=True)
+        variance += np.sum(by_match**2, axis=2) * (noise**2)[:, None]
+        sigma: Floats = np.sqrt(variance)
+        return sigma
+
+    def point_jacobians(self, matches: Matches) -> tuple[Floats, Floats]:
+        """How triangulated points move, in baselines: by the columns (N, 3, 15), by the projector's pixels (N, 3, 2).
 
         A point is where the camera's ray r comes nearest to the projector's, X = r d, so δX = r δd + d δr.
         """
@@ -51,14 +91,12 @@ class Uncertainty:
 
         jacobian = rays[:, :, None] * by_shared[:, None, :]
         jacobian[:, :, CAMERA] += depth[:, None, None] * rays_by_camera
-        noise = np.full(len(rays), self.match_px) if matches.sigma_px is None else matches.sigma_px
-        variance = np.einsum("nij,jk,nik->ni", jacobian, self.covariance, jacobian, optimize=True)
-        variance += rays**2 * (np.sum(by_match**2, axis=1) * noise**2)[:, None]
-        sigma: Floats = np.sqrt(variance)
-        return sigma
+        return jacobian, rays[:, :, None] * by_match[:, None, :]
 
 
-def uncertainty_of(state: State, covariance: Floats, information: Floats, prior: Prior, match_px: float) -> Uncertainty:
+def uncertainty_of(
+    state: State, covariance: Floats, information: Floats, prior: Prior, match_px: float, along: Along = NOWHERE
+) -> Uncertainty:
     """From a refinement's covariance and Hessian (size, size) over all columns of `state`."""
     known = np.arange(CAMERA.start + 1, CAMERA.start + 3)
     sensitivity = None
@@ -70,7 +108,13 @@ def uncertainty_of(state: State, covariance: Floats, information: Floats, prior:
         ]
         moved[known] = np.eye(2)
         sensitivity = moved[state.followed][:SHARED]
-    return Uncertainty(state, covariance[:SHARED, :SHARED], sensitivity, match_px)
+    return Uncertainty(state, covariance[:SHARED, :SHARED], sensitivity, match_px, along)
+
+
+def along_valley(probability: Floats, steps: Floats) -> Along:
+    """From probabilities (n,) of states and the steps (n, size) to them over all columns."""
+    likely = probability > _IMPROBABLE
+    return Along(steps[likely, :SHARED], probability[likely])
 
 
 def calibration_of(

@@ -22,7 +22,8 @@ class Sigmas:
     """Standard deviations of a calibration, None where unknown; 0 is a number that was held fixed.
 
     `rotation_deg`: about x, y, z; `translation_direction_deg`: of both directions across it, together;
-    `corner_angles_deg`: between the faces (B, C), (C, A), (A, B).
+    `corner_angles_deg`: between the faces (B, C), (C, A), (A, B). Of the one length that fixed the scale, in the
+    calibration's unit: `known_baseline`, or `known_camera_to_corner`, the camera's distance from the corner's vertex.
     """
 
     camera: DeviceSigmas = DeviceSigmas()
@@ -30,6 +31,8 @@ class Sigmas:
     rotation_deg: tuple[float, float, float] | None = None
     translation_direction_deg: float | None = None
     corner_angles_deg: tuple[float, float, float] | None = None
+    known_baseline: float | None = None
+    known_camera_to_corner: float | None = None
 
 
 @dataclass(frozen=True)

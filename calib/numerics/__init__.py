@@ -11,7 +11,9 @@ from calib.numerics.robust_statistics import (
     MEDIAN_LENGTH,
     SIGMA_PER_MEDIAN,
     biweight,
+    biweight_slope,
     blocks,
+    influence_on,
     robust_covariance,
     robust_sigma,
 )

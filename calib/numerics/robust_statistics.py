@@ -21,7 +21,18 @@ def biweight(residual: Floats) -> Floats:
     return weights
 
 
-def _biweight_slope(residual: Floats) -> Floats:
+def influence_on(jacobian: Floats, residual: Floats) -> Floats:
+    """How the parameters of a fit with Tukey's weights follow the points, (P, N): by each one's signed distance.
+
+    `jacobian` (N, P): of the distance that the fit explains by the parameters; `residual` (N,): what it does not. From
+    the estimating equations Σ ψ(r) J = 0 by implicit differentiation (Huber 1981, section 6.3).
+    """
+    scores = (biweight_slope(residual)[:, None] * jacobian).T
+    influence: Floats = np.linalg.pinv(scores @ jacobian, hermitian=True) @ scores
+    return influence
+
+
+def biweight_slope(residual: Floats) -> Floats:
     """Derivative of weight times residual by the residual, (N,)."""
     u2 = _relative(residual) ** 2
     return np.where(u2 < 1, (1 - u2) * (1 - 5 * u2), 0.0)
@@ -48,7 +59,7 @@ def robust_covariance(jacobian: Floats, residual: Floats, cluster: Ints) -> Floa
     count = int(cluster.max()) + 1
     totals = np.stack([np.bincount(cluster, column, count) for column in scores.T], axis=1)
     occupied = int(np.count_nonzero(np.bincount(cluster, weight > 0, count)))
-    normal = (_biweight_slope(residual)[:, None] * jacobian).T @ jacobian
+    normal = (biweight_slope(residual)[:, None] * jacobian).T @ jacobian
     if occupied <= 2 or np.linalg.matrix_rank(normal) < len(normal):
         return np.full_like(normal, np.inf)
     bread = np.linalg.inv(normal)

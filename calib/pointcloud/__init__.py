@@ -7,7 +7,7 @@ from calib.pointcloud.merged_cloud import MergedCloud, merged
 from calib.pointcloud.normals import surface
 from calib.pointcloud.organised_cloud import Cloud, CloudStatistics, build_cloud
 from calib.pointcloud.pixel_index import NONE, density, index_grid, without_gaps
-from calib.pointcloud.plane_fit import dihedral_angle_rad, fit_plane
-from calib.pointcloud.point_covariance import point_covariances
+from calib.pointcloud.plane_fit import Plane, dihedral_angle_rad, dihedral_gradients, fit_plane
+from calib.pointcloud.point_covariance import by_projector_px, point_covariances
 from calib.pointcloud.sphere_fit import Sphere, fit_sphere
 from calib.pointcloud.sphere_ransac import OrganisedPoints, find_sphere, image_radius_px

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Floats, Ints, biweight, robust_covariance
+from calib.numerics.robust_statistics import influence_on
 
 _STEPS = 20
 _CONVERGED = 1e-10
@@ -14,14 +15,29 @@ _CONVERGED = 1e-10
 class Plane:
     """The points X with `normal` · X = `offset`; `normal` (3,) has unit length and faces the origin, so offset < 0.
 
-    `normal_covariance` (3, 3), singular along the normal. `residual` (N,): signed distance of each point, positive on
-    the origin's side.
+    Its parameters are two tilts and a shift around `centre` (3,): it moves to the normal `normal` − tilt · `tangents`
+    (2, 3), and by the shift along it. `covariance` (3, 3) is theirs, and `jacobian` (N, 3) how the distance of each
+    point's foot grows with them. `residual` (N,): signed distance of each point, positive on the origin's side.
     """
 
     normal: Floats
     offset: float
-    normal_covariance: Floats
+    centre: Floats
+    tangents: Floats
+    jacobian: Floats
+    covariance: Floats
     residual: Floats
+
+    @property
+    def influence(self) -> Floats:
+        """How the parameters follow the points' distances, (3, N)."""
+        return influence_on(self.jacobian, self.residual)
+
+    @property
+    def normal_covariance(self) -> Floats:
+        """Of the normal, (3, 3), singular along it."""
+        covariance: Floats = self.tangents.T @ self.covariance[:2, :2] @ self.tangents
+        return covariance
 
 
 def fit_plane(points: Floats, cluster: Ints) -> Plane:
@@ -46,11 +62,10 @@ def fit_plane(points: Floats, cluster: Ints) -> Plane:
             break
     # In the plane's own axes the distance is off by a turn about either of them, or by a shift.
     jacobian = np.column_stack([from_centre @ axes[:, 1:], np.ones(len(points))])
-    turns = robust_covariance(jacobian, residual, cluster)[:2, :2]
-    covariance = axes[:, 1:] @ turns @ axes[:, 1:].T
+    covariance = robust_covariance(jacobian, residual, cluster)
     offset = float(normal @ centre)
     sign = -1.0 if offset > 0 else 1.0
-    return Plane(sign * normal, sign * offset, covariance, sign * residual)
+    return Plane(sign * normal, sign * offset, centre, axes[:, 1:].T, jacobian, covariance, sign * residual)
 
 
 def dihedral_angle_rad(first: Plane, second: Plane) -> tuple[float, float]:
@@ -58,8 +73,19 @@ def dihedral_angle_rad(first: Plane, second: Plane) -> tuple[float, float]:
 
     In a room that is the angle of its corner; of a box seen from outside, its own angle is the full turn's rest.
     """
+    variance = sum(
+        gradient @ plane.covariance @ gradient
+        for plane, gradient in zip((first, second), dihedral_gradients(first, second), strict=True)
+    )
     cosine = float(np.clip(first.normal @ second.normal, -1, 1))
-    sine = float(np.sqrt(1 - cosine**2))
-    by_first, by_second = second.normal, first.normal
-    variance = by_first @ first.normal_covariance @ by_first + by_second @ second.normal_covariance @ by_second
-    return float(np.pi - np.arccos(cosine)), float(np.sqrt(variance)) / max(sine, 1e-12)
+    return float(np.pi - np.arccos(cosine)), float(np.sqrt(variance))
+
+
+def dihedral_gradients(first: Plane, second: Plane) -> tuple[Floats, Floats]:
+    """Derivatives (3,) of the angle between two faces by the parameters of either."""
+    cosine = float(np.clip(first.normal @ second.normal, -1, 1))
+    sine = max(float(np.sqrt(1 - cosine**2)), 1e-12)
+    by_first, by_second = (
+        np.append(-plane.tangents @ other.normal / sine, 0.0) for plane, other in ((first, second), (second, first))
+    )
+    return by_first, by_second

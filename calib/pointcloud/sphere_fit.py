@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Floats, Ints, biweight, robust_covariance
+from calib.numerics.robust_statistics import influence_on
 
 _STEPS = 50
 _CONVERGED = 1e-10
@@ -15,13 +16,20 @@ class Sphere:
     """`centre` (3,) and `radius`, in the unit of the points.
 
     `covariance` (4, 4) of centre and radius; the radius's row and column are 0 if it was held fixed. `residual` (N,):
-    signed distance of each point from the surface, positive outside.
+    signed distance of each point from the surface, positive outside. `jacobian` (N, 4): how the surface moves outwards
+    at each point with centre and radius.
     """
 
     centre: Floats
     radius: float
     covariance: Floats
     residual: Floats
+    jacobian: Floats
+
+    @property
+    def influence(self) -> Floats:
+        """How centre and radius, both free, follow the points' distances, (4, N)."""
+        return influence_on(self.jacobian, self.residual)
 
     @property
     def centre_sigma(self) -> Floats:
@@ -57,7 +65,7 @@ def fit_sphere(points: Floats, cluster: Ints, centre: Floats, radius: float, *, 
             break
     covariance = np.zeros((4, 4))
     covariance[:free, :free] = robust_covariance(jacobian[:, :free], residual, cluster)
-    return Sphere(state[:3].copy(), float(state[3]), covariance, residual)
+    return Sphere(state[:3].copy(), float(state[3]), covariance, residual, -jacobian)
 
 
 def _distances(points: Floats, state: Floats) -> tuple[Floats, Floats]:

@@ -3,6 +3,7 @@
 from calib.refinement.distortion_from_planes import Straightened
 from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins
 from calib.refinement.further_planes import with_further_planes
+from calib.refinement.image_polynomial import CUBIC, monomials
 from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate
 from calib.refinement.match_cells import Cells, into_cells
 from calib.refinement.parameters import (
@@ -22,3 +23,4 @@ from calib.refinement.photo_starts import photo_family
 from calib.refinement.profile_likelihood import covariance_of, inverse_of
 from calib.refinement.refine import Refinement, explore, refine, settle, thin
 from calib.refinement.shared_corner import is_anticlockwise, oriented, reflected
+from calib.refinement.systematic_shifts import Shift, Shifts, percent_of_intrinsics, response_to_shift, together

@@ -26,12 +26,14 @@ def with_further_planes(
 ) -> tuple[list[Cells], State]:
     """Captures with the cells of further planes, labelled 3 and up, and the state with those planes.
 
-    `planes`: for each capture, which plane each match (N,) is on, −1 for none; those that hold faces are passed over.
+    `planes`: for each capture, which plane each match (N,) is on, −1 for none; those that hold faces are passed over,
+    and those of a capture from the place of an earlier one, which sees the same planes again.
     """
     extended, poses = [], []
     for i, (cells, points, label) in enumerate(zip(captures, matches, planes, strict=True)):
         pose = state.poses[i]
-        for candidate in _candidates(points, label):
+        seen_before = any(state.same_place(i, j) for j in range(i))
+        for candidate in () if seen_before else _candidates(points, label):
             part = into_cells(points, (candidate,), label)
             plane = _square_plane(part, state, i)
             if plane is not None:

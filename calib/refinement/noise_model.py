@@ -18,17 +18,19 @@ class Noise:
     """Of one capture: the scatter of a match; τ, what stays unexplained in the mean of a cell; the root mean square of
     the residuals' long waves; κ, their overdispersion: variance over what cells that err independently would leave.
 
-    Parameters are moved by long waves only, so κ is the factor by which their variances are larger.
+    Parameters are moved by long waves only, so κ is the factor by which their variances are larger. `repeats`: how many
+    captures were taken from this one's place; smooth errors are the same in all of them, so together they count as one.
     """
 
     match_px: float
     systematic_px: float
     smooth_px: float
     inflation: float
+    repeats: int = 1
 
     def variances(self, cells: Cells) -> Floats:
-        """κ (σ² + τ²) of each coordinate of each cell, (M,)."""
-        return self.inflation * _independent(cells, self.systematic_px)
+        """κ (σ² + τ²) of each coordinate of each cell, (M,), times the repeats."""
+        return self.repeats * self.inflation * _independent(cells, self.systematic_px)
 
 
 def noise_of(cells: Cells, residual: Floats, absorbed: float) -> Noise:

@@ -25,6 +25,9 @@ ROTATION, TRANSLATION = slice(10, 13), slice(13, 15)
 SHARED = 15
 PER_CORNER, PER_POSE, PER_PLANE, PER_MOTION = 3, 6, 3, 6
 
+# Of the distance to the vertex, and as an angle in radians: closer views see the same light through the same optics.
+_SAME_PLACE = 0.01
+
 _MOTION = np.arange(ROTATION.start, TRANSLATION.stop, dtype=np.int32)
 
 
@@ -190,6 +193,14 @@ class State:
         """Unit normals of the faces in the camera's frame, (3, 3) rows."""
         pose = self.pose(capture)
         return face_normals(self.off_square[pose.corner], pose.frame)[0]
+
+    def same_place(self, first: int, second: int) -> bool:
+        """Whether two captures see their corner from one place, as when the rig was not moved in between."""
+        here, there = self.pose(first).vertex, self.pose(second).vertex
+        if np.linalg.norm(here - there) > _SAME_PLACE * np.linalg.norm(here):
+            return False
+        facing = np.abs(self.normals(first) @ self.normals(second).T).max(axis=1)
+        return bool(facing.min() > np.cos(_SAME_PLACE))
 
     def legs(self, capture: int = 0) -> Floats:
         """Unit directions of the edges in the camera's frame, (3, 3) rows."""

@@ -36,11 +36,15 @@ class Valley:
         """Of all columns around the best state, (size, size); zero for columns that are not free."""
         across = free.copy()
         across[CAMERA.start] = False
+        weight, steps = self.along(best)
+        covariance: Floats = (steps * weight[:, None]).T @ steps + covariance_of(best.information, across)
+        return covariance
+
+    def along(self, best: Fit) -> tuple[Floats, Floats]:
+        """The posterior along the valley: probabilities (n,) of its states, and the steps (n, size) to them."""
         steps = np.stack([best.state.step_to(state) for state in self.states])
         weight = np.exp(-self.cost / 2) * np.gradient(np.log(self.focal_px))
-        along = (steps * (weight / weight.sum())[:, None]).T @ steps
-        covariance: Floats = along + covariance_of(best.information, across)
-        return covariance
+        return weight / weight.sum(), steps
 
 
 def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> Valley:

@@ -183,10 +183,19 @@ def _measured(captures: Sequence[Cells], fit: Fit, prior: Prior) -> tuple[Noise,
     noise: tuple[Noise, ...] = ()
     for _ in range(_NOISE_ROUNDS):
         fit = minimise(captures, fit.state, prior, variances, tolerance=_ROUGH)
-        absorbed = np.count_nonzero(prior.free) / len(captures)
-        noise = tuple(noise_of(*pair, absorbed) for pair in zip(captures, fit.residuals, strict=True))
+        repeats = _repeats(fit.state, len(captures))
+        absorbed = np.count_nonzero(prior.free) / sum(1 / times for times in repeats)
+        measured = (noise_of(*pair, absorbed) for pair in zip(captures, fit.residuals, strict=True))
+        noise = tuple(replace(level, repeats=times) for level, times in zip(measured, repeats, strict=True))
         variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
     return noise
+
+
+def _repeats(state: State, count: int) -> tuple[int, ...]:
+    """How many of so many captures were taken from the place of each; photos, which share one pose, never are."""
+    if state.one_camera:
+        return (1,) * count
+    return tuple(sum(state.same_place(i, j) for j in range(count)) for i in range(count))
 
 
 def _levels(fit: Fit) -> list[Floats]:

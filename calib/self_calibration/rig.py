@@ -1,7 +1,7 @@
 """Matches on three faces → a calibration with its uncertainty, or a refusal with a reason."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,16 +17,22 @@ from calib.diagnostics import (
     sigmas_of,
     uncertainty_of,
 )
+from calib.diagnostics.uncertainty import along_valley
 from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
 from calib.numerics import Floats, Ints
 from calib.refinement import (
     SQUARENESS_DEG,
     Knowledge,
+    Refinement,
+    Shifts,
     family_of,
     into_cells,
     is_anticlockwise,
+    percent_of_intrinsics,
     refine,
     reflected,
+    response_to_shift,
+    together,
     with_further_planes,
 )
 from calib.refusal import RIG, RefusalError
@@ -64,7 +70,9 @@ class SelfCalibration:
     `matches` are labelled with their faces, `corner` is in the camera's frame, `residual_px` is the root mean square
     reprojection error of a match in the projector, `notes` are things that a person should know. `uncertainty` is None
     for a method that knows none. `order_nats`: of captures of one corner, by how much its angles make the order in
-    which the faces are numbered likelier than any other; 0 where they do not tell.
+    which the faces are numbered likelier than any other; 0 where they do not tell. `likely_percent`: what likely shifts
+    of the matches may have done to the intrinsics, one standard deviation, which is part of their sigmas;
+    `possible_percent`: what the worst of the possible ones would have done, which is not.
     """
 
     calibration: Calibration
@@ -76,6 +84,8 @@ class SelfCalibration:
     notes: tuple[str, ...] = ()
     uncertainty: Uncertainty | None = None
     order_nats: float = 0.0
+    likely_percent: float = 0.0
+    possible_percent: float = 0.0
 
 
 def self_calibrate(
@@ -87,13 +97,14 @@ def self_calibrate(
     method: Method = "refined",
     squareness_deg: float = SQUARENESS_DEG,
     plane: Ints | None = None,
+    shifts: Shifts | None = None,
 ) -> SelfCalibration:
     """Calibrate both devices from matches labelled with the corner's faces 0, 1, 2.
 
     `method` 'paper' is the published one-dimensional search: it takes the principal point as exact and the corner as
     square and knows no sigma. 'refined' is the maximum-likelihood solution with lens terms; `squareness_deg` is the
     standard deviation of the angles between the faces around 90° (0: exactly square). `plane` (N,): which plane each
-    match is on, as at `self_calibrate_jointly`.
+    match is on, and `shifts` by what they may all be shifted, as at `self_calibrate_jointly`.
 
     Raises RefusalError where no trustworthy answer can be had.
     """
@@ -109,6 +120,7 @@ def self_calibrate(
         principal_point=principal_point,
         squareness_deg=squareness_deg,
         planes=None if plane is None else [plane],
+        shifts=[] if shifts is None else [shifts],
     )
     return found
 
@@ -122,6 +134,7 @@ def self_calibrate_jointly(
     squareness_deg: float = SQUARENESS_DEG,
     same: bool = True,
     planes: Sequence[Ints] | None = None,
+    shifts: Sequence[Shifts] = (),
 ) -> tuple[SelfCalibration, ...]:
     """Calibrate one unchanged rig from several captures, by maximum likelihood; one result for each, all of one rig.
 
@@ -131,11 +144,13 @@ def self_calibrate_jointly(
     `same`: the captures show one corner, so they share its angles; tested, and dropped with a note where the matches
     refute it. The faces of all results are then numbered alike, so that their corners are one frame.
 
+    `shifts`: for each capture, by what its matches may be shifted; none is known if left out.
+
     Raises RefusalError where no trustworthy answer can be had.
     """
     knowledge = Knowledge(camera_size, projector_size, principal_point.px, principal_point.sigma_px, squareness_deg)
     try:
-        return _by_refinement(captures, knowledge, same=same, planes=planes)
+        return _by_refinement(captures, knowledge, same=same, planes=planes, shifts=shifts)
     except TooFewMatchesError as error:
         raise _too_few(error) from error
 
@@ -207,7 +222,12 @@ def _by_paper(
 
 
 def _by_refinement(
-    captures: Sequence[Matches], knowledge: Knowledge, *, same: bool, planes: Sequence[Ints] | None
+    captures: Sequence[Matches],
+    knowledge: Knowledge,
+    *,
+    same: bool,
+    planes: Sequence[Ints] | None,
+    shifts: Sequence[Shifts],
 ) -> tuple[SelfCalibration, ...]:
     cells = [into_cells(matches) for matches in captures]
     families = [family_of(each, knowledge) for each in cells]
@@ -222,6 +242,7 @@ def _by_refinement(
     refinement = refine(cells, families, trials, knowledge, same=same, further=further)
     if refinement is None:
         raise no_corner(cells, RIG)
+    refinement, likely_percent, possible_percent = _with_shifts(refinement, shifts)
     refuse_untrustworthy(refinement, knowledge)
     fit = refinement.fit
     calibration = calibration_of(
@@ -234,6 +255,7 @@ def _by_refinement(
     profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
     sameness = refinement.sameness
     order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
+    along = along_valley(*refinement.valley.along(fit))
     results = []
     for i, matches in enumerate(captures):
         if len(captures) > 1:
@@ -241,14 +263,43 @@ def _by_refinement(
             matches = _renumbered(matches, reflect=turned[i], shift=shift)
         corner, residual_px = before_the_matches(refinement.corner(i), calibration, matches)
         uncertainty = uncertainty_of(
-            fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px
+            fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px, along
         )
         results.append(
             SelfCalibration(
-                calibration, matches, corner, profile, residual_px, "refined", notes, uncertainty, order_nats
+                calibration,
+                matches,
+                corner,
+                profile,
+                residual_px,
+                "refined",
+                notes,
+                uncertainty,
+                order_nats,
+                likely_percent,
+                possible_percent,
             )
         )
     return tuple(results)
+
+
+def _with_shifts(refinement: Refinement, shifts: Sequence[Shifts]) -> tuple[Refinement, float, float]:
+    """The same with the likely shifts in its covariance; what these and the possible ones cost, in per cent."""
+    state = refinement.fit.state
+    likely, possible = (
+        [
+            response_to_shift(refinement, shift, capture)
+            for capture, of_capture in enumerate(shifts)
+            for shift in (of_capture.likely if is_likely else of_capture.possible)
+        ]
+        for is_likely in (True, False)
+    )
+    covariance = together(likely, state.size)
+    return (
+        replace(refinement, covariance=refinement.covariance + covariance),
+        percent_of_intrinsics(state, np.sqrt(np.diag(covariance))),
+        max((percent_of_intrinsics(state, step) for step in possible), default=0.0),
+    )
 
 
 def _renumbered(matches: Matches, *, reflect: bool, shift: int) -> Matches:

@@ -66,7 +66,7 @@ class FootprintCaster:
         """The same with the devices elsewhere, and perhaps one more block in the scene, which has the walls' paint."""
         scene, painted = self.light.scene, None
         if passer is not None:
-            # The surfaces of a scene are numbered: the room's, the blocks' in turn, the sphere's.
+            # The surfaces of a scene are numbered: the room's, the blocks' in turn, the spheres'.
             known = np.arange(scene.surface_count)
             painted = np.insert(known, scene.sphere_surface, np.full(6, _OPPOSITE_WALL)).astype(np.int32)
             scene = replace(scene, blocks=(*scene.blocks, passer))

@@ -23,6 +23,14 @@ def draw_furniture(rng: np.random.Generator, sphere_radius_m: float, askew: floa
     return (large, stacked, other, cupboard), sphere
 
 
+def draw_other_end(rng: np.random.Generator, sphere: Sphere, length_m: float) -> Sphere:
+    """The second sphere of a ball bar of a length between centres, level or raised, in any direction."""
+    azimuth, height = rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.8)
+    level = np.sqrt(1 - height**2)
+    direction = np.array([level * np.cos(azimuth), level * np.sin(azimuth), height])
+    return Sphere(sphere.centre + length_m * direction, sphere.radius)
+
+
 def draw_corner_box(rng: np.random.Generator) -> Block:
     """A box pushed into the corner, not quite square to the walls."""
     size = rng.uniform((0.15, 0.15, 0.15), (0.3, 0.3, 0.3))

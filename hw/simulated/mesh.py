@@ -101,7 +101,7 @@ def build_mesh(light: ProjectorLight) -> Mesh:
 def _lines(scene: Scene, surface: int, size: float) -> Floats:
     if surface < 3:
         return _graded(size)
-    spacing = 0.7 if surface < 6 else 0.05 if surface == scene.sphere_surface else max(0.08, size / 6)
+    spacing = 0.7 if surface < 6 else 0.05 if surface in scene.spheres else max(0.08, size / 6)
     return np.linspace(0.0, size, max(2, round(size / spacing) + 1))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from hw.errors import DeviceError
 from hw.settings import SimulatedRigSettings
 from hw.simulated.device import PlacedDevice
-from hw.simulated.furniture import draw_corner_box, draw_furniture, overlap
+from hw.simulated.furniture import draw_corner_box, draw_furniture, draw_other_end, overlap
 from hw.simulated.placement import RigGeometry, draw_camera_pose, draw_rig
 from hw.simulated.scene import Label, Scene
 from hw.simulated.shapes import Block, Sphere
@@ -19,6 +19,7 @@ _FURNITURE_ATTEMPTS = 300
 # The smallest share of the lit pixels that a face of the corner may have, without and with furniture before it.
 _BARE_FACE = 0.22
 _FURNISHED_FACE = 0.15
+_TOUCHING = 0.98  # of a radius
 _STEP_ASIDE_M = 0.35  # poses are at least this far apart
 
 
@@ -35,8 +36,8 @@ class _Streams:
     """Independent random numbers for each thing that is drawn, so that a setting of one leaves the others alone."""
 
     def __init__(self, seed: int) -> None:
-        self.walls, self.rig, self.furniture, self.corner_box, self.poses, self.askew = (
-            np.random.default_rng([seed, stream]) for stream in range(6)
+        self.walls, self.rig, self.furniture, self.corner_box, self.poses, self.askew, self.ball_bar = (
+            np.random.default_rng([seed, stream]) for stream in range(7)
         )
 
 
@@ -72,7 +73,10 @@ def _furnish(
             blocks, sphere = draw_furniture(streams.furniture, settings.sphere_radius_m, askew)
         if settings.hide_vertex:
             blocks += (draw_corner_box(streams.corner_box),)
-        scene = Scene(walls, blocks, sphere)
+        second = None
+        if sphere is not None and settings.ball_bar_m is not None:
+            second = draw_other_end(streams.ball_bar, sphere, settings.ball_bar_m)
+        scene = Scene(walls, blocks, sphere, second)
         if _fits(scene) and _is_good(scene, camera, projector, settings, first=True):
             return scene
     return None
@@ -80,14 +84,19 @@ def _furnish(
 
 def _fits(scene: Scene) -> bool:
     solids: list[Block | Sphere] = [*scene.blocks]
-    if scene.sphere is not None:
-        solids.append(scene.sphere)
+    solids += scene.spheres.values()
     stacked = (0, 1)  # the first box carries the second
-    return not any(
+    return all(_inside(scene.room, sphere) for sphere in scene.spheres.values()) and not any(
         overlap(solids[i], solids[j])
         for i, j in combinations(range(len(solids)), 2)
         if scene.sphere is None or (i, j) != stacked
     )
+
+
+def _inside(room: Block, sphere: Sphere) -> bool:
+    """Whether a sphere is within the walls; that it stands on the floor is no overlap."""
+    reach = _TOUCHING * sphere.radius * np.concatenate([np.eye(3), -np.eye(3)])
+    return bool(room.contains((sphere.centre + reach).T).all())
 
 
 def _is_good(

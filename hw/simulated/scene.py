@@ -26,42 +26,53 @@ class Label(IntEnum):
 
 @dataclass(frozen=True)
 class Scene:
-    """A closed room, the blocks that stand in it, and perhaps a sphere.
+    """A closed room, the blocks that stand in it, and perhaps a sphere, or two: the ends of a ball bar.
 
     Surfaces are numbered: the room's faces 0 … 5 (0, 1, 2 meet in the corner; 3, 4 are the walls opposite, 5 the
-    ceiling), then six faces for each block in turn, then the sphere.
+    ceiling), then six faces for each block in turn, then the spheres.
 
     Each surface has coordinates (u, v) in metres: on face k of a block along the edges k + 1 and k + 2 (cyclically),
-    on the sphere along the equator and along the meridians.
+    on a sphere along the equator and along the meridians.
     """
 
     room: Block
     blocks: tuple[Block, ...] = ()
     sphere: Sphere | None = None
+    second_sphere: Sphere | None = None
+
+    @property
+    def spheres(self) -> dict[int, Sphere]:
+        """The spheres by their surfaces' numbers."""
+        there = (sphere for sphere in (self.sphere, self.second_sphere) if sphere is not None)
+        return dict(enumerate(there, start=self.sphere_surface))
+
+    @property
+    def sphere_surface(self) -> int:
+        """The first sphere's number; no surface's if there is none."""
+        return 6 + 6 * len(self.blocks)
+
+    @property
+    def _solids(self) -> tuple[Block | Sphere, ...]:
+        """What stands in the room."""
+        return (*self.blocks, *self.spheres.values())
 
     @property
     def surface_count(self) -> int:
         """How many surfaces there are."""
-        return 6 + 6 * len(self.blocks) + (self.sphere is not None)
-
-    @property
-    def sphere_surface(self) -> int:
-        """The sphere's number; no surface's if there is none."""
-        return 6 + 6 * len(self.blocks)
+        return 6 + 6 * len(self.blocks) + len(self.spheres)
 
     @cached_property
     def labels(self) -> Ints:
         """The `Label` of each surface."""
         labels = [Label.WALL_X, Label.WALL_Y, Label.FLOOR] + 3 * [Label.SURROUNDINGS]
-        labels += 6 * len(self.blocks) * [Label.FURNITURE] + (self.sphere is not None) * [Label.SPHERE]
+        labels += 6 * len(self.blocks) * [Label.FURNITURE] + len(self.spheres) * [Label.SPHERE]
         return np.array(labels, np.int32)
 
     @cached_property
     def sizes(self) -> Floats:
         """Extent of each surface along u and v in metres, (surfaces, 2)."""
         sizes = [block.lengths[_in_face(face)] for block in (self.room, *self.blocks) for face in range(6)]
-        if self.sphere is not None:
-            sizes.append(self.sphere.radius * np.array([2 * np.pi, np.pi]))
+        sizes += [sphere.radius * np.array([2 * np.pi, np.pi]) for sphere in self.spheres.values()]
         return np.array(sizes)
 
     def cast(self, origins: Floats, directions: Floats) -> tuple[Floats, Ints]:
@@ -72,36 +83,34 @@ class Scene:
             nearer = np.flatnonzero(t_block < t)
             t[nearer] = t_block[nearer]
             surface[nearer] = face[nearer] + 6 * (i + 1)
-        if self.sphere is not None:
-            t_sphere = self.sphere.enter(origins, directions)
+        for number, sphere in self.spheres.items():
+            t_sphere = sphere.enter(origins, directions)
             nearer = np.flatnonzero(t_sphere < t)
             t[nearer] = t_sphere[nearer]
-            surface[nearer] = self.sphere_surface
+            surface[nearer] = number
         return t, surface
 
     def occluded(self, points: Floats, eye: Floats) -> Bools:
         """Whether furniture hides points (3, n) from an eye (3,), (n,). The room is convex and hides nothing."""
         directions = eye[:, None] - points
         hidden = np.zeros(points.shape[1], np.bool_)
-        for solid in (*self.blocks, self.sphere):
-            if solid is not None:
-                hidden |= solid.obstructs(points, directions, _CLEARANCE, 1.0)
+        for solid in self._solids:
+            hidden |= solid.obstructs(points, directions, _CLEARANCE, 1.0)
         return hidden
 
     def is_free(self, points: Floats) -> Bools:
         """Whether points (3, n) are in the room's air, (n,)."""
         free = self.room.contains(points)
-        for solid in (*self.blocks, self.sphere):
-            if solid is not None:
-                free &= ~solid.contains(points)
+        for solid in self._solids:
+            free &= ~solid.contains(points)
         return free
 
     def normals(self, surface: Ints, points: Floats) -> Floats:
         """Unit normals (3, n) that point into the air, at points (3, n) on surfaces (n,)."""
         normals = self._face_normals[:, surface]
-        if self.sphere is not None:
-            on = np.flatnonzero(surface == self.sphere_surface)
-            normals[:, on] = (points[:, on] - self.sphere.centre[:, None]) / self.sphere.radius
+        for number, sphere in self.spheres.items():
+            on = np.flatnonzero(surface == number)
+            normals[:, on] = (points[:, on] - sphere.centre[:, None]) / sphere.radius
         return normals
 
     def surface_coordinates(self, surface: Ints, points: Floats) -> Floats:
@@ -110,20 +119,21 @@ class Scene:
         uv = offsets[:, surface]
         for axis in range(3):
             uv += frames[:, axis, surface] * points[axis]
-        if self.sphere is not None:
-            on = np.flatnonzero(surface == self.sphere_surface)
-            x, y, z = points[:, on] - self.sphere.centre[:, None]
-            latitude = np.arcsin((z / self.sphere.radius).clip(-1.0, 1.0))
-            uv[:, on] = self.sphere.radius * np.stack([np.arctan2(y, x) + np.pi, latitude + np.pi / 2])
+        for number, sphere in self.spheres.items():
+            on = np.flatnonzero(surface == number)
+            x, y, z = points[:, on] - sphere.centre[:, None]
+            latitude = np.arcsin((z / sphere.radius).clip(-1.0, 1.0))
+            uv[:, on] = sphere.radius * np.stack([np.arctan2(y, x) + np.pi, latitude + np.pi / 2])
         return uv
 
     def points_on(self, surface: int, uv: Floats) -> Floats:
         """Points (3, n) of one surface at (u, v) (2, n): the inverse of `surface_coordinates`."""
-        if surface == self.sphere_surface and self.sphere is not None:
-            longitude, latitude = uv[0] / self.sphere.radius - np.pi, uv[1] / self.sphere.radius - np.pi / 2
+        sphere = self.spheres.get(surface)
+        if sphere is not None:
+            longitude, latitude = uv[0] / sphere.radius - np.pi, uv[1] / sphere.radius - np.pi / 2
             across = np.cos(latitude)
             unit = np.stack([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)])
-            return self.sphere.centre[:, None] + self.sphere.radius * unit
+            return sphere.centre[:, None] + sphere.radius * unit
         block = (self.room, *self.blocks)[surface // 6]
         face = surface % 6
         first, second = _in_face(face)
@@ -138,10 +148,9 @@ class Scene:
 
     @cached_property
     def _face_normals(self) -> Floats:
-        """(3, surfaces); of no meaning for the sphere."""
+        """(3, surfaces); of no meaning for spheres."""
         normals = [-self.room.outward_normals] + [block.outward_normals for block in self.blocks]
-        if self.sphere is not None:
-            normals.append(np.zeros((1, 3)))
+        normals.append(np.zeros((len(self.spheres), 3)))
         return np.concatenate(normals).T.copy()
 
     @cached_property

@@ -69,7 +69,7 @@ def paint(
             _finish(image, bases[surface], wallpaper)
         elif surface < 6:
             image *= rng.uniform(0.5, 0.8)
-        elif surface == scene.sphere_surface:
+        elif surface in scene.spheres:
             image[:] = 0.75
         else:
             _tape(rng, image)

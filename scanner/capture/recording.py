@@ -19,7 +19,7 @@ from hw.rig import Frame
 from scanner.capture.stream import Stream
 from scanner.errors import InputError
 from scanner.io import SUFFIXES, Entry, Whole, flow_yaml, read_image, read_yaml, validate, write_png
-from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, frame_line, pattern_to_dict, size_to_dict
+from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, frame_line, size_to_dict
 
 CAPTURE_FILE = "capture.yaml"
 
@@ -171,8 +171,8 @@ def _kind(image: Image) -> str:
 def open_capture(path: Path) -> Recording:
     """Read and check the listing of a capture folder (or the path of its `capture.yaml`).
 
-    Raises InputError for a missing or malformed listing, an unknown pattern, a pattern or file listed twice, a file
-    that is missing or outside the folder, and an image beside the frames that is not listed.
+    Raises InputError for a missing or malformed listing, an unknown pattern, a file listed twice, a file that is
+    missing or outside the folder, and an image beside the frames that is not listed.
     """
     folder = path.parent if path.name == CAPTURE_FILE else path
     listing = _listing_in(folder)
@@ -182,9 +182,6 @@ def open_capture(path: Path) -> Recording:
     patterns = tuple(frame.pattern.pattern() for frame in entry.frames)
     paths = tuple(_frame_path(listing, file) for file in files)
     _refuse_repeats(listing, paths, "shows the file", files)
-    exposures_us = [frame.read_back[0] for frame in entry.frames]
-    shown = list(zip(patterns, exposures_us, strict=True))
-    _refuse_repeats(listing, shown, "shows the pattern", [flow_yaml(pattern_to_dict(p)) for p in patterns])
     _refuse_extra_images(folder, set(paths))
     return Recording(
         folder,

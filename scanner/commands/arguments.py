@@ -127,7 +127,26 @@ def _measure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for measure.json and measure.png (default: beside the result)"
     )
+    parser.add_argument("--shares", action="store_true", help="tell where each sigma comes from")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier measurement there")
+    _quiet(parser)
+
+
+def _accept(parser: ArgumentParser) -> None:
+    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT", help="folders that scans left")
+    parser.add_argument(
+        "--ball-bar",
+        required=True,
+        metavar="D1,D2,LENGTH",
+        help="calibrated diameters and distance of the centres, as in 50.02mm,50.01mm,200.13mm",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for acceptance.html and acceptance.json (default: beside the first result)",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier acceptance there")
     _quiet(parser)
 
 
@@ -225,6 +244,15 @@ is known is shown in any case.
         """
 The faces are always measured. --sphere finds a ball of known diameter anywhere in the cloud; given twice, it finds two,
 and the distance of their centres is told, too.
+""",
+    ),
+    "accept": Command(
+        "Test the scanner with a calibrated ball bar, after VDI/VDE 2634 part 2.",
+        _accept,
+        "accept",
+        """
+Probing, sphere-spacing and flatness errors. Scan the ball bar in several places, with the rig unchanged, and give all
+the results: the largest errors count.
 """,
     ),
     "view": Command("Look at a result in 3-D, in the browser.", _view, "view"),

@@ -4,7 +4,16 @@ from argparse import Namespace
 
 from scanner.errors import InputError
 from scanner.io import new_file, refuse_existing
-from scanner.measuring import FIGURE_FILE, MEASURE_FILE, measure, tables, write_document, write_figure
+from scanner.measuring import (
+    FIGURE_FILE,
+    MEASURE_FILE,
+    measure,
+    read_scene,
+    shares_table,
+    tables,
+    write_document,
+    write_figure,
+)
 from scanner.quantities import parse_length
 from scanner.results import beside, read_finished_scan
 from scanner.ui import Terminal
@@ -22,7 +31,8 @@ def run(args: Namespace) -> None:
     with terminal.step("Measuring"):
         scan = read_finished_scan(args.result)
         diameters = [parse_length(text, scan.unit) for text in args.sphere]
-        measured = measure(scan, diameters, [(x1, y1, x2, y2) for x1, y1, x2, y2 in args.distance])
+        scene = read_scene(args.result, scan.calibration)
+        measured = measure(scan, scene, diameters, [(x1, y1, x2, y2) for x1, y1, x2, y2 in args.distance])
     if measured.empty:
         raise InputError(
             f"{args.result}: its matches have no faces, so there is nothing to measure unless you say what: a ball "
@@ -37,7 +47,9 @@ def run(args: Namespace) -> None:
             write_figure(path, measured)
     else:
         (out / FIGURE_FILE).unlink(missing_ok=True)  # an earlier measurement's
-    terminal.show(*tables(measured))
+    terminal.show(measured.scene.sentence, *tables(measured))
+    if args.shares:
+        terminal.show(shares_table(measured))
     if measured.angles:
         terminal.show(_ASSUMED_ANGLES)
     terminal.show(f"Written: {out} ({MEASURE_FILE}{f', {FIGURE_FILE}' if measured.pictured else ''})")

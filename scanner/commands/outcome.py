@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from scanner.quantities import calibration_table, truth_line
-from scanner.results import CALIBRATION_FILE, CLOUD_FILE, MERGED_FILE, REPORT_FILE, Scan, titles_of
+from scanner.results import CALIBRATION_FILE, CLOUD_FILE, MERGED_FILE, REPORT_FILE, Scan, read_verdict, titles_of
 from scanner.ui import Terminal
 
 
@@ -13,6 +13,8 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
     terminal.show(calibration_table(calibration, truth))
     if truth:
         terminal.show(truth_line(calibration, truth))
+    if verdict := read_verdict(out / CALIBRATION_FILE):
+        terminal.show(verdict.reasons[0])
     if only := scan.newest.decoded.only_axis:
         terminal.show(f"Note: only {only} was measured; nothing checks whether the calibration fits.")
     for remark in scan.remarks:

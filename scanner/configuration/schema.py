@@ -160,11 +160,19 @@ class ScaleSettings(Section):
     camera_to_corner_m: Number | None = Field(
         default=None, gt=0, le=1e4, description="Distance from the camera to the point where the three faces meet."
     )
+    sigma_m: Number | None = Field(
+        default=None, gt=0, le=1e4, description="Standard deviation of that length; left out, it counts as exact."
+    )
 
     @model_validator(mode="after")
     def _at_most_one(self) -> "ScaleSettings":
         if self.baseline_m is not None and self.camera_to_corner_m is not None:
             raise ValueError("give baseline_m or camera_to_corner_m, not both: one length fixes the scale")
+        length = self.baseline_m or self.camera_to_corner_m
+        if self.sigma_m is not None and length is None:
+            raise ValueError("sigma_m belongs to a length: give baseline_m or camera_to_corner_m with it")
+        if self.sigma_m is not None and length is not None and self.sigma_m > 0.2 * length:
+            raise ValueError(f"sigma_m ({self.sigma_m:g}) must be well below the length, which is {length:g}")
         return self
 
 

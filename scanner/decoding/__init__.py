@@ -3,5 +3,6 @@
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.motion import SUSPECTED_PX, moved
 from scanner.decoding.operator_advice import MUCH_FLICKER
 from scanner.decoding.saturation_level import saturation_level

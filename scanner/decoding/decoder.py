@@ -31,9 +31,19 @@ from scanner.decoding.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.frame_checks import Oddity, check_frames
 from scanner.decoding.map_checks import check_fringes, check_maps
 from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.motion import (
+    CodeShift,
+    MotionFound,
+    TileSample,
+    blaming_motion,
+    blaming_shifts,
+    measure_motion,
+    remarks_on,
+    shifts_of_codes,
+)
 from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.one_axis import OneAxis, one_axis
-from scanner.decoding.operator_advice import warnings_of
+from scanner.decoding.operator_advice import too_dark, warnings_of
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.saturation_level import saturation_level
 from scanner.decoding.sequence_plan import SequencePlan, plan_sequence
@@ -55,8 +65,10 @@ class Decoding:
     gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
     `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
     `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
-    `warnings`: sentences for the operator. `only_axis`: the only one along which patterns varied, so that the other
-    coordinate follows from a calibration, and `sigma_px` is along the epipolar line; None if both were measured.
+    `warnings`: sentences for the operator; `darkness`: the one on frames that are too dark to decode well, if they are.
+    `motion`: of the devices while the fringes were taken; None if unknown. `only_axis`: the only one along which
+    patterns varied, so that the other coordinate follows from a calibration, and `sigma_px` is along the epipolar line;
+    None if both were measured.
     """
 
     matches: Matches
@@ -66,7 +78,9 @@ class Decoding:
     modulation: float | None
     warnings: tuple[str, ...]
     flicker: float | None = None
+    motion: MotionFound | None = None
     only_axis: Axis | None = None
+    darkness: str | None = None
 
 
 class Decoder:
@@ -87,7 +101,8 @@ class Decoder:
         self._one_axis = one_axis(plan, calibration)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._count = 0
-        self._held: tuple[Accumulators, Sample] | None = None
+        self._projector_size = projector_size
+        self._held: tuple[Accumulators, Sample, TileSample] | None = None
         self._texture: Image | None = None
 
     def add(self, image: Image, exposure_us: float | None = None) -> None:
@@ -100,7 +115,7 @@ class Decoder:
         if self._merger is None:
             self._fold(image)
             return
-        merged = self._merger.add(self._plan.name(self._count), image, exposure_us)
+        merged = self._merger.add(self._plan.name(self._plan.shown[self._count]), image, exposure_us)
         if merged is not None:
             self._fold(merged)
 
@@ -109,44 +124,66 @@ class Decoder:
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
-            self._held = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape)), sample
-        accumulators, sample = self._held
-        sample.add(grey)
-        accumulators.add(self._count, grey)
-        self._note_texture(image)
+            accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape))
+            self._held = accumulators, sample, TileSample(shape)
+        accumulators, sample, tiles = self._held
+        tiles.add(grey)
+        number = self._plan.shown[self._count]
+        # A pattern that was shown before is a witness of what has changed since, and nothing else.
+        if number not in self._plan.shown[: self._count]:
+            sample.add(grey)
+            accumulators.add(number, grey)
+            self._note_texture(image, number)
         self._count += 1
 
     def finish(self) -> Decoding:
         """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""
-        if self._count < len(self._plan.patterns):
+        if self._count < len(self._plan.shown):
             raise InputError(
                 f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "
-                f"first that is missing: {self._plan.name(self._count)}"
+                f"first that is missing: {self._plan.name(self._plan.shown[self._count])}"
             )
         if self._held is None or self._texture is None:
             raise RuntimeError("this decoder has finished already")
-        (accumulators, sample), self._held = self._held, None
+        (accumulators, sample, tiles), self._held = self._held, None
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
+        seen = _look(accumulators, sample, tiles, self._projector_size)
+        del tiles
         oddities: list[Oddity] = []
-        with suspecting(oddities):
-            learnt = _learn(accumulators, sample, oddities)
-            del sample
-            maps = coordinate_maps(accumulators, learnt.decoders)
-            # The running images are as large as the matches, and have served.
-            plan, brightest = accumulators.plan, accumulators.brightest
-            del accumulators
-            matches, reasons = _match(plan, maps, brightest, self._one_axis)
-        odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
-        warnings = (*odd, *learnt.notes, *warnings_of(reasons, learnt.modulation, learnt.flicker))
-        texture = self._texture if self._merger is None else self._merger.alike(self._texture)
-        only = self._one_axis.measured.axis if self._one_axis else None
-        return Decoding(matches, texture, reasons, learnt.noise, learnt.modulation, warnings, learnt.flicker, only)
+        with blaming_motion(seen.motion):
+            with suspecting(oddities):
+                learnt = _learn(accumulators, sample, seen, oddities)
+                del sample
+                maps = coordinate_maps(accumulators, learnt.decoders)
+                if seen.motion is not None and seen.motion.significant and not seen.motion.is_too_large:
+                    seen.motion.shift.take_back(maps.projector_px)
+                # The running images are as large as the matches, and have served.
+                plan, brightest = accumulators.plan, accumulators.brightest
+                del accumulators
+            with blaming_shifts(plan, seen.code_shifts):
+                with suspecting(oddities):
+                    matches, reasons = _match(plan, maps, brightest, self._one_axis)
+                odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
+        darkness = too_dark(seen.levels, seen.noise)
+        told = warnings_of(reasons, learnt.modulation, seen.flicker, darkness)
+        return Decoding(
+            matches,
+            self._texture if self._merger is None else self._merger.alike(self._texture),
+            reasons,
+            seen.noise,
+            learnt.modulation,
+            (*odd, *seen.notes, *told, *remarks_on(seen.motion)),
+            flicker=seen.flicker,
+            motion=seen.motion,
+            only_axis=self._one_axis.measured.axis if self._one_axis else None,
+            darkness=darkness,
+        )
 
     def _check_form(self, image: Image) -> None:
-        if self._count == len(self._plan.patterns):
+        if self._count == len(self._plan.shown):
             raise InputError(f"the sequence has {self._plan.frame_count} frames, found one more")
-        name = self._plan.name(self._count)
+        name = self._plan.name(self._plan.shown[self._count])
         if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or image.dtype not in _DEPTHS:
             raise InputError(
                 f"{name}: expected a grey or BGR image of 8 or 16 bits, found shape {image.shape} of {image.dtype}"
@@ -156,11 +193,11 @@ class Decoder:
                 f"{name}: expected an image like those before it, {_form(self._texture)}, found {_form(image)}"
             )
 
-    def _note_texture(self, image: Image) -> None:
+    def _note_texture(self, image: Image, number: int) -> None:
         """Keep the white frame or, if there is none, the brightest that each pixel was."""
-        if self._count == self._plan.white and image.ndim == 2 and self._held is not None:
+        if number == self._plan.white and image.ndim == 2 and self._held is not None:
             self._texture = self._held[0].brightest
-        elif self._texture is None or self._count == self._plan.white:
+        elif self._texture is None or number == self._plan.white:
             self._texture = image.copy()
         elif self._plan.white is None:
             cv2.max(self._texture, image, dst=self._texture)
@@ -172,18 +209,32 @@ def _form(image: Image) -> str:
 
 
 @dataclass(frozen=True)
-class _Learnt:
-    """What a sample of the frames tells: how to decode every pixel, and how good they are, as of `Decoding`."""
+class _Seen:
+    """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken."""
 
-    decoders: tuple[AxisDecoder, AxisDecoder]
+    levels: Floats32
     noise: NoiseModel
-    modulation: float | None
+    saturation: float
     flicker: float | None
+    motion: MotionFound | None
+    code_shifts: tuple[CodeShift, ...]
     notes: tuple[str, ...]
 
 
-def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
-    """Make frames of different brightness alike, in the sample and for good; returns the flicker, None if unknown."""
+def _look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projector_size: tuple[int, int]) -> _Seen:
+    """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
+    accumulators.finish()
+    levels = sample.levels
+    flicker = _equalise(accumulators, sample, tiles)
+    saturation = saturation_level(accumulators.peak)
+    noise = measure_noise(accumulators.plan, sample, saturation)
+    notes = tuple(resolve_bits(accumulators, noise, sample.pixels))
+    motion = measure_motion(accumulators, tiles, noise, saturation, projector_size)
+    return _Seen(levels, noise, saturation, flicker, motion, shifts_of_codes(accumulators, tiles, noise), notes)
+
+
+def _equalise(accumulators: Accumulators, sample: Sample, tiles: TileSample) -> float | None:
+    """Make frames of different brightness alike, in the samples and for good; returns the flicker, None if unknown."""
     plan, (height, width) = accumulators.plan, accumulators.brightest.shape
     found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
     levels = sample.levels
@@ -201,37 +252,41 @@ def _equalise(accumulators: Accumulators, sample: Sample) -> float | None:
                 fold.correction = correction(fold.fringe, gains, common, middle, brightest)
     for frames, gains in found:
         if gains.matter:
-            for frame, of_frame in zip(frames, gains.at(sample.pixels // width), strict=True):
+            rows = sample.pixels // width
+            for frame, of_frame, of_tiles in zip(frames, gains.at(rows), gains.at(tiles.rows), strict=True):
                 sample.divide(frame, of_frame)
+                tiles.divide(plan.shown.index(frame), of_tiles)
     for group, by in out_of_line([(frames, gains.matter) for frames, gains in found], sample):
         for frame in group:
             sample.divide(frame, np.array([by]))
     return flicker_of([gains for _, gains in found])
 
 
-def _learn(accumulators: Accumulators, sample: Sample, oddities: list[Oddity]) -> _Learnt:
-    """Check the frames, adding to the `oddities`, and learn noise and tolerances from the sample. Raises InputError."""
-    plan = accumulators.plan
-    accumulators.finish()
-    levels = sample.levels
-    flicker = _equalise(accumulators, sample)
-    saturation = saturation_level(accumulators.peak)
-    noise = measure_noise(plan, sample, saturation)
-    notes = tuple(resolve_bits(accumulators, noise, sample.pixels))
+@dataclass(frozen=True)
+class _Learnt:
+    """What a sample of the frames tells: how to decode every pixel, and `modulation` as of `Decoding`."""
+
+    decoders: tuple[AxisDecoder, AxisDecoder]
+    modulation: float | None
+
+
+def _learn(accumulators: Accumulators, sample: Sample, seen: _Seen, oddities: list[Oddity]) -> _Learnt:
+    """Check the frames, adding to the `oddities`, and learn tolerances from the sample. Raises InputError."""
     plan = accumulators.plan
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
-        calibrating = aside.submit(calibrated_decoders, plan, noise, saturation, thin)
-        oddities += check_frames(plan, levels, sample.levels, noise, saturation)
-        odd_codes = check_codes(plan, accumulators.codes, noise, accumulators.middle)
+        calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin)
+        oddities += check_frames(plan, seen.levels, sample.levels, seen.noise, seen.saturation)
+        odd_codes = check_codes(plan, accumulators.codes, seen.noise, accumulators.middle)
         oddities += _passed_over(plan, odd_codes, oddities)
         decoders = calibrating.result()
-        for decoder, signals in zip(decoders, thin, strict=True):
-            oddities += check_fringes(plan, decoder, signals)
+        with blaming_shifts(plan, seen.code_shifts):
+            for decoder, signals in zip(decoders, thin, strict=True):
+                oddities += check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
-        return _Learnt(decoders, noise, modulation(decoders, thin), flicker, notes)
+        return _Learnt(decoders, modulation(decoders, thin))
 
 
 def _passed_over(plan: SequencePlan, odd_codes: Sequence[Oddity], seen: Sequence[Oddity]) -> Sequence[Oddity]:

@@ -139,7 +139,8 @@ class AxisPlan:
 class SequencePlan:
     """The whole sequence. `white` and `black` are frame indices or None.
 
-    Frames are counted as if each pattern had one; `repeats` is how many it has, of different exposures.
+    Frames are counted as if each pattern had one; `repeats` is how many it has, of different exposures. `shown`: which
+    pattern each frame shows; one that was shown before tells what has changed since.
     """
 
     patterns: tuple[Pattern, ...]
@@ -147,12 +148,13 @@ class SequencePlan:
     y: AxisPlan
     white: int | None
     black: int | None
+    shown: tuple[int, ...]
     repeats: int = 1
 
     @property
     def frame_count(self) -> int:
         """How many frames the capture has."""
-        return self.repeats * len(self.patterns)
+        return self.repeats * len(self.shown)
 
     @property
     def axes(self) -> tuple[AxisPlan, AxisPlan]:
@@ -184,7 +186,7 @@ class SequencePlan:
 
     def name(self, frame: int) -> str:
         """A frame and its pattern, for messages."""
-        number = frame * self.repeats
+        number = self.shown.index(frame) * self.repeats
         return f"frame {number} ({describe(self.patterns[frame])})"
 
     def names(self, frames: Sequence[int]) -> str:
@@ -214,20 +216,15 @@ def plan_sequence(
 ) -> SequencePlan:
     """Sort a sequence by what its patterns measure on a projector of (width, height).
 
-    Of a rig that is `calibrated` one of the coordinates is enough. Raises InputError where a pattern appears twice, a
-    bit or shift is missing, or a coordinate is not determined.
+    Of a rig that is `calibrated` one of the coordinates is enough. Raises InputError where a bit or shift is missing,
+    or a coordinate is not determined.
     """
     index: dict[Pattern, int] = {}
-    for frame, pattern in enumerate(patterns):
-        if pattern in index:
-            raise InputError(
-                f"frames {index[pattern]} and {frame} have the same pattern, {describe(pattern)}; remove one"
-            )
-        index[pattern] = frame
+    shown = tuple(index.setdefault(pattern, len(index)) for pattern in patterns)
     width, height = projector_size
     x, y = _plan_axis("x", width, index), _plan_axis("y", height, index)
     _require_measured(x, y, calibrated=calibrated)
-    return SequencePlan(tuple(patterns), x, y, index.get(White()), index.get(Black()))
+    return SequencePlan(tuple(index), x, y, index.get(White()), index.get(Black()), shown)
 
 
 def _plan_axis(axis: Axis, length: int, index: Mapping[Pattern, int]) -> AxisPlan:

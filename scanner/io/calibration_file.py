@@ -51,6 +51,8 @@ class _SigmaEntry(Entry):
     rotation_deg: _Three | None = None
     translation_direction_deg: _Sigma | None = None
     corner_angles_deg: _Three | None = None
+    known_baseline: _Sigma | None = None
+    known_camera_to_corner: _Sigma | None = None
 
     def sigmas(self) -> Sigmas:
         return Sigmas(
@@ -59,6 +61,8 @@ class _SigmaEntry(Entry):
             self.rotation_deg,
             self.translation_direction_deg,
             self.corner_angles_deg,
+            self.known_baseline,
+            self.known_camera_to_corner,
         )
 
 
@@ -130,6 +134,7 @@ def _sigma_to_dict(sigma: Sigmas) -> dict[str, object]:
         *(_one_if_alike(camera.focal_px), camera.principal_point_px, camera.distortion),
         *(_one_if_alike(projector.focal_px), projector.principal_point_px, projector.distortion),
         *(sigma.rotation_deg, sigma.translation_direction_deg, sigma.corner_angles_deg),
+        *(sigma.known_baseline, sigma.known_camera_to_corner),
     ]
     shown = [list(value) if isinstance(value, tuple) else value for value in values]
     return {key: value for key, value in zip(_SigmaEntry.model_fields, shown, strict=True) if value is not None}

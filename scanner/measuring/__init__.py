@@ -1,8 +1,17 @@
 """Spheres, faces and distances measured in the cloud of a result."""
 
+from scanner.measuring.acceptance import Acceptance, Error, errors_of, parse_ball_bar
+from scanner.measuring.acceptance_report import (
+    ACCEPTANCE_FILE,
+    ACCEPTANCE_PAGE,
+    remarks,
+    summary_table,
+    write_acceptance,
+    write_acceptance_page,
+)
 from scanner.measuring.document import MEASURE_FILE, write_document
 from scanner.measuring.figure import FIGURE_FILE, write_figure
-from scanner.measuring.measure import measure
-from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement
-from scanner.measuring.planes import measure_faces
-from scanner.measuring.table import tables
+from scanner.measuring.measure import measure, read_scene
+from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, Measurements, Scene, SphereMeasurement
+from scanner.measuring.planes import measure_scene
+from scanner.measuring.table import angle_cells, shares_table, tables

@@ -1,10 +1,12 @@
 """`measure.json`: the measurements for other programs."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from scanner.measuring.measurements import FORM_SHARE, FitErrors, Measurements
+from calib.diagnostics import Budget
+from scanner.measuring.measurements import FORM_SHARE, FitErrors, Measurements, Scene
 
 MEASURE_FILE = "measure.json"
 FORMAT = 1
@@ -21,13 +23,15 @@ def _document(measured: Measurements, result: str) -> dict[str, Any]:
         "result": result,
         "unit": measured.unit,
         "form_share": FORM_SHARE,
+        "known_lengths": _lengths(measured.scene),
         "spheres": [
             {
                 "nominal_diameter": sphere.nominal_diameter,
                 "diameter": sphere.diameter,
-                "diameter_sigma": sphere.diameter_sigma,
+                "diameter_sigma": sphere.diameter_budget.sigma,
+                "diameter_shares": _shares(sphere.diameter_budget),
                 "centre": sphere.centre.tolist(),
-                "centre_sigma": sphere.centre_sigma.tolist(),
+                "centre_sigma": [budget.sigma for budget in sphere.centre_budgets],
                 "image_px": {"centre": list(sphere.image_px[:2]), "radius": sphere.image_px[2]},
                 **_errors(sphere.errors),
                 "strays": sphere.strays,
@@ -36,11 +40,24 @@ def _document(measured: Measurements, result: str) -> dict[str, Any]:
             for sphere in measured.spheres
         ],
         "faces": [
-            {"name": face.name, "normal": face.normal.tolist(), "offset": face.offset, **_errors(face.errors)}
+            {
+                "name": face.name,
+                "normal": face.normal.tolist(),
+                "offset": face.offset,
+                "flatness": face.deviation,
+                "flatness_sigma": face.budget.sigma,
+                "flatness_shares": _shares(face.budget),
+                **_errors(face.errors),
+            }
             for face in measured.faces
         ],
         "angles": [
-            {"faces": list(angle.faces), "angle_deg": angle.angle_deg, "sigma_deg": angle.sigma_deg}
+            {
+                "faces": list(angle.faces),
+                "angle_deg": angle.angle_deg,
+                "sigma_deg": angle.budget.sigma,
+                "shares_deg": _shares(angle.budget),
+            }
             for angle in measured.angles
         ],
         "distances": [
@@ -48,11 +65,28 @@ def _document(measured: Measurements, result: str) -> dict[str, Any]:
                 "between": list(distance.names),
                 "points": distance.points.tolist(),
                 "distance": distance.distance,
-                "sigma": distance.sigma,
+                "sigma": distance.budget.sigma if distance.budget else None,
+                "shares": _shares(distance.budget) if distance.budget else None,
             }
             for distance in measured.distances
         ],
     }
+
+
+def _lengths(scene: Scene) -> dict[str, Any]:
+    known = scene.lengths
+    if known is None:
+        return {"sentence": scene.sentence, "relative_sigma": None, "at": None}
+    return {
+        "sentence": scene.sentence,
+        "relative_sigma": known.budget.sigma,
+        "relative_shares": _shares(known.budget),
+        "at": known.middle.tolist(),
+    }
+
+
+def _shares(budget: Budget) -> dict[str, float]:
+    return asdict(budget)
 
 
 def _errors(errors: FitErrors) -> dict[str, float | int]:

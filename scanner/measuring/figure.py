@@ -40,7 +40,7 @@ def write_figure(path: Path, measured: Measurements) -> None:
     unit = shown_unit(measured.unit)
     panels = [
         _Panel(
-            f"Sphere {number}: diameter {unit.length(sphere.diameter, sphere.diameter_sigma)}\n"
+            f"Sphere {number}: diameter {unit.length(sphere.diameter, sphere.diameter_budget.sigma)}\n"
             f"mean absolute error {unit.error(sphere.errors.mean_absolute)}",
             [sphere.errors],
             sphere.image_px,

@@ -1,42 +1,49 @@
 """A finished scan → measurements."""
 
+from pathlib import Path
+
 import numpy as np
 
+from calib.diagnostics import Budget, spread_of_points
+from calib.geometry import Calibration
 from calib.numerics import Floats
-from calib.pointcloud import point_covariances
 from scanner.errors import InputError
-from scanner.measuring.measurements import DistanceMeasurement, Measurements
-from scanner.measuring.planes import measure_faces
+from scanner.io import read_matches
+from scanner.measuring.measurements import DistanceMeasurement, Measurements, Scene
+from scanner.measuring.planes import measure_scene
 from scanner.measuring.spheres import centre_distances, measure_spheres
-from scanner.results import FinishedScan
+from scanner.results import CALIBRATION_FILE, FinishedScan, read_uncertainty
 
 PixelPair = tuple[float, float, float, float]
 
 
-def measure(scan: FinishedScan, sphere_diameters: list[float], pixel_pairs: list[PixelPair]) -> Measurements:
-    """The faces, a sphere for each diameter (in the scan's unit), a distance for each pair of camera pixels.
+def read_scene(folder: Path, calibration: Calibration) -> Scene:
+    """What a result with that calibration has measured, as its report says. Raises InputError."""
+    uncertainty = read_uncertainty(folder / CALIBRATION_FILE, calibration)
+    return measure_scene(read_matches(folder), calibration, uncertainty)
+
+
+def measure(
+    scan: FinishedScan, scene: Scene, sphere_diameters: list[float], pixel_pairs: list[PixelPair]
+) -> Measurements:
+    """A sphere for each diameter (in the scan's unit), a distance for each pair of camera pixels, beside the `scene`.
 
     Raises InputError for pixels without a point, NoMeasurementError if a sphere is not found.
     """
-    distances = tuple(_pixel_distance(scan, pair) for pair in pixel_pairs)
-    spheres = measure_spheres(scan, sphere_diameters)
-    faces, angles = measure_faces(scan.points, scan.pixel, scan.matches.face, scan.calibration.camera.width)
-    return Measurements(scan.unit, spheres, faces, angles, centre_distances(spheres) + distances)
+    distances = tuple(_pixel_distance(scan, scene, pair) for pair in pixel_pairs)
+    spheres = measure_spheres(scan, sphere_diameters, scene.errors)
+    return Measurements(scan.unit, scene, spheres, centre_distances(spheres) + distances)
 
 
-def _pixel_distance(scan: FinishedScan, pair: PixelPair) -> DistanceMeasurement:
+def _pixel_distance(scan: FinishedScan, scene: Scene, pair: PixelPair) -> DistanceMeasurement:
     ends = [_point_at(scan, pair[:2]), _point_at(scan, pair[2:])]
     points = scan.points[ends]
     apart = points[1] - points[0]
     distance = float(np.linalg.norm(apart))
     if distance == 0:
         raise InputError("--distance: both pixels are the same")
-    return DistanceMeasurement(
-        (_pixel_name(scan, ends[0]), _pixel_name(scan, ends[1])),
-        points,
-        distance,
-        _sigma_along(scan, ends, apart / distance),
-    )
+    names = (_pixel_name(scan, ends[0]), _pixel_name(scan, ends[1]))
+    return DistanceMeasurement(names, points, distance, _budget_along(scan, scene, ends, apart / distance))
 
 
 def _pixel_name(scan: FinishedScan, point: int) -> str:
@@ -64,9 +71,10 @@ def _point_at(scan: FinishedScan, at: tuple[float, ...]) -> int:
     return nearest
 
 
-def _sigma_along(scan: FinishedScan, ends: list[int], direction: Floats) -> float | None:
-    """Standard deviation of the distance between two points from the decoder's noise; None where that is not known."""
-    if scan.matches.sigma_px is None:
+def _budget_along(scan: FinishedScan, scene: Scene, ends: list[int], direction: Floats) -> Budget | None:
+    """What makes the distance between two points err; None where the matches' noise is not known."""
+    matches = scan.matches[np.array(ends)]
+    if matches.sigma_px is None:
         return None
-    covariance = point_covariances(scan.matches[np.array(ends)], scan.calibration).sum(axis=0)
-    return float(np.sqrt(direction @ covariance @ direction))
+    spread = spread_of_points(matches, scene.errors, matches.sigma_px)
+    return spread.through(np.concatenate([-direction, direction])[None]).budget()

@@ -4,10 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.diagnostics import Budget, Spread, SystematicErrors
 from calib.numerics import Floats, Ints
+from scanner.measuring.scene_errors import ONLY_SCATTER, KnownLengths
 
 # Share of the points that a form error speaks of; the rest may be strays.
 FORM_SHARE = 0.997
+_DIAMETER = np.array([[0.0, 0.0, 0.0, 2.0]])  # from centre and radius
 
 
 @dataclass(frozen=True)
@@ -43,29 +46,44 @@ class SphereMeasurement:
     """A sphere of nominally known diameter.
 
     `diameter` and `centre` (3,) are fitted together, and `errors` are from that fit; `nominal_errors` from a fit of the
-    centre alone with the nominal diameter. `strays` is how many points of its image, besides, are so far off that they
-    are of something else. `image_px`: centre (x, y) and radius of its image.
+    centre alone with the nominal diameter. `spread`: of centre and radius. `strays` is how many points of its image,
+    besides, are so far off that they are of something else. `image_px`: centre (x, y) and radius of its image.
     """
 
     nominal_diameter: float
     diameter: float
-    diameter_sigma: float
     centre: Floats
-    centre_sigma: Floats
+    spread: Spread
     errors: FitErrors
     nominal_errors: FitErrors
     strays: int
     image_px: tuple[float, float, float]
 
+    @property
+    def diameter_budget(self) -> Budget:
+        """What makes the diameter err."""
+        return self.spread.through(_DIAMETER).budget()
+
+    @property
+    def centre_budgets(self) -> tuple[Budget, ...]:
+        """What makes each coordinate of the centre err."""
+        return tuple(self.spread.budget(axis) for axis in range(3))
+
 
 @dataclass(frozen=True)
 class FaceMeasurement:
-    """A face of the corner: the plane `normal` · X = `offset` (the normal faces the camera) and its flatness."""
+    """A face of the corner: the plane `normal` · X = `offset` (the normal faces the camera) and its flatness.
+
+    `deviation`: root mean square of the smooth part of its points' distances from the plane, which is what is left of
+    its form when the scatter of single matches is averaged out; `budget`: what of that may be the scanner's.
+    """
 
     name: str
     normal: Floats
     offset: float
     errors: FitErrors
+    deviation: float
+    budget: Budget
 
 
 @dataclass(frozen=True)
@@ -74,12 +92,12 @@ class AngleMeasurement:
 
     faces: tuple[str, str]
     angle_deg: float
-    sigma_deg: float
+    budget: Budget
 
 
 @dataclass(frozen=True)
 class DistanceMeasurement:
-    """Between the points at two camera pixels, or between the centres of two spheres; `sigma` None where unknown.
+    """Between the points at two camera pixels, or between the centres of two spheres; `budget` None where unknown.
 
     `points` (2, 3); `names` say what they are.
     """
@@ -87,7 +105,24 @@ class DistanceMeasurement:
     names: tuple[str, str]
     points: Floats
     distance: float
-    sigma: float | None
+    budget: Budget | None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What every result has measured: faces and angles, if it has faces; the `errors` that all its points share; how
+    well `lengths` are known, None where the calibration's covariance is not.
+    """
+
+    faces: tuple[FaceMeasurement, ...]
+    angles: tuple[AngleMeasurement, ...]
+    errors: SystematicErrors
+    lengths: KnownLengths | None
+
+    @property
+    def sentence(self) -> str:
+        """How well lengths are known."""
+        return ONLY_SCATTER if self.lengths is None else self.lengths.sentence
 
 
 @dataclass(frozen=True)
@@ -95,10 +130,19 @@ class Measurements:
     """Everything that was measured in one result."""
 
     unit: str
+    scene: Scene
     spheres: tuple[SphereMeasurement, ...] = ()
-    faces: tuple[FaceMeasurement, ...] = ()
-    angles: tuple[AngleMeasurement, ...] = ()
     distances: tuple[DistanceMeasurement, ...] = ()
+
+    @property
+    def faces(self) -> tuple[FaceMeasurement, ...]:
+        """Those of the corner."""
+        return self.scene.faces
+
+    @property
+    def angles(self) -> tuple[AngleMeasurement, ...]:
+        """Between the faces."""
+        return self.scene.angles
 
     @property
     def empty(self) -> bool:

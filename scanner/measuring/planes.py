@@ -1,35 +1,114 @@
-"""Flatness of the corner's faces, and the angles between them."""
+"""Flatness of the corner's faces, the angles between them, and how well lengths are known: the same for every page."""
 
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
+from calib.diagnostics import (
+    LinearFit,
+    Spread,
+    SystematicErrors,
+    Uncertainty,
+    plane_form,
+    spread_of_fit,
+    spread_of_vertex,
+    stacked,
+)
+from calib.geometry import NO_FACE, Calibration, Matches, intersect
 from calib.numerics import Floats, Ints, blocks
-from calib.pointcloud import dihedral_angle_rad, fit_plane
-from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, FitErrors
+from calib.pointcloud import NONE, Plane, dihedral_angle_rad, dihedral_gradients, fit_plane
+from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, FitErrors, Scene
+from scanner.measuring.scene_errors import known_lengths, rig_errors
 from scanner.quantities import FACE_NAMES
+from scanner.rendering import cells_over, one_in_cells
 
 # Neighbouring points of a face err alike; squares of this share of the camera's image width count as independent.
 _ALIKE_OF_WIDTH = 1 / 64
 _FEWEST_POINTS = 100
+# Planes through so many points are as good as through all, and known at once.
+_MOST_POINTS = 100_000
 
 
-def measure_faces(
-    points: Floats, pixel: Ints, face: Ints | None, camera_width: int
-) -> tuple[tuple[FaceMeasurement, ...], tuple[AngleMeasurement, ...]]:
-    """From points (N, 3) at camera pixels (N, 2) with face labels (N,); nothing if they have none."""
-    if face is None:
-        return (), ()
-    side_px = max(1, round(camera_width * _ALIKE_OF_WIDTH))
-    faces, planes = [], {}
-    for label, name in enumerate(FACE_NAMES):
-        on = np.flatnonzero(face == label)
-        if len(on) < _FEWEST_POINTS:
-            continue
-        plane = planes[name] = fit_plane(points[on], blocks(pixel[on], side_px))
-        faces.append(FaceMeasurement(name, plane.normal, plane.offset, FitErrors(plane.residual, pixel[on])))
-    angles = []
-    for first, second in combinations(planes, 2):
-        angle, sigma = np.degrees(dihedral_angle_rad(planes[first], planes[second]))
-        angles.append(AngleMeasurement((first, second), float(angle), float(sigma)))
-    return tuple(faces), tuple(angles)
+def measure_scene(matches: Matches, calibration: Calibration, uncertainty: Uncertainty | None) -> Scene:
+    """From all matches of a scan, of which at most 100,000 are used, always the same; no faces if they have none."""
+    part = matches[_sample(matches, calibration)]
+    errors = rig_errors(calibration, uncertainty)
+    met = intersect(part, calibration)
+    inside = np.all((part.camera_px > -0.5) & (part.camera_px < np.array(calibration.camera.size) - 0.5), axis=1)
+    front = np.flatnonzero(met.in_front & inside)
+    part, points = part[front], met.points[front]
+    labels = () if part.face is None else range(len(FACE_NAMES))
+    found = [face for label in labels if (face := _fitted(part, points, label, errors)) is not None]
+    to_corner = calibration.sigma.known_camera_to_corner
+    if to_corner is not None and len(found) == len(FACE_NAMES):
+        errors = _anchored(found, errors, to_corner)
+        found = [replace(face, spread=_spread(face.plane, face.cluster, face.matches, errors)) for face in found]
+    faces = tuple(_measured(face, errors) for face in found)
+    return Scene(faces, tuple(_angle(*pair) for pair in combinations(found, 2)), errors, known_lengths(points, errors))
+
+
+def _sample(matches: Matches, calibration: Calibration) -> Ints:
+    if len(matches) <= _MOST_POINTS:
+        return np.arange(len(matches))
+    label = np.full(len(matches), NO_FACE, np.int32) if matches.face is None else matches.face
+    drawn = one_in_cells(matches.camera_px, label, NO_FACE, *cells_over(calibration.camera.size, _MOST_POINTS))
+    return np.asarray(drawn[drawn != NONE])
+
+
+@dataclass(frozen=True)
+class _Face:
+    """A face with its matches and the `spread` of its plane's parameters; errors are alike in each `cluster` (N,)."""
+
+    label: int
+    matches: Matches
+    plane: Plane
+    cluster: Ints
+    spread: Spread
+
+
+def _fitted(matches: Matches, points: Floats, label: int, errors: SystematicErrors) -> _Face | None:
+    on = np.flatnonzero(matches.face == label)
+    if len(on) < _FEWEST_POINTS:
+        return None
+    cluster = blocks(_pixels(matches[on]), max(1, round(errors.calibration.camera.width * _ALIKE_OF_WIDTH)))
+    plane = fit_plane(points[on], cluster)
+    return _Face(label, matches[on], plane, cluster, _spread(plane, cluster, matches[on], errors))
+
+
+def _spread(plane: Plane, cluster: Ints, matches: Matches, errors: SystematicErrors) -> Spread:
+    direction = np.broadcast_to(plane.normal, (len(matches), 3))
+    return spread_of_fit(LinearFit(plane.influence, direction, plane.covariance, cluster), matches, errors)
+
+
+def _measured(face: _Face, errors: SystematicErrors) -> FaceMeasurement:
+    form = plane_form(face.plane, face.matches.camera_px, face.cluster)
+    direction = np.broadcast_to(face.plane.normal, (len(face.matches), 3))
+    fit = LinearFit(form.influence, direction, form.covariance, face.cluster)
+    return FaceMeasurement(
+        FACE_NAMES[face.label],
+        face.plane.normal,
+        face.plane.offset,
+        FitErrors(face.plane.residual, _pixels(face.matches)),
+        form.deviation,
+        spread_of_fit(fit, face.matches, errors).total(),
+    )
+
+
+def _pixels(matches: Matches) -> Ints:
+    return np.rint(matches.camera_px).astype(np.int64)
+
+
+def _anchored(faces: list[_Face], errors: SystematicErrors, sigma: float) -> SystematicErrors:
+    """The errors where the known length is the distance to the faces' vertex."""
+    vertex, spread = spread_of_vertex([face.plane for face in faces], [face.spread for face in faces])
+    length = float(np.linalg.norm(vertex))
+    return errors.anchored(spread.through(vertex[None] / length), length, sigma / length)
+
+
+def _angle(first: _Face, second: _Face) -> AngleMeasurement:
+    angle_rad, _ = dihedral_angle_rad(first.plane, second.plane)
+    gradient = np.concatenate(dihedral_gradients(first.plane, second.plane))[None]
+    spread = stacked([first.spread, second.spread]).through(np.degrees(gradient))
+    names = (FACE_NAMES[first.label], FACE_NAMES[second.label])
+    return AngleMeasurement(names, float(np.degrees(angle_rad)), spread.budget())

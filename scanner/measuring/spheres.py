@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calib.diagnostics import Budget, LinearFit, Spread, SystematicErrors, footprint_offsets, spread_of_fit, stacked
 from calib.numerics import Bools, Floats, Ints, blocks, robust_sigma
 from calib.pointcloud import OrganisedPoints, Sphere, density, find_sphere, fit_sphere, image_radius_px
 from calib.refusal import NoMeasurementError
@@ -26,7 +27,9 @@ _LEAST_OF_IMAGE = 0.4
 _LARGEST_SIZE_ERROR, _LARGEST_SCATTER = 0.15, 0.1
 
 
-def measure_spheres(scan: FinishedScan, diameters: list[float]) -> tuple[SphereMeasurement, ...]:
+def measure_spheres(
+    scan: FinishedScan, diameters: list[float], errors: SystematicErrors
+) -> tuple[SphereMeasurement, ...]:
     """One sphere for each diameter, in the scan's unit; given twice, two different ones. Raises NoMeasurementError."""
     cloud = OrganisedPoints(scan.points, scan.index_grid, scan.calibration.camera)
     free = np.ones(len(scan), np.bool_)
@@ -36,7 +39,7 @@ def measure_spheres(scan: FinishedScan, diameters: list[float]) -> tuple[SphereM
         centre = find_sphere(cloud, diameter / 2, free, rng)
         if centre is None:
             raise _not_found(scan, diameter)
-        sphere = _measure(scan, centre, diameter / 2)
+        sphere = _measure(scan, centre, diameter / 2, errors)
         found.append(sphere)
         apart = np.linalg.norm(scan.points - sphere.centre, axis=1)
         free &= apart > (1 + _GATE) * diameter / 2
@@ -50,18 +53,19 @@ def centre_distances(spheres: tuple[SphereMeasurement, ...]) -> tuple[DistanceMe
             (f"sphere {i + 1}", f"sphere {j + 1}"),
             np.stack([spheres[i].centre, spheres[j].centre]),
             float(np.linalg.norm(spheres[i].centre - spheres[j].centre)),
-            _distance_sigma(spheres[i], spheres[j]),
+            _distance_budget(spheres[i], spheres[j]),
         )
         for i, j in combinations(range(len(spheres)), 2)
     )
 
 
-def _distance_sigma(first: SphereMeasurement, second: SphereMeasurement) -> float:
+def _distance_budget(first: SphereMeasurement, second: SphereMeasurement) -> Budget:
     along = (first.centre - second.centre) / np.linalg.norm(first.centre - second.centre)
-    return float(np.sqrt(np.sum(along**2 * (first.centre_sigma**2 + second.centre_sigma**2))))
+    by_parameters = np.array([[*along, 0.0, *-along, 0.0]])
+    return stacked([first.spread, second.spread]).through(by_parameters).budget()
 
 
-def _measure(scan: FinishedScan, centre: Floats, radius: float) -> SphereMeasurement:
+def _measure(scan: FinishedScan, centre: Floats, radius: float, errors: SystematicErrors) -> SphereMeasurement:
     """Fit, choose the points again, and so on; then judge whether it is a sphere of that size at all."""
     fitted_centre, fitted_radius = centre, radius
     for _ in range(_REFITS):
@@ -77,14 +81,21 @@ def _measure(scan: FinishedScan, centre: Floats, radius: float) -> SphereMeasure
     return SphereMeasurement(
         2 * radius,
         2 * sphere.radius,
-        2 * sphere.radius_sigma,
         sphere.centre,
-        sphere.centre_sigma,
+        _spread(scan, on, sphere, errors),
         FitErrors(sphere.residual[~stray], pixel),
         FitErrors(nominal.residual[~stray], pixel),
         int(np.count_nonzero(stray)),
         (float(x), float(y), _image_radius(scan, sphere.centre, sphere.radius)),
     )
+
+
+def _spread(scan: FinishedScan, on: Bools, sphere: Sphere, errors: SystematicErrors) -> Spread:
+    points = scan.points[on]
+    outwards = (points - sphere.centre) / np.linalg.norm(points - sphere.centre, axis=1, keepdims=True)
+    behind = footprint_offsets(sphere, points, float(np.mean(scan.calibration.camera.focal_px)))
+    fit = LinearFit(sphere.influence, outwards, sphere.covariance, _alike(scan, on))
+    return spread_of_fit(fit, scan.matches[on], errors, -behind)
 
 
 def _on_ball(scan: FinishedScan, centre: Floats, radius: float) -> Bools:

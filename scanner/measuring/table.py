@@ -5,8 +5,11 @@ from collections.abc import Iterator
 from rich import box
 from rich.table import Table
 
-from scanner.measuring.measurements import FitErrors, Measurements, SphereMeasurement
-from scanner.quantities import ShownUnit, plain, shown_unit
+from calib.diagnostics import Budget
+from scanner.measuring.measurements import AngleMeasurement, Measurements, SphereMeasurement
+from scanner.quantities import Quantity, ShownUnit, shown_unit
+
+_SHARES = ("scatter", "smooth", "calibration", "scale")
 
 
 def tables(measured: Measurements) -> Iterator[Table]:
@@ -15,29 +18,57 @@ def tables(measured: Measurements) -> Iterator[Table]:
     for number, sphere in enumerate(measured.spheres, start=1):
         yield _sphere_table(sphere, number, unit)
     if measured.faces:
-        table = _table("Faces", "points", "mean abs. error", "rms", "99.7 % within")
+        table = empty_table("Faces", "flatness", "points", "rms", "99.7 % within")
         for face in measured.faces:
-            table.add_row(f"  {face.name}", *_error_cells(face.errors, unit))
+            flatness = unit.length(face.deviation, face.budget.sigma)
+            cells = (f"{len(face.errors.residual):,}", unit.error(face.errors.rms), unit.error(face.errors.form))
+            table.add_row(f"  {face.name}", flatness, *cells)
         yield table
     if measured.angles:
-        table = _table("Angles between the faces", "angle", "sigma")
+        table = empty_table("Angles between the faces", "angle", "sigma")
         for angle in measured.angles:
             names = f"  {angle.faces[0]} and {angle.faces[1]}"
-            table.add_row(names, f"{plain(angle.angle_deg, 4)}°", f"± {plain(angle.sigma_deg, 4)}°")
+            table.add_row(names, *angle_cells(angle))
         yield table
     if measured.distances:
-        table = _table("Distances", "distance")
+        table = empty_table("Distances", "distance")
         for distance in measured.distances:
             names = f"  {distance.names[0]} to {distance.names[1]}"
-            table.add_row(names, unit.length(distance.distance, distance.sigma))
+            table.add_row(names, unit.length(distance.distance, distance.budget.sigma if distance.budget else None))
         yield table
+
+
+def angle_cells(angle: AngleMeasurement) -> tuple[str, str]:
+    """The angle and its sigma, with two digits of the latter."""
+    quantity = Quantity("", angle.angle_deg, "°", angle.budget.sigma)
+    return f"{quantity.shown(angle.angle_deg)}°", f"± {quantity.shown(angle.budget.sigma)}°"
+
+
+def shares_table(measured: Measurements) -> Table:
+    """Where each sigma comes from."""
+    unit = shown_unit(measured.unit)
+    table = empty_table("Shares of the sigmas", "sigma", *_SHARES)
+    rows: list[tuple[str, Budget, float]] = []
+    for number, sphere in enumerate(measured.spheres, start=1):
+        rows.append((f"diameter {number}, {unit.name}", sphere.diameter_budget, unit.factor))
+    rows += [(f"flatness {face.name}, {unit.name}", face.budget, unit.factor) for face in measured.faces]
+    rows += [(f"angle {'–'.join(angle.faces)}, °", angle.budget, 1.0) for angle in measured.angles]
+    for distance in measured.distances:
+        if distance.budget:
+            rows.append((f"{' to '.join(distance.names)}, {unit.name}", distance.budget, unit.factor))
+    if measured.scene.lengths:
+        rows.append(("lengths in the middle, %", measured.scene.lengths.budget, 100.0))
+    for name, budget, factor in rows:
+        values = (budget.sigma, *(getattr(budget, share) for share in _SHARES))
+        table.add_row(f"  {name}", *(f"{factor * value:.2g}" for value in values))
+    return table
 
 
 def _sphere_table(sphere: SphereMeasurement, number: int, unit: ShownUnit) -> Table:
     x, y, radius = sphere.image_px
-    table = _table(f"Sphere {number}, at camera pixel ({x:.0f}, {y:.0f}), {2 * radius:.0f} pixels across", "")
+    table = empty_table(f"Sphere {number}, at camera pixel ({x:.0f}, {y:.0f}), {2 * radius:.0f} pixels across", "")
     for name, value in (
-        ("diameter", unit.length(sphere.diameter, sphere.diameter_sigma)),
+        ("diameter", unit.length(sphere.diameter, sphere.diameter_budget.sigma)),
         ("nominal diameter", unit.length(sphere.nominal_diameter)),
         ("size error", unit.error(sphere.diameter - sphere.nominal_diameter, signed=True)),
         ("points", f"{len(sphere.errors.residual):,}"),
@@ -51,12 +82,8 @@ def _sphere_table(sphere: SphereMeasurement, number: int, unit: ShownUnit) -> Ta
     return table
 
 
-def _error_cells(errors: FitErrors, unit: ShownUnit) -> tuple[str, ...]:
-    lengths = (errors.mean_absolute, errors.rms, errors.form)
-    return (f"{len(errors.residual):,}", *(unit.error(length) for length in lengths))
-
-
-def _table(title: str, *headings: str) -> Table:
+def empty_table(title: str, *headings: str) -> Table:
+    """A table with a title and right-aligned columns under the headings, beside a column of names."""
     table = Table(
         title=title,
         title_justify="left",

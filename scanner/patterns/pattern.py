@@ -152,7 +152,11 @@ def sequence_for(
     periods: Sequence[float] = (16.0, 6.7),
     shifts: int = 4,
 ) -> tuple[Pattern, ...]:
-    """White, black, then for each axis a code down to `cell` and fringes of `periods` in `shifts` steps each.
+    """White, black, a code down to `cell` for each axis, then fringes of `periods` along both in `shifts` steps each.
+
+    Each fringe along y comes between the two halves of that along x, the second one backwards. So both are measured at
+    the same time on average, and a slow drift shifts neither against the other; what moves suddenly between them breaks
+    the fringe along x in two, and is seen.
 
     A cell of half the longest period leaves a quarter of that period as slack on either side of each Gray edge, so that
     no fringe order hangs on a single edge. `shifts` = 0 leaves the fringes out.
@@ -161,6 +165,8 @@ def sequence_for(
     axes: tuple[tuple[Axis, int], ...] = (("x", size[0]), ("y", size[1]))
     for axis, length in axes:
         patterns += _CODES[code](axis, length, cell, inverses=inverses)
-        for period in periods if shifts else ():
-            patterns += phase_sequence(axis, period, shifts)
+    for period in periods if shifts else ():
+        along_x, along_y = (list(phase_sequence(axis, period, shifts)) for axis, _ in axes)
+        half = (shifts + 1) // 2
+        patterns += [*along_x[:half], *along_y, *reversed(along_x[half:])]
     return tuple(patterns)

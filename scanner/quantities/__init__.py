@@ -2,7 +2,6 @@
 
 from scanner.quantities.calibration_numbers import (
     Quantity,
-    corner_quantities,
     device_quantities,
     intrinsic_errors_percent,
     percent,

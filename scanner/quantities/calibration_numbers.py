@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Corner, DeviceSigmas, Intrinsics
+from calib.geometry import Calibration, DeviceSigmas, Intrinsics
 from calib.numerics import Floats
 
 _DISTORTION_NAMES = ("k₁", "k₂", "p₁", "p₂", "k₃")
@@ -131,7 +131,7 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
             "baseline",
             calibration.baseline,
             "" if calibration.unit == "baseline" else calibration.unit,
-            None,
+            calibration.sigma.known_baseline,
             truth.baseline if truth is not None and same_unit else None,
             "unit of all lengths" if calibration.unit == "baseline" else f"distance between {first} and {second}",
         ),
@@ -150,14 +150,6 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
             Quantity("rotation error", degrees(off), "°", meaning="between the rotation and the true one")
         )
     return quantities
-
-
-def corner_quantities(corner: Corner, calibration: Calibration) -> list[Quantity]:
-    """The angles between the faces."""
-    return [
-        Quantity(f"angle {pair}", float(angle), "°", _at(calibration.sigma.corner_angles_deg, index))
-        for index, (pair, angle) in enumerate(zip(("B–C", "C–A", "A–B"), corner.angles_deg, strict=True))
-    ]
 
 
 def intrinsic_errors_percent(calibration: Calibration, truth: Calibration) -> Floats:

@@ -13,6 +13,7 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.reconstruction.face_masks import label_by_masks
 from scanner.reconstruction.metric_scale import scaled
+from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_doubt
 from scanner.results import Decoded, SelfCalibrated, Stage, naming
 
 _FEWEST_FOR_A_HOMOGRAPHY = 4
@@ -34,6 +35,7 @@ def label(captures: Sequence[Decoded], reached: list[Stage], masks: Bools | None
     labelled = []
     for number, capture in enumerate(captures):
         with naming(capture, among=len(captures)):
+            refuse_moved(capture)
             found = _label(capture, masks if capture is captures[-1] else None)
             reached[number] = found
             refuse_few(
@@ -61,9 +63,10 @@ def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrate
     """
     solutions = solve(labelled, config)
     newest = solutions[-1]
+    refuse_costly(labelled, newest)
     calibration = scaled(newest.calibration, newest.corner, config.scale)
     return [
-        SelfCalibrated(capture.with_matches(solution.matches, capture.plane), solution, calibration)
+        SelfCalibrated(capture.with_matches(solution.matches, capture.plane), with_doubt(solution), calibration)
         for capture, solution in zip(labelled, solutions, strict=True)
     ]
 
@@ -83,6 +86,7 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
             method=config.method,
             squareness_deg=squareness_deg,
             plane=alone.plane,
+            shifts=shifts_of(alone),
         )
         return (found,)
     return self_calibrate_jointly(
@@ -92,6 +96,7 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
         squareness_deg=squareness_deg,
         same=config.corner.same,
         planes=[_planes_of(capture) for capture in labelled],
+        shifts=[shifts_of(capture) for capture in labelled],
     )
 
 

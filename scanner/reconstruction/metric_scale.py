@@ -13,16 +13,20 @@ from scanner.quantities import UNKNOWN_UNIT
 def scaled(calibration: Calibration, corner: Corner | None, scale: ScaleSettings | None) -> Calibration:
     """The calibration in metres if a length is known; as it is if none is, or if it has a unit already.
 
-    `corner` is in the calibration's unit. Raises InputError if the known length is that to a corner and there is none.
+    `corner` is in the calibration's unit. The result's `sigma` says which length was known, and how well: 0 for
+    exactly. Raises InputError if the known length is that to a corner and there is none.
     """
     if scale is None or calibration.unit != UNKNOWN_UNIT:
         return calibration
+    known = scale.sigma_m or 0.0
     if scale.baseline_m is not None:
+        sigma = replace(calibration.sigma, known_baseline=known)
         factor = scale.baseline_m / calibration.baseline
     elif scale.camera_to_corner_m is not None:
         if corner is None:
             raise InputError("scale.camera_to_corner_m needs the corner, which is not looked for with a --calibration")
+        sigma = replace(calibration.sigma, known_camera_to_corner=known)
         factor = scale.camera_to_corner_m / float(np.linalg.norm(corner.vertex))
     else:
         return calibration
-    return replace(calibration, translation=calibration.translation * factor, unit="m")
+    return replace(calibration, translation=calibration.translation * factor, unit="m", sigma=sigma)

@@ -25,6 +25,7 @@ from scanner.results import (
     Scan,
     Stage,
     confidence_entries,
+    decoded_of,
     folder_of,
     remarks_on,
     solution_of,
@@ -60,9 +61,22 @@ def refusal_saved(captures: Sequence[Decoded], folder: Path) -> Iterator[list[St
     try:
         yield reached
     except RefusalError as refusal:
+        named = _for_want_of_light(refusal, [decoded_of(stage) for stage in reached])
         _log(remarks_on(reached[-1]))
-        _save([Refused(stage, refusal) for stage in reached], folder, None, ())
-        raise
+        _save([Refused(stage, named) for stage in reached], folder, None, ())
+        if named is refusal:
+            raise
+        raise named from refusal
+
+
+def _for_want_of_light(refusal: RefusalError, captures: Sequence[Decoded]) -> RefusalError:
+    """The refusal, or where a capture is nearly black a refusal for that: whatever else is wrong may follow from it."""
+    for capture in captures:
+        if capture.decoding is not None and capture.decoding.darkness is not None:
+            what, _, to_do = capture.decoding.darkness.partition(". ")
+            which = f"{capture.name}: " if len(captures) > 1 else ""
+            return RefusalError(f"{which}{what}. What came of it: {refusal.reason}", to_do)
+    return refusal
 
 
 def save(scan: Scan, folder: Path) -> None:
@@ -111,8 +125,7 @@ def _write_report(folder: Path, capture: Reconstructed | Refused, company: Compa
         files |= {CALIBRATION_FILE, CLOUD_FILE, *((MERGED_FILE, POSES_FILE) if company.merged is not None else ())}
     report = ReportInput(capture, truth, tuple(sorted(files - {REPORT_FILE})), company)
     if isinstance(capture, Reconstructed):
-        uncertainty = capture.solution.uncertainty if capture.solution else None
-        more = confidence_entries(verdict(report), uncertainty)
+        more = confidence_entries(verdict(report), capture.uncertainty)
         write_calibration(folder / CALIBRATION_FILE, capture.calibration, more)
     write_report(folder / REPORT_FILE, report)
 

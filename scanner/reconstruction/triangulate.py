@@ -8,6 +8,7 @@ from calib.geometry import Size
 from calib.pointcloud import CloudStatistics, build_cloud
 from calib.refusal import RefusalError
 from scanner.decoding import Decoding, MaskReason
+from scanner.reconstruction.moved_captures import refuse_moved
 from scanner.results import Calibrated, GivenCalibration, Reconstructed, Stage, naming
 from scanner.ui import Progress
 
@@ -32,6 +33,7 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
             found = Reconstructed(capture, cloud)
             reached[number] = found
             if isinstance(capture, GivenCalibration):
+                refuse_moved(decoded)
                 if decoded.decoding:
                     _refuse_uncrossed(decoded.decoding)
                 _refuse_foreign(cloud.statistics, decoded.facts.projector_size)

@@ -10,6 +10,7 @@ from calib.numerics import Ints
 from calib.pointcloud import NONE, CloudStatistics, MergedCloud
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureFacts
+from scanner.measuring import Scene, measure_scene
 from scanner.rendering import cells_over, one_in_cells, places_within
 from scanner.results import Reconstructed, Refused
 
@@ -91,6 +92,12 @@ class ReportInput:
     def sample(self) -> Matches:
         """The matches `on_faces`."""
         return self.matches[self.on_faces]
+
+    @cached_property
+    def scene(self) -> Scene | None:
+        """Faces, angles, and how well lengths are known, as every page has them; None after a refusal."""
+        found = self.reconstructed
+        return measure_scene(self.matches, found.calibration, found.uncertainty) if found else None
 
     @property
     def cell_px(self) -> int:

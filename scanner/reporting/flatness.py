@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from calib.geometry import Size
 from calib.numerics import Floats
-from scanner.measuring import AngleMeasurement, FaceMeasurement, measure_faces
-from scanner.quantities import Quantity, shown_unit
+from scanner.measuring import AngleMeasurement, FaceMeasurement, angle_cells
+from scanner.quantities import shown_unit
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import ScaledMap, picture
@@ -19,7 +19,7 @@ _MAP_SIDE = 640
 
 @dataclass(frozen=True)
 class FlatnessRow:
-    """A face as text: its name, points, mean absolute distance from its plane, and the band that 99.7 % are in."""
+    """A face as text: its name, flatness with its sigma, and the band that 99.7 % of its points are in."""
 
     name: str
     cells: tuple[str, ...]
@@ -35,26 +35,17 @@ class Flatness:
 
 
 def flatness(report: ReportInput) -> Flatness | None:
-    """The faces of the cloud; None without a cloud or labelled faces."""
-    face = report.sample.face
-    if report.reconstructed is None or face is None:
+    """The faces; None without a calibration or labelled faces."""
+    scene, found = report.scene, report.reconstructed
+    if scene is None or found is None or not scene.faces:
         return None
-    cloud = report.reconstructed.cloud
-    pixel = np.rint(report.sample.camera_px).astype(np.int64)
-    height, width = cloud.points.shape[:2]
-    inside = np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
-    face, pixel = face[inside], pixel[inside]
-    points = cloud.points[pixel[:, 1], pixel[:, 0]].astype(np.float64)
-    there = np.isfinite(points[:, 2])
-    faces, angles = measure_faces(points[there], pixel[there], face[there], width)
-    if not faces:
-        return None
-    unit = shown_unit(cloud.unit)
+    unit = shown_unit(found.calibration.unit)
     rows = tuple(
-        FlatnessRow(face.name, (unit.error(face.errors.mean_absolute), unit.error(face.errors.form))) for face in faces
+        FlatnessRow(face.name, (unit.length(face.deviation, face.budget.sigma), unit.error(face.errors.form)))
+        for face in scene.faces
     )
-    painted = _map(faces, report.facts.camera_size, report.cell_px, unit.factor, unit.name)
-    return Flatness(painted, rows, tuple(map(_shown, angles)))
+    painted = _map(scene.faces, report.facts.camera_size, report.cell_px, unit.factor, unit.name)
+    return Flatness(painted, rows, tuple(map(_shown, scene.angles)))
 
 
 def _map(faces: tuple[FaceMeasurement, ...], size: Size, step: int, factor: float, unit: str) -> ScaledMap:
@@ -68,7 +59,4 @@ def _map(faces: tuple[FaceMeasurement, ...], size: Size, step: int, factor: floa
 
 
 def _shown(angle: AngleMeasurement) -> tuple[str, str]:
-    sigma = angle.sigma_deg if np.isfinite(angle.sigma_deg) else None
-    quantity = Quantity("", angle.angle_deg, "°", sigma)
-    known = f" ± {quantity.shown(sigma)}°" if sigma else ""
-    return f"{angle.faces[0]}–{angle.faces[1]}", f"{quantity.shown(angle.angle_deg)}°{known}"
+    return "–".join(angle.faces), " ".join(angle_cells(angle))

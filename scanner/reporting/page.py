@@ -18,7 +18,7 @@ from scanner.reporting.flatness import flatness
 from scanner.reporting.focal import focal_length
 from scanner.reporting.joint import joint_rows, merged_views
 from scanner.reporting.residuals import face_residuals, misses
-from scanner.reporting.uncertainty import point_sigmas, price_of_principal_point
+from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
 
@@ -68,7 +68,6 @@ def write_report(path: Path, report: ReportInput) -> None:
         warnings=decoding.warnings if decoding else (),
         notes=(
             *(solution.notes if solution else ()),
-            *price_of_principal_point(solution),
             *report.company.remarks,
         ),
         method=solution.method if solution else None,

@@ -1,6 +1,7 @@
 """The report's sections as values that the template only has to lay out."""
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -11,7 +12,7 @@ from calib.pointcloud import Cloud
 from scanner.capture import CaptureFacts
 from scanner.decoding import Decoding, MaskReason
 from scanner.patterns import Gray, Pattern, Phase, Xor
-from scanner.quantities import FACE_NAMES, Quantity, corner_quantities, device_quantities, percent, pose_quantities
+from scanner.quantities import FACE_NAMES, Quantity, device_quantities, percent, pose_quantities
 from scanner.rendering import (
     BLACK,
     BLUE,
@@ -126,8 +127,14 @@ def tables(report: ReportInput) -> tuple[Table, ...]:
     between = "Between the photos" if calibration.one_camera else "Between them"
     found.append(Table(between, tuple(pose_quantities(calibration, truth))))
     if report.solution is not None:
-        found.append(Table("Corner", tuple(corner_quantities(report.solution.corner, calibration))))
+        found.append(Table("Corner", tuple(_angles(report))))
     return tuple(found)
+
+
+def _angles(report: ReportInput) -> Iterator[Quantity]:
+    scene = report.scene
+    for angle in scene.angles if scene else ():
+        yield Quantity(f"angle {'–'.join(angle.faces)}", angle.angle_deg, "°", angle.budget.sigma)
 
 
 def faces(report: ReportInput) -> Faces | None:

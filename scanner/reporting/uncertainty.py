@@ -1,6 +1,5 @@
 """How well depth is known: its standard deviation over the camera's image, and the price of an assumption."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +8,7 @@ from numpy.typing import NDArray
 from calib.diagnostics import Uncertainty
 from calib.geometry import NO_FACE, Matches, Size, intersect
 from calib.pointcloud import NONE
-from calib.refinement import CAMERA, PROJECTOR
 from calib.self_calibration import SelfCalibration
-from scanner.quantities import plain
 from scanner.rendering import cells_over, one_in_cells
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
@@ -19,7 +16,6 @@ from scanner.reporting.sections import ScaledMap, picture
 
 # Sigmas vary smoothly over the image, apart from the noise of single matches: so many of them draw the map.
 _SAMPLES = 40_000
-_SHIFT_PX = 10.0
 
 
 @dataclass(frozen=True)
@@ -57,17 +53,3 @@ def _relative_sigmas(
     grid = np.full(drawn.shape, np.nan, dtype=np.float32)
     grid[known] = 100 * relative
     return grid
-
-
-def price_of_principal_point(solution: SelfCalibration | None) -> Sequence[str]:
-    """What an error of a principal point that was taken as known would cost, in a sentence; none if it was not."""
-    if solution is None or solution.uncertainty is None or solution.uncertainty.by_principal_point is None:
-        return ()
-    by_pixel = solution.uncertainty.by_principal_point
-    changes = _SHIFT_PX * by_pixel[[CAMERA.start, PROJECTOR.start]]  # of log f
-    told = [
-        f"{_SHIFT_PX:g} px in {axis} would move the camera's focal length by {plain(100 * camera, 2, signed=True)} % "
-        f"and the projector's by {plain(100 * projector, 2, signed=True)} %"
-        for axis, (camera, projector) in zip("xy", changes.T, strict=True)
-    ]
-    return (f"The camera's principal point was taken as known. Were it elsewhere: {'; '.join(told)}.",)

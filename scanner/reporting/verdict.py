@@ -1,19 +1,24 @@
 """Can one trust this result? The answer in plain words, from the numbers."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from calib.diagnostics import FROM_ONE_PLACE
 from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
 from scanner.patterns import Axis
 from scanner.quantities import intrinsic_errors_percent, percent
 from scanner.reporting.contents import ReportInput
+from scanner.reporting.principal_point import price_of_principal_point
 from scanner.results import Reconstructed, Refused, SelfCalibrated, Verdict
 
 # A focal length that errs by one per cent bends a room by about as much as its walls are off square.
 _MEASUREMENT_GRADE = 0.01
 _SYSTEMATIC_MISS_PX = 1.0
+# Smooth misses beyond the noise bend a cloud for all to see; a tenth of a pixel is left by good decoders in bad light.
+_LEAST_SYSTEMATIC_PX, _SYSTEMATIC_OF_NOISE = 0.1, 2.5
 
 _THREE_CAPTURES = (
     "For a measurement, capture the same corner three times from different places with the rig unchanged, and "
@@ -33,11 +38,27 @@ _LOOK_AT_THE_MISSES = (
     "distortion, or capture the corner again from another place."
 )
 _BOTH_AXES = "To see whether the calibration still fits, project patterns along the other axis as well."
+# What a calibration from boards leaves of the principal point.
+_CALIBRATED_CENTRE_PX = 1.5
+_FREE_THE_CENTRE = (
+    "Make sure of the principal point to a pixel, or leave camera.principal_point.known out and capture the same "
+    "corner from two or three places: then it is measured."
+)
+_DOUBTFUL_CENTRE = "Calibrated, with a principal point that no ordinary camera has"
+_CHECK_THE_CENTRE = (
+    "Were the images cropped, or is camera.principal_point.known that of another image size? Otherwise capture the "
+    "corner again from another place."
+)
 _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and that nothing has moved since it was made."
 
 
 def verdict(report: ReportInput) -> Verdict:
     """The verdict on a result."""
+    found = _of_outcome(report)
+    return found if report.scene is None else replace(found, reasons=(report.scene.sentence, *found.reasons))
+
+
+def _of_outcome(report: ReportInput) -> Verdict:
     match report.outcome:
         case Refused(refusal=refusal):
             matched = f"{len(report.matches):,} matches were decoded and are kept in matches.npz."
@@ -55,7 +76,7 @@ def _of_given(statistics: CloudStatistics, pixels: str) -> Verdict:
         "The calibration was taken as it is; only its agreement with the matches was checked.",
         *_about_cloud(statistics, pixels),
     )
-    if statistics.calibration_px > _SYSTEMATIC_MISS_PX:
+    if _misses_systematically(statistics):
         headline = "Reconstructed with a calibration that does not quite fit"
         return Verdict("fair", headline, reasons, _CHECK_THE_CALIBRATION)
     return Verdict("good", "Reconstructed with the calibration that was given", reasons)
@@ -72,6 +93,12 @@ def _of_one_axis(statistics: CloudStatistics, axis: Axis) -> Verdict:
     return Verdict("fair", "Reconstructed with a calibration that nothing checks", tuple(reasons), _BOTH_AXES)
 
 
+def _misses_systematically(statistics: CloudStatistics) -> bool:
+    """Whether the rays' smooth misses are large, or larger than their noise: then they are what limits the cloud."""
+    limit_px = max(_LEAST_SYSTEMATIC_PX, _SYSTEMATIC_OF_NOISE * statistics.decoder_px)
+    return statistics.calibration_px > min(_SYSTEMATIC_MISS_PX, limit_px)
+
+
 def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statistics: CloudStatistics) -> Verdict:
     calibration, facts = calibrated.calibration, report.facts
     worst = _worst_focal_sigma(calibration)
@@ -86,14 +113,31 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
         error = float(np.abs(intrinsic_errors_percent(calibration, report.truth)).mean())
         reasons.append(f"This rig is simulated, so the truth is known: the intrinsics err by {error:.2g} % on average.")
     reasons += _about_cloud(statistics, facts.pixels)
-    if statistics.calibration_px > _SYSTEMATIC_MISS_PX:
+    if doubt := _doubtful_centre(calibration):
+        return Verdict("fair", _DOUBTFUL_CENTRE, (doubt, *reasons), _CHECK_THE_CENTRE)
+    if _misses_systematically(statistics):
         return Verdict("fair", "Calibrated, but with errors that show", tuple(reasons), _LOOK_AT_THE_MISSES)
+    price = price_of_principal_point(calibrated.solution)
+    reasons += price.sentences
+    if price.per_px * _CALIBRATED_CENTRE_PX > _MEASUREMENT_GRADE:
+        headline = "Calibrated, as well as the principal point that was given"
+        return Verdict("fair", headline, (*price.sentences, *reasons[: -len(price.sentences)]), _FREE_THE_CENTRE)
+    reasons += [note for note in calibrated.solution.notes if note.startswith(FROM_ONE_PLACE)]
     if worst is not None and worst <= _MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
     advice = _ONE_MORE if report.company.count > 1 else _THREE_CAPTURES
     if facts.photos:
         advice = _THIRD_PHOTO
     return Verdict("fair", "Calibrated, well enough for a first look", tuple(reasons), advice)
+
+
+def _doubtful_centre(calibration: Calibration) -> str | None:
+    """A sentence if the camera's principal point is outside of its image; a projector's often is, by lens shift."""
+    camera = calibration.camera
+    (x, y), (width, height) = camera.principal_point_px, (camera.width, camera.height)
+    if 0 <= x < width and 0 <= y < height:
+        return None
+    return f"The camera's principal point, ({x:.0f}, {y:.0f}), is outside of its image of {width} × {height} pixels."
 
 
 def _worst_focal_sigma(calibration: Calibration) -> float | None:

@@ -112,7 +112,8 @@ class OutputFolder:
             self._publish()
         elif isinstance(error, RefusalError):
             self._publish()
-            error.add_note(f"The matches and a report are in {self._shown}.")
+            kept = "matches and a report are" if (self.out / MATCHES_FILE).exists() else "recording is"
+            error.add_note(f"The {kept} in {self._shown}.")
         elif self._keep_capture and _frames_in(self.folder):
             error.add_note(self._keep())
         else:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
+from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Corner, Matches
 from calib.numerics import Image, Ints
 from calib.pointcloud import Cloud, MergedCloud
@@ -80,10 +81,11 @@ class SelfCalibrated:
 
 @dataclass(frozen=True)
 class GivenCalibration:
-    """The operator gave the calibration: no face was looked for."""
+    """The operator gave the calibration: no face was looked for. `stated`: what its file says of its covariance."""
 
     decoded: Decoded
     calibration: Calibration
+    stated: Uncertainty | None = None
 
 
 Calibrated = SelfCalibrated | GivenCalibration
@@ -110,6 +112,15 @@ class Reconstructed:
     def solution(self) -> SelfCalibration | None:
         """What calibrated it; None where the calibration was given."""
         return solution_of(self)
+
+    @property
+    def uncertainty(self) -> Uncertainty | None:
+        """Of the calibration in use; None where unknown."""
+        match self.calibrated:
+            case SelfCalibrated(solution=solution):
+                return solution.uncertainty
+            case GivenCalibration(stated=stated):
+                return stated
 
 
 Stage = Decoded | SelfCalibrated | GivenCalibration | Reconstructed

@@ -1,12 +1,12 @@
 """What calibration.yaml says beside the calibration: how far a result can be trusted, and its covariance."""
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
-from calib.diagnostics import Uncertainty
+from calib.diagnostics import NOWHERE, Along, Uncertainty
 from calib.geometry import Calibration, tangent_basis
 from calib.numerics import Floats
 from calib.refinement import ROTATION, SHARED, TRANSLATION, State
@@ -29,10 +29,16 @@ class _VerdictEntry(Entry):
     advice: str
 
 
+class _AlongEntry(Entry):
+    probability: list[Annotated[Number, Field(gt=0, le=1)]]
+    steps: list[list[Number]]
+
+
 class _CovarianceEntry(Entry):
     columns: list[str]
     match_px: Number = Field(gt=0)
     values: list[list[Number]]
+    along: _AlongEntry | None = None
 
 
 class _ConfidenceEntry(Entry):
@@ -51,15 +57,16 @@ def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dic
     if uncertainty is None:
         return {"verdict": told}
     to_file = _columns_of_file(uncertainty.state.translation)
-    covariance = to_file @ uncertainty.covariance @ to_file.T
-    return {
-        "verdict": told,
-        "covariance": {
-            "columns": [*COLUMNS],
-            "match_px": float(uncertainty.match_px),
-            "values": covariance.tolist(),
-        },
+    covariance = {
+        "columns": [*COLUMNS],
+        "match_px": float(uncertainty.match_px),
+        "values": (to_file @ uncertainty.covariance @ to_file.T).tolist(),
     }
+    along = uncertainty.along
+    if len(along.probability):
+        steps = (along.steps @ to_file.T).tolist()
+        covariance["along"] = {"probability": along.probability.tolist(), "steps": steps}
+    return {"verdict": told, "covariance": covariance}
 
 
 def read_verdict(path: Path) -> Verdict | None:
@@ -85,7 +92,19 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
     state = State(camera, projector, calibration.rotation, direction, np.zeros((0, 3)), ())
     to_file = _columns_of_file(direction)
     # The columns of `to_file` are orthonormal.
-    return Uncertainty(state, to_file.T @ np.array(entry.values) @ to_file, None, entry.match_px)
+    covariance = to_file.T @ np.array(entry.values) @ to_file
+    return Uncertainty(state, covariance, None, entry.match_px, _along(path, entry.along, to_file))
+
+
+def _along(path: Path, entry: _AlongEntry | None, to_file: Floats) -> Along:
+    """Raises InputError if it is malformed."""
+    if entry is None:
+        return NOWHERE
+    if len(entry.steps) != len(entry.probability) or any(len(step) != len(COLUMNS) for step in entry.steps):
+        raise InputError(
+            f"{path}: 'covariance.along' must have a row of {len(COLUMNS)} steps for each of its probabilities"
+        )
+    return Along(np.array(entry.steps).reshape(-1, len(COLUMNS)) @ to_file, np.array(entry.probability))
 
 
 def _columns_of_file(direction: Floats) -> Floats:

@@ -6,12 +6,12 @@ import numpy as np
 
 from calib.geometry import Corner, polar
 from calib.numerics import Floats
-from scanner.measuring import AngleMeasurement, FaceMeasurement, measure_faces
+from scanner.measuring import Scene
 from scanner.results import FinishedScan
 from scanner.viewing.decimation import shuffled
 
-# Planes through so many points are as good to look at as through all, and known at once.
-FITTED_POINTS = 100_000
+# So many points tell as well as all how far a face reaches.
+_OUTLINED_POINTS = 100_000
 
 # A face ends where nearly all of its points do: strays would make it as large as the room behind them.
 _REACH_QUANTILE = 0.995
@@ -19,23 +19,21 @@ _REACH_QUANTILE = 0.995
 
 @dataclass(frozen=True)
 class MeasuredCorner:
-    """`faces` A, B, C and the `angles` between them, measured; `corner` is where they meet, in the camera's frame.
+    """`scene`: faces A, B, C and the angles between them, measured; `corner` is where they meet, in the camera's frame.
 
     `outlines` (3, 4, 3): each face as a parallelogram that begins at the vertex, its points within.
     """
 
     corner: Corner
-    faces: tuple[FaceMeasurement, ...]
-    angles: tuple[AngleMeasurement, ...]
+    scene: Scene
     outlines: Floats
 
 
-def measured_corner(scan: FinishedScan) -> MeasuredCorner | None:
-    """Fit the faces to at most `FITTED_POINTS` points; None if the matches do not label all three."""
-    chosen = np.sort(shuffled(len(scan))[:FITTED_POINTS])
-    points = scan.points[chosen]
+def measured_corner(scan: FinishedScan, scene: Scene) -> MeasuredCorner | None:
+    """The corner of the faces that `scan measure` finds, too; None if the matches do not label all three."""
+    chosen = np.sort(shuffled(len(scan))[:_OUTLINED_POINTS])
+    points, faces = scan.points[chosen], scene.faces
     label = None if scan.matches.face is None else scan.matches.face[chosen]
-    faces, angles = measure_faces(points, scan.pixel[chosen], label, scan.calibration.camera.width)
     if len(faces) < 3 or label is None:
         return None
     normals = np.stack([face.normal for face in faces])
@@ -46,7 +44,7 @@ def measured_corner(scan: FinishedScan) -> MeasuredCorner | None:
         beside = from_vertex[(label >= 0) & (label < 3) & (label != leg)]
         legs[leg] *= 1.0 if np.median(beside @ legs[leg]) >= 0 else -1.0
     outlines = [_outline(from_vertex[label == face], np.delete(legs, face, axis=0)) for face in range(3)]
-    return MeasuredCorner(Corner(vertex, legs), faces, angles, vertex + np.stack(outlines))
+    return MeasuredCorner(Corner(vertex, legs), scene, vertex + np.stack(outlines))
 
 
 def _outline(points: Floats, edges: Floats) -> Floats:

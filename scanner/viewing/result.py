@@ -15,6 +15,7 @@ from calib.pointcloud import point_covariances
 from scanner.capture import open_capture
 from scanner.errors import InputError
 from scanner.io import read_calibration, read_cloud, read_image, read_poses
+from scanner.measuring import read_scene
 from scanner.patterns import White
 from scanner.rendering import photograph
 from scanner.results import (
@@ -29,7 +30,6 @@ from scanner.results import (
     place_camera,
     read_calibration_of,
     read_finished_scan,
-    read_uncertainty,
     read_verdict,
 )
 from scanner.viewing.corner import MeasuredCorner, measured_corner
@@ -144,7 +144,8 @@ class ViewedResult:
             return self._merged()
         folder = self._captures[name]
         scan = read_finished_scan(folder)
-        corner = measured_corner(scan)
+        scene = read_scene(folder, scan.calibration)
+        corner = measured_corner(scan, scene)
         return CaptureCloud(
             scan.points,
             scan.colours,
@@ -154,7 +155,7 @@ class ViewedResult:
             scan.unit,
             scan.matches,
             scan.calibration,
-            read_uncertainty(folder / CALIBRATION_FILE, scan.calibration),
+            scene.errors.uncertainty,
         )
 
     def _merged(self) -> ViewedCloud:
@@ -164,7 +165,8 @@ class ViewedResult:
         rigs, corner = list[PlacedRig](), None
         for folder, known in zip(self._captures.values(), self._poses(), strict=True):
             scan = read_finished_scan(folder)
-            found = measured_corner(scan) if known is None or not rigs else None
+            wanted = known is None or not rigs
+            found = measured_corner(scan, read_scene(folder, scan.calibration)) if wanted else None
             pose = known
             if pose is None and found is not None:
                 some, of_many = (shuffled(len(of))[:_PLACING_POINTS] for of in (scan, cloud))

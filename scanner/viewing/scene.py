@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.numerics import Floats
+from scanner.measuring import angle_cells
 from scanner.quantities import shown_unit
 from scanner.rendering import BLUE, FACE_COLOURS, VERMILION, frustum_lines
 from scanner.viewing.colouring import Colouring, coloured
@@ -153,7 +154,7 @@ class Scene:
     def _draw_corner(self, corner: MeasuredCorner, rig: PlacedRig) -> None:
         vertex = rig.to_cloud(corner.corner.vertex)
         outlines = rig.to_cloud(corner.outlines)
-        for face, outline, colour in zip(corner.faces, outlines, FACE_COLOURS, strict=True):
+        for face, outline, colour in zip(corner.scene.faces, outlines, FACE_COLOURS, strict=True):
             self._scene.add_mesh_simple(
                 f"{FACES}/{face.name}",
                 vertices=self._drawn(outline),
@@ -166,10 +167,10 @@ class Scene:
             )
             self._lines(f"{FACES}/outline {face.name}", np.stack([outline, np.roll(outline, -1, axis=0)], 1), colour)
             self._label(f"{LABELS}/face {face.name}", f"Face {face.name}", outline.mean(axis=0), "center-center")
-        ends = {face.name: outline for face, outline in zip(corner.faces, outlines, strict=True)}
-        for angle in corner.angles:
+        ends = {face.name: outline for face, outline in zip(corner.scene.faces, outlines, strict=True)}
+        for angle in corner.scene.angles:
             first, second = (ends[name] for name in angle.faces)
-            text = f"{angle_name(angle.faces)}: {angle.angle_deg:.2f}°"
+            text = f"{angle_name(angle.faces)}: {' '.join(angle_cells(angle))}"
             self._label(f"{LABELS}/{text}", text, _end_of_common_edge(first, second), "center-center")
         self._label(f"{LABELS}/vertex", "Vertex", vertex, "bottom-center")
         self._scene.add_icosphere(f"{FACES}/vertex", 0.012 * _DRAWN_SIZE, color=_INK, position=self._drawn(vertex))

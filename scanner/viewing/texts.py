@@ -3,9 +3,10 @@
 from collections.abc import Iterator
 
 from calib.geometry import Calibration
+from scanner.measuring import angle_cells
 from scanner.quantities import Quantity, device_quantities, pose_quantities, shown_unit, truth_line
 from scanner.results import Verdict
-from scanner.viewing.corner import FITTED_POINTS, MeasuredCorner
+from scanner.viewing.corner import MeasuredCorner
 
 _SIGNS = {"good": "✓", "fair": "◐", "refused": "✕"}
 
@@ -59,13 +60,12 @@ def corner_text(corner: MeasuredCorner | None, unit: str) -> str:
 
 def _corner_lines(corner: MeasuredCorner, unit: str) -> Iterator[str]:
     shown = shown_unit(unit)
-    for angle in corner.angles:
-        measured = Quantity(angle_name(angle.faces), angle.angle_deg, "°", angle.sigma_deg)
-        yield f"- {measured.name}: {measured.shown(measured.value)}° ± {measured.shown(measured.sigma)}°"
-    for face in corner.faces:
-        yield f"- Face {face.name}: flat to {shown.error(face.errors.mean_absolute)} (mean absolute distance)"
+    yield corner.scene.sentence
     yield ""
-    yield f"Planes through at most {FITTED_POINTS:,} of the points; *scan measure* takes all."
+    for angle in corner.scene.angles:
+        yield f"- {angle_name(angle.faces)}: {' '.join(angle_cells(angle))}"
+    for face in corner.scene.faces:
+        yield f"- Face {face.name}: flat to {shown.length(face.deviation, face.budget.sigma)}"
 
 
 def angle_name(faces: tuple[str, str]) -> str:

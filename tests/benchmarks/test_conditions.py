@@ -5,20 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from benchmarks.conditions.captures import SEQUENCES, Capture, blended, inverses, patterns_of
-from benchmarks.conditions.catalogue import conditions
-from benchmarks.conditions.judging import (
+from conditions.captures import SEQUENCES, Capture, blended, inverses, patterns_of
+from conditions.catalogue import conditions
+from conditions.judging import (
     Truth,
     calibration_error,
     could_be_decoded,
     match_errors,
     matched_share,
 )
-from benchmarks.conditions.plain_decoder import plain_matches
-from benchmarks.conditions.table import BEGIN, END, confident_and_wrong, markdown, refused_needlessly, write_into
-from benchmarks.conditions.trial import Outcome, Setup, captured, named
-from calib.geometry import Calibration, Matches
+from conditions.plain_decoder import plain_matches
+from conditions.table import BEGIN, END, confident_and_wrong, markdown, refused_needlessly, write_into
+from conditions.trial import Outcome, Setup, captured, named
+
+from calib.geometry import Calibration, DeviceSigmas, Matches, Sigmas
 from scanner.patterns import Gray, Phase, draw
 
 PROJECTOR = (214, 120)
@@ -32,13 +32,14 @@ def undisturbed() -> tuple[Capture, Truth]:
     return captured(named("nothing", ""), SETUP)
 
 
-def changed(calibration: Calibration, percent: float, sigma: dict) -> Calibration:
+def changed(calibration: Calibration, percent: float, sigma: Sigmas) -> Calibration:
     projector = calibration.projector
-    longer = replace(projector, focal_px=tuple(f * (1 + percent / 100) for f in projector.focal_px))
+    x, y = (f * (1 + percent / 100) for f in projector.focal_px)
+    longer = replace(projector, focal_px=(x, y))
     return replace(calibration, projector=longer, sigma=sigma)
 
 
-SIGMA = {"camera_focal_px": 1.0, "projector_focal_px": 3.0, "projector_principal_point_px": (0.5, 0.5)}
+SIGMA = Sigmas(DeviceSigmas((1.0, 1.0)), DeviceSigmas((3.0, 3.0), (0.5, 0.5)))
 
 
 @pytest.mark.parametrize(
@@ -46,29 +47,31 @@ SIGMA = {"camera_focal_px": 1.0, "projector_focal_px": 3.0, "projector_principal
     [
         (1.0, SIGMA, False, True),  # 3.1 of 312 px, as much as sigma
         (3.0, SIGMA, True, True),  # 3.1 sigma, but more than 2 %
-        (1.9, SIGMA | {"projector_focal_px": 1.0}, True, True),  # 5.9 sigma, but less than 2 %
+        (1.9, Sigmas(SIGMA.camera, DeviceSigmas((1.0, 1.0), (0.5, 0.5))), True, True),  # 5.9 sigma, but less than 2 %
         (5.0, SIGMA, True, False),
-        (0.1, {}, True, True),  # a calibration that states no sigma
+        (0.1, Sigmas(), True, True),  # a calibration that states no sigma
     ],
 )
-def test_wrong_is_beyond_either_limit_and_useful_within_either(undisturbed, percent, sigma, wrong, useful):
+def test_wrong_is_beyond_either_limit_and_useful_within_either(
+    undisturbed: tuple[Capture, Truth], percent: float, sigma: Sigmas, wrong: bool, useful: bool
+) -> None:
     truth = undisturbed[1]
     error = calibration_error(changed(truth.calibration, percent, sigma), truth)
     assert error.percent[1] == pytest.approx(percent)
-    if sigma:
-        expected = percent / 100 * truth.calibration.projector.focal_px[0] / sigma["projector_focal_px"]
+    if stated := sigma.projector.focal_px:
+        expected = percent / 100 * truth.calibration.projector.focal_px[0] / stated[0]
         assert error.sigmas[1] == pytest.approx(expected)
     assert (error.is_wrong, error.is_useful) == (wrong, useful)
 
 
-def test_of_what_is_no_pinhole_only_the_camera_counts(undisturbed):
+def test_of_what_is_no_pinhole_only_the_camera_counts(undisturbed: tuple[Capture, Truth]) -> None:
     truth = replace(undisturbed[1], pinhole=False)
     error = calibration_error(changed(truth.calibration, 20.0, SIGMA), truth)
     assert error.percent.tolist() == [0.0]
     assert not error.is_wrong
 
 
-def test_matches_are_held_against_what_their_pixels_see(undisturbed):
+def test_matches_are_held_against_what_their_pixels_see(undisturbed: tuple[Capture, Truth]) -> None:
     truth = undisturbed[1]
     y, x = (places[::7] for places in np.nonzero(truth.lit))
     right = Matches(np.stack([x, y], axis=1).astype(float), truth.projector_px[y, x].astype(float))
@@ -80,7 +83,7 @@ def test_matches_are_held_against_what_their_pixels_see(undisturbed):
 
 
 @pytest.mark.parametrize("sequence", SEQUENCES)
-def test_the_plain_decoder_reads_every_sequence(undisturbed, sequence):
+def test_the_plain_decoder_reads_every_sequence(undisturbed: tuple[Capture, Truth], sequence: str) -> None:
     """Of a projector that is looked at straight and pixel by pixel: its own pictures are the frames."""
     patterns = patterns_of(sequence, PROJECTOR)
     found = plain_matches(patterns, [draw(pattern, PROJECTOR) for pattern in patterns])
@@ -89,7 +92,7 @@ def test_the_plain_decoder_reads_every_sequence(undisturbed, sequence):
     assert error.max() < 0.02  # 8-bit levels of fringes
 
 
-def test_a_gray_code_without_its_finest_bits_has_the_centres_of_cells():
+def test_a_gray_code_without_its_finest_bits_has_the_centres_of_cells() -> None:
     patterns = patterns_of("gray", PROJECTOR)
     found = plain_matches(patterns, [draw(pattern, PROJECTOR) for pattern in patterns], without_bits=2)
     assert len(found) == 54 * 30
@@ -97,7 +100,7 @@ def test_a_gray_code_without_its_finest_bits_has_the_centres_of_cells():
     np.testing.assert_allclose(found.projector_px[whole], found.camera_px[whole])
 
 
-def test_a_good_capture_could_be_decoded_and_a_bit_turned_over_could_not(undisturbed):
+def test_a_good_capture_could_be_decoded_and_a_bit_turned_over_could_not(undisturbed: tuple[Capture, Truth]) -> None:
     capture, truth = undisturbed
     assert could_be_decoded([plain_matches(capture.patterns, capture.frames)], truth)
     coarse = next(i for i, p in enumerate(capture.patterns) if isinstance(p, Gray) and (p.axis, p.bit) == ("y", 1))
@@ -105,7 +108,7 @@ def test_a_good_capture_could_be_decoded_and_a_bit_turned_over_could_not(undistu
     assert not could_be_decoded([plain_matches(turned.patterns, turned.frames)], truth)
 
 
-def test_what_is_disturbed_in_places_could_be_decoded(undisturbed):
+def test_what_is_disturbed_in_places_could_be_decoded(undisturbed: tuple[Capture, Truth]) -> None:
     capture, truth = undisturbed
     matches = plain_matches(capture.patterns, capture.frames)
     passed = matches.camera_px[:, 0] < np.quantile(matches.camera_px[:, 0], 0.2)
@@ -114,7 +117,7 @@ def test_what_is_disturbed_in_places_could_be_decoded(undisturbed):
     assert not could_be_decoded([Matches(matches.camera_px, matches.projector_px[:, ::-1])], truth)
 
 
-def test_totals_leave_out_mistakes_and_count_only_what_a_plain_decoder_can():
+def test_totals_leave_out_mistakes_and_count_only_what_a_plain_decoder_can() -> None:
     fault = next(condition for condition in conditions() if condition.fault)
     outcomes = [
         FOUND,
@@ -133,14 +136,14 @@ def test_totals_leave_out_mistakes_and_count_only_what_a_plain_decoder_can():
     assert "| nothing |  | 0 | 99.0% | 0.03, 0.10 | 0.19, 0.30 | 1.9, 3.0 | fair × 1, good × 1 | – | 1 |" in text
 
 
-def test_a_table_replaces_the_one_before_it(tmp_path: Path):
+def test_a_table_replaces_the_one_before_it(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
     write_into(page, "new")
     assert page.read_text() == f"before\n{BEGIN}\nnew\n{END}\nafter\n"
 
 
-def test_every_condition_can_be_drawn_for_every_sequence_and_has_a_name_of_its_own():
+def test_every_condition_can_be_drawn_for_every_sequence_and_has_a_name_of_its_own() -> None:
     rng = np.random.default_rng(0)
     names = [(condition.name, condition.strength) for condition in conditions()]
     assert len(set(names)) == len(names) > 80
@@ -152,13 +155,13 @@ def test_every_condition_can_be_drawn_for_every_sequence_and_has_a_name_of_its_o
             assert all(2 <= frame < len(patterns) for frame in frames), condition
 
 
-def test_as_many_lit_pixels_saturate_as_is_said(undisturbed):
+def test_as_many_lit_pixels_saturate_as_is_said(undisturbed: tuple[Capture, Truth]) -> None:
     saturated, truth = captured(named("saturated in white", "30 % of lit pixels"), SETUP)
     assert 0.2 < np.mean(saturated.frames[0][truth.lit] == 255) < 0.4
     assert np.mean(undisturbed[0].frames[0][truth.lit] == 255) < 0.01
 
 
-def test_mistakes_with_frames_change_frames_and_nothing_else(undisturbed):
+def test_mistakes_with_frames_change_frames_and_nothing_else(undisturbed: tuple[Capture, Truth]) -> None:
     capture, rng = undisturbed[0], np.random.default_rng(0)
     for name, changed_frames in (("two frames exchanged", 2), ("one frame repeated", 1)):
         after = named(name, "").frames(capture, rng)
@@ -167,5 +170,7 @@ def test_mistakes_with_frames_change_frames_and_nothing_else(undisturbed):
     dark, bright = np.zeros((2, 2), np.uint8), np.full((2, 2), 200, np.uint8)
     assert blended(dark, bright, 0.25).tolist() == [[50, 50], [50, 50]]
     for shown, inverse in inverses(capture.patterns):
-        assert replace(capture.patterns[shown], inverted=True) == capture.patterns[inverse]
+        bit = capture.patterns[shown]
+        assert isinstance(bit, Gray)
+        assert replace(bit, inverted=True) == capture.patterns[inverse]
     assert not any(isinstance(capture.patterns[shown], Phase) for shown, _ in inverses(capture.patterns))

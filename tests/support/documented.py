@@ -28,6 +28,7 @@ NOT_RUN = {
     "scan console": "serves until it is stopped",
     "scan view": "serves until it is stopped",
     "scan photos": "needs two photographs",
+    "scan accept": "needs scans of a ball bar",
     "make": "installs packages, or runs for minutes",
     "python": "runs for minutes, or changes files of this repository",
     "pytest": "is what runs this test",

@@ -107,3 +107,18 @@ def test_a_capture_that_holds_too_little_is_named() -> None:
     captures[1] = replace(captures[1], matches=Matches(flat.camera_px, flat.projector_px, strips))
     with pytest.raises(RefusalError, match="capture 2 are not those of a corner: all lie in one plane"):
         _calibrate(captures, KNOWN)
+
+
+def test_a_rig_that_was_not_moved_measures_nothing_again() -> None:
+    """The same view twice, with other noise: it is named, and is worth about as much as once."""
+    rng = np.random.default_rng(21)
+    (capture,) = random_captures(rng, 1, walls_off_deg=0.3, count=20_000, **RIG)
+    noise = rng.normal(0, 0.1, capture.matches.projector_px.shape)
+    again = replace(capture, matches=replace(capture.matches, projector_px=capture.matches.projector_px + noise))
+    once, twice = _calibrate([capture], KNOWN)[0], _calibrate([capture, again], KNOWN)[0]
+    assert not any("same place" in note for note in once.notes)
+    assert any("same place: captures 1 and 2" in note for note in twice.notes)
+    sigmas = [found.calibration.sigma.camera.focal_px for found in (once, twice)]
+    assert sigmas[0] is not None
+    assert sigmas[1] is not None
+    assert 0.8 < sigmas[1][0] / sigmas[0][0] < 1.5

@@ -273,7 +273,6 @@ BROKEN = [
     Broken("null in name", first_file("a\0b"), ("inside the capture folder",)),
     Broken("number as name", first_file(7), ("frames[0].file", "string", "7")),
     Broken("same file twice", first_file("frames/001.png"), ("frame 1", "file", "frame 0")),
-    Broken("same pattern twice", first_pattern(kind="black"), ("frame 1", "pattern", "frame 0", "black")),
     Broken("unlisted frame", listing_with(lambda x: x["frames"].pop()), ("is not listed",)),
     Broken("unknown kind", first_pattern(kind="grey"), ("frames[0].pattern.kind", "'gray'", "'phase'", "'grey'")),
     Broken("no kind", first_pattern(axis="x"), ("frames[0].pattern.kind", "missing")),

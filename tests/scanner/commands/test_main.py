@@ -200,7 +200,11 @@ def fail_after_two_frames(error: BaseException) -> Callable[..., object]:
         (DeviceError("the camera was unplugged"), 3, ("the camera was unplugged", "2 frames captured so far")),
         (KeyboardInterrupt(), 130, ("interrupted", "2 frames captured so far")),
         (OSError(28, "No space left on device"), 2, ("No space left", "2 frames captured so far")),
-        (RefusalError("No corner.", "Find one."), 4, ("no trustworthy calibration", "No corner. Find one.", "report")),
+        (
+            RefusalError("No corner.", "Find one."),
+            4,
+            ("no trustworthy calibration", "No corner. Find one.", "The recording is in"),
+        ),
     ],
 )
 def test_exit_codes_of_a_live_scan(

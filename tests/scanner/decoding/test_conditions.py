@@ -172,3 +172,12 @@ def test_the_frames_are_not_changed_and_may_be_reused() -> None:
 
     again = decode(STANDARD, grabbed(), SCENE.projector)
     assert np.array_equal(whole.matches.projector_px, again.matches.projector_px)
+
+
+def test_frames_that_are_too_dark_are_called_so() -> None:
+    """At a sixteenth of the light a few grey levels are left, and whatever fails afterwards fails for that."""
+    assert SCENE.decode(STANDARD).darkness is None
+    dark = replace(SCENE, exposure=SCENE.exposure / 16).decode(STANDARD).darkness
+    assert dark is not None
+    assert dark.startswith("The frames are too dark")
+    assert "Expose longer" in dark

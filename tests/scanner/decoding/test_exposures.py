@@ -138,5 +138,5 @@ def test_a_camera_of_one_exposure_is_refused() -> None:
             raise NotImplementedError
 
     room = SimulatedRoom(SimulatedRigSettings(furniture=False, interreflection=False), (64, 48), (64, 48))
-    with pytest.raises(DeviceError, match="exposures_us"):
+    with pytest.raises(DeviceError, match="take every pattern with one exposure"):
         capture(Rig(SimulatedProjector(room), Fixed()), sequence_for((64, 48)), (1000.0, 2000.0))

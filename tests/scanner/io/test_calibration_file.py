@@ -46,7 +46,8 @@ def calibrations(draw: st.DrawFn) -> Calibration:
         terms = draw(st.none() | st.lists(positive, min_size=1, max_size=5))
         return DeviceSigmas(draw(pairs), draw(pairs), None if terms is None else tuple(terms))
 
-    sigma = Sigmas(sigmas(), sigmas(), draw(triples), draw(st.none() | positive), draw(triples))
+    single = st.none() | positive
+    sigma = Sigmas(sigmas(), sigmas(), draw(triples), draw(single), draw(triples), draw(single), draw(single))
     return Calibration(device(), device(), rotation, translation, unit, sigma)
 
 

@@ -42,9 +42,9 @@ def test_the_sphere(written: Written, measured: dict[str, Any]) -> None:
     assert measured["unit"] == "m"
     assert sphere["nominal_diameter"] == 0.3
     assert 1e-7 < abs(error) < 4 * sphere["diameter_sigma"]
-    assert 1e-6 < sphere["diameter_sigma"] < 2e-4
+    assert 1e-5 < sphere["diameter_sigma"] < 2e-3
     off_centre = np.linalg.norm(np.array(sphere["centre"]) - written.scene.sphere_centre)
-    assert 1e-6 < off_centre < 5 * np.linalg.norm(sphere["centre_sigma"]) < 1e-3
+    assert 1e-6 < off_centre < 5 * np.linalg.norm(sphere["centre_sigma"]) < 5e-3
     column, row = CAMERA.project(written.scene.sphere_centre)
     assert np.allclose(sphere["image_px"]["centre"], (column, row), atol=0.1)
 

@@ -323,4 +323,28 @@ def test_quantities_against_the_truth(calibrated: ReportInput, scene: Scene) -> 
 
 def test_patterns_in_words() -> None:
     words = describe_patterns(sequence_for((854, 480)))
-    assert words.startswith("white, black, 14 × Gray code along x (cell 8 px), 4 × fringe along x (period 16 px)")
+    assert words.startswith(
+        "white, black, 14 × Gray code along x (cell 8 px), 12 × Gray code along y (cell 8 px), "
+        "4 × fringe along x (period 16 px)"
+    )
+
+
+def test_a_misfit_beyond_the_noise_is_no_good_result(calibrated: ReportInput) -> None:
+    """Of a calibration that was given, too: rays that miss smoothly by three times their noise are its fault."""
+    decoded, cloud = _parts(calibrated)
+    given = GivenCalibration(decoded, _calibrated(calibrated).calibration)
+    for smooth_px, grade in ((0.05, "good"), (0.15, "good"), (0.3, "fair")):
+        statistics = replace(cloud.statistics, decoder_px=0.1, calibration_px=smooth_px)
+        found = verdict(ReportInput(Reconstructed(given, replace(cloud, statistics=statistics))))
+        assert found.grade == grade
+
+
+@pytest.mark.parametrize(("x", "doubtful"), [(203.0, False), (-3.0, True), (409.0, True)])
+def test_a_principal_point_outside_of_the_image_is_doubted(calibrated: ReportInput, x: float, doubtful: bool) -> None:
+    own, (_, cloud) = _calibrated(calibrated), _parts(calibrated)
+    sigma = Sigmas(DeviceSigmas((0.3, 0.3)), DeviceSigmas((0.8, 0.8)))
+    camera = replace(own.calibration.camera, principal_point_px=(x, 170.0))
+    changed = replace(own, calibration=replace(own.calibration, camera=camera, sigma=sigma))
+    found = verdict(ReportInput(Reconstructed(changed, cloud)))
+    assert ("outside of its image" in " ".join(found.reasons)) == doubtful
+    assert found.grade == ("fair" if doubtful else "good")

@@ -21,7 +21,8 @@ from scanner.capture.facts import CaptureFacts
 from scanner.reporting.contents import CaptureRow, Company, ReportInput
 from scanner.reporting.focal import focal_length
 from scanner.reporting.page import write_report
-from scanner.reporting.uncertainty import point_sigmas, price_of_principal_point
+from scanner.reporting.principal_point import price_of_principal_point
+from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.results.stages import Decoded, GivenMatches, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
@@ -135,14 +136,14 @@ def _triangulated(state: State, matches: Matches) -> np.ndarray:
 
 
 def test_the_price_of_the_principal_point(report: ReportInput) -> None:
-    (sentence,) = price_of_principal_point(report.solution)
+    (sentence,) = price_of_principal_point(report.solution).sentences
     assert "10 px in x would move the camera's focal length by +1.00 % and the projector's by +0.50 %" in sentence
     assert "10 px in y would move the camera's focal length by −0.20 %" in sentence
     assert report.solution is not None
     assert report.solution.uncertainty is not None
     estimated = replace(report.solution.uncertainty, by_principal_point=None)
-    assert price_of_principal_point(replace(report.solution, uncertainty=estimated)) == ()
-    assert price_of_principal_point(None) == ()
+    assert price_of_principal_point(replace(report.solution, uncertainty=estimated)).sentences == ()
+    assert price_of_principal_point(None).sentences == ()
 
 
 def test_a_method_without_sigmas_has_no_map(report: ReportInput) -> None:

@@ -54,7 +54,7 @@ def test_the_corner_is_where_it_is(written: Written, cloud: CaptureCloud) -> Non
     found, true = cloud.corner.corner, written.scene.corner
     assert 1e-7 < np.linalg.norm(found.vertex - true.vertex) < 0.001
     assert np.min(np.sum(found.legs * true.legs, axis=1)) > 0.99999
-    for angle in cloud.corner.angles:
+    for angle in cloud.corner.scene.angles:
         assert 1e-6 < abs(angle.angle_deg - 90) < 0.05
 
 

@@ -1,0 +1,43 @@
+"""How flat a face is: the smooth part of its points' distances from a plane, which single matches' scatter hides."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Floats, Ints, biweight, influence_on, robust_covariance
+from calib.pointcloud import Plane
+from calib.refinement import CUBIC, monomials
+
+_LINEAR = 3
+
+
+@dataclass(frozen=True)
+class PlaneForm:
+    """Distances of points from a plane as a sum of modes that are orthonormal in the mean over the points.
+
+    The modes are quadratic and cubic in the image, and orthogonal to any tilt or shift of the plane. `amplitudes` (K,)
+    with their `covariance` (K, K) as far as the scatter goes, and `influence` (K, N): how they follow the points.
+    """
+
+    amplitudes: Floats
+    covariance: Floats
+    influence: Floats
+
+    @property
+    def deviation(self) -> float:
+        """Root mean square of the smooth part of the distances."""
+        return float(np.linalg.norm(self.amplitudes))
+
+
+def plane_form(plane: Plane, camera_px: Floats, cluster: Ints) -> PlaneForm:
+    """Of the points that a plane was fitted to, seen at pixels (N, 2), errors being alike in each `cluster` (N,)."""
+    terms = monomials(camera_px)[:, _LINEAR:CUBIC]
+    basis, _ = np.linalg.qr(np.column_stack([plane.jacobian, terms]))
+    # Plane and form are fitted together: under the points' weights they are not quite orthogonal.
+    modes = np.sqrt(len(camera_px)) * basis
+    weighted = biweight(plane.residual)[:, None] * modes
+    amplitudes = np.linalg.lstsq(weighted.T @ modes, weighted.T @ plane.residual, rcond=None)[0]
+    left = plane.residual - modes @ amplitudes
+    form = slice(_LINEAR, None)
+    covariance = robust_covariance(modes, left, cluster)[form, form]
+    return PlaneForm(amplitudes[form], covariance, influence_on(modes, left)[form])

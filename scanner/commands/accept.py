@@ -1,0 +1,57 @@
+"""Test the scanner with a calibrated ball bar."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from scanner.errors import InputError
+from scanner.io import new_file, refuse_existing
+from scanner.measuring import (
+    ACCEPTANCE_FILE,
+    ACCEPTANCE_PAGE,
+    Acceptance,
+    Error,
+    errors_of,
+    parse_ball_bar,
+    read_scene,
+    remarks,
+    summary_table,
+    write_acceptance,
+    write_acceptance_page,
+)
+from scanner.results import beside, read_finished_scan
+from scanner.ui import Terminal
+
+
+def run(args: Namespace) -> None:
+    """Do the work. Raises InputError, NoMeasurementError."""
+    terminal = Terminal(quiet=args.quiet)
+    out = args.out or beside(args.results[0], "-accepted")
+    for name in (ACCEPTANCE_FILE, ACCEPTANCE_PAGE):
+        refuse_existing(out / name, overwrite=args.overwrite)
+    acceptance = _accept(args.results, args.ball_bar, terminal)
+    with new_file(out / ACCEPTANCE_FILE, overwrite=args.overwrite) as path:
+        write_acceptance(path, acceptance)
+    with new_file(out / ACCEPTANCE_PAGE, overwrite=args.overwrite) as path:
+        write_acceptance_page(path, acceptance)
+    terminal.show(*dict.fromkeys(acceptance.sentences), summary_table(acceptance))
+    for remark in remarks(acceptance):
+        terminal.show(f"Note: {remark}")
+    terminal.show(f"Written: {out} ({ACCEPTANCE_PAGE}, {ACCEPTANCE_FILE})")
+
+
+def _accept(results: list[Path], ball_bar: str, terminal: Terminal) -> Acceptance:
+    errors: list[Error] = []
+    sentences, unit, bar = [], "", None
+    for result in results:
+        with terminal.step(f"Measuring {result}"):
+            scan = read_finished_scan(result)
+            if unit not in ("", scan.unit):
+                raise InputError(f"{result}: its unit is {scan.unit}, that of {results[0]} {unit}: give one kind")
+            unit = scan.unit
+            bar = parse_ball_bar(ball_bar, unit)
+            scene = read_scene(result, scan.calibration)
+            errors += errors_of(str(result), scan, scene, bar)
+            sentences.append(scene.sentence)
+    if bar is None:
+        raise InputError("expected at least one result")
+    return Acceptance(unit, bar, tuple(errors), tuple(sentences))

@@ -1,0 +1,20 @@
+"""Motion during a capture: of the camera, of the projector, of something in the scene."""
+
+from scanner.decoding.motion.blame import blaming_motion, blaming_shifts, moved, remarks_on
+from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
+from scanner.decoding.motion.found import SUSPECTED_PX, MotionFound
+from scanner.decoding.motion.measure import measure_motion
+from scanner.decoding.motion.tile_sample import TileSample
+
+__all__ = [
+    "SUSPECTED_PX",
+    "CodeShift",
+    "MotionFound",
+    "TileSample",
+    "blaming_motion",
+    "blaming_shifts",
+    "measure_motion",
+    "moved",
+    "remarks_on",
+    "shifts_of_codes",
+]

@@ -1,0 +1,69 @@
+"""What is said of captures during which something moved."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from calib.refusal import RefusalError
+from scanner.decoding.motion.code_shift import CodeShift
+from scanner.decoding.motion.found import MotionFound
+from scanner.decoding.sequence_plan import SequencePlan
+from scanner.errors import InputError
+
+ADVICE = "Fasten what moved, let a projector warm up, keep away from the rig while it captures, and capture again."
+# Frames that were exchanged contradict each other in ways that hardly any motion explains.
+_EXPLAINED = 0.75
+
+
+@contextmanager
+def blaming_motion(motion: MotionFound | None) -> Iterator[None]:
+    """Frames that contradict each other in the block do so because something moved, if that explains it.
+
+    Raises RefusalError in the place of InputError.
+    """
+    try:
+        yield
+    except InputError as error:
+        if motion is not None and motion.significant and motion.explained > _EXPLAINED:
+            raise moved(motion) from error
+        raise
+
+
+@contextmanager
+def blaming_shifts(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Iterator[None]:
+    """Fringes that do not follow the codes in the block do so because something moved between them, if it did.
+
+    Raises RefusalError in the place of InputError.
+    """
+    try:
+        yield
+    except InputError as error:
+        if not shifts:
+            raise
+        raise _moved_before_fringes(plan, max(shifts, key=lambda shift: abs(shift.px))) from error
+
+
+def moved(motion: MotionFound) -> RefusalError:
+    """The refusal of a capture that this motion has spoilt."""
+    return RefusalError(f"{_capital(motion)}.", ADVICE)
+
+
+def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
+    codes = [frame for code in shift.axis.codes for frame in code.frames]
+    fringes = [frame for fringe in shift.axis.fringes for frame in fringe.frames]
+    return RefusalError(
+        f"Camera or projector moved: along {shift.axis.axis} by {abs(shift.px):.2g} projector pixels between "
+        f"{plan.name(min(codes))} and {plan.name(max(fringes))}, from the codes to the fringes.",
+        ADVICE,
+    )
+
+
+def remarks_on(motion: MotionFound | None) -> tuple[str, ...]:
+    """What a person should know of a motion that can be put up with."""
+    if motion is None or not motion.significant or motion.is_too_large:
+        return ()
+    return (f"{_capital(motion)}; that was taken back, and what may be left of it is part of the sigmas.",)
+
+
+def _capital(motion: MotionFound) -> str:
+    sentence = str(motion)
+    return sentence[0].upper() + sentence[1:]

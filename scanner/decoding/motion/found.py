@@ -1,0 +1,118 @@
+"""What was found of a motion of camera or projector during a capture, and what it did to the coordinates."""
+
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+
+from calib.numerics import Floats
+from calib.refinement import Shifts
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
+
+# More than this breaks fringes, so that single matches err; of a slow motion, each fringe sees a part only.
+_LARGEST_BUMP_PX = 0.35
+_LARGEST_DRIFT_PX = 3.0
+# A device counts as moved if its motion is this share of the other's.
+_BOTH = 0.5
+# What is taken back is known to this share of itself.
+_REMAINDER = 0.1
+# What a motion between the axes would cost is told for one of this size.
+SUSPECTED_PX = 0.3
+_ROWS = 64
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Motions of the devices that x and y have taken part in, (2, 8), each as in `rigid`; sizes are (width, height)."""
+
+    motions: Floats
+    camera_size: tuple[int, int]
+    projector_size: tuple[int, int]
+
+    def shifts(self, camera_px: Floats, projector_px: Floats, gradient: Floats) -> Floats:
+        """By how much it has shifted the coordinates of matches (N, 2), (N, 2), against each other.
+
+        `gradient` (N, 2, 2): of the projector's coordinates (rows) by camera x and y.
+        """
+        by_motion = shifts_by_motion(camera_px, projector_px, gradient, self.camera_size, self.projector_size)
+        shifts: Floats = np.einsum("nac,ac->na", by_motion, self.motions)
+        return shifts
+
+    def times(self, factor: float) -> "Disturbance":
+        """The same, so many times as far."""
+        return replace(self, motions=factor * self.motions)
+
+    def less(self, other: "Disturbance") -> "Disturbance":
+        """What one is beyond the other."""
+        return replace(self, motions=self.motions - other.motions)
+
+    def take_back(self, projector_px: Floats32) -> None:
+        """Undo it in a map of the projector's coordinates (H, W, 2), as far as their gradient is known."""
+        height, width, _ = projector_px.shape
+        before = np.pad(projector_px, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        for top in range(0, height, _ROWS):
+            rows = slice(top, min(top + _ROWS, height))
+            around = before[rows.start : rows.stop + 2]
+            by_x, by_y = around[1:-1, 2:] - around[1:-1, :-2], around[2:, 1:-1] - around[:-2, 1:-1]
+            gradient = np.nan_to_num(np.stack([by_x, by_y], axis=3) / 2).reshape(-1, 2, 2)
+            y, x = np.mgrid[rows, :width]
+            camera_px = np.stack([x.reshape(-1), y.reshape(-1)], axis=1)
+            here = projector_px[rows].reshape(-1, 2).astype(np.float64)
+            projector_px[rows] -= self.shifts(camera_px, here, gradient).reshape(-1, width, 2)
+
+
+@dataclass(frozen=True)
+class MotionFound:
+    """The motion that explains the fringes of a capture best, by `motion` (8,), as in `rigid`.
+
+    `significant`: it is more than what is found at rest. `slow`: even, all the time; else at once, between the frames
+    `first` and `last`. `size_px`: how far it moved the coordinates. `explained`: the share that it explains of what
+    contradicts rest. `shift`: by what it shifted x and y against each other; `others`: the same of courses that explain
+    it about as well. `witnessed`: a motion between the axes would have been seen.
+    """
+
+    motion: Floats
+    significant: bool
+    slow: bool
+    first: int
+    last: int
+    size_px: float
+    explained: float
+    shift: Disturbance
+    others: tuple[Disturbance, ...]
+    witnessed: bool
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether single matches can no longer be trusted."""
+        return self.significant and self.size_px > (_LARGEST_DRIFT_PX if self.slow else _LARGEST_BUMP_PX)
+
+    @property
+    def shifts(self) -> Shifts:
+        """By what the matches may be shifted: by what is left of a motion that was taken back."""
+        likely = []
+        if self.significant:
+            likely = [each.less(self.shift).times(1 / sqrt(len(self.others))) for each in self.others]
+            likely.append(self.shift.times(_REMAINDER))
+        possible = () if self.witnessed else unwitnessed(self.shift.camera_size, self.shift.projector_size)
+        return Shifts(tuple(each.shifts for each in likely), tuple(each.shifts for each in possible))
+
+    def __str__(self) -> str:
+        """In words, as in: the projector moved by 1.2 px between frames 18 and 24."""
+        projector, camera = (float(np.hypot(*part[:2])) for part in np.split(self.motion, [PER_DEVICE]))
+        moved = [
+            f"the {device} moved by {px:.2g} px"
+            for device, px, other in (("projector", projector, camera), ("camera", camera, projector))
+            if px >= _BOTH * other
+        ]
+        when = "slowly, from frame {} to {}" if self.slow else "between frames {} and {}"
+        return f"{' and '.join(moved)} {when.format(self.first, self.last)}"
+
+
+def unwitnessed(camera_size: tuple[int, int], projector_size: tuple[int, int]) -> tuple[Disturbance, ...]:
+    """What pans and tilts of either device do to the coordinates, if they come after x and before y."""
+    return tuple(
+        Disturbance(np.outer([0.0, SUSPECTED_PX], np.eye(2 * PER_DEVICE)[column]), camera_size, projector_size)
+        for column in (0, 1, PER_DEVICE, PER_DEVICE + 1)
+    )

@@ -1,0 +1,110 @@
+"""The pixels that motion is measured at: well lit, on smooth surfaces, with a rough coordinate along both axes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Bools, Floats, Ints
+from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.axis_signals import Signals, signals_of
+from scanner.decoding.gray_code import interval_of
+from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
+from scanner.decoding.noise_model import NoiseModel
+from scanner.decoding.sequence_plan import AxisPlan
+
+_MOST_PIXELS = 4_000
+_FEWEST_PIXELS = 300
+_FEWEST_IN_TILE = 30
+# A fringe counts from so many standard deviations on.
+_SEEN = 5.0
+_TRIMS = 2
+_MOST_OFF_SIGMAS = 3.5
+# A tile across an edge, or of a round thing, is no plane: how far its pixels may be off in projector px.
+_MOST_ROUGH_PX = 0.7
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """P pixels by number (P,) in a `TileSample`, with the `tile` of each. `noise` (P,): variance of their grey levels.
+
+    `projector_px` (P, 2): by the longest fringes. `gradient` (P, 2, 2): of these by camera x and y.
+    """
+
+    number: Ints
+    tile: Ints
+    camera_px: Floats
+    projector_px: Floats
+    gradient: Floats
+    noise: Floats
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+
+def choose_pixels(accumulators: Accumulators, tiles: TileSample, noise: NoiseModel, saturation: float) -> Pixels | None:
+    """Some pixels of the tiles; None where too few are fit for it, or a coordinate is not known without the others."""
+    if not tiles.count or not all(axis.fringes for axis in accumulators.plan.axes):
+        return None
+    signals = tuple(signals_of(accumulators, lambda image: tiles.of(image)[None]))
+    usable = np.asarray(signals[0].peak < saturation)
+    coordinates = []
+    for axis, of_axis in zip(accumulators.plan.axes, signals, strict=True):
+        coordinate, seen = _rough_coordinate(axis, of_axis, noise)
+        if coordinate is None:
+            return None
+        coordinates.append(coordinate)
+        usable &= seen
+    projector_px = np.stack(coordinates, axis=1)
+    planes, usable = _planes(tiles, projector_px, usable)
+    number = np.flatnonzero(usable)
+    if len(number) < _FEWEST_PIXELS:
+        return None
+    number = number[np.linspace(0, len(number) - 1, min(len(number), _MOST_PIXELS)).astype(np.int64)]
+    return Pixels(
+        number,
+        tiles.tile[number],
+        tiles.camera_px[number],
+        projector_px[number],
+        planes[tiles.tile[number]][:, 1:].transpose(0, 2, 1),
+        noise.variance(signals[0].middle[number]).astype(np.float64),
+    )
+
+
+def _rough_coordinate(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> tuple[Floats | None, Bools]:
+    """The coordinate (P,) by the longest fringe in the Gray code's cell, and where all fringes are seen."""
+    variance = noise.variance(signals.middle)
+    seen = np.ones(len(variance), np.bool_)
+    for number, fringe in enumerate(axis.fringes):
+        cosine, sine = signals.fringe(number)
+        seen &= cosine**2 + sine**2 > _SEEN**2 * fringe.noise_gain**2 * variance
+    period = axis.fringes[0].period
+    if not axis.codes:
+        if period < axis.length:
+            return None, seen
+        centre = np.full(len(variance), period / 2)
+    else:
+        interval = interval_of(axis, signals.words, len(variance))
+        seen &= interval.possible
+        centre = interval.centre.astype(np.float64)
+    cosine, sine = signals.fringe(0)
+    position = np.arctan2(sine, cosine).astype(np.float64) * period / (2 * np.pi)
+    return position + period * np.rint((centre - position) / period), seen
+
+
+def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Floats, Bools]:
+    """Planes (tiles, 3, 2) through the coordinates of each tile: offset, slopes by camera x and y; and the pixels that
+    are on them.
+    """
+    offset = tiles.camera_px[: TILE_PX**2] - tiles.camera_px[: TILE_PX**2].mean(axis=0)
+    terms = np.concatenate([np.ones((TILE_PX**2, 1)), offset], axis=1)  # of every tile alike
+    seen, on = projector_px.reshape(tiles.count, TILE_PX**2, 2), usable.reshape(tiles.count, TILE_PX**2)
+    fit = on
+    for _ in range(_TRIMS + 1):
+        weighted = terms.T * fit[:, None, :]
+        planes: Floats = np.linalg.solve(weighted @ terms + 1e-9 * np.eye(3), weighted @ seen)
+        off = np.linalg.norm(seen - terms @ planes, axis=2)
+        count = np.maximum(np.count_nonzero(fit, axis=1), 1)
+        rough = np.sqrt(np.sum(fit * off**2, axis=1) / count)
+        fit = on & (off <= np.maximum(_MOST_OFF_SIGMAS * rough, 1e-3)[:, None])
+    smooth = (rough < _MOST_ROUGH_PX) & (count >= _FEWEST_IN_TILE)
+    return planes, (fit & smooth[:, None]).reshape(-1)

@@ -1,0 +1,104 @@
+"""Acceptance with a ball bar after VDI/VDE 2634 part 2 (2012), with what ISO 10360-13 (2021) does otherwise.
+
+Probing error: form PF is the range of the points' distances from the best-fit sphere, size PS its diameter less the
+calibrated one. Sphere-spacing error SD is the distance of two spheres' centres less the calibrated one. Flatness
+measurement error F is the range of points' distances from the best-fit plane. PF and F leave out 0.3 % of the points;
+the form errors of ISO 10360-13 (Form.Sph.D95%, Form.Pla.D95%) leave out 5 %.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.diagnostics import Budget
+from scanner.errors import InputError
+from scanner.measuring.measure import measure
+from scanner.measuring.measurements import FitErrors, Scene
+from scanner.quantities import parse_length
+from scanner.results import FinishedScan
+
+# Placements that VDI/VDE 2634 part 2 asks for: spheres for probing errors, lines for spacing, planes for flatness.
+PROBING_PLACEMENTS, SPACING_PLACEMENTS, FLATNESS_PLACEMENTS = 10, 7, 6
+# Points that may be left out as outliers; beyond that the standard's form error is larger than what is told here.
+ALLOWED_STRAYS = 0.003
+_DISPERSION = 0.95
+
+
+@dataclass(frozen=True)
+class BallBar:
+    """Calibrated diameters of the two spheres and the distance of their centres."""
+
+    diameters: tuple[float, float]
+    length: float
+
+
+@dataclass(frozen=True)
+class Error:
+    """One error: `value` is measured less calibrated, or a range, which nothing but the scanner and the artefact cause.
+
+    `quantity`: PF, PS, SD or F; `of`: what it was measured on; `placement`: the result's name. `budget`: of the
+    measured value, None for ranges. `dispersion`: for ranges, the one that 95 % of the points are within. `strays`:
+    share of the points that were left out before.
+    """
+
+    quantity: str
+    placement: str
+    of: str
+    value: float
+    budget: Budget | None = None
+    dispersion: float | None = None
+    strays: float = 0.0
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """All errors of all placements, in `unit`, with how well lengths are known by each result itself."""
+
+    unit: str
+    ball_bar: BallBar
+    errors: tuple[Error, ...]
+    sentences: tuple[str, ...]
+
+    def of(self, quantity: str) -> tuple[Error, ...]:
+        """The errors of one kind."""
+        return tuple(error for error in self.errors if error.quantity == quantity)
+
+    def worst(self, quantity: str) -> Error | None:
+        """The largest of a kind, which is the one that counts; None if there is none."""
+        return max(self.of(quantity), key=lambda error: abs(error.value), default=None)
+
+
+def parse_ball_bar(text: str, unit: str) -> BallBar:
+    """'50.02mm,50.01mm,200.13mm', or three numbers in `unit`. Raises InputError."""
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise InputError(
+            f"--ball-bar {text}: expected two diameters and the distance of the centres, as in 50.02mm,50.01mm,200.13mm"
+        )
+    first, second, length = (parse_length(part, unit) for part in parts)
+    if length <= (first + second) / 2:
+        raise InputError(
+            f"--ball-bar {text}: spheres whose centres are {length:g} {unit} apart would overlap: the distance comes "
+            "last, and diameters are not radii"
+        )
+    return BallBar((first, second), length)
+
+
+def errors_of(name: str, scan: FinishedScan, scene: Scene, ball_bar: BallBar) -> tuple[Error, ...]:
+    """Of one placement. Raises NoMeasurementError if a sphere is not found."""
+    measured = measure(scan, scene, list(ball_bar.diameters), [])
+    found: list[Error] = []
+    for number, (sphere, nominal) in enumerate(zip(measured.spheres, ball_bar.diameters, strict=True), start=1):
+        of, points = f"sphere {number}", len(sphere.errors.residual)
+        share = sphere.strays / (points + sphere.strays)
+        found.append(_form("PF", name, of, sphere.errors, share))
+        found.append(Error("PS", name, of, sphere.diameter - nominal, sphere.diameter_budget))
+    (spacing,) = measured.distances
+    found.append(Error("SD", name, "spheres 1 and 2", spacing.distance - ball_bar.length, spacing.budget))
+    found += [_form("F", name, f"face {face.name}", face.errors, 0.0) for face in measured.faces]
+    return tuple(found)
+
+
+def _form(quantity: str, name: str, of: str, errors: FitErrors, strays: float) -> Error:
+    low, high = np.quantile(errors.residual, ((1 - _DISPERSION) / 2, (1 + _DISPERSION) / 2))
+    return Error(quantity, name, of, errors.form, None, float(high - low), strays)

@@ -1,0 +1,121 @@
+"""An acceptance as a table on the terminal, as `acceptance.json` and as a page."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from rich.table import Table
+
+from scanner.measuring.acceptance import (
+    ALLOWED_STRAYS,
+    FLATNESS_PLACEMENTS,
+    PROBING_PLACEMENTS,
+    SPACING_PLACEMENTS,
+    Acceptance,
+    Error,
+)
+from scanner.measuring.table import empty_table
+from scanner.quantities import ShownUnit, percent, shown_unit
+
+ACCEPTANCE_FILE, ACCEPTANCE_PAGE = "acceptance.json", "acceptance.html"
+_FORMAT = 1
+NAMES = {
+    "PF": ("Probing error, form", PROBING_PLACEMENTS),
+    "PS": ("Probing error, size", PROBING_PLACEMENTS),
+    "SD": ("Sphere-spacing error", SPACING_PLACEMENTS),
+    "F": ("Flatness measurement error", FLATNESS_PLACEMENTS),
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One error, or the largest of a kind, as text: what it is, its cells, and what is to be minded."""
+
+    name: str
+    cells: tuple[str, ...]
+
+
+def summary(acceptance: Acceptance) -> Iterator[Row]:
+    """For each kind of error: the largest, where it was, and how many there are of how many the standard asks for."""
+    unit = shown_unit(acceptance.unit)
+    for quantity, (name, wanted) in NAMES.items():
+        worst = acceptance.worst(quantity)
+        if worst is not None:
+            count = len(acceptance.of(quantity))
+            cells = (_value(worst, unit), _sigma(worst, unit), f"{count} of {wanted}")
+            yield Row(f"{quantity}: {name}", cells)
+
+
+def rows(acceptance: Acceptance, quantity: str) -> Iterator[Row]:
+    """Each error of one kind."""
+    unit = shown_unit(acceptance.unit)
+    for error in acceptance.of(quantity):
+        over = "" if error.budget is None or not error.budget.sigma else f"{error.value / error.budget.sigma:+.1f}"
+        dispersion = "" if error.dispersion is None else unit.error(error.dispersion)
+        cells = (_value(error, unit), _sigma(error, unit), over.replace("-", "−"), dispersion)
+        yield Row(f"{error.placement}, {error.of}", cells)
+
+
+def remarks(acceptance: Acceptance) -> Iterator[str]:
+    """What keeps this from being the standard's test."""
+    few = [
+        f"{name.lower()} {len(acceptance.of(quantity))} of {wanted}"
+        for quantity, (name, wanted) in NAMES.items()
+        if len(acceptance.of(quantity)) < wanted
+    ]
+    if few:
+        yield f"Fewer placements than VDI/VDE 2634 part 2 asks for: {', '.join(few)}."
+    strays = max((error.strays for error in acceptance.errors), default=0.0)
+    if strays > ALLOWED_STRAYS:
+        yield (
+            f"On a sphere {percent(strays)} of the points were left out as strays, where the standard allows 0.3 %: "
+            "they are of what stands before or behind its rim, or PF is larger than told."
+        )
+    if acceptance.of("F"):
+        yield "F was measured on the faces of the corner: their own unevenness is in it. A flat of its own is the test."
+    yield "Spheres and planes were fitted with Tukey's weights, which in clean points are least squares."
+
+
+def _value(error: Error, unit: ShownUnit) -> str:
+    return unit.error(error.value, signed=error.budget is not None)
+
+
+def _sigma(error: Error, unit: ShownUnit) -> str:
+    return "" if error.budget is None else f"± {unit.error(error.budget.sigma)}"
+
+
+def summary_table(acceptance: Acceptance) -> Table:
+    """The largest errors, for the terminal."""
+    table = empty_table("Acceptance after VDI/VDE 2634 part 2", "largest", "sigma of it", "measured")
+    for row in summary(acceptance):
+        table.add_row(f"  {row.name}", *row.cells)
+    return table
+
+
+def write_acceptance(path: Path, acceptance: Acceptance) -> None:
+    """All errors for other programs. Raises OSError."""
+    document = {"format": _FORMAT, **asdict(acceptance)}
+    path.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def write_acceptance_page(path: Path, acceptance: Acceptance) -> None:
+    """The page; it needs no network and no other file. Raises OSError."""
+    environment = Environment(
+        loader=PackageLoader("scanner"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    unit = shown_unit(acceptance.unit)
+    page = environment.get_template("acceptance.html").render(
+        summary=list(summary(acceptance)),
+        kinds=[(f"{quantity}: {name}", list(rows(acceptance, quantity))) for quantity, (name, _) in NAMES.items()],
+        remarks=list(remarks(acceptance)),
+        sentences=list(dict.fromkeys(acceptance.sentences)),
+        diameters=[unit.length(diameter) for diameter in acceptance.ball_bar.diameters],
+        length=unit.length(acceptance.ball_bar.length),
+    )
+    path.write_text(page, encoding="utf-8")

@@ -1,0 +1,69 @@
+"""What errs in a scan besides single matches, and what that does to lengths: in one sentence, for every page."""
+
+from dataclasses import dataclass
+from math import floor, log10
+
+import numpy as np
+
+from calib.diagnostics import Budget, SystematicErrors, Uncertainty, length_in_the_middle
+from calib.geometry import Calibration
+from calib.numerics import Floats
+from scanner.quantities import UNKNOWN_UNIT, plain, shown_unit
+
+ONLY_SCATTER = (
+    "The calibration says nothing of its own covariance: the sigmas are of the matches only, their scatter and their "
+    "smooth errors."
+)
+
+
+@dataclass(frozen=True)
+class KnownLengths:
+    """How well lengths in the middle of a scene are known: `budget` is relative; `middle` (3,): where, in `unit`."""
+
+    budget: Budget
+    middle: Floats
+    unit: str
+    scale_sigma: float | None
+    anchor: str
+
+    @property
+    def sentence(self) -> str:
+        """'1 m in the middle of this scene is known to ± 0.4 mm', and what that takes as exact."""
+        if self.unit == UNKNOWN_UNIT:
+            share = 100 * self.budget.sigma
+            return (
+                f"Lengths in the middle of this scene are known to ± {_two_digits(share)} % relative to the baseline, "
+                "whose own length is not known."
+            )
+        shown = shown_unit(self.unit)
+        # The longest power of ten that is no longer than the scene is far away.
+        length = 10.0 ** floor(log10(shown.factor * float(np.linalg.norm(self.middle))))
+        whole = f"{length / 1000:g} m" if shown.name == "mm" and length >= 1000 else f"{length:g} {shown.name}"
+        exact = "" if self.scale_sigma else f", taking {self.anchor} that was given as exact"
+        known = _two_digits(self.budget.sigma * length)
+        return f"{whole} in the middle of this scene is known to ± {known} {shown.name}{exact}."
+
+
+def _two_digits(value: float) -> str:
+    return plain(value, max(0, 1 - floor(log10(value)))) if value > 0 else "0"
+
+
+def rig_errors(calibration: Calibration, uncertainty: Uncertainty | None) -> SystematicErrors:
+    """With the baseline as what fixes the scale."""
+    sigma = calibration.sigma.known_baseline or 0.0
+    return SystematicErrors.of(calibration, uncertainty, sigma / calibration.baseline)
+
+
+def known_lengths(points: Floats, errors: SystematicErrors) -> KnownLengths | None:
+    """Around the middle of points (N, 3); None where the calibration's covariance is not known, or without points."""
+    if not errors.known or not len(points):
+        return None
+    calibration = errors.calibration
+    to_corner = calibration.sigma.known_camera_to_corner
+    return KnownLengths(
+        length_in_the_middle(points, errors),
+        np.median(points, axis=0),
+        calibration.unit,
+        calibration.sigma.known_baseline if to_corner is None else to_corner,
+        "the baseline" if to_corner is None else "the distance from camera to corner",
+    )

@@ -1,0 +1,44 @@
+"""Captures during which something moved: refused, or with what may be left of it in their sigmas and notes."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from calib.refinement import Shifts
+from calib.self_calibration import SelfCalibration
+from scanner.decoding import SUSPECTED_PX, moved
+from scanner.results import Decoded
+
+# What is left of a motion may cost the intrinsics so much, one standard deviation.
+_MOST_PERCENT = 0.5
+
+
+def refuse_moved(capture: Decoded) -> None:
+    """Raise RefusalError if something moved so far during a capture that its matches cannot be trusted."""
+    motion = capture.decoding.motion if capture.decoding else None
+    if motion is not None and motion.is_too_large:
+        raise moved(motion)
+
+
+def refuse_costly(captures: Sequence[Decoded], solution: SelfCalibration) -> None:
+    """Raise RefusalError for the capture with the largest motion, if what is left of it costs the solution too much."""
+    if solution.likely_percent > _MOST_PERCENT:
+        motions = [capture.decoding.motion for capture in captures if capture.decoding and capture.decoding.motion]
+        raise moved(max(motions, key=lambda motion: motion.size_px))
+
+
+def shifts_of(capture: Decoded) -> Shifts:
+    """By what all matches of a capture may be shifted."""
+    motion = capture.decoding.motion if capture.decoding else None
+    return Shifts() if motion is None else motion.shifts
+
+
+def with_doubt(solution: SelfCalibration) -> SelfCalibration:
+    """The same with a note on what nobody can have seen, where there is such a thing."""
+    if not solution.possible_percent:
+        return solution
+    note = (
+        "All patterns along one axis came before those along the other, so a motion between them cannot be excluded: "
+        f"{SUSPECTED_PX:g} px would cost {solution.possible_percent:.2g} % of the intrinsics. Show a fringe of the "
+        "first axis again at the end to exclude it."
+    )
+    return replace(solution, notes=(*solution.notes, note))

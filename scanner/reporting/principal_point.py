@@ -1,0 +1,33 @@
+"""The price of an assumption: what an error of a principal point that was taken as known would cost."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.refinement import CAMERA, PROJECTOR
+from calib.self_calibration import SelfCalibration
+from scanner.quantities import plain
+
+_SHIFT_PX = 10.0
+
+
+@dataclass(frozen=True)
+class Price:
+    """`sentences` for a person, none if there was no such assumption; `per_px`: the larger focal's relative change."""
+
+    sentences: tuple[str, ...] = ()
+    per_px: float = 0.0
+
+
+def price_of_principal_point(solution: SelfCalibration | None) -> Price:
+    """What an error of a principal point that was taken as known would cost."""
+    if solution is None or solution.uncertainty is None or solution.uncertainty.by_principal_point is None:
+        return Price()
+    by_pixel = solution.uncertainty.by_principal_point[[CAMERA.start, PROJECTOR.start]]  # of log f
+    told = [
+        f"{_SHIFT_PX:g} px in {axis} would move the camera's focal length by {plain(100 * camera, 2, signed=True)} % "
+        f"and the projector's by {plain(100 * projector, 2, signed=True)} %"
+        for axis, (camera, projector) in zip("xy", _SHIFT_PX * by_pixel.T, strict=True)
+    ]
+    sentence = f"The camera's principal point was taken as known. Were it elsewhere: {'; '.join(told)}."
+    return Price((sentence,), float(np.linalg.norm(by_pixel, axis=1).max()))
