@@ -59,8 +59,8 @@ def _count_left_out(accumulators: Accumulators, fold: GrayFold, noise: NoiseMode
     served = [np.count_nonzero(at(one.least)[lit] > certain_from[lit]) / 4**count for count, one in enumerate(folds)]
     for count in range(int(np.argmax(served)), weak):
         try:
-            check_codes(accumulators.plan, [folds[count]], noise, accumulators.middle)
+            if not check_codes(accumulators.plan, [folds[count]], noise, accumulators.middle):
+                return count
         except InputError:
             continue
-        return count
     return weak

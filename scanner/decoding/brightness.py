@@ -15,7 +15,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Image
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.sequence_plan import Fringe
 
@@ -23,13 +23,17 @@ from scanner.decoding.sequence_plan import Fringe
 LEAST_DIFFERENCE = 0.015
 # The harmonic of as many cycles as a group has steps stays in its sum: relative to the fringe, at a gamma of 3.
 _HARMONICS = {2: 0.4, 3: 0.07}
-_MOST_MISTAKEN = 0.03
+# Gains that are unknown by more than this part of what they differ are not known; nor are any that are unknown by more
+# than the larger limit; the smaller one does no harm. Where few cycles are in view, gains explain what is fringe.
+_MOST_MISTAKEN_OF, _MOST_MISTAKEN = 0.25, (0.03, 0.1)
+# Each starts from frames that the one before made alike; a much darker frame is well known after the second.
+_GUESSES = 2
 _SIGNIFICANT = 5.0
-_BANDS = 32
+BANDS = 32
 _FEWEST_PER_BAND = 64
-_FEWEST_PIXELS = 1000
-# A pair of which one frame is brighter by so much has a sum that goes with its difference by as much.
-_STEADY = LEAST_DIFFERENCE / 2
+_FEWEST_PIXELS = 200
+# So many are enough for a few numbers.
+_MOST_PIXELS = 4096
 # What bands may leave of the squared residuals of one weight for all rows: chance leaves 0.99, uneven phases 0.95.
 _BANDED = 0.85
 # How far the weights of a band may well be from those of the whole frame.
@@ -49,7 +53,7 @@ _UNEXPLAINED = 0.8
 
 @dataclass(frozen=True)
 class Places:
-    """The `rows` (P,) of some pixels of an image of `height`."""
+    """The `rows` (P,), which rise, of some lit pixels of an image of `height`."""
 
     rows: NDArray[np.int64]
     height: int
@@ -85,28 +89,14 @@ class Gains:
         return result
 
 
-def gains_of_pair(levels: Floats32, common: Floats32, places: Places, lit: Bools) -> Gains:
-    """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,), at `lit` pixels."""
-    if _are_alike(levels, common, places):
-        return Gains(np.ones((2, 1)))
+def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
+    """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,)."""
     nothing = np.zeros((1, len(common)), np.float32)
-    return _gains([_weights(levels, common, places, nothing, lit, is_pair=True)])
+    return _gains([_weights(levels, common, places, nothing, is_pair=True)])
 
 
-def _are_alike(levels: Floats32, common: Floats32, places: Places) -> bool:
-    """Whether the sum of a pair goes with its difference nowhere, as it does in steady light: quickly told."""
-    total, difference = levels[0] + levels[1], levels[0] - levels[1]
-    rest = total - common * (float(common @ total) / max(float(common @ common), 1e-12))
-    bands = np.searchsorted(places.rows * _BANDS // places.height, np.arange(_BANDS))
-    if bands[-1] >= len(rest):
-        return False
-    products, squares = (np.add.reduceat(difference * other, bands) for other in (rest, difference))
-    whole = abs(float(products.sum())) / max(float(squares.sum()), 1e-12)
-    return whole < _STEADY and float(np.median(np.abs(products) / np.maximum(squares, 1e-12))) < 2 * _STEADY
-
-
-def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places, lit: Bools) -> Gains:
-    """Those of the steps (N, P) of a fringe in even steps around the `common` light (P,), at `lit` pixels.
+def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places) -> Gains:
+    """Those of the steps (N, P) of a fringe in even steps around the `common` light (P,).
 
     1 where few cycles are in view, so that the harmonics of a bent brightness curve could be taken for them.
     """
@@ -116,24 +106,26 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     groups = [order[first :: count // size] for first in range(count // size)]
     back = np.argsort(np.concatenate(groups))
     nothing = np.zeros((1, len(common)), np.float32)
-    guesses = [weights for weights, _ in (_weights(levels[g], common, places, nothing, lit) for g in groups)]
-    first = _gains([(weights, 0.0) for weights in guesses])
-    # The phases of frames that differ are not those of the fringe.
-    alike = (levels / first.of_rows[back].mean(axis=1, keepdims=True)).astype(np.float32)
+    # Neither phases nor variety of frames that differ are those of the fringe.
+    first, alike = Gains(np.ones((count, 1))), levels
+    for _ in range(_GUESSES):
+        guesses = [(_weights(alike[group], common, places, nothing, is_guess=True)[0], 0.0) for group in groups]
+        first = _gains(guesses, before=first)
+        alike = (levels / first.of_rows[back]).astype(np.float32)
     cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
     phase = np.arctan2(sine, cosine)
-    mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase[lit], size)
-    if mistaken > _MOST_MISTAKEN:
+    mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase, size)
+    if mistaken > np.clip(_MOST_MISTAKEN_OF * np.ptp(np.log(first.of_rows)), *_MOST_MISTAKEN):
         return Gains(np.ones((count, 1)))
     harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
-    found = _gains([_weights(levels[group], common, places, harmonic, lit) for group in groups], mistaken)
+    found = _gains([_weights(alike[group], common, places, harmonic) for group in groups], mistaken, first)
     return Gains(found.of_rows[back])
 
 
-def lit_by(swing: Floats32) -> Bools:
-    """Which pixels the patterns light up, from how much they change (P,)."""
-    lit: Bools = swing >= _LIT * np.quantile(swing, _BRIGHT)
-    return lit
+def lit_by(swing: Floats32) -> NDArray[np.intp]:
+    """Some of the pixels that the patterns light up, from how much they change (P,): places in it, which rise."""
+    lit = np.flatnonzero(swing >= _LIT * np.quantile(swing, _BRIGHT))
+    return lit[:: -(-len(lit) // _MOST_PIXELS)]
 
 
 def _unevenness(phase: Floats32, size: int) -> float:
@@ -148,10 +140,14 @@ def flicker_of(groups: Sequence[Gains]) -> float | None:
     return sqrt(squares / freedom) if freedom else None
 
 
-def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0) -> Gains:
-    """From weights (frames, rows or 1) of groups that share their light, and how wrong each and all of them may be."""
+def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0, before: Gains | None = None) -> Gains:
+    """From weights (frames, rows or 1) of groups that share their light, and how wrong each and all of them may be.
+
+    `before`: gains that were taken out of the frames already.
+    """
     rows = max(weights.shape[1] for weights, _ in found)
     weights = np.concatenate([np.broadcast_to(of_group, (len(of_group), rows)) for of_group, _ in found])
+    weights = weights if before is None else weights / before.of_rows
     if np.any(weights <= 0) or np.ptp(np.log(weights)) <= max(error for _, error in found) + mistaken:
         return Gains(np.ones((len(weights), 1)))
     logs = -np.log(weights)
@@ -159,12 +155,19 @@ def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0) -> Gain
 
 
 def _weights(
-    levels: Floats32, common: Floats32, places: Places, harmonic: Floats32, lit: Bools, *, is_pair: bool = False
+    levels: Floats32,
+    common: Floats32,
+    places: Places,
+    harmonic: Floats32,
+    *,
+    is_pair: bool = False,
+    is_guess: bool = False,
 ) -> tuple[Floats, float]:
     """(frames, rows of the image or 1), and how far they may be from the truth: infinitely if the pixels do not tell.
 
     The mean of the frames is explained by the common light and the frames' distances from it. So what else is in the
-    mean, as `harmonic` (terms, P) of a bent brightness curve or lost light, is left over and pulls at nothing.
+    mean, as `harmonic` (terms, P) of a bent brightness curve or lost light, is left over and pulls at nothing. A guess
+    is the same for all rows, and is given even if the pixels do not tell.
     """
     count = len(levels)
     scale = 1 / np.maximum(common, np.float32(_FAINT * float(np.median(common)) + 1e-3))
@@ -172,9 +175,11 @@ def _weights(
     design: Floats = (np.concatenate([common[None], levels - mean]) * scale).T.astype(np.float64)
     target: Floats = (mean * scale).astype(np.float64)
     largest = levels.max(axis=0)
-    chosen = lit & (largest < _SATURATED * largest.max())
+    chosen = largest < _SATURATED * largest.max()
     seen = design[chosen]
-    if len(seen) < _FEWEST_PIXELS or _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < _LEAST_VARIETY:
+    if len(seen) < _FEWEST_PIXELS:
+        return np.ones((count, 1)), inf
+    if not is_guess and _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < _LEAST_VARIETY:
         return np.ones((count, 1)), inf
     for _ in range(2):
         terms = _least_squares(design[chosen], target[chosen])
@@ -189,10 +194,11 @@ def _weights(
     # Noise in what explains draws its weights together: a share of them as large as it is next to what it explains.
     spread = np.linalg.eigvalsh(design.T @ design / len(left))[1]
     error = count * _SIGNIFICANT * sqrt(noise / (spread * len(left))) + 2 * noise / spread
-    bands = _bands(design, left, rows * _BANDS // places.height, noise)
+    bands = None if is_guess else _bands(design, left, noise)
     if bands is None:
         return _weights_from(terms[:, None]), error
-    centres = (np.arange(_BANDS) + 0.5) * places.height / _BANDS - 0.5
+    starts = _starts(len(rows))
+    centres = np.add.reduceat(rows, starts) / np.diff(starts, append=len(rows))
     every_row = np.arange(places.height)
     return _weights_from(np.array([np.interp(every_row, centres, term) for term in (terms + bands).T])), error
 
@@ -210,13 +216,15 @@ def _weights_from(terms: Floats) -> Floats:
     return weights
 
 
-def _bands(design: Floats, left: Floats, band: NDArray[np.int64], noise: float) -> Floats | None:
-    """How far the terms of each band of rows are from those of all (bands, terms); None if they are not, or unknown.
+def _starts(count: int) -> NDArray[np.int64]:
+    """Where bands of as many pixels each begin, of pixels row by row; the projector may light up a part of them."""
+    return np.arange(BANDS) * count // BANDS
 
-    `band` (P,) rises.
-    """
-    starts = np.searchsorted(band, np.arange(_BANDS))
-    counts = np.diff(np.append(starts, len(band)))
+
+def _bands(design: Floats, left: Floats, noise: float) -> Floats | None:
+    """How far the terms of each band of rows are from those of all (bands, terms); None if they are not, or unknown."""
+    starts = _starts(len(left))
+    counts = np.diff(starts, append=len(left))
     if counts.min() < _FEWEST_PER_BAND:
         return None
     squares = np.add.reduceat(design[:, :, None] * design[:, None, :], starts)

@@ -14,6 +14,7 @@ import numpy as np
 from calib.numerics import Bools, Image, Ints, compiled
 from scanner.decoding.accumulators import GrayFold
 from scanner.decoding.arrays import Words
+from scanner.decoding.frame_checks import Oddity
 from scanner.decoding.gray_code import cell_numbers
 from scanner.decoding.lines import lines_of
 from scanner.decoding.noise_model import NoiseModel
@@ -66,11 +67,12 @@ class _Changes:
         return _Changes(repair(self.before), repair(self.after), self.bit)
 
 
-def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel, middle: Image) -> None:
-    """Raise InputError if the bits of a Gray code do not follow each other as they must.
+def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel, middle: Image) -> list[Oddity]:
+    """Where the bits of a Gray code do not follow each other as they must.
 
-    `middle` (H, W): grey level half-way between lit and unlit.
+    `middle` (H, W): grey level half-way between lit and unlit. Raises InputError if they do once bits are exchanged.
     """
+    found = []
     bases = {(fold.code.axis, fold.code.cell, fold.code.offset) for fold in folds if fold.code.base is not None}
     for fold in folds:
         changes = _changes(fold, noise, middle)
@@ -84,10 +86,12 @@ def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel
         if bits:
             # Whether two cells are neighbours depends on the changing bit and on all finer ones.
             suspects = [frame for bit in range(min(bits), fold.code.bits) for frame in _frames_of(fold.code, bit)]
-            raise InputError(
+            said = (
                 f"in the Gray code along {fold.code.axis}, cells that differ in bit {', '.join(map(str, bits))} only "
                 f"are not neighbours, as they must be; was a frame exchanged with another? {plan.names(suspects)}"
             )
+            found.append(Oddity(said, tuple(suspects)))
+    return found
 
 
 def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> _Changes:

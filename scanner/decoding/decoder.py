@@ -5,7 +5,6 @@ to be chosen: noise, saturation and tolerances are measured from the capture.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -14,40 +13,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Calibration, Matches
-from calib.numerics import Bools, Floats, Image, compiled
+from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
-from scanner.decoding.arrays import Floats32
-from scanner.decoding.axis_decoder import AxisDecoder
-from scanner.decoding.axis_signals import signals_of
-from scanner.decoding.bit_resolution import resolve_bits
-from scanner.decoding.brightness import Gains, Places, flicker_of
-from scanner.decoding.code_cells import average_cells
-from scanner.decoding.code_checks import check_codes
-from scanner.decoding.connected_components import small_patches
 from scanner.decoding.consequences import judge, suspecting
-from scanner.decoding.coordinate_maps import Maps, coordinate_maps
-from scanner.decoding.equalise import STRIDE, PairEqualiser, correction, swings_of
+from scanner.decoding.coordinate_maps import coordinate_maps
+from scanner.decoding.equalise import PairEqualiser
 from scanner.decoding.exposure_fusion import ExposureMerger, exposures_of
-from scanner.decoding.frame_checks import Oddity, check_frames
-from scanner.decoding.map_checks import check_fringes, check_maps
+from scanner.decoding.frame_checks import Oddity
+from scanner.decoding.kept_matches import match_kept
+from scanner.decoding.learning import learn, look
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import (
-    CodeShift,
     MotionFound,
     TileSample,
     blaming_motion,
     blaming_shifts,
-    measure_motion,
     remarks_on,
-    shifts_of_codes,
 )
-from scanner.decoding.noise_model import NoiseModel, measure_noise, needs_neighbours
-from scanner.decoding.one_axis import OneAxis, one_axis
+from scanner.decoding.noise_model import NoiseModel, needs_neighbours
+from scanner.decoding.one_axis import one_axis
 from scanner.decoding.operator_advice import too_dark, warnings_of
 from scanner.decoding.pixel_sample import Sample
-from scanner.decoding.saturation_level import saturation_level
-from scanner.decoding.sequence_plan import SequencePlan, plan_sequence
-from scanner.decoding.tune import calibrated_decoders, modulation
+from scanner.decoding.sequence_plan import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
 
@@ -148,12 +135,12 @@ class Decoder:
         (accumulators, sample, tiles), self._held = self._held, None
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
-        seen = _look(accumulators, sample, tiles, self._projector_size)
+        seen = look(accumulators, sample, tiles, self._projector_size)
         del tiles
         oddities: list[Oddity] = []
         with blaming_motion(seen.motion):
             with suspecting(oddities):
-                learnt = _learn(accumulators, sample, seen, oddities)
+                learnt = learn(accumulators, sample, seen, oddities)
                 del sample
                 maps = coordinate_maps(accumulators, learnt.decoders)
                 if seen.motion is not None and seen.motion.significant and not seen.motion.is_too_large:
@@ -163,7 +150,7 @@ class Decoder:
                 del accumulators
             with blaming_shifts(plan, seen.code_shifts):
                 with suspecting(oddities):
-                    matches, reasons = _match(plan, maps, brightest, self._one_axis)
+                    matches, reasons = match_kept(plan, maps, brightest, self._one_axis)
                 odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
         darkness = too_dark(seen.levels, seen.noise)
         told = warnings_of(reasons, learnt.modulation, seen.flicker, darkness)
@@ -206,150 +193,3 @@ class Decoder:
 def _form(image: Image) -> str:
     colour = "BGR" if image.ndim == 3 else "grey"
     return f"{image.shape[1]} × {image.shape[0]} {colour}, {8 * image.itemsize} bits"
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken."""
-
-    levels: Floats32
-    noise: NoiseModel
-    saturation: float
-    flicker: float | None
-    motion: MotionFound | None
-    code_shifts: tuple[CodeShift, ...]
-    notes: tuple[str, ...]
-
-
-def _look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projector_size: tuple[int, int]) -> _Seen:
-    """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
-    accumulators.finish()
-    levels = sample.levels
-    flicker = _equalise(accumulators, sample, tiles)
-    saturation = saturation_level(accumulators.peak)
-    noise = measure_noise(accumulators.plan, sample, saturation)
-    notes = tuple(resolve_bits(accumulators, noise, sample.pixels))
-    motion = measure_motion(accumulators, tiles, noise, saturation, projector_size)
-    return _Seen(levels, noise, saturation, flicker, motion, shifts_of_codes(accumulators, tiles, noise), notes)
-
-
-def _equalise(accumulators: Accumulators, sample: Sample, tiles: TileSample) -> float | None:
-    """Make frames of different brightness alike, in the samples and for good; returns the flicker, None if unknown."""
-    plan, (height, width) = accumulators.plan, accumulators.brightest.shape
-    found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
-    few = sample.pixels[::STRIDE]
-    middle, brightest = (
-        image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
-    )
-    swings = swings_of(plan, sample.levels[:, ::STRIDE], Places(few // width, height))
-    for fold in accumulators.fringes:
-        if fold.fringe in swings:
-            gains, common = swings[fold.fringe]
-            found.append((fold.fringe.frames, gains))
-            if gains.matter:
-                fold.correction = correction(fold.fringe, gains, common, middle, brightest)
-    pairs = sample.levels[plan.complements].mean(axis=(1, 2)) if plan.complements else np.ones(1)
-    for frames, gains in found:
-        if gains.matter:
-            rows = sample.pixels // width
-            for frame, of_frame, of_tiles in zip(frames, gains.at(rows), gains.at(tiles.rows), strict=True):
-                sample.divide(frame, of_frame)
-                tiles.divide(plan.shown.index(frame), of_tiles)
-            if len(frames) == 2:  # which are as bright as other pairs are
-                brightness = np.mean([np.mean(sample.level(frame)) for frame in frames]) / np.median(pairs)
-                for frame in frames:
-                    sample.divide(frame, np.array([brightness]))
-    return flicker_of([gains for _, gains in found])
-
-
-@dataclass(frozen=True)
-class _Learnt:
-    """What a sample of the frames tells: how to decode every pixel, and `modulation` as of `Decoding`."""
-
-    decoders: tuple[AxisDecoder, AxisDecoder]
-    modulation: float | None
-
-
-def _learn(accumulators: Accumulators, sample: Sample, seen: _Seen, oddities: list[Oddity]) -> _Learnt:
-    """Check the frames, adding to the `oddities`, and learn tolerances from the sample. Raises InputError."""
-    plan = accumulators.plan
-    x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
-    thin = x, y
-    with ThreadPoolExecutor(1) as aside:
-        # What is wrong with the frames is said first, whatever comes of it here.
-        calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin)
-        oddities += check_frames(plan, seen.levels, sample.levels, seen.noise, seen.saturation)
-        check_codes(plan, accumulators.codes, seen.noise, accumulators.middle)
-        decoders = calibrating.result()
-        with blaming_shifts(plan, seen.code_shifts):
-            for decoder, signals in zip(decoders, thin, strict=True):
-                oddities += check_fringes(plan, decoder, signals)
-        accumulators.forget_contrasts()
-        return _Learnt(decoders, modulation(decoders, thin))
-
-
-def _match(
-    plan: SequencePlan, maps: Maps, brightest: Image, one_axis: OneAxis | None
-) -> tuple[Matches, NDArray[np.uint8]]:
-    """The matches, and for all pixels (H, W) the reason why they have none. Raises InputError; uses up the maps.
-
-    `brightest`: (H, W) grey.
-    """
-    reasons = maps.reason
-    if one_axis:
-        # What a calibration then masks speaks against the calibration, not against the frames.
-        check_maps(plan, maps, reasons == np.uint8(MaskReason.KEPT))
-        one_axis.complete(maps)
-    kept = reasons == np.uint8(MaskReason.KEPT)
-    if plan.fringes:
-        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
-    else:
-        if one_axis:
-            cells = one_axis.average_stripes(kept, maps, brightest)
-        else:
-            cells = average_cells(kept, maps.projector_px, maps.variance, brightest)
-        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=cells.rejected)
-    kept = reasons == np.uint8(MaskReason.KEPT)
-    if not one_axis:
-        check_maps(plan, maps, kept)
-    if plan.fringes:
-        return _pixel_matches(kept, maps), reasons
-    return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
-
-
-def _pixel_matches(kept: Bools, maps: Maps) -> Matches:
-    """The matches of `kept` pixels (H, W), row by row, in the memory of the maps.
-
-    Single precision is exact for the camera's pixels, and all that the maps have for the projector's.
-    """
-    count = int(np.count_nonzero(kept))
-    camera_px, projector_px = np.empty((count, 2), np.float32), maps.projector_px.reshape(-1, 2)
-    sigma_px = maps.variance.reshape(-1)
-    with ThreadPoolExecutor(1) as aside:
-        noted = aside.submit(_note_places, kept, camera_px)
-        _gather(kept.reshape(-1), projector_px, sigma_px)
-        noted.result()
-    return Matches(cast(Floats, camera_px), cast(Floats, projector_px[:count]), sigma_px=cast(Floats, sigma_px[:count]))
-
-
-@compiled
-def _note_places(kept: Bools, camera_px: Floats32) -> None:
-    """The columns and rows of the kept pixels."""
-    height, width = kept.shape
-    match = 0
-    for row in range(height):
-        for column in range(width):
-            if kept[row, column]:
-                camera_px[match, 0], camera_px[match, 1] = column, row
-                match += 1
-
-
-@compiled
-def _gather(kept: Bools, projector_px: Floats32, variance: Floats32) -> None:
-    """Move what belongs to the kept pixels (P, …) to the beginning, with the root of the variance in its place."""
-    match = 0
-    for pixel in range(len(kept)):
-        if kept[pixel]:
-            projector_px[match, 0], projector_px[match, 1] = projector_px[pixel, 0], projector_px[pixel, 1]
-            variance[match] = np.sqrt(variance[pixel])
-            match += 1

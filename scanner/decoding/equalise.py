@@ -5,20 +5,25 @@ two components are kept; what brighter and darker steps did to them is undone af
 which the fringe swings.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.numerics import Floats, Image, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.brightness import Gains, Places, gains_of_fringe, gains_of_pair, lit_by
+from scanner.decoding.brightness import BANDS, LEAST_DIFFERENCE, Gains, Places, gains_of_fringe, gains_of_pair, lit_by
 from scanner.decoding.medians import medians
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
-# Of the sample, one pixel in so many is enough for a few numbers.
-STRIDE = 4
+Levels = Image | Floats32
+# Which pixels are lit shows in the first pairs, even if one of them is odd.
+_TELLING_PAIRS = 3
 _PASSES = 3
+# A pair of which one frame is brighter by so much has a sum that goes with its difference by as much.
+_STEADY = LEAST_DIFFERENCE / 2
 
 
 class PairEqualiser:
@@ -30,36 +35,72 @@ class PairEqualiser:
     def __init__(self, plan: SequencePlan, sample: Sample, shape: tuple[int, int]) -> None:
         self.found: dict[tuple[int, int], Gains] = {}
         self._plan, self._sample = plan, sample
-        self._places = Places(sample.pixels[::STRIDE] // shape[1], shape[0])
-        self._total, self._pairs = np.zeros(len(self._places.rows), np.float32), 0
+        self._rows, self._height = sample.pixels // shape[1], shape[0]
+        self._total, self._pairs = np.zeros(len(self._rows), np.float32), 0
         self._swing = np.zeros_like(self._total)
+        self._lit = np.arange(0)
 
     def gains(self, pair: tuple[int, int]) -> Gains | None:
         """Those of two frames that are in the sample; None if they do not matter."""
-        levels = self._levels(pair)
+        first, second = (self._sample.level(frame) for frame in pair)
         if not self._pairs:
             self._begin_with_white_and_black()
-        found = None
-        if self._pairs:
-            common: Floats32 = self._total / np.float32(2 * self._pairs)
-            found = gains_of_pair(levels, common, self._places, lit_by(self._swing))
-            self.found[pair] = found
-            levels = (levels / found.at(self._places.rows)).astype(np.float32)
-        self._add(levels)
-        return found if found is not None and found.matter else None
+        if not self._pairs:
+            self._add(first, second)
+            return None
+        if _is_steady(first, second, self._total, self._lit):
+            self.found[pair] = Gains(np.ones((2, 1)))
+            self._add(first, second)
+            return None
+        common: Floats32 = self._total[self._lit] / np.float32(2 * self._pairs)
+        levels = np.stack([first, second], dtype=np.float32)
+        gains = gains_of_pair(levels[:, self._lit], common, Places(self._rows[self._lit], self._height))
+        self.found[pair] = gains
+        self._add(*(levels / gains.at(self._rows)).astype(np.float32))
+        return gains if gains.matter else None
 
     def _begin_with_white_and_black(self) -> None:
         white, black = self._plan.white, self._plan.black
         if white is not None and black is not None and self._sample.has(white, black):
-            self._add(self._levels((white, black)))
+            self._add(self._sample.level(white), self._sample.level(black))
 
-    def _levels(self, pair: tuple[int, int]) -> Floats32:
-        return np.stack([self._sample.level(frame)[::STRIDE] for frame in pair]).astype(np.float32)
-
-    def _add(self, levels: Floats32) -> None:
-        self._total += levels.sum(axis=0)
-        self._swing = np.maximum(self._swing, np.ptp(levels, axis=0))
+    def _add(self, first: Levels, second: Levels) -> None:
+        self._total += first
+        self._total += second
         self._pairs += 1
+        if self._pairs <= _TELLING_PAIRS:
+            self._swing = np.maximum(self._swing, np.abs(first.astype(np.float32) - second))
+            self._lit = lit_by(self._swing)
+
+
+def _is_steady(first: Levels, second: Levels, total: Floats32, lit: NDArray[np.intp]) -> bool:
+    """Whether the sum of a pair (P,) goes with its difference nowhere at `lit` pixels, as it does in steady light.
+
+    `total` (P,): of the pairs before. Quickly told: most pairs are.
+    """
+    products, squares = np.zeros(BANDS), np.full(BANDS, 1e-12)
+    _compare(first, second, total, lit, products, squares)
+    slopes = np.sort(np.abs(products) / squares)
+    return bool(abs(products.sum()) < _STEADY * squares.sum() and slopes[BANDS // 2] < 2 * _STEADY)
+
+
+@compiled
+def _compare(
+    first: Levels, second: Levels, total: Floats32, lit: NDArray[np.intp], products: Floats, squares: Floats
+) -> None:
+    """Add up, in bands of as many lit pixels each, the differences' squares, and their products with what the sums have
+    beside their share of the total.
+    """
+    along, of_total = 0.0, 1e-12
+    for pixel in lit:
+        along += total[pixel] * (np.float32(first[pixel]) + np.float32(second[pixel]))
+        of_total += total[pixel] * total[pixel]
+    share = along / of_total
+    for i in range(len(lit)):
+        one, other = np.float32(first[lit[i]]), np.float32(second[lit[i]])
+        band = i * len(products) // len(lit)
+        products[band] += (one - other) * (one + other - share * total[lit[i]])
+        squares[band] += (one - other) * (one - other)
 
 
 @dataclass(frozen=True)
@@ -100,21 +141,35 @@ def correction(fringe: Fringe, gains: Gains, common: Floats32, middle: Floats32,
 def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Fringe, tuple[Gains, Floats32]]:
     """Of each fringe in even steps: the gains of its steps, and the light around which it swings (P,).
 
-    `levels` (frames, P): of a sample. What a single fringe swings around, no other tells: then there are none.
+    `levels` (frames, P): of lit pixels. What a single fringe swings around, no other tells: then there are none.
     """
     even = [fringe for fringe in plan.fringes if fringe.equal_steps]
     if len(even) < 2:
         return {}
     found: dict[Fringe, tuple[Gains, Floats32]] = {}
-    lit = lit_by(np.ptp(levels, axis=0))
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
     # The light around which a fringe swings is known from the others: what is wrong with it there is wrong elsewhere.
     for _ in range(_PASSES):
         for number, fringe in enumerate(even):
             of_fringe, others = levels[list(fringe.frames)], means[:number] + means[number + 1 :]
-            gains = gains_of_fringe(fringe, of_fringe, medians(np.stack(others), axis=0), places, lit)
+            gains = gains_of_fringe(fringe, of_fringe, medians(np.stack(others), axis=0), places)
             means[number] = (of_fringe / gains.at(places.rows)).mean(axis=0).astype(np.float32)
             found[fringe] = gains, means[number]
         if not any(gains.matter for gains, _ in found.values()):
             break
     return found
+
+
+def out_of_line(
+    groups: Sequence[tuple[tuple[int, ...], bool]], sample: Sample
+) -> Iterator[tuple[tuple[int, ...], float]]:
+    """Yields groups of frames, made alike, that differ from the other pairs or fringes, and how many times brighter.
+
+    `groups`: the frames of pairs and fringes, and whether they differed. Those that did not are the measure, if any.
+    """
+    for kind in ([one for one in groups if len(one[0]) == 2], [one for one in groups if len(one[0]) > 2]):
+        means = np.array([np.mean([np.mean(sample.level(frame)) for frame in frames]) for frames, _ in kind])
+        differed = np.array([differ for _, differ in kind], np.bool_)
+        if differed.any():
+            usual = float(np.median(means if differed.all() else means[~differed]))
+            yield from ((kind[at][0], float(means[at]) / usual) for at in np.flatnonzero(differed))

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.light_switch import light_switch
 from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
@@ -104,11 +105,23 @@ def check_frames(
     if not found:
         return found
     made_alike = replace(shown, levels=alike[:, lit])
+    made_alike, switched = _in_one_light(plan, made_alike) if _contradictions(plan, made_alike) else (made_alike, [])
     proof = _exchange(plan, shown, made_alike, found) or _double(plan, shown, found)
     if proof:
         said = "; ".join([*(oddity.said for oddity in found), proof])
         raise InputError(f"the frames do not show what the capture says: {said}")
-    return _contradictions(plan, made_alike)
+    return [*switched, *_contradictions(plan, made_alike)]
+
+
+def _in_one_light(plan: SequencePlan, shown: _Shown) -> tuple[_Shown, list[Oddity]]:
+    """The same without light that was switched on or off, and that it was."""
+    switch = light_switch(plan, shown.levels, shown.swing, lambda levels: _contradiction(plan, levels, shown.swing))
+    if switch is None:
+        return shown, []
+    share = float(np.median(switch.light / shown.swing))
+    went = "on" if share > 0 else "off"
+    said = f"light of {abs(share):.0%} of the pattern's was switched {went} before {plan.name(switch.frame)}"
+    return replace(shown, levels=switch.undone(shown.levels)), [Oddity(said, (switch.frame,))]
 
 
 def _contradictions(plan: SequencePlan, shown: _Shown) -> list[Oddity]:

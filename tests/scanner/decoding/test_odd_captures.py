@@ -17,6 +17,7 @@ SCENE = Scene(camera=(400, 300), projector=(400, 260))
 BRIGHT_ROOM = replace(SCENE, exposure=60.0, ambient=70.0, black_level=0.03)
 STANDARD = sequence_for(SCENE.projector)
 CODE = sequence_for(SCENE.projector, shifts=0, cell=1)
+QUICK = sequence_for(SCENE.projector, inverses=False, periods=(12.3,))
 
 Change = Callable[[list[Image]], Sequence[np.ndarray]]
 
@@ -37,6 +38,18 @@ def lit_from_the_20th_on(frames: list[Image]) -> list[np.ndarray]:
 
 def the_10th_darker(frames: list[Image]) -> list[np.ndarray]:
     return [frame * (0.6 if number == 10 else 1.0) for number, frame in enumerate(frames)]
+
+
+def a_step_darker(frames: list[Image]) -> list[np.ndarray]:
+    return [*frames[:-2], 0.6 * frames[-2], frames[-1]]
+
+
+def lit_from_the_last_step_on(frames: list[Image]) -> list[np.ndarray]:
+    return [*frames[:-1], frames[-1] + 0.1 * frames[0]]
+
+
+def lit_in_all_but_white(frames: list[Image]) -> list[np.ndarray]:
+    return [frames[0], *(frame + 20.0 for frame in frames[1:])]
 
 
 def passed_by(frames: list[Image]) -> list[np.ndarray]:
@@ -64,7 +77,8 @@ class Case:
 
     def __str__(self) -> str:
         room = "bright room" if self.scene.ambient > self.scene.exposure else "dark room"
-        return f"{self.change.__name__}, {room}, {'fringes' if self.patterns is STANDARD else 'code'}"
+        sequence = {STANDARD: "standard", QUICK: "quick", CODE: "code"}[self.patterns]
+        return f"{self.change.__name__}, {room}, {sequence}"
 
 
 CASES = [
@@ -75,6 +89,9 @@ CASES = [
     Case(SCENE, STANDARD, lit_from_the_20th_on, 0.03, 0.99),
     Case(BRIGHT_ROOM, STANDARD, the_10th_darker, 0.12, 0.99),
     Case(BRIGHT_ROOM, CODE, the_10th_darker, 0.3, 0.4),
+    Case(BRIGHT_ROOM, QUICK, a_step_darker, 0.12, 0.99),
+    Case(SCENE, STANDARD, lit_from_the_last_step_on, 0.1, 0.99),
+    Case(SCENE, STANDARD, lit_in_all_but_white, 0.03, 0.99),
     Case(SCENE, STANDARD, passed_by, 0.03, 0.7),
     Case(SCENE, STANDARD, sharpened, 0.04, 0.99),
 ]
@@ -88,7 +105,7 @@ def test_an_odd_capture_decodes(case: Case) -> None:
     assert 0.005 < np.median(errors) < case.median
     assert np.mean(errors.max(axis=1) > 3) < 0.02
     assert np.mean(decoding.reasons[case.scene.well_lit()] == MaskReason.KEPT) > case.kept
-    if case.change in (flickering, banded, the_10th_darker):
+    if case.change in (flickering, banded, the_10th_darker, a_step_darker):
         assert any("brightness of the frames varies" in warning for warning in decoding.warnings)
     if case.change is passed_by:
         assert any("frame 6 (" in warning and "decoded all the same" in warning for warning in decoding.warnings)
@@ -102,3 +119,13 @@ def test_bits_that_are_not_resolved_are_left_out(scene: Scene) -> None:
     assert decoding.matches.sigma_px is not None
     ratio = scene.errors(decoding) / decoding.matches.sigma_px[:, None]
     assert 0.2 < np.median(np.abs(ratio)) < 1.0, "evenly spread over cells of two, and averaged over their pixels"
+
+
+def test_flicker_is_taken_out_where_the_picture_is_a_small_part_of_the_image() -> None:
+    frames = [np.rint(frame).astype(np.uint8) for frame in flickering(SCENE.frames(STANDARD))]
+    height, width = frames[0].shape
+    decoding = decode(STANDARD, [np.pad(f, ((height, height), (width, 2 * width))) for f in frames], SCENE.projector)
+    matches = replace(decoding.matches, camera_px=decoding.matches.camera_px - np.array([width, height]))
+    errors = np.abs(SCENE.errors(replace(decoding, matches=matches)))
+    assert 0.005 < np.median(errors) < 0.03
+    assert len(matches) > 100_000

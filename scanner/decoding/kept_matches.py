@@ -1,0 +1,85 @@
+"""The matches of the pixels that are kept, and why the others have none."""
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Matches
+from calib.numerics import Bools, Floats, Image, compiled
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.code_cells import average_cells
+from scanner.decoding.connected_components import small_patches
+from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.map_checks import check_maps
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.one_axis import OneAxis
+from scanner.decoding.sequence_plan import SequencePlan
+
+
+def match_kept(
+    plan: SequencePlan, maps: Maps, brightest: Image, one_axis: OneAxis | None
+) -> tuple[Matches, NDArray[np.uint8]]:
+    """The matches, and for all pixels (H, W) the reason why they have none. Raises InputError; uses up the maps.
+
+    `brightest`: (H, W) grey.
+    """
+    reasons = maps.reason
+    if one_axis:
+        # What a calibration then masks speaks against the calibration, not against the frames.
+        check_maps(plan, maps, reasons == np.uint8(MaskReason.KEPT))
+        one_axis.complete(maps)
+    kept = reasons == np.uint8(MaskReason.KEPT)
+    if plan.fringes:
+        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
+    else:
+        if one_axis:
+            cells = one_axis.average_stripes(kept, maps, brightest)
+        else:
+            cells = average_cells(kept, maps.projector_px, maps.variance, brightest)
+        np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=cells.rejected)
+    kept = reasons == np.uint8(MaskReason.KEPT)
+    if not one_axis:
+        check_maps(plan, maps, kept)
+    if plan.fringes:
+        return _pixel_matches(kept, maps), reasons
+    return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
+
+
+def _pixel_matches(kept: Bools, maps: Maps) -> Matches:
+    """The matches of `kept` pixels (H, W), row by row, in the memory of the maps.
+
+    Single precision is exact for the camera's pixels, and all that the maps have for the projector's.
+    """
+    count = int(np.count_nonzero(kept))
+    camera_px, projector_px = np.empty((count, 2), np.float32), maps.projector_px.reshape(-1, 2)
+    sigma_px = maps.variance.reshape(-1)
+    with ThreadPoolExecutor(1) as aside:
+        noted = aside.submit(_note_places, kept, camera_px)
+        _gather(kept.reshape(-1), projector_px, sigma_px)
+        noted.result()
+    return Matches(cast(Floats, camera_px), cast(Floats, projector_px[:count]), sigma_px=cast(Floats, sigma_px[:count]))
+
+
+@compiled
+def _note_places(kept: Bools, camera_px: Floats32) -> None:
+    """The columns and rows of the kept pixels."""
+    height, width = kept.shape
+    match = 0
+    for row in range(height):
+        for column in range(width):
+            if kept[row, column]:
+                camera_px[match, 0], camera_px[match, 1] = column, row
+                match += 1
+
+
+@compiled
+def _gather(kept: Bools, projector_px: Floats32, variance: Floats32) -> None:
+    """Move what belongs to the kept pixels (P, …) to the beginning, with the root of the variance in its place."""
+    match = 0
+    for pixel in range(len(kept)):
+        if kept[pixel]:
+            projector_px[match, 0], projector_px[match, 1] = projector_px[pixel, 0], projector_px[pixel, 1]
+            variance[match] = np.sqrt(variance[pixel])
+            match += 1

@@ -1,0 +1,125 @@
+"""What a sample of the frames tells before pixels are decoded: noise, light, motion, tolerances, and what is odd."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.axis_decoder import AxisDecoder
+from scanner.decoding.axis_signals import signals_of
+from scanner.decoding.bit_resolution import resolve_bits
+from scanner.decoding.brightness import Gains, Places, flicker_of, lit_by
+from scanner.decoding.code_checks import check_codes
+from scanner.decoding.equalise import correction, out_of_line, swings_of
+from scanner.decoding.frame_checks import Oddity, check_frames
+from scanner.decoding.map_checks import check_fringes
+from scanner.decoding.motion import (
+    CodeShift,
+    MotionFound,
+    TileSample,
+    blaming_shifts,
+    measure_motion,
+    shifts_of_codes,
+)
+from scanner.decoding.noise_model import NoiseModel, measure_noise
+from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.saturation_level import saturation_level
+from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.tune import calibrated_decoders, modulation
+from scanner.errors import InputError
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken."""
+
+    levels: Floats32
+    noise: NoiseModel
+    saturation: float
+    flicker: float | None
+    motion: MotionFound | None
+    code_shifts: tuple[CodeShift, ...]
+    notes: tuple[str, ...]
+
+
+def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projector_size: tuple[int, int]) -> Seen:
+    """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
+    accumulators.finish()
+    levels = sample.levels
+    flicker = _equalise(accumulators, sample, tiles)
+    saturation = saturation_level(accumulators.peak)
+    noise = measure_noise(accumulators.plan, sample, saturation)
+    notes = tuple(resolve_bits(accumulators, noise, sample.pixels))
+    motion = measure_motion(accumulators, tiles, noise, saturation, projector_size)
+    return Seen(levels, noise, saturation, flicker, motion, shifts_of_codes(accumulators, tiles, noise), notes)
+
+
+def _equalise(accumulators: Accumulators, sample: Sample, tiles: TileSample) -> float | None:
+    """Make frames of different brightness alike, in the samples and for good; returns the flicker, None if unknown."""
+    plan, (height, width) = accumulators.plan, accumulators.brightest.shape
+    found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
+    levels = sample.levels
+    lit = lit_by(np.ptp(levels, axis=0))
+    few = sample.pixels[lit]
+    middle, brightest = (
+        image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
+    )
+    swings = swings_of(plan, levels[:, lit], Places(few // width, height))
+    for fold in accumulators.fringes:
+        if fold.fringe in swings:
+            gains, common = swings[fold.fringe]
+            found.append((fold.fringe.frames, gains))
+            if gains.matter:
+                fold.correction = correction(fold.fringe, gains, common, middle, brightest)
+    for frames, gains in found:
+        if gains.matter:
+            rows = sample.pixels // width
+            for frame, of_frame, of_tiles in zip(frames, gains.at(rows), gains.at(tiles.rows), strict=True):
+                sample.divide(frame, of_frame)
+                tiles.divide(plan.shown.index(frame), of_tiles)
+    for group, by in out_of_line([(frames, gains.matter) for frames, gains in found], sample):
+        for frame in group:
+            sample.divide(frame, np.array([by]))
+    return flicker_of([gains for _, gains in found])
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What a sample of the frames tells: how to decode every pixel, and `modulation` as of `Decoding`."""
+
+    decoders: tuple[AxisDecoder, AxisDecoder]
+    modulation: float | None
+
+
+def learn(accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list[Oddity]) -> Learnt:
+    """Check the frames, adding to the `oddities`, and learn tolerances from the sample. Raises InputError."""
+    plan = accumulators.plan
+    x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
+    thin = x, y
+    with ThreadPoolExecutor(1) as aside:
+        # What is wrong with the frames is said first, whatever comes of it here.
+        calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin)
+        oddities += check_frames(plan, seen.levels, sample.levels, seen.noise, seen.saturation)
+        odd_codes = check_codes(plan, accumulators.codes, seen.noise, accumulators.middle)
+        oddities += _passed_over(plan, odd_codes, oddities)
+        decoders = calibrating.result()
+        with blaming_shifts(plan, seen.code_shifts):
+            for decoder, signals in zip(decoders, thin, strict=True):
+                oddities += check_fringes(plan, decoder, signals)
+        accumulators.forget_contrasts()
+        return Learnt(decoders, modulation(decoders, thin))
+
+
+def _passed_over(plan: SequencePlan, odd_codes: Sequence[Oddity], seen: Sequence[Oddity]) -> Sequence[Oddity]:
+    """The odd codes, if pairs of their bits were `seen` not to add up, as where someone walks by.
+
+    Raises InputError if one was not: an exchange between pairs is known from their sums, but nothing else tells others.
+    """
+    suspected = {frame for oddity in seen for frame in oddity.frames}
+    for oddity in odd_codes:
+        if not any({*pair} <= suspected.intersection(oddity.frames) for pair in plan.complements):
+            raise InputError(oddity.said)
+    return odd_codes
