@@ -36,7 +36,7 @@ def choose_screen(screens: Sequence[Screen], wanted: int | str | None, size: tup
     """
     found = [screen for screen in screens if _is_wanted(screen, wanted, size)]
     shown_size = f"{size[0]} × {size[1]}"
-    described = f"screen: {wanted}" if wanted is not None else f"a screen of the projector's size, {shown_size}"
+    described = f"called {wanted!r}" if wanted is not None else f"a screen of the projector's size, {shown_size}"
     if len(found) != 1:
         problem = f"no screen is {described}" if not found else f"{len(found)} screens are {described}"
         raise DeviceError(
