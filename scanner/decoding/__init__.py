@@ -1,8 +1,8 @@
 """The parts of the decoder: what a sequence measures, folding frames in, fringe orders, masks, checks."""
 
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.checks.operator_advice import MUCH_FLICKER
 from scanner.decoding.decoder import Decoder, Decoding
+from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import SUSPECTED_PX, moved
-from scanner.decoding.operator_advice import MUCH_FLICKER
-from scanner.decoding.saturation_level import saturation_level

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from calib.numerics import Image, compiled
 from scanner.decoding.arrays import Component, Floats32, Words
-from scanner.decoding.brightness import Gains
-from scanner.decoding.equalise import Correction, PairEqualiser
+from scanner.decoding.light.brightness import Gains
+from scanner.decoding.light.equalise import Correction, PairEqualiser
 from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
 
 Planes = NDArray[np.uint8]

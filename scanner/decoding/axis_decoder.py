@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_signals import Signals
-from scanner.decoding.code_voting import let_fringes_decide
-from scanner.decoding.edge_shift_correction import log_amplitude
-from scanner.decoding.gray_code import Interval, interval_of
+from scanner.decoding.codes.gray_code import Interval, interval_of
+from scanner.decoding.fringes.code_voting import let_fringes_decide
+from scanner.decoding.fringes.edge_shift_correction import log_amplitude
+from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
+from scanner.decoding.fringes.systematic_error import add_systematic
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import (
     NOT_LIT,
     UNCERTAIN,
@@ -26,10 +29,7 @@ from scanner.decoding.mask_reasons import (
     note_turned_over,
     reasons_of,
 )
-from scanner.decoding.noise_model import NoiseModel
-from scanner.decoding.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
-from scanner.decoding.systematic_error import add_systematic
 
 # A signal counts from five standard deviations on: an unlit pixel passes by chance once in three million times.
 _SEEN = 5.0

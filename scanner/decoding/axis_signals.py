@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from calib.numerics import Image, compiled
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Component, Floats32, Words
-from scanner.decoding.equalise import Correction
+from scanner.decoding.light.equalise import Correction
 from scanner.decoding.sequence_plan import AxisPlan
 
 

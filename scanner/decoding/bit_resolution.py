@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators, GrayFold
 from scanner.decoding.axis_decoder import least_contrasts
-from scanner.decoding.code_checks import check_codes
-from scanner.decoding.noise_model import NoiseModel
+from scanner.decoding.checks.code_checks import check_codes
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.errors import InputError
 
 # The 90 % quantile of a bit's contrast relative to the coarse bits': a half of it is lost in the middle between two

@@ -12,9 +12,9 @@ from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.discontinuities import breaks
-from scanner.decoding.edge_shift_correction import footprint_variance, straighten
+from scanner.decoding.fringes.edge_shift_correction import footprint_variance, straighten
+from scanner.decoding.fringes.systematic_error import BLOCK_PX
 from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reasons
-from scanner.decoding.systematic_error import BLOCK_PX
 from scanner.decoding.tiles import in_tiles, widened
 
 # Pixels beyond a tile that its own depend on: whole blocks, so that these are the same ones in every tile.

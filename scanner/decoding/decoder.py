@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
-from scanner.decoding.consequences import judge, suspecting
+from scanner.decoding.checks.consequences import judge, suspecting
+from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.coordinate_maps import coordinate_maps
-from scanner.decoding.equalise import PairEqualiser
-from scanner.decoding.exposure_fusion import ExposureMerger, exposures_of
-from scanner.decoding.frame_checks import Oddity
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
+from scanner.decoding.light.equalise import PairEqualiser
+from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
+from scanner.decoding.light.noise_model import NoiseModel, needs_neighbours
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import (
     MotionFound,
@@ -30,9 +32,7 @@ from scanner.decoding.motion import (
     blaming_shifts,
     remarks_on,
 )
-from scanner.decoding.noise_model import NoiseModel, needs_neighbours
 from scanner.decoding.one_axis import one_axis
-from scanner.decoding.operator_advice import too_dark, warnings_of
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import plan_sequence
 from scanner.errors import InputError

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from calib.geometry import Matches
 from calib.numerics import Bools, Floats, Image, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.code_cells import average_cells
+from scanner.decoding.checks.map_checks import check_maps
+from scanner.decoding.codes.code_cells import average_cells
 from scanner.decoding.connected_components import small_patches
 from scanner.decoding.coordinate_maps import Maps
-from scanner.decoding.map_checks import check_maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.one_axis import OneAxis
 from scanner.decoding.sequence_plan import SequencePlan

@@ -11,11 +11,13 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
-from scanner.decoding.brightness import Gains, Places, flicker_of, lit_by
-from scanner.decoding.code_checks import check_codes
-from scanner.decoding.equalise import correction, out_of_line, swings_of
-from scanner.decoding.frame_checks import Oddity, check_frames
-from scanner.decoding.map_checks import check_fringes
+from scanner.decoding.checks.code_checks import check_codes
+from scanner.decoding.checks.frame_checks import Oddity, check_frames
+from scanner.decoding.checks.map_checks import check_fringes
+from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
+from scanner.decoding.light.equalise import correction, out_of_line, swings_of
+from scanner.decoding.light.noise_model import NoiseModel, measure_noise
+from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.motion import (
     CodeShift,
     MotionFound,
@@ -24,9 +26,7 @@ from scanner.decoding.motion import (
     measure_motion,
     shifts_of_codes,
 )
-from scanner.decoding.noise_model import NoiseModel, measure_noise
 from scanner.decoding.pixel_sample import Sample
-from scanner.decoding.saturation_level import saturation_level
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.tune import calibrated_decoders, modulation
 from scanner.errors import InputError

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.geometry import Calibration, cross_epipolar_lines
 from calib.numerics import Bools, Image, in_slices
-from scanner.decoding.code_cells import CellMatches, average_cells
+from scanner.decoding.codes.code_cells import CellMatches, average_cells
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan

@@ -12,9 +12,9 @@ from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder, Measured, largest_variance
 from scanner.decoding.axis_signals import Signals
-from scanner.decoding.gamma_ripple import can_ripple, straightening
-from scanner.decoding.noise_model import NoiseModel
-from scanner.decoding.phase_unwrapping import disagreements, measured_tolerances, widest_tolerances
+from scanner.decoding.fringes.gamma_ripple import can_ripple, straightening
+from scanner.decoding.fringes.phase_unwrapping import disagreements, measured_tolerances, widest_tolerances
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
 
 # Over fewer cycles the phases of a scene need not be evenly spread.

@@ -13,8 +13,8 @@ from calib.refusal import RefusalError
 from calib.self_calibration.rig import Profile, SelfCalibration
 from scanner.capture.facts import CaptureFacts
 from scanner.decoding.decoder import Decoding
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.noise_model import NoiseModel
 from scanner.patterns.pattern import sequence_for
 from scanner.reporting.contents import ReportInput
 from scanner.results.stages import Decoded, Reconstructed, Refused, SelfCalibrated

@@ -8,12 +8,12 @@ import numpy as np
 
 from calib.numerics import Floats
 from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.courses import Course, Showing, Showings, showings_of, told
 from scanner.decoding.motion.found import Disturbance, MotionFound
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.tile_sample import TileSample
-from scanner.decoding.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import SequencePlan
 
 # A bump is looked for at every so many boundaries between frames first: one next to it shows there as well.

@@ -7,9 +7,9 @@ import numpy as np
 from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.axis_signals import Signals, signals_of
-from scanner.decoding.gray_code import interval_of
+from scanner.decoding.codes.gray_code import interval_of
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
-from scanner.decoding.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan
 
 _MOST_PIXELS = 4_000

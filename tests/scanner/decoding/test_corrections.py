@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scanner.decoding.edge_shift_correction import footprint_variance, log_amplitude, shift_per_variance
-from scanner.decoding.systematic_error import add_systematic
+from scanner.decoding.fringes.edge_shift_correction import footprint_variance, log_amplitude, shift_per_variance
+from scanner.decoding.fringes.systematic_error import add_systematic
 
 TILE = 48
 OVERSAMPLED = 8

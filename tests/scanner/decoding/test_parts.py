@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
+from scanner.decoding.codes.gray_code import cell_numbers, interval_of
 from scanner.decoding.connected_components import SMALLEST_PATCH, small_patches
-from scanner.decoding.gamma_ripple import TABLE_LENGTH, straightening
-from scanner.decoding.gray_code import cell_numbers, interval_of
-from scanner.decoding.phase_unwrapping import Tolerances, Wrapped, unwrap
-from scanner.decoding.saturation_level import saturation_level
+from scanner.decoding.fringes.gamma_ripple import TABLE_LENGTH, straightening
+from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
+from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, plan_sequence, repeat_length
 from scanner.patterns.pattern import Gray, Pattern, gray_sequence, phase_sequence
 

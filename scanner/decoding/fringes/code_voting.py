@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from scanner.decoding.arrays import Words
-from scanner.decoding.gray_code import Interval, interval_of
-from scanner.decoding.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
+from scanner.decoding.codes.gray_code import Interval, interval_of
+from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
 from scanner.decoding.sequence_plan import AxisPlan
 
 

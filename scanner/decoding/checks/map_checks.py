@@ -15,11 +15,11 @@ from calib.numerics import Bools, Ints, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import Signals
+from scanner.decoding.checks.frame_checks import Oddity
 from scanner.decoding.coordinate_maps import Maps
-from scanner.decoding.frame_checks import Oddity
+from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tolerances
 from scanner.decoding.lines import lines_of
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.phase_unwrapping import disagreements, widest_tolerances
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.tune import agreeing
 from scanner.errors import InputError

@@ -14,10 +14,10 @@ import numpy as np
 from calib.numerics import Bools, Image, Ints, compiled
 from scanner.decoding.accumulators import GrayFold
 from scanner.decoding.arrays import Words
-from scanner.decoding.frame_checks import Oddity
-from scanner.decoding.gray_code import cell_numbers
+from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.codes.gray_code import cell_numbers
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.lines import lines_of
-from scanner.decoding.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
 from scanner.errors import InputError
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.gray_code import Interval
+from scanner.decoding.codes.gray_code import Interval
 from scanner.decoding.sequence_plan import AxisPlan
 
 # Disagreements of more than this many standard deviations contradict.

@@ -14,9 +14,9 @@ import numpy as np
 
 from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.light_switch import light_switch
 from scanner.decoding.medians import medians, robust_sigmas
-from scanner.decoding.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.errors import InputError
 

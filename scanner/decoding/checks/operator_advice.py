@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from scanner.decoding.arrays import Floats32, Reasons
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason, count_reasons
-from scanner.decoding.noise_model import NoiseModel
 
 # Below it, whole faces fall into the noise: of simulated frames at 18, 99 % of the lit pixels are decoded, at 15 nine
 # tenths, at 13 half of them, at 11 hardly any.

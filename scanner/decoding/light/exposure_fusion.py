@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Image
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.saturation_level import saturation_level
+from scanner.decoding.light.saturation_level import saturation_level
 from scanner.errors import InputError
 from scanner.patterns import Pattern, White
 

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats, Image, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.brightness import BANDS, LEAST_DIFFERENCE, Gains, Places, gains_of_fringe, gains_of_pair, lit_by
+from scanner.decoding.light.brightness import (
+    BANDS,
+    LEAST_DIFFERENCE,
+    Gains,
+    Places,
+    gains_of_fringe,
+    gains_of_pair,
+    lit_by,
+)
 from scanner.decoding.medians import medians
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan

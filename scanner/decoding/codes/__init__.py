@@ -1,0 +1,1 @@
+"""Gray codes: which cell of the projector a pixel is in."""
