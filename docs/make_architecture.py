@@ -26,7 +26,7 @@ _WAY = {
     "scanner/reporting": 8,
 }
 _COLUMNS = {"scanner": (0.0, 9.8, "#e8f1fa"), "hw": (10.3, 9.0, "#fdf3e1"), "calib": (19.8, 7.6, "#eaf5ea")}
-_GAP, _HEIGHT = 0.12, 12.0
+_GAP, _HEIGHT = 0.12, 15.0
 
 
 def floors(package: str) -> list[list[str]]:
@@ -72,11 +72,13 @@ def draw(axes: Axes, package: str) -> None:
                 x + 0.12,
                 y + height - 0.3,
                 name,
-                fontsize=10 if len(name) * 0.16 < share else 7.6,
+                fontsize=10 if len(name) * 0.16 < share else 6.6,
                 weight="bold",
                 va="center",
             )
-            lines = textwrap.wrap(sentence(path), max(10, int(share * 8.6)))[: max(1, int((height - 0.45) / 0.2))]
+            most = max(1, int((height - 0.45) / 0.24))
+            wrapped = textwrap.wrap(sentence(path), max(10, int(share * 8.2)))
+            lines = wrapped if len(wrapped) <= most else [*wrapped[: most - 1], f"{wrapped[most - 1]} …"]
             axes.text(
                 x + 0.12, y + height - 0.5, "\n".join(lines), fontsize=7.6, va="top", color="#333", linespacing=1.15
             )
@@ -95,7 +97,7 @@ def draw(axes: Axes, package: str) -> None:
 
 def main() -> None:
     """Draw all three."""
-    figure, axes = plt.subplots(figsize=(19, 13))
+    figure, axes = plt.subplots(figsize=(19, 15.5))
     for package in _COLUMNS:
         draw(axes, package)
     axes.text(
