@@ -18,10 +18,10 @@ def tables(measured: Measurements) -> Iterator[Table]:
     for number, sphere in enumerate(measured.spheres, start=1):
         yield _sphere_table(sphere, number, unit)
     if measured.faces:
-        table = empty_table("Faces", "flatness", "points", "rms", "99.7 % within")
+        table = empty_table(f"Faces, {unit.name}", "flatness", "points", "rms", "99.7 % within")
         for face in measured.faces:
-            flatness = unit.length(face.deviation, face.budget.sigma)
-            cells = (f"{len(face.errors.residual):,}", unit.error(face.errors.rms), unit.error(face.errors.form))
+            flatness = unit.length(face.deviation, face.budget.sigma).removesuffix(f" {unit.name}")
+            cells = (f"{len(face.errors.residual):,}", unit.number(face.errors.rms), unit.number(face.errors.form))
             table.add_row(f"  {face.name}", flatness, *cells)
         yield table
     if measured.angles:
