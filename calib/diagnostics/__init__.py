@@ -13,13 +13,12 @@ from calib.diagnostics.error_propagation import (
     stacked,
 )
 from calib.diagnostics.notes import FROM_ONE_PLACE, FURTHER_CAPTURE, notes_on
-from calib.diagnostics.plane_form import PlaneForm, plane_form
+from calib.diagnostics.plane_form import plane_form
 from calib.diagnostics.smooth_errors import footprint_offsets
 from calib.diagnostics.uncertainty import (
     NOWHERE,
     Along,
     Uncertainty,
-    along_valley,
     calibration_of,
     sigmas_of,
     uncertainty_of,

@@ -33,12 +33,6 @@ class Plane:
         """How the parameters follow the points' distances, (3, N)."""
         return influence_on(self.jacobian, self.residual)
 
-    @property
-    def normal_covariance(self) -> Floats:
-        """Of the normal, (3, 3), singular along it."""
-        covariance: Floats = self.tangents.T @ self.covariance[:2, :2] @ self.tangents
-        return covariance
-
 
 def fit_plane(points: Floats, cluster: Ints) -> Plane:
     """Minimise the points' (N, 3) distances from the plane with Tukey's weights.

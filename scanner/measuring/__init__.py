@@ -12,6 +12,6 @@ from scanner.measuring.acceptance_report import (
 from scanner.measuring.document import MEASURE_FILE, write_document
 from scanner.measuring.figure import FIGURE_FILE, write_figure
 from scanner.measuring.measure import measure, read_scene
-from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, Measurements, Scene, SphereMeasurement
+from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, Scene
 from scanner.measuring.planes import measure_scene
 from scanner.measuring.table import angle_cells, shares_table, tables
