@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags, Image
 
 from calib.geometry import Size
 from calib.numerics import Image as Pixels
 from scanner.errors import InputError
-from scanner.io import read_image
+from scanner.io import UNREADABLE, read_image
 
 _FULL_FRAME_DIAGONAL_MM = 43.2666  # of 36 × 24 mm, to which the 35 mm equivalent refers (CIPA DCG-001)
 _LONGEST_MM = 10_000
@@ -93,10 +93,11 @@ def _exif(path: Path) -> tuple[int, float | None]:
     try:
         with Image.open(path) as image:
             exif, is_tiff = image.getexif(), image.format == "TIFF"
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
+            focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+            stated = exif.get(ExifTags.Base.Orientation, _UPRIGHT)
+    except UNREADABLE:
         return _UPRIGHT, None  # OpenCV reads formats, and damaged EXIF data, that Pillow does not
     # OpenCV itself turns TIFF files upright, and no others where they are read unchanged.
-    orientation = _UPRIGHT if is_tiff else exif.get(ExifTags.Base.Orientation, _UPRIGHT)
-    focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+    orientation = stated if isinstance(stated, int) and stated in _TURNS and not is_tiff else _UPRIGHT
     focal_mm = float(focal) if isinstance(focal, int | float) and 0 < focal < _LONGEST_MM else None  # 0 is unknown
-    return orientation if orientation in _TURNS else _UPRIGHT, focal_mm
+    return orientation, focal_mm

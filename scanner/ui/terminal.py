@@ -9,6 +9,8 @@ from typing import TypeVar
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from scanner.io import harmless
+
 T = TypeVar("T")
 
 log = logging.getLogger(__name__)
@@ -41,10 +43,13 @@ class Terminal:
             progress.advance(task)
 
     def show(self, *parts: RenderableType) -> None:
-        """Print what a successful command has to say."""
+        """Print what a successful command has to say; text as it is, whatever brackets a name in it has."""
         if not self._quiet:
             for part in parts:
-                self._out.print(part, soft_wrap=isinstance(part, str))
+                if isinstance(part, str):
+                    self._out.print(harmless(part), soft_wrap=True, markup=False, emoji=False)
+                else:
+                    self._out.print(part)
 
     @property
     def can_ask(self) -> bool:
@@ -53,7 +58,7 @@ class Terminal:
 
     def ask(self, question: str) -> str:
         """What the operator types; the end of the input, as by Ctrl-D, is a 'q'. Asked even if `quiet`."""
-        self._err.print(question, end="", markup=False)
+        self._err.print(harmless(question), end="", markup=False)
         try:
             return input()
         except EOFError:
