@@ -1,0 +1,58 @@
+"""What an image file says of itself, read before anything is decoded; and whether all of it is there.
+
+OpenCV decodes, and accepts much that is damaged. Pillow reads the header, and is a second opinion on formats whose
+damage it can tell. A bit that was flipped in a format without check sums is a wrong pixel, which nothing in the file
+tells.
+"""
+
+from io import BytesIO
+
+from PIL import Image, UnidentifiedImageError
+
+from calib.geometry import Size
+
+# Of what Pillow cannot read at all OpenCV may make something.
+UNREADABLE = (OSError, SyntaxError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError)
+_CHANNELS = {"1": 1, "L": 1, "I": 1, "F": 1, "I;16": 1, "I;16B": 1, "I;16L": 1, "LA": 4, "RGBA": 4, "PA": 4, "CMYK": 4}
+_COLOUR = 3  # also of palettes, which OpenCV resolves
+_WITHOUT_CHECK = {"TIFF"}  # of what OpenCV lets pass, these tell their damage
+_NOT_DAMAGE = ("not available", "unknown", "unsupported", "not supported")
+
+# Pillow's own limit is lower than today's photos have pixels; `size_in_header` is what is held against ours.
+Image.MAX_IMAGE_PIXELS = None
+
+
+def size_in_header(data: bytes) -> tuple[Size, int] | None:
+    """Width and height that an image file promises, and the bytes that its pixels take; None if Pillow cannot tell."""
+    try:
+        with Image.open(BytesIO(data)) as image:
+            tiles = getattr(image, "tile", None)
+            raw_mode = str(tiles[0][3]) if tiles else ""
+            depth = 2 if "16" in image.mode + raw_mode else 1
+            return Size(*image.size), image.width * image.height * _CHANNELS.get(image.mode, _COLOUR) * depth
+    except UNREADABLE:
+        return None
+
+
+def damage(data: bytes) -> str | None:
+    """What is wrong with an image file that OpenCV may accept all the same; None if nothing is known to be."""
+    if data.startswith(b"\x89PNG"):
+        return "truncated, its end is missing" if data.find(b"IEND", data.rfind(b"IDAT")) < 0 else None
+    if data.startswith(b"\xff\xd8"):
+        # After the last start of scan: an end marker before it may be that of an embedded thumbnail.
+        return "truncated, its end is missing" if data.find(b"\xff\xd9", data.rfind(b"\xff\xda")) < 0 else None
+    try:
+        with Image.open(BytesIO(data)) as image:
+            if image.format not in _WITHOUT_CHECK:
+                return None
+            return _damage_in(image)
+    except (UnidentifiedImageError, *UNREADABLE):
+        return None
+
+
+def _damage_in(image: Image.Image) -> str | None:
+    try:
+        image.load()
+    except OSError as error:
+        return None if any(words in str(error) for words in _NOT_DAMAGE) else f"its pixels do not decode ({error})"
+    return None
