@@ -43,7 +43,7 @@ from calib.refinement import (
     thin,
     twins,
 )
-from calib.refusal import PHOTOS, RefusalError
+from calib.refusal import PHOTOS, RefusalError, singular_refused
 from calib.self_calibration.rig import PrincipalPoint, Profile, SelfCalibration, sweep_trials
 
 # A photo may be a crop: its principal point is known to be somewhere in it, and that is all.
@@ -57,6 +57,7 @@ def anywhere(size: tuple[int, int]) -> PrincipalPoint:
     return PrincipalPoint(((width - 1) / 2, (height - 1) / 2), _CROP_SIGMA_OF_WIDTH * width)
 
 
+@singular_refused(PHOTOS)
 def calibrate_photos(
     pairs: Sequence[Matches],
     size: tuple[int, int],

@@ -35,7 +35,7 @@ from calib.refinement import (
     together,
     with_further_planes,
 )
-from calib.refusal import RIG, RefusalError
+from calib.refusal import RIG, RefusalError, singular_refused
 
 Method = Literal["refined", "paper"]
 
@@ -88,6 +88,7 @@ class SelfCalibration:
     possible_percent: float = 0.0
 
 
+@singular_refused(RIG)
 def self_calibrate(
     matches: Matches,
     camera_size: tuple[int, int],
@@ -125,6 +126,7 @@ def self_calibrate(
     return found
 
 
+@singular_refused(RIG)
 def self_calibrate_jointly(
     captures: Sequence[Matches],
     camera_size: tuple[int, int],

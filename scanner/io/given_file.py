@@ -25,6 +25,10 @@ _ON_DISK_BLOCK = 512  # of st_blocks, whatever the file system's is
 _WITHOUT_WAITING = getattr(os, "O_NONBLOCK", 0)
 
 
+def _open_without_waiting(name: str, flags: int) -> int:
+    return os.open(name, flags | _WITHOUT_WAITING)
+
+
 @contextmanager
 def opened(path: Path, most_bytes: int | None = None) -> Iterator[BinaryIO]:
     """A regular file, open for reading; what links lead to counts, and nothing waits for the other end of a pipe.
@@ -33,7 +37,7 @@ def opened(path: Path, most_bytes: int | None = None) -> Iterator[BinaryIO]:
     """
     try:
         # Opened without waiting and looked at afterwards: what is opened is what was looked at.
-        with path.open("rb", opener=lambda name, flags: os.open(name, flags | _WITHOUT_WAITING)) as file:
+        with open(path, "rb", opener=_open_without_waiting) as file:
             found = os.fstat(file.fileno())
             if not stat.S_ISREG(found.st_mode):
                 kind = "a pipe" if stat.S_ISFIFO(found.st_mode) else "a device"
