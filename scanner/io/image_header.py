@@ -14,6 +14,7 @@ from calib.geometry import Size
 # Of what Pillow cannot read at all OpenCV may make something.
 UNREADABLE = (OSError, SyntaxError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError)
 _CHANNELS = {"1": 1, "L": 1, "I": 1, "F": 1, "I;16": 1, "I;16B": 1, "I;16L": 1, "LA": 4, "RGBA": 4, "PA": 4, "CMYK": 4}
+_PNG = b"\x89PNG\r\n\x1a\n"
 _COLOUR = 3  # also of palettes, which OpenCV resolves
 _WITHOUT_CHECK = {"TIFF"}  # of what OpenCV lets pass, these tell their damage
 _NOT_DAMAGE = ("not available", "unknown", "unsupported", "not supported")
@@ -36,8 +37,8 @@ def size_in_header(data: bytes) -> tuple[Size, int] | None:
 
 def damage(data: bytes) -> str | None:
     """What is wrong with an image file that OpenCV may accept all the same; None if nothing is known to be."""
-    if data.startswith(b"\x89PNG"):
-        return "truncated, its end is missing" if data.find(b"IEND", data.rfind(b"IDAT")) < 0 else None
+    if data.startswith(_PNG):
+        return _damage_of_png(data)
     if data.startswith(b"\xff\xd8"):
         # After the last start of scan: an end marker before it may be that of an embedded thumbnail.
         return "truncated, its end is missing" if data.find(b"\xff\xd9", data.rfind(b"\xff\xda")) < 0 else None
@@ -48,6 +49,17 @@ def damage(data: bytes) -> str | None:
             return _damage_in(image)
     except (UnidentifiedImageError, *UNREADABLE):
         return None
+
+
+def _damage_of_png(data: bytes) -> str | None:
+    """Whether its chunks (length, name, content, check sum) reach to the last; OpenCV makes room for any length."""
+    at = len(_PNG)
+    while at + 12 <= len(data):
+        length, name = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
+        at += 12 + length
+        if name == b"IEND" and at <= len(data):
+            return None
+    return "truncated, its end is missing"
 
 
 def _damage_in(image: Image.Image) -> str | None:

@@ -12,6 +12,7 @@ from scanner.io.shown_text import harmless, shortened
 
 _MOST_TEXT_BYTES = 1_000_000
 _MOST_VALUES = 30_000
+_LONG_TEXT = 1000  # characters, which count as a value
 _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
 _NUMBERS = {  # no longer than 64 bits, or than anyone would write
     _INT: re.compile(r"[-+]?(0|[1-9][0-9_]{0,18}|0x[0-9a-fA-F_]{1,15}|0o?[0-7_]{1,20}|0b[01_]{1,60})$"),
@@ -48,7 +49,7 @@ class _Loader(yaml.SafeLoader):
                 raise yaml.composer.ComposerError(None, None, "a value that contains itself", place)
             self._values += self._values_in[id(node)]
         else:
-            self._values += 1
+            self._values += 1 + (len(node.value) // _LONG_TEXT if isinstance(node, yaml.ScalarNode) else 0)
             self._values_in[id(node)] = self._values - before
         if self._values > _MOST_VALUES:
             problem = f"more than {_MOST_VALUES:,} values, counting those that aliases stand for"
@@ -71,9 +72,12 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_number(self, node: yaml.ScalarNode) -> float:
+        if _NUMBERS[_INT].match(node.value):
+            whole = int(self.construct_yaml_int(node))
+            return whole if node.tag == _INT else float(whole)
         if not _NUMBERS[node.tag].match(node.value):
             raise yaml.constructor.ConstructorError(None, None, "a number is expected here", node.start_mark)
-        return self.construct_yaml_int(node) if node.tag == _INT else self.construct_yaml_float(node)
+        return float(self.construct_yaml_float(node))
 
 
 for _tag, _pattern in _NUMBERS.items():
@@ -89,8 +93,9 @@ def parse_yaml(text: str, where: str) -> Any:
         mark = error.problem_mark or error.context_mark
         place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark else where
         raise InputError(f"{place}: not valid YAML: {_words(error.problem or error.context)}") from error
-    except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError, ArithmeticError) as error:
-        # Not only YAML's own: a tag as in '!!bool perhaps' promises a type that the value does not have.
+    except (LookupError, AttributeError, TypeError, ArithmeticError) as error:  # as of '!!bool perhaps'
+        raise InputError(f"{where}: not valid YAML: a value is not of the type that its tag says") from error
+    except (yaml.YAMLError, ValueError) as error:
         raise InputError(f"{where}: not valid YAML: {_words(str(error))}") from error
     except RecursionError as error:
         raise InputError(f"{where}: not usable YAML: brackets are nested too deeply") from error
