@@ -25,6 +25,7 @@ from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.light.noise_model import NoiseModel, needs_neighbours
 from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.memory import refuse_more_than_there_is
 from scanner.decoding.motion import (
     MotionFound,
     TileSample,
@@ -110,6 +111,7 @@ class Decoder:
         grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
+            refuse_more_than_there_is(shape)
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
             accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape))
             self._held = accumulators, sample, TileSample(shape)
