@@ -56,7 +56,7 @@ def opened(path: Path, most_bytes: int | None = None) -> Iterator[BinaryIO]:
 def read_bytes(path: Path, most_bytes: int) -> bytes:
     """All of a regular file. Raises InputError as `opened` does."""
     with opened(path, most_bytes) as file:
-        return file.read(most_bytes)
+        return file.read(min(os.fstat(file.fileno()).st_size, most_bytes))
 
 
 def copy_given(source: Path, target: Path, most_bytes: int | None = None) -> None:

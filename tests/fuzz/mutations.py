@@ -34,7 +34,7 @@ def of_bytes(data: bytes, rng: Random) -> bytes:
             case 0 | 1:
                 changed[at] ^= 1 << int(rng.integers(8))
             case 2:
-                changed[at] = int(rng.choice(_INTERESTING))
+                changed[at] = _INTERESTING[int(rng.integers(len(_INTERESTING)))]
             case 3:
                 number = int(rng.choice([0, 1, 2**15, 2**16 - 1, 2**31 - 1, 2**32 - 1]))
                 changed[at : at + 4] = number.to_bytes(4, "big" if rng.random() < 0.5 else "little")
@@ -63,7 +63,7 @@ def of_yaml(value: Any, rng: Random) -> bytes:
     kind = rng.random()
     if kind < 0.3:
         places = [index for index, letter in enumerate(text) if letter in ":,[\n"]
-        at = int(rng.choice(places)) + 1 if places else 0
+        at = places[int(rng.integers(len(places)))] + 1 if places else 0
         snippet = _SNIPPETS[int(rng.integers(len(_SNIPPETS)))]
         text = f"{text[:at]} {snippet} {text[at:]}"
     data = text.encode("utf-8", errors="replace")

@@ -46,7 +46,7 @@ class Outcome:
     kinds: Counter[str]
 
 
-def fuzz(target: str, *, seed: int, inputs: int, seconds: float) -> Outcome:
+def fuzz(target: str, *, seed: int, inputs: int, seconds: float, hang_s: float = HANG_S) -> Outcome:
     """Run inputs of a target until there were so many, or the time is over; a process that died is begun again."""
     findings: dict[str, Finding] = {}
     kinds: Counter[str] = Counter()
@@ -55,7 +55,9 @@ def fuzz(target: str, *, seed: int, inputs: int, seconds: float) -> Outcome:
         progress = _Progress(file.fileno())
         progress.tell(0, 0)
         while progress.number < inputs and time.monotonic() < end:
-            for number, what, details in _watched(target, seed, progress, inputs, end, Path(file.name)):
+            for number, what, details in _watched(
+                [target, str(seed), str(inputs), file.name, str(hang_s)], progress, end
+            ):
                 kinds[what] += 1
                 findings.setdefault(what, Finding(target, seed, number, what, details))
         return Outcome(target, progress.number, progress.accepted, tuple(findings.values()), kinds)
@@ -84,11 +86,9 @@ class _Progress:
         return self._NUMBERS.unpack(os.pread(self._file, self._NUMBERS.size, 0))
 
 
-def _watched(
-    target: str, seed: int, progress: _Progress, inputs: int, end: float, shared: Path
-) -> Iterator[tuple[int, str, str]]:
+def _watched(arguments: list[str], progress: _Progress, end: float) -> Iterator[tuple[int, str, str]]:
     """What one process finds; where it had to be killed, or died, that too, and it is the next input's turn."""
-    command = [sys.executable, "-m", "tests.fuzz", "--worker", target, str(seed), str(inputs), str(shared)]
+    command = [sys.executable, "-m", "tests.fuzz", "--worker", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, bufsize=0) as process:
         assert process.stdout is not None
         last, since = progress.number, time.monotonic()
@@ -115,17 +115,17 @@ def _watched(
             process.kill()
 
 
-def work(target: str, seed: int, inputs: int, shared: Path) -> None:
+def work(target: str, seed: int, inputs: int, shared: Path, hang_s: float) -> None:
     """Run inputs one after the other, and tell on stdout what was found."""
     os.environ["OPENCV_LOG_LEVEL"] = "SILENT"
-    from tests.fuzz.targets import TARGETS, RejectedError, rng_of
+    from tests.fuzz.targets import PLANTED, TARGETS, RejectedError, rng_of
 
     with (
         os.fdopen(os.dup(1), "w") as told,
         tempfile.TemporaryDirectory(prefix="fuzz-") as folder,
         shared.open("r+b") as file,
     ):
-        run, progress = TARGETS[target](Path(folder)), _Progress(file.fileno())
+        run, progress = (TARGETS | PLANTED)[target](Path(folder)), _Progress(file.fileno())
         _limit_address_space()
         first, accepted = progress.number, progress.accepted
         for number in range(first, inputs):
@@ -142,7 +142,7 @@ def work(target: str, seed: int, inputs: int, shared: Path) -> None:
             except BaseException as error:
                 found(_name_of(error), "".join(traceback.format_exception(error)))
             took, grown = time.process_time() - began, _peak_bytes() - before
-            if took > HANG_S:
+            if took > hang_s:
                 found("hang", f"{took:.1f} s")
             if grown > MOST_BYTES:
                 found("memory", f"{grown / 1e9:.2f} GB")
@@ -171,8 +171,8 @@ def _peak_bytes() -> int:
 def main() -> int:
     """The command line: `python -m tests.fuzz [TARGET …] [--seconds S] [--inputs N] [--seed S]`."""
     if sys.argv[1:2] == ["--worker"]:
-        target, seed, inputs, shared = sys.argv[2:]
-        work(target, int(seed), int(inputs), Path(shared))
+        target, seed, inputs, shared, hang_s = sys.argv[2:]
+        work(target, int(seed), int(inputs), Path(shared), float(hang_s))
         return 0
     from tests.fuzz.targets import TARGETS
 

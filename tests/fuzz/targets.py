@@ -5,7 +5,9 @@ rather than obeys: `RejectedError`. Anything else is a finding.
 """
 
 import io
+import os
 import re
+import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -152,13 +154,13 @@ def _npz(folder: Path, rng: Random) -> Path:
         for name, array in arrays.items():
             member = io.BytesIO()
             np.lib.format.write_array(member, array, allow_pickle=False)
-            data = member.getvalue()
+            content = member.getvalue()
             if rng.random() < 0.1:
-                data = of_header(data, rng)
+                content = of_header(content, rng)
             if rng.random() < 0.1:
                 shape = f"({rng.choice([10**3, 10**9, 10**18, -1])}, 2)".encode()
-                data = re.sub(rb"\([0-9, ]+\)", shape, data, count=1)
-            archive.writestr(f"{name}.npy", data)
+                content = re.sub(rb"\([0-9, ]+\)", shape, content, count=1)
+            archive.writestr(f"{name}.npy", content)
     if rng.random() < 0.5:
         path.write_bytes(of_bytes(path.read_bytes(), rng))
     return path
@@ -284,7 +286,7 @@ def cloud(folder: Path) -> _Run:
     from scanner.io import read_cloud
     from tests.support.result_folder import write_result
 
-    written = write_result(folder / "room", keep=lambda camera_px: (camera_px % 24 < 1).all(axis=1))
+    written = write_result(folder / "room", keep=lambda px: np.all(px % 24 < 1, axis=1, keepdims=False))
     path = written.folder / "cloud.ply"
     seed = path.read_bytes()
     cut = seed.index(b"end_header")
@@ -358,7 +360,7 @@ def results(folder: Path) -> _Run:
     from scanner.viewing.result import ViewedResult
     from tests.support.result_folder import write_result
 
-    written = write_result(folder / "room", keep=lambda camera_px: (camera_px % 16 < 1).all(axis=1))
+    written = write_result(folder / "room", keep=lambda px: np.all(px % 16 < 1, axis=1, keepdims=False))
     path = written.folder / "calibration.yaml"
     seed = yaml.safe_load(path.read_text())
     console = Console(file=io.StringIO())
@@ -450,4 +452,23 @@ TARGETS: dict[str, Callable[[Path], _Run]] = {
     },
     **{f"image{suffix}": image(suffix) for suffix in _IMAGES},
     "calibrating": calibrating,
+}
+
+
+def _wrong(rng: Random) -> None:
+    raise KeyError(int(rng.integers(9)))
+
+
+def _forever(rng: Random) -> None:
+    end = time.process_time() + 1.0
+    while time.process_time() < end:
+        rng.random()
+
+
+# What must be found, to see that it would be.
+PLANTED: dict[str, Callable[[Path], _Run]] = {
+    "wrong": lambda _: _guarded(_wrong),
+    "forever": lambda _: _guarded(_forever),
+    "memory": lambda _: _guarded(lambda rng: np.full(150_000_000, rng.random())[:0].sort()),
+    "death": lambda _: _guarded(lambda _: os._exit(3)),
 }
