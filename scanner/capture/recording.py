@@ -35,7 +35,7 @@ from scanner.io import (
 from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, frame_line, size_to_dict
 
 CAPTURE_FILE = "capture.yaml"
-_LONGEST_EXPOSURE_US = 1e9
+_SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US = 1e-3, 1e9
 
 
 def record(stream: Stream, folder: Path) -> Stream:
@@ -116,8 +116,8 @@ class _FrameEntry(Entry):
     @property
     def read_back(self) -> tuple[float | None, int | None]:
         """Exposure and time stamp; other programs may mean something else by these keys, which is no error."""
-        found = self.exposure_us
-        exposure_us = found if isinstance(found, float | int) and 0 < found <= _LONGEST_EXPOSURE_US else None
+        found, shortest, longest = self.exposure_us, _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US
+        exposure_us = found if isinstance(found, float | int) and shortest <= found <= longest else None
         return exposure_us, self.timestamp_ns if isinstance(self.timestamp_ns, int) else None
 
 

@@ -60,7 +60,7 @@ def problem_of_jpeg(data: bytes) -> str | None:
                     return _PROBLEMS[problem]
             else:
                 _note(read, marker, segment)
-        except (IndexError, ValueError, ZeroDivisionError):
+        except (LookupError, ValueError, ZeroDivisionError):
             return None  # a header that makes no sense: the decoder's to judge
     return None
 

@@ -9,6 +9,7 @@ import yaml
 Random = np.random.Generator
 
 _INTERESTING = (0, 1, 0x7F, 0x80, 0xFF)
+_NUMBERS = (0, 1, 2**15, 2**16 - 1, 2**31 - 1, 2**32 - 1)
 _SNIPPETS = (
     "&a [*a]", "&a {<<: *a}", "[" * 200, "{a: " * 50, "!!bool x", "!!int ''", "!!int 1:2:3", "!!float x", "!!binary é",
     "!!python/object:os.system x", "!<%1b[31m> x", "2024-13-45", "1:1:1:1:1:1", "9" * 5000, "0x" + "f" * 5000,
@@ -36,7 +37,7 @@ def of_bytes(data: bytes, rng: Random) -> bytes:
             case 2:
                 changed[at] = _INTERESTING[int(rng.integers(len(_INTERESTING)))]
             case 3:
-                number = int(rng.choice([0, 1, 2**15, 2**16 - 1, 2**31 - 1, 2**32 - 1]))
+                number = _NUMBERS[int(rng.integers(len(_NUMBERS)))]
                 changed[at : at + 4] = number.to_bytes(4, "big" if rng.random() < 0.5 else "little")
             case 4:
                 del changed[at : at + length]

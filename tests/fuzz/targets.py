@@ -195,7 +195,7 @@ def _encoded(suffix: str) -> list[bytes]:
             except cv2.error:
                 continue
             found += [data.tobytes()] if done else []
-    return found + [data for pillow in _PILLOW.get(suffix, ()) if (data := pillow(_picture(rng, 3, np.uint8)))]
+    return found + [encode(_picture(rng, 3, np.uint8)) for encode in _PILLOW.get(suffix, ())]
 
 
 def _by_pillow(kind: str, mode: str, **options: Any) -> Callable[[Any], bytes]:
@@ -382,6 +382,8 @@ def results(folder: Path) -> _Run:
         found = read_calibration(path)
         built = build_cloud(written.scene.matches, written.scene.texture, found)
         write_ply(written.folder / "cloud.ply", built, match=built.match)
+        if rng.random() < 0.3:
+            _spoil_normals(written.folder / "cloud.ply", rng)
         scan = read_finished_scan(written.folder)
         measured = measure(scan, read_scene(written.folder, found), [], [])
         for table in tables(measured):
@@ -392,6 +394,15 @@ def results(folder: Path) -> _Run:
             FORMATS[name].write(Request(written.folder, out, True, 100))
 
     return _guarded(read)
+
+
+def _spoil_normals(path: Path, rng: Random) -> None:
+    """Some of the normals in a cloud are none, or of no length that anything has."""
+    header, end, body = path.read_bytes().partition(b"end_header\n")
+    vertices = np.frombuffer(bytearray(body), np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rest", "V7")]))
+    chosen = rng.random(len(vertices)) < rng.choice([0.01, 1.0])
+    vertices["normal"][chosen] = rng.choice([np.nan, np.inf, 3e38, 0.0])
+    path.write_bytes(header + end + vertices.tobytes())
 
 
 def calibrating(folder: Path) -> _Run:
