@@ -30,7 +30,7 @@ def of_bytes(data: bytes, rng: Random) -> bytes:
     for _ in range(1 + int(rng.geometric(0.5))):
         if not changed:
             return bytes(changed)
-        at, length = int(rng.integers(len(changed))), int(min(2 ** rng.integers(8), len(changed)))
+        at, length = int(rng.integers(len(changed))), min(1 << int(rng.integers(8)), len(changed))
         match int(rng.integers(8)):
             case 0 | 1:
                 changed[at] ^= 1 << int(rng.integers(8))
