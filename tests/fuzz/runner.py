@@ -15,11 +15,12 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 HANG_S = 5.0  # of the processor's time; of the clock's several times as much, for the machine may be busy
-_SILENT_S = 60.0
+_SILENT_S, _SETUP_S = 60.0, 600.0
 MOST_BYTES = 1_000_000_000
 _GUARD_BYTES = 4_000_000_000  # more address space is not given at all
 
@@ -91,7 +92,7 @@ def _watched(arguments: list[str], progress: _Progress, end: float) -> Iterator[
     command = [sys.executable, "-m", "tests.fuzz", "--worker", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, bufsize=0) as process:
         assert process.stdout is not None
-        last, since = progress.number, time.monotonic()
+        last, since, patience = progress.number, time.monotonic(), _SETUP_S
         try:
             while time.monotonic() < end:
                 if select.select([process.stdout], [], [], 0.5)[0]:
@@ -106,9 +107,9 @@ def _watched(arguments: list[str], progress: _Progress, end: float) -> Iterator[
                         progress.tell(progress.number + 1, progress.accepted)
                         return
                 elif progress.number != last:
-                    last, since = progress.number, time.monotonic()
-                elif time.monotonic() - since > _SILENT_S:
-                    yield last, f"hang: {_SILENT_S:.0f} s", ""
+                    last, since, patience = progress.number, time.monotonic(), _SILENT_S
+                elif time.monotonic() - since > patience:
+                    yield last, f"hang: {patience:.0f} s", ""
                     progress.tell(last + 1, progress.accepted)
                     return
         finally:
@@ -128,11 +129,14 @@ def work(target: str, seed: int, inputs: int, shared: Path, hang_s: float) -> No
         run, progress = (TARGETS | PLANTED)[target](Path(folder)), _Progress(file.fileno())
         _limit_address_space()
         first, accepted = progress.number, progress.accepted
+        with suppress(BaseException):  # once for the compiler, which would count as a hang
+            run(rng_of(seed, first))
         for number in range(first, inputs):
 
             def found(what: str, details: str, number: int = number) -> None:
                 print(number, what, details.replace("\n", "\\n").replace("\t", " "), sep="\t", file=told, flush=True)
 
+            Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
             before, began = _peak_bytes(), time.process_time()
             try:
                 run(rng_of(seed, number))
@@ -146,7 +150,6 @@ def work(target: str, seed: int, inputs: int, shared: Path, hang_s: float) -> No
                 found("hang", f"{took:.1f} s")
             if grown > MOST_BYTES:
                 found("memory", f"{grown / 1e9:.2f} GB")
-                Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
             progress.tell(number + 1, accepted)
 
 
