@@ -158,7 +158,7 @@ class Recording:
     def _frames(self) -> Iterator[tuple[Pattern, Frame]]:
         first: Image | None = None
         for pattern, file, read_back in zip(self.patterns, self.files, self.read_back, strict=True):
-            image = read_image(self.folder / file)
+            image = read_image(self.folder / file, self.camera_size)
             self._check_size(file, image)
             first = image if first is None else first
             if (image.dtype, image.shape) != (first.dtype, first.shape):

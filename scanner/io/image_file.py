@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from calib.geometry import Size
 from calib.numerics import Image
 from scanner.errors import InputError
 from scanner.io.given_file import MOST_IMAGE_BYTES, MOST_IMAGE_FILE_BYTES, megabytes, read_bytes
@@ -13,19 +14,22 @@ from scanner.io.shown_text import shown
 
 _COMMON = {".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".dib", ".webp", ".gif", ".jp2"}
 _RARE = {".pgm", ".ppm", ".pnm", ".pbm", ".ras", ".sr", ".exr", ".hdr", ".avif"}
+_DEEPEST = 6  # bytes of a pixel in 16-bit colour
+_FEW_BYTES = 100_000_000
 SUFFIXES = frozenset(_COMMON | _RARE)
 
 
-def read_image(path: Path) -> Image:
+def read_image(path: Path, expected: Size | None = None) -> Image:
     """An image file as (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; transparency is dropped, EXIF rotation ignored.
 
     Raises InputError if the file is missing, no regular file, truncated, no image, of another type, or would take more
-    than `MOST_IMAGE_BYTES` of memory.
+    than `MOST_IMAGE_BYTES` of memory, or far more than an image of the `expected` size, which is not checked otherwise.
     """
     data = read_bytes(path, MOST_IMAGE_FILE_BYTES)
     if not data:
         raise InputError(f"{path}: the file is empty")
-    _refuse_large(path, data)
+    most = MOST_IMAGE_BYTES if expected is None else max(_FEW_BYTES, _DEEPEST * expected.width * expected.height)
+    _refuse_large(path, data, min(most, MOST_IMAGE_BYTES))
     if found := damage(data):
         raise InputError(f"{path}: the image is damaged: {found}; copy the file again")
     # imdecode, because imread fills what is missing of a JPEG with grey and returns it.
@@ -43,13 +47,13 @@ def read_image(path: Path) -> Image:
     raise InputError(f"{path}: expected 8 or 16 bit whole numbers per channel, found {image.dtype}")
 
 
-def _refuse_large(path: Path, data: bytes) -> None:
+def _refuse_large(path: Path, data: bytes, most: int) -> None:
     """Raise InputError for more pixels than anyone has; of files without a header that is known OpenCV says it."""
     found = size_in_header(data)
-    if found and found[1] > MOST_IMAGE_BYTES:
+    if found and found[1] > most:
         raise InputError(
             f"{path}: has {found[0]} pixels, which would take {megabytes(found[1])} of memory; "
-            f"expected no more than {megabytes(MOST_IMAGE_BYTES)}"
+            f"expected no more than {megabytes(most)}"
         )
 
 

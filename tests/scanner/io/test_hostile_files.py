@@ -144,6 +144,13 @@ def test_a_huge_image_is_refused_by_its_header(tmp_path: Path, name: str) -> Non
         read_image(path)
 
 
+def test_a_frame_far_beyond_its_camera_is_refused_by_its_header(capture_folder: Path) -> None:
+    frame = capture_folder / read_listing(capture_folder)["frames"][0]["file"]
+    frame.write_bytes(palette_png(12800, 12800))
+    with little_memory(), pytest.raises(InputError, match="would take 492 MB of memory; expected no more than 100 MB"):
+        list(open_capture(capture_folder).stream().frames)
+
+
 def test_a_photo_of_200_megapixels_is_no_bomb(tmp_path: Path) -> None:
     path = tmp_path / "photo.png"
     cv2.imwrite(str(path), np.zeros((12_240, 16_320), np.uint8), [cv2.IMWRITE_PNG_COMPRESSION, 1])
