@@ -357,27 +357,32 @@ def results(folder: Path) -> _Run:
     from scanner.io import read_calibration, write_ply
     from scanner.measuring import measure, read_scene, tables
     from scanner.results import read_finished_scan
+    from scanner.results.stated_uncertainty import COLUMNS
     from scanner.viewing.result import ViewedResult
     from tests.support.result_folder import write_result
 
     written = write_result(folder / "room", keep=lambda px: np.all(px % 16 < 1, axis=1, keepdims=False))
     path = written.folder / "calibration.yaml"
-    seed = yaml.safe_load(path.read_text())
+    covariance = {"columns": [*COLUMNS], "match_px": 0.05, "values": (1e-6 * np.eye(len(COLUMNS))).tolist()}
+    seed = yaml.safe_load(path.read_text()) | {"covariance": covariance, "sigma": {"known_baseline": 0.001}}
     console = Console(file=io.StringIO())
 
     def read(rng: Random) -> None:
         changed = yaml.safe_load(yaml.safe_dump(seed))
         for _ in range(int(rng.integers(1, 4))):
             device = changed["camera" if rng.random() < 0.5 else "projector"]
-            match int(rng.integers(4)):
+            match int(rng.integers(5)):
                 case 0:
                     device["focal_px"][int(rng.integers(2))] = abs(extreme(300.0, rng))
                 case 1:
                     device["principal_point_px"][int(rng.integers(2))] = extreme(200.0, rng)
                 case 2:
                     device["distortion"][int(rng.integers(5))] = extreme(0.05, rng)
-                case _:
+                case 3:
                     changed["translation"] = [extreme(number, rng) for number in changed["translation"]]
+                case _:
+                    row = changed["covariance"]["values"][int(rng.integers(len(COLUMNS)))]
+                    row[int(rng.integers(len(row)))] = extreme(1e-6, rng)
         path.write_text(yaml.safe_dump(changed))
         found = read_calibration(path)
         built = build_cloud(written.scene.matches, written.scene.texture, found)
