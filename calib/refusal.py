@@ -1,10 +1,6 @@
 """Why a capture cannot be calibrated, or a thing not be measured."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-
-import numpy as np
 
 
 class RefusalError(Exception):
@@ -43,19 +39,6 @@ class Wording:
     again: str
     unrelated: str
     smooth: str
-
-
-@contextmanager
-def singular_refused(wording: Wording) -> Iterator[None]:
-    """Equations without a solution, which follow from matches that are on no three planes, become a RefusalError."""
-    try:
-        yield
-    except np.linalg.LinAlgError as error:
-        raise RefusalError(
-            f"The matches determine no corner ({error}): those of a face lie on a line or in a few points, or "
-            f"{wording.unrelated}.",
-            wording.move,
-        ) from error
 
 
 RIG = Wording(

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.geometry import NO_FACE, Matches, dehomogenise, homogeneous
-from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints
+from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, singular_refused
 from calib.plane_segmentation.plane_extraction import NO_PLANE
-from calib.refusal import PHOTOS, RefusalError, singular_refused
+from calib.refusal import PHOTOS, RefusalError
 
 _FEWEST_MATCHES = 60
 _FEWEST_ON_A_PLANE = 25

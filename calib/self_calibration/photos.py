@@ -21,7 +21,7 @@ from calib.diagnostics import (
     uncertainty_of,
 )
 from calib.geometry import Corner, Matches, Motion, TooFewMatchesError, before_the_matches, unproject
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     PER_CORNER,
     PER_POSE,
@@ -43,7 +43,7 @@ from calib.refinement import (
     thin,
     twins,
 )
-from calib.refusal import PHOTOS, RefusalError, singular_refused
+from calib.refusal import PHOTOS, RefusalError
 from calib.self_calibration.rig import PrincipalPoint, Profile, SelfCalibration, sweep_trials
 
 # A photo may be a crop: its principal point is known to be somewhere in it, and that is all.

@@ -19,7 +19,7 @@ from calib.diagnostics import (
 )
 from calib.diagnostics.uncertainty import along_valley
 from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     SQUARENESS_DEG,
     Knowledge,
@@ -35,7 +35,7 @@ from calib.refinement import (
     together,
     with_further_planes,
 )
-from calib.refusal import RIG, RefusalError, singular_refused
+from calib.refusal import RIG, RefusalError
 
 Method = Literal["refined", "paper"]
 

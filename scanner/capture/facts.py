@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from itertools import islice
 
 from calib.geometry import Calibration, Size
-from scanner.io import shortened, shown
 from scanner.patterns import Pattern
+from scanner.shown_text import shortened, shown
 
 
 @dataclass(frozen=True)

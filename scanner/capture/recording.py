@@ -28,11 +28,11 @@ from scanner.io import (
     read_image,
     read_yaml,
     refuse_more_pixels,
-    shown,
     validate,
     write_png,
 )
 from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, frame_line, size_to_dict
+from scanner.shown_text import shown
 
 CAPTURE_FILE = "capture.yaml"
 _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US = 1e-3, 1e9

@@ -22,8 +22,8 @@ from scanner.importing import (
     take_samples,
     write_capture,
 )
-from scanner.io import harmless
 from scanner.results import OutputFolder
+from scanner.shown_text import harmless
 from scanner.ui import Terminal
 
 _NAMED = {layout.name: layout for layout in LAYOUTS}

@@ -10,7 +10,7 @@ from calib.numerics import Image
 from scanner.errors import InputError
 from scanner.io.given_file import MOST_IMAGE_BYTES, MOST_IMAGE_FILE_BYTES, megabytes, read_bytes
 from scanner.io.image_header import damage, size_in_header
-from scanner.io.shown_text import shown
+from scanner.shown_text import shown
 
 _COMMON = {".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".dib", ".webp", ".gif", ".jp2"}
 _RARE = {".pgm", ".ppm", ".pnm", ".pbm", ".ras", ".sr", ".exr", ".hdr", ".avif"}

@@ -17,7 +17,7 @@ from calib.geometry import NO_FACE, Matches
 from calib.numerics import Floats, Ints
 from scanner.errors import InputError
 from scanner.io.given_file import opened, refuse_bomb
-from scanner.io.shown_text import harmless, shortened
+from scanner.shown_text import harmless, shortened
 
 MATCHES_FILE = "matches.npz"
 

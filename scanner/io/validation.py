@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from scanner.errors import InputError
-from scanner.io.shown_text import harmless, shortened, shown
+from scanner.shown_text import harmless, shortened, shown
 
 # Strict, or else `true` would pass for 1 and '5' for 5.
 Whole = Annotated[int, Field(strict=True)]

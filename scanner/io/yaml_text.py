@@ -8,7 +8,7 @@ import yaml
 
 from scanner.errors import InputError
 from scanner.io.given_file import read_bytes
-from scanner.io.shown_text import harmless, shortened
+from scanner.shown_text import harmless, shortened
 
 _MOST_TEXT_BYTES = 1_000_000
 _MOST_VALUES = 30_000

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from scanner.errors import InputError
-from scanner.io import harmless, shortened
+from scanner.shown_text import harmless, shortened
 
 _MOST_LINES, _LONGEST_LINE = 100, 1000
 
@@ -31,6 +31,8 @@ def failure_of(error: BaseException) -> Failure:
     match error:
         case InputError() | OSError():
             return _failure(EXIT_INPUT, error)
+        case MemoryError():
+            return _failure(EXIT_INPUT, error, "there is not enough memory for an input of this size: ")
         case DeviceError():
             return _failure(EXIT_DEVICE, error)
         case RefusalError():

@@ -9,7 +9,7 @@ from typing import TypeVar
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from scanner.io import harmless
+from scanner.shown_text import harmless
 
 T = TypeVar("T")
 
