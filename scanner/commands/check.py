@@ -4,8 +4,6 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-from rich.markup import escape
-
 from scanner.checking.check import check
 from scanner.checking.document import write_check
 from scanner.checking.report import CheckReport
@@ -30,9 +28,9 @@ def run(args: Namespace) -> None:
     terminal.show(table_of(report, sys.stdout.encoding))
     if args.out:
         write_check(args.out, report)
-        terminal.show(escape(f"Written: {args.out}"))
+        terminal.show(f"Written: {args.out}")
     if args.write:
-        terminal.show(escape(_write(args.config, report)))
+        terminal.show(_write(args.config, report))
     if report.failure:
         raise report.failure
 

@@ -2,8 +2,6 @@
 
 from argparse import Namespace
 
-from rich.markup import escape
-
 from hw.cameras import CameraInfo
 from hw.errors import DeviceError
 from hw.open_rig import import_aravis
@@ -25,7 +23,7 @@ def run(args: Namespace) -> None:
         except DeviceError as error:
             problems.append(str(error))
             found = [f"  {error}"]
-        terminal.show(escape("\n".join([heading, *(found or ["  none found"])])))
+        terminal.show("\n".join([heading, *(found or ["  none found"])]))
     if len(problems) == 2:
         raise DeviceError("neither cameras nor screens can be listed: " + "; ".join(problems))
 

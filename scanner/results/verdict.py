@@ -14,3 +14,8 @@ class Verdict:
     headline: str
     reasons: tuple[str, ...]
     advice: str = ""
+
+    @property
+    def sign(self) -> str:
+        """The grade in one character."""
+        return {"good": "✓", "fair": "◐", "refused": "✕"}[self.grade]

@@ -8,6 +8,9 @@ from typing import TypeVar
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from scanner.ui.fitting import fitted, for_screen
 
 T = TypeVar("T")
 
@@ -42,9 +45,14 @@ class Terminal:
 
     def show(self, *parts: RenderableType) -> None:
         """Print what a successful command has to say."""
-        if not self._quiet:
-            for part in parts:
-                self._out.print(part, soft_wrap=isinstance(part, str))
+        if self._quiet:
+            return
+        for part in parts:
+            shown = fitted(part, self._out) if isinstance(part, Table) else part
+            if isinstance(shown, str):
+                self._out.print(for_screen(shown, sys.stdout), soft_wrap=True, markup=False)
+            else:
+                self._out.print(shown)
 
     @property
     def can_ask(self) -> bool:
