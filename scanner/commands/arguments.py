@@ -230,7 +230,7 @@ NAMED = {
         """
 Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
 projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
-these lines change, and the file as it was is kept beside it as FILE.bak.
+these lines change, and the file as it was before the first time is kept beside it as FILE.bak.
 
 Exit codes: 0 if a scan would work, be it poorly; 3 if a device fails; 4 if a scan of this view would be refused. What
 is known is shown in any case.

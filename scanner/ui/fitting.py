@@ -43,7 +43,12 @@ def _wrapped_line(line: str, width: int) -> str:
 
 
 def fitted(table: Table, console: Console) -> Table | str:
-    """The table, or its cells below each other where the console is too narrow for their digits."""
+    """The table, or its cells below each other where the console is too narrow for their digits.
+
+    A table with a column of text that may be wrapped fits everywhere.
+    """
+    if not all(column.no_wrap for column in table.columns):
+        return table
     natural = console.measure(table, options=console.options.update(width=10_000)).maximum
     return table if natural <= console.width else wrapped("\n".join(_stacked(table)), console.width)
 

@@ -54,6 +54,15 @@ def test_no_digit_is_lost_however_narrow(rows: list[tuple[str, str, str]], width
 
 def test_a_table_that_fits_stays_one() -> None:
     table = Table("", "value")
-    table.add_row("a", "1")
-    console = Console(file=io.StringIO(), width=80)
+    table.add_row("a", "1" * 30)
+    for column in table.columns:
+        column.no_wrap = True
+    assert fitted(table, Console(file=io.StringIO(), width=80)) is table
+    assert fitted(table, Console(file=io.StringIO(), width=30)) == f"a\n  value\n  {'1' * 30}"
+
+
+def test_text_that_may_be_wrapped_stays_in_its_table() -> None:
+    table = Table("", "advice")
+    table.add_row("a", "turn the lamp off " * 5)
+    console = Console(file=io.StringIO(), width=30)
     assert fitted(table, console) is table
