@@ -93,10 +93,10 @@ def replay_calibrated(
     Raises InputError, RefusalError.
     """
     found = _decode_recording(recording, folder, terminal, calibration)
-    with refusal_saved([found], folder) as reached:
+    with refusal_saved([found], folder, config) as reached:
         given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
         captures = triangulate([given], reached, terminal)
-    return _finished(Scan(captures), folder, terminal)
+    return _finished(Scan(captures), config, folder, terminal)
 
 
 def _decode_recording(
@@ -126,7 +126,7 @@ def reconstruct(
     captures: Sequence[Decoded], config: Config, folder: Path, progress: Progress, *, masks: Bools | None = None
 ) -> Scan:
     """Matches → faces → one calibration → clouds → files; `masks` are of the newest capture. Raises RefusalError."""
-    with refusal_saved(captures, folder) as reached:
+    with refusal_saved(captures, folder, config) as reached:
         with progress.step("Calibrating"):
             labelled = label(captures, reached, masks)
             reached[:] = calibrated = calibrate(labelled, config)
@@ -135,10 +135,10 @@ def reconstruct(
         if len(captures) > 1 and config.corner.same:
             with progress.step("Merging the clouds"):
                 result = Scan(reconstructed, *merge(calibrated, [capture.cloud for capture in reconstructed]))
-    return _finished(result, folder, progress)
+    return _finished(result, config, folder, progress)
 
 
-def _finished(result: Scan, folder: Path, progress: Progress) -> Scan:
+def _finished(result: Scan, config: Config, folder: Path, progress: Progress) -> Scan:
     with progress.step("Writing the result"):
-        save(result, folder)
+        save(result, folder, config)
     return result

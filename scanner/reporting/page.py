@@ -21,6 +21,7 @@ from scanner.reporting.residuals import face_residuals, misses
 from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
+from scanner.ui import unbroken
 
 _FILES = {
     "calibration.yaml": "intrinsics of both devices, and the motion between them",
@@ -64,6 +65,8 @@ def write_report(path: Path, report: ReportInput) -> None:
     page = _template().render(
         **parts,
         subtitle=sections.subtitle(report.facts),
+        provenance=report.provenance,
+        configuration=sections.configuration(report.provenance),
         verdict=verdict(report),
         warnings=decoding.warnings if decoding else (),
         notes=(
@@ -95,6 +98,7 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["unbroken"] = unbroken
     return environment.get_template("report.html")
 
 

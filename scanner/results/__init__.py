@@ -2,6 +2,7 @@
 
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
 from scanner.results.older_results import place_camera
+from scanner.results.provenance import Provenance, provenance
 from scanner.results.result_folder import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,

@@ -22,6 +22,11 @@ def for_screen(text: str, stream: TextIO) -> str:
     return wrapped(text, shutil.get_terminal_size().columns) if stream.isatty() else text
 
 
+def unbroken(text: str) -> str:
+    """The text with spaces that no line is broken at within numbers and between them and their units."""
+    return _WITHIN_NUMBERS.sub(_NO_BREAK, text)
+
+
 def wrapped(text: str, width: int) -> str:
     """The text in lines of at most `width` characters, broken at spaces that are not within a number.
 
@@ -33,7 +38,7 @@ def wrapped(text: str, width: int) -> str:
 def _wrapped_line(line: str, width: int) -> str:
     indent = " " * (len(line) - len(line.lstrip()))
     pieces = textwrap.wrap(
-        _WITHIN_NUMBERS.sub(_NO_BREAK, line),
+        unbroken(line),
         width,
         subsequent_indent=indent,
         break_long_words=False,
