@@ -19,6 +19,7 @@ from scanner.results import (
     CLOUD_FILE,
     MERGED_FILE,
     POSES_FILE,
+    REFUSAL_FILE,
     REPORT_FILE,
     Decoded,
     Provenance,
@@ -33,6 +34,8 @@ from scanner.results import (
     remarks_on,
     solution_of,
     titles_of,
+    verdict_entries,
+    write_refusal,
 )
 
 log = logging.getLogger(__name__)
@@ -130,15 +133,17 @@ def _write_report(
 ) -> None:
     """A capture's report, and its calibration, which says what the report concludes."""
     files = {MATCHES_FILE, *(path.name for path in folder.iterdir())}
+    if isinstance(capture, Refused):
+        files.add(REFUSAL_FILE)
     if isinstance(capture, Reconstructed):
         files |= {CALIBRATION_FILE, CLOUD_FILE, *((MERGED_FILE, POSES_FILE) if company.merged is not None else ())}
     report = ReportInput(capture, truth, tuple(sorted(files - {REPORT_FILE})), company, made)
+    entries = made.entries(capture.decoded.facts.identity)
     if isinstance(capture, Reconstructed):
-        more = {
-            **made.entries(capture.decoded.facts.identity),
-            **confidence_entries(verdict(report), capture.uncertainty),
-        }
+        more = entries | confidence_entries(verdict(report), capture.uncertainty)
         write_calibration(folder / CALIBRATION_FILE, capture.calibration, more)
+    else:
+        write_refusal(folder / REFUSAL_FILE, entries | verdict_entries(verdict(report)))
     write_report(folder / REPORT_FILE, report)
 
 

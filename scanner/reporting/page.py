@@ -25,6 +25,7 @@ from scanner.ui import unbroken
 
 _FILES = {
     "calibration.yaml": "intrinsics of both devices, and the motion between them",
+    "refused.yaml": "the same for programs: why nothing was calibrated",
     "truth.yaml": "the same for the simulated rig, as it really is",
     "cloud.ply": "the point cloud with normals and colours, for MeshLab, CloudCompare or Open3D",
     "matches.npz": "camera and projector pixels of every match, and its face",

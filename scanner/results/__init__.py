@@ -12,6 +12,7 @@ from scanner.results.result_folder import (
     LOG_FILE,
     MERGED_FILE,
     POSES_FILE,
+    REFUSAL_FILE,
     REPORT_FILE,
     TRUTH_FILE,
     OutputFolder,
@@ -37,5 +38,11 @@ from scanner.results.stages import (
     solution_of,
     titles_of,
 )
-from scanner.results.stated_uncertainty import confidence_entries, read_uncertainty, read_verdict
+from scanner.results.stated_uncertainty import (
+    confidence_entries,
+    read_uncertainty,
+    read_verdict,
+    verdict_entries,
+    write_refusal,
+)
 from scanner.results.verdict import Verdict

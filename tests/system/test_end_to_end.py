@@ -227,7 +227,7 @@ def test_a_refused_capture_keeps_its_matches(
         write_png(masks / f"{label}.png", mask)
     out = tmp_path / "refused"
     assert run("replay", scanned.result / "capture", "--masks", masks, "--out", out) == 4
-    assert names(out) == {"matches.npz", "report.html", "scan.log", "capture"}
+    assert names(out) == {"matches.npz", "refused.yaml", "report.html", "scan.log", "capture"}
     assert len(read_matches(out)) == len(read_matches(scanned.result))
     output = capsys.readouterr()
     assert output.out == ""

@@ -192,7 +192,9 @@ def _weights(
     if is_pair and noise > _UNEXPLAINED * np.mean((target - of_common) ** 2):
         return np.ones((count, 1)), inf
     # Noise in what explains draws its weights together: a share of them as large as it is next to what it explains.
-    spread = np.linalg.eigvalsh(design.T @ design / len(left))[1]
+    spread = float(np.linalg.eigvalsh(design.T @ design / len(left))[1])
+    if spread <= 0:  # frames without light, all alike
+        return np.ones((count, 1)), inf
     error = count * _SIGNIFICANT * sqrt(noise / (spread * len(left))) + 2 * noise / spread
     bands = None if is_guess else _bands(design, left, noise)
     if bands is None:
