@@ -76,7 +76,7 @@ def replay(
     earlier: Sequence[Decoded] = (),
 ) -> Scan:
     """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
-    found = _decode_recording(recording, folder, terminal)
+    found = _decode_recording(recording, terminal)
     return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
 
@@ -92,17 +92,14 @@ def replay_calibrated(
 
     Raises InputError, RefusalError.
     """
-    found = _decode_recording(recording, folder, terminal, calibration)
+    found = _decode_recording(recording, terminal, calibration)
     with refusal_saved([found], folder, config) as reached:
         given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
         captures = triangulate([given], reached, terminal)
     return _finished(Scan(captures), config, folder, terminal)
 
 
-def _decode_recording(
-    recording: Recording, folder: Path, terminal: Terminal, calibration: Calibration | None = None
-) -> Decoded:
-    recording.copy_to(folder / CAPTURE_FOLDER)
+def _decode_recording(recording: Recording, terminal: Terminal, calibration: Calibration | None = None) -> Decoded:
     return decode(recording.stream(), terminal, "Decoding", str(recording.folder), calibration)
 
 

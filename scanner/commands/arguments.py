@@ -51,6 +51,25 @@ def _replay(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _batch(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "sources",
+        nargs="+",
+        metavar="FOLDER",
+        help="every capture below it; or a name with * in it; or a list (.csv) with a column 'capture'",
+    )
+    _config(parser, required=False)
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
+    parser.add_argument("--memory", metavar="SIZE", help="of each process, as in 4GB (default: an equal share of all)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a running Dask scheduler, as in tcp://10.0.0.1:8786")
+    parser.add_argument("--retry", action="store_true", help="try captures again that crashed in an earlier run")
+    _quiet(parser)
+
+
 def _import(parser: ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder with the frames")
     parser.add_argument("--from", dest="layout", metavar="FORMAT", help="whose order of frames it is (default: any)")
@@ -216,6 +235,15 @@ NAMED = {
         "Calibrate from matches of another decoder or of earlier results: one capture, or several of one rig at once.",
         _calibrate,
         "calibrate",
+    ),
+    "batch": Command(
+        "Reconstruct many captures, on all processors of this machine or of many, with one table of all.",
+        _batch,
+        "batch",
+        """
+What a capture does, a refusal or a crash, is in its row; the others go on. Interrupted or repeated with the same
+arguments, a batch does what is left. Sources and --out may be far away, as in s3://bucket/folder.
+""",
     ),
     "patterns": Command(
         "Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means.",
