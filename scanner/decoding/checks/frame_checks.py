@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.numerics import Bools
+from calib.numerics import Bools, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.light_switch import light_switch
@@ -118,7 +118,7 @@ def _in_one_light(plan: SequencePlan, shown: _Shown) -> tuple[_Shown, list[Oddit
     switch = light_switch(plan, shown.levels, shown.swing, lambda levels: _contradiction(plan, levels, shown.swing))
     if switch is None:
         return shown, []
-    share = float(np.median(switch.light / shown.swing))
+    share = median(switch.light / shown.swing)
     went = "on" if share > 0 else "off"
     said = f"light of {abs(share):.0%} of the pattern's was switched {went} before {plan.name(switch.frame)}"
     return replace(shown, levels=switch.undone(shown.levels)), [Oddity(said, (switch.frame,))]
@@ -243,7 +243,7 @@ def _means(plan: SequencePlan, shown: _Shown, seen: Sequence[_ShownFringe]) -> I
         return
     means = np.stack([np.mean(one.levels, axis=0) for one in even])
     reference = medians(means, axis=0) if len(even) > 1 else shown.levels.min(axis=0)
-    relative_noise = float(np.median(shown.sigma / shown.swing))
+    relative_noise = median(shown.sigma / shown.swing)
     spreads = robust_sigmas((means - reference) / shown.swing)
     amplitudes = medians(np.stack([one.amplitude for one in even]) / shown.swing, axis=1)
     for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):

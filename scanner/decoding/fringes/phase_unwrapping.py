@@ -15,7 +15,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, compiled
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, compiled, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.codes.gray_code import Interval
 from scanner.decoding.sequence_plan import AxisPlan
@@ -98,13 +98,13 @@ def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats3
     outside = found.outside_px[found.outside_px > 0]
     if plan.codes and len(outside) >= _FEWEST:
         floor = max(0.1, 0.005 * plan.cell)
-        interval = min(interval, max(floor, SIGMA_PER_MEDIAN * float(np.median(outside))))
+        interval = min(interval, max(floor, SIGMA_PER_MEDIAN * median(outside)))
     between = []
-    noises = [np.median(a + b) if len(a) else 0.0 for a, b in pairwise(variances)]
+    noises = [median(a + b) if len(a) else 0.0 for a, b in pairwise(variances)]
     for most, distance, noise in zip(widest.fringe_px, found.between_px, noises, strict=True):
         sigma = most
         if len(distance) >= _FEWEST:
-            total = SIGMA_PER_MEDIAN * float(np.median(distance))
+            total = SIGMA_PER_MEDIAN * median(distance)
             sigma = min(most, sqrt(max(total**2 - float(noise), 0.1 * total**2)))
         between.append(max(sigma, 1e-3))
     return Tolerances(interval, tuple(between))
