@@ -88,6 +88,7 @@ class Decoder:
         self._one_axis = one_axis(plan, calibration)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._count = 0
+        self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
         self._projector_size = projector_size
         self._held: tuple[Accumulators, Sample, TileSample] | None = None
         self._texture: Image | None = None
@@ -114,8 +115,9 @@ class Decoder:
             accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape))
             self._held = accumulators, sample, TileSample(shape)
         accumulators, sample, tiles = self._held
-        tiles.add(grey)
         number = self._plan.shown[self._count]
+        if number in self._of_fringes:
+            tiles.add(self._count, grey)
         # A pattern that was shown before is a witness of what has changed since, and nothing else.
         if number not in self._plan.shown[: self._count]:
             sample.add(grey)
