@@ -34,7 +34,7 @@ from scanner.decoding.motion import (
 )
 from scanner.decoding.one_axis import one_axis
 from scanner.decoding.pixel_sample import Sample
-from scanner.decoding.sequence_plan import plan_sequence
+from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
 
