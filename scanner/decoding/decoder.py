@@ -16,7 +16,7 @@ from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.checks.consequences import judge, suspecting
-from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.coordinate_maps import coordinate_maps
 from scanner.decoding.kept_matches import match_kept

@@ -12,7 +12,8 @@ from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
 from scanner.decoding.checks.code_checks import check_codes
-from scanner.decoding.checks.frame_checks import Oddity, check_frames
+from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.frame_checks import check_frames
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
 from scanner.decoding.light.equalise import correction, out_of_line, swings_of
