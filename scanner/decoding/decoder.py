@@ -140,7 +140,7 @@ class Decoder:
         seen = look(accumulators, sample, tiles, self._projector_size)
         del tiles
         oddities: list[Oddity] = []
-        with blaming_motion(seen.motion):
+        with blaming_motion(lambda: seen.motion):
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities)
                 del sample

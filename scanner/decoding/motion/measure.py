@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.numerics import Floats, median
-from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.courses import Course, Showing, Witnesses, showings_of
 from scanner.decoding.motion.found import Disturbance, MotionFound
@@ -160,14 +160,13 @@ def _share(fringes: Sequence[Showing], course: Course) -> float:
 
 
 def measure_motion(
-    accumulators: Accumulators,
+    plan: SequencePlan,
     tiles: TileSample,
+    signals: tuple[Signals, Signals],
     noise: NoiseModel,
     saturation: float,
     projector_size: tuple[int, int],
 ) -> MotionFound | None:
-    """The motion during a capture; None where too little of it is fringes on smooth surfaces."""
-    pixels = choose_pixels(accumulators, tiles, noise, saturation)
-    if pixels is None:
-        return None
-    return MotionMeter(accumulators.plan, tiles, pixels, projector_size).measure()
+    """The motion during a capture, given the signals of its tiles; None where too few fringes are on smooth places."""
+    pixels = choose_pixels(plan, tiles, signals, noise, saturation)
+    return None if pixels is None else MotionMeter(plan, tiles, pixels, projector_size).measure()

@@ -73,17 +73,17 @@ def fit_motion(design: Floats, seen_px: Floats, precision: Floats, row: Ints, gr
         sums: Floats = np.bincount(row, values, minlength=len(design)).astype(np.float64, copy=False)
         return sums
 
+    columns = np.ascontiguousarray(design.T)
     weight: Floats = precision
     root = np.sqrt(precision)
     for _ in range(_ROUNDS):
-        information = design.T @ (design * of_rows(weight)[:, None]) + prior
-        motion = np.linalg.solve(information, design.T @ of_rows(weight * seen_px)).astype(np.float64)
+        information = (columns * of_rows(weight)) @ design + prior
+        motion = np.linalg.solve(information, columns @ of_rows(weight * seen_px)).astype(np.float64)
         residual = seen_px - (design @ motion)[row]
         off = np.abs(residual) * root
         scale = max(SIGMA_PER_MEDIAN * median(off), 1e-3)
         weight = precision * np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-9))
-    scores = design * of_rows(weight * residual)[:, None]
-    sums = np.stack([np.bincount(group, column) for column in scores.T], axis=1)
+    sums = np.stack([np.bincount(group, score) for score in columns * of_rows(weight * residual)], axis=1)
     inverse = np.linalg.inv(information)
     covariance = inverse @ (sums.T @ sums) @ inverse + inverse * scale**2
     gained = float(np.sum(weight * (seen_px**2 - residual**2))) / scale**2
