@@ -39,10 +39,11 @@ class Sample:
     def add(self, grey: Image) -> None:
         """Take the sample of one frame (H, W)."""
         flat = grey.reshape(-1)
-        self._frames.append(flat[self.pixels])
+        places = [(self._frames, self.pixels)]
         if self._margin:
-            self._left.append(flat[self.pixels - _STEP])
-            self._right.append(flat[self.pixels + _STEP])
+            places += [(self._left, self.pixels - _STEP), (self._right, self.pixels + _STEP)]
+        for levels, pixels in places:
+            levels.append(flat.take(pixels, mode="clip"))  # all are inside, which need not be checked
 
     def has(self, *frames: int) -> bool:
         """Whether these frames have come."""

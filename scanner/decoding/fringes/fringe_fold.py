@@ -9,6 +9,7 @@ from calib.numerics import Image, compiled
 from scanner.decoding.arrays import Component
 from scanner.decoding.light.equalise import Correction
 from scanner.decoding.sequence_plan import Fringe
+from scanner.decoding.tiles import along_pixels
 
 
 class FringeFold:
@@ -29,9 +30,11 @@ class FringeFold:
         self._waiting: dict[int, Image] = {}
         self.scale = largest if self._is_plain else 1.0
         self.correction: Correction | None = None
+        # Differences are written, sums begin with nothing.
+        begin = np.empty if self._is_plain else np.zeros
         kept_as = np.dtype(np.float32) if not self._is_plain else np.dtype(np.int16 if dtype == np.uint8 else np.int32)
-        self.cosine: Component = np.zeros(shape, kept_as)
-        self.sine: Component = np.zeros(shape, kept_as)
+        self.cosine: Component = begin(shape, kept_as)
+        self.sine: Component = begin(shape, kept_as)
 
     def fold(self, step: int, frame: Image, peak: Image) -> None:
         """Add the frame of one shift, and raise `peak` (H, W) to it: of frames that wait, when they are added."""
@@ -46,7 +49,8 @@ class FringeFold:
             self._waiting[number] = frame.copy()
             return
         component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
-        _subtract(frame.reshape(-1), other.reshape(-1), sign, component.reshape(-1), peak.reshape(-1))
+        frame, other, component, peak = frame.reshape(-1), other.reshape(-1), component.reshape(-1), peak.reshape(-1)
+        along_pixels(len(frame), lambda at: _subtract(frame[at], other[at], sign, component[at], peak[at]))
 
 
 @compiled
