@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
-from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
@@ -40,7 +40,7 @@ class Seen:
     Motion is measured while other things go on.
     """
 
-    levels: Floats32
+    levels: Image
     noise: NoiseModel
     saturation: float
     flicker: float | None
@@ -57,7 +57,7 @@ class Seen:
 def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projector_size: tuple[int, int]) -> Seen:
     """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
     accumulators.finish()
-    levels = sample.levels
+    levels = sample.as_taken
     flicker = _equalise(accumulators, sample, tiles)
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(accumulators.plan, sample, saturation)
@@ -114,7 +114,7 @@ def learn(accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin)
-        oddities += check_frames(plan, seen.levels, sample.levels, seen.noise, seen.saturation)
+        oddities += check_frames(plan, seen.levels.astype(np.float32), sample.levels, seen.noise, seen.saturation)
         odd_codes = check_codes(plan, accumulators.codes, seen.noise, accumulators.middle)
         oddities += _passed_over(plan, odd_codes, oddities)
         decoders = calibrating.result()

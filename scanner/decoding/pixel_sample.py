@@ -59,6 +59,11 @@ class Sample:
             levels[frame] = (levels[frame] / by).astype(np.float32)
 
     @property
+    def as_taken(self) -> Image:
+        """(frames, P) grey levels, once all frames are in and before any is made darker, as the camera gave them."""
+        return np.stack(self._frames)
+
+    @property
     def levels(self) -> Floats32:
         """(frames, P) grey levels, once all frames are in."""
         return np.stack(self._frames, dtype=np.float32)

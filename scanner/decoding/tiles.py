@@ -6,7 +6,7 @@ from typing import TypeVar
 from calib.numerics import in_parallel, in_slices
 
 # Larger ones would cost memory, smaller ones time between the loops: the interpreter serves one thread only.
-_TILE_PX = (128, 1224)
+_TILE_PX = (128, 816)
 # Of loops that only pass over memory; more threads cost more than they save below that.
 _LONG_PX = 1 << 20
 
