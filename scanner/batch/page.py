@@ -9,7 +9,7 @@ from scanner.batch.rows import Row
 from scanner.batch.work import RESULTS, THUMBNAILS
 from scanner.quantities import Quantity
 from scanner.rendering import environment, script, script_hash
-from scanner.results import REPORT_FILE, Verdict
+from scanner.results import REPORT_FILE, SIGNS
 
 _SCRIPT = "batch.js"
 # A browser shows no more at once; the table has all.
@@ -19,7 +19,7 @@ _WORDS = {0: "calibrated", 2: "unusable input", 4: "refused", 70: "crashed"}
 
 def write_page(place: Place, rows: Sequence[Row]) -> None:
     """Write it. It needs no network, and of other files those of the results. Raises OSError."""
-    counts = Counter(_WORDS.get(row.exit_code, f"exit code {row.exit_code}") for row in rows)
+    counts = Counter(_state(row) for row in rows)
     page = (
         environment()
         .get_template("batch.html")
@@ -39,7 +39,7 @@ def _line(row: Row) -> dict[str, object]:
     name = quote(row.name)
     return {
         "name": row.name,
-        "state": _WORDS.get(row.exit_code, f"exit code {row.exit_code}"),
+        "state": _state(row),
         "grade": row.grade or "refused",
         "headline": _headline(row),
         "reason": row.reason or "",
@@ -53,10 +53,13 @@ def _line(row: Row) -> dict[str, object]:
 
 
 def _headline(row: Row) -> str:
-    if row.grade is None or row.headline is None:
-        return f"✕ {_WORDS.get(row.exit_code, 'failed').capitalize()}"
-    sign = Verdict("good" if row.grade == "good" else "fair" if row.grade == "fair" else "refused", "", ()).sign
-    return f"{sign} {row.headline}"
+    if row.headline is None:
+        return _state(row).capitalize()
+    return f"{SIGNS[row.grade or 'refused']} {row.headline}"
+
+
+def _state(row: Row) -> str:
+    return _WORDS.get(row.exit_code, f"exit code {row.exit_code}")
 
 
 def _with_sigma(value: float | None, sigma: float | None) -> str:

@@ -45,4 +45,4 @@ from scanner.results.stated_uncertainty import (
     verdict_entries,
     write_refusal,
 )
-from scanner.results.verdict import Verdict
+from scanner.results.verdict import SIGNS, Verdict

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Grade = Literal["good", "fair", "refused"]
+SIGNS: dict[str, str] = {"good": "✓", "fair": "◐", "refused": "✕"}
 
 
 @dataclass(frozen=True)
@@ -18,4 +19,4 @@ class Verdict:
     @property
     def sign(self) -> str:
         """The grade in one character."""
-        return {"good": "✓", "fair": "◐", "refused": "✕"}[self.grade]
+        return SIGNS[self.grade]
