@@ -18,7 +18,7 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.reconstruction import read_captures, read_masks, refuse_impossible
-from scanner.results import Scan, new_result, read_uncertainty
+from scanner.results import CAPTURE_FOLDER, Scan, new_result, read_uncertainty
 from scanner.ui import Terminal
 
 _SILENT = Terminal(quiet=True)
@@ -59,9 +59,12 @@ def replay(
     calibration: Path | None = None,
     masks: Path | None = None,
     overwrite: bool = False,
+    keep_recording: bool = True,
     terminal: Terminal = _SILENT,
 ) -> Scan:
     """Reconstruct from a recorded capture, whoever made it; with a `calibration` nothing is calibrated.
+
+    `keep_recording`: a copy of it becomes part of the result.
 
     Raises InputError, RefusalError.
     """
@@ -75,6 +78,8 @@ def replay(
     earlier = read_captures(settings.earlier, recording.camera_size, recording.projector_size)
     refuse_impossible(settings, len(earlier) + 1)
     with new_result(out, settings, overwrite=overwrite) as folder:
+        if keep_recording:
+            recording.copy_to(folder / CAPTURE_FOLDER)
         if known:
             return pipeline.replay_calibrated(recording, *known, settings, folder, terminal)
         return pipeline.replay(recording, settings, folder, terminal, masks=drawn, earlier=earlier)

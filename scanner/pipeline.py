@@ -76,7 +76,7 @@ def replay(
     earlier: Sequence[Decoded] = (),
 ) -> Scan:
     """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
-    found = _decode_recording(recording, folder, terminal)
+    found = _decode_recording(recording, terminal)
     return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
 
@@ -92,17 +92,14 @@ def replay_calibrated(
 
     Raises InputError, RefusalError.
     """
-    found = _decode_recording(recording, folder, terminal, calibration)
-    with refusal_saved([found], folder) as reached:
+    found = _decode_recording(recording, terminal, calibration)
+    with refusal_saved([found], folder, config) as reached:
         given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
         captures = triangulate([given], reached, terminal)
-    return _finished(Scan(captures), folder, terminal)
+    return _finished(Scan(captures), config, folder, terminal)
 
 
-def _decode_recording(
-    recording: Recording, folder: Path, terminal: Terminal, calibration: Calibration | None = None
-) -> Decoded:
-    recording.copy_to(folder / CAPTURE_FOLDER)
+def _decode_recording(recording: Recording, terminal: Terminal, calibration: Calibration | None = None) -> Decoded:
     return decode(recording.stream(), terminal, "Decoding", str(recording.folder), calibration)
 
 
@@ -126,7 +123,7 @@ def reconstruct(
     captures: Sequence[Decoded], config: Config, folder: Path, progress: Progress, *, masks: Bools | None = None
 ) -> Scan:
     """Matches → faces → one calibration → clouds → files; `masks` are of the newest capture. Raises RefusalError."""
-    with refusal_saved(captures, folder) as reached:
+    with refusal_saved(captures, folder, config) as reached:
         with progress.step("Calibrating"):
             labelled = label(captures, reached, masks)
             reached[:] = calibrated = calibrate(labelled, config)
@@ -135,10 +132,10 @@ def reconstruct(
         if len(captures) > 1 and config.corner.same:
             with progress.step("Merging the clouds"):
                 result = Scan(reconstructed, *merge(calibrated, [capture.cloud for capture in reconstructed]))
-    return _finished(result, folder, progress)
+    return _finished(result, config, folder, progress)
 
 
-def _finished(result: Scan, folder: Path, progress: Progress) -> Scan:
+def _finished(result: Scan, config: Config, folder: Path, progress: Progress) -> Scan:
     with progress.step("Writing the result"):
-        save(result, folder)
+        save(result, folder, config)
     return result

@@ -51,6 +51,25 @@ def _replay(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _batch(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "sources",
+        nargs="+",
+        metavar="FOLDER",
+        help="every capture below it; or a name with * in it; or a list (.csv) with a column 'capture'",
+    )
+    _config(parser, required=False)
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
+    parser.add_argument("--memory", metavar="SIZE", help="of each process, as in 4GB (default: an equal share of all)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a running Dask scheduler, as in tcp://10.0.0.1:8786")
+    parser.add_argument("--retry", action="store_true", help="try captures again that crashed in an earlier run")
+    _quiet(parser)
+
+
 def _import(parser: ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder with the frames")
     parser.add_argument("--from", dest="layout", metavar="FORMAT", help="whose order of frames it is (default: any)")
@@ -217,6 +236,15 @@ NAMED = {
         _calibrate,
         "calibrate",
     ),
+    "batch": Command(
+        "Reconstruct many captures, on all processors of this machine or of many, with one table of all.",
+        _batch,
+        "batch",
+        """
+What a capture does, a refusal or a crash, is in its row; the others go on. Interrupted or repeated with the same
+arguments, a batch does what is left. Sources and --out may be far away, as in s3://bucket/folder.
+""",
+    ),
     "patterns": Command(
         "Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means.",
         _patterns,
@@ -230,7 +258,7 @@ NAMED = {
         """
 Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
 projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
-these lines change, and the file as it was is kept beside it as FILE.bak.
+these lines change, and the file as it was before the first time is kept beside it as FILE.bak.
 
 Exit codes: 0 if a scan would work, be it poorly; 3 if a device fails; 4 if a scan of this view would be refused. What
 is known is shown in any case.

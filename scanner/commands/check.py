@@ -45,4 +45,4 @@ def _write(path: Path, report: CheckReport) -> str:
     if not values:
         return f"{path} is as it was: there is nothing to write into it"
     backup = set_keys(path, values)
-    return f"{path}: {' and '.join(values)} set; as it was it is kept in {backup.name}"
+    return f"{path}: {' and '.join(values)} set; as it was at first it is kept in {backup.name}"

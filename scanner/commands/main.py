@@ -30,10 +30,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         name, rest = _choose(sys.argv[1:] if arguments is None else list(arguments))
         _command(name).run(parser_of(name).parse_args(rest))
     except (Exception, KeyboardInterrupt) as error:
-        from scanner.ui import failure_of  # with what it takes to show progress, which help does without
+        from scanner.ui import failure_of, for_screen  # with what it takes to show progress, which help does without
 
         failure = failure_of(error)
-        print(f"scan: {failure.message}", file=sys.stderr)
+        print(for_screen(f"scan: {failure.message}", sys.stderr), file=sys.stderr)
         return failure.exit_code
     return 0
 

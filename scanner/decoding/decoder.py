@@ -16,7 +16,7 @@ from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.checks.consequences import judge, suspecting
-from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.coordinate_maps import coordinate_maps
 from scanner.decoding.kept_matches import match_kept
@@ -35,7 +35,7 @@ from scanner.decoding.motion import (
 )
 from scanner.decoding.one_axis import one_axis
 from scanner.decoding.pixel_sample import Sample
-from scanner.decoding.sequence_plan import plan_sequence
+from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
 
@@ -89,6 +89,7 @@ class Decoder:
         self._one_axis = one_axis(plan, calibration)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._count = 0
+        self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
         self._projector_size = projector_size
         self._held: tuple[Accumulators, Sample, TileSample] | None = None
         self._texture: Image | None = None
@@ -116,8 +117,9 @@ class Decoder:
             accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape))
             self._held = accumulators, sample, TileSample(shape)
         accumulators, sample, tiles = self._held
-        tiles.add(grey)
         number = self._plan.shown[self._count]
+        if number in self._of_fringes:
+            tiles.add(self._count, grey)
         # A pattern that was shown before is a witness of what has changed since, and nothing else.
         if number not in self._plan.shown[: self._count]:
             sample.add(grey)
@@ -140,7 +142,7 @@ class Decoder:
         seen = look(accumulators, sample, tiles, self._projector_size)
         del tiles
         oddities: list[Oddity] = []
-        with blaming_motion(seen.motion):
+        with blaming_motion(lambda: seen.motion):
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities)
                 del sample

@@ -2,6 +2,7 @@
 
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
 from scanner.results.older_results import place_camera
+from scanner.results.provenance import Provenance, provenance
 from scanner.results.result_folder import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,
@@ -11,6 +12,7 @@ from scanner.results.result_folder import (
     LOG_FILE,
     MERGED_FILE,
     POSES_FILE,
+    REFUSAL_FILE,
     REPORT_FILE,
     TRUTH_FILE,
     OutputFolder,
@@ -36,5 +38,11 @@ from scanner.results.stages import (
     solution_of,
     titles_of,
 )
-from scanner.results.stated_uncertainty import confidence_entries, read_uncertainty, read_verdict
-from scanner.results.verdict import Verdict
+from scanner.results.stated_uncertainty import (
+    confidence_entries,
+    read_uncertainty,
+    read_verdict,
+    verdict_entries,
+    write_refusal,
+)
+from scanner.results.verdict import SIGNS, Verdict

@@ -20,12 +20,15 @@ CALIBRATION_FILE = "calibration.yaml"
 TRUTH_FILE = "truth.yaml"
 CLOUD_FILE = "cloud.ply"
 REPORT_FILE = "report.html"
+REFUSAL_FILE = "refused.yaml"
 CAPTURE_FOLDER = "capture"
 CAPTURES_FOLDER = "captures"
 MERGED_FILE = "merged.ply"
 POSES_FILE = "poses.yaml"
 DENSE_FILE = "dense.ply"
 LOG_FILE = "scan.log"
+
+_PARTIAL = ".partial"
 
 log = logging.getLogger(__name__)
 
@@ -37,6 +40,7 @@ _OURS = {
     POSES_FILE,
     DENSE_FILE,
     REPORT_FILE,
+    REFUSAL_FILE,
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
     LOG_FILE,
@@ -53,6 +57,12 @@ def default_out(stem: str, *, overwrite: bool) -> Path:
     """`scans/<stem>`, with -2, -3 … added if it exists and may not be overwritten."""
     out = Path("scans") / stem
     return out if overwrite else _unused(out)
+
+
+def published_name(folder: Path) -> str:
+    """What a folder that `OutputFolder` made will be called; any other folder's own name."""
+    hidden = folder.name.startswith(".") and folder.name.endswith(_PARTIAL)
+    return folder.name[1:].rsplit(".", 2)[0] if hidden else folder.name
 
 
 def beside(result: Path, ending: str) -> Path:
@@ -95,7 +105,7 @@ class OutputFolder:
         self._keep_capture = keep_capture
         if _is_occupied(self.out):
             _refuse_to_lose(out, overwrite=overwrite)
-        self.folder = self.out.with_name(f".{self.out.name}.{os.getpid()}.partial")
+        self.folder = self.out.with_name(f".{self.out.name}.{os.getpid()}{_PARTIAL}")
 
     def __enter__(self) -> Self:
         self._new_parents = [parent for parent in self.out.parents if not parent.exists()]

@@ -8,8 +8,10 @@ from typing import TypeVar
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 from scanner.shown_text import harmless
+from scanner.ui.fitting import fitted, for_screen
 
 T = TypeVar("T")
 
@@ -43,13 +45,15 @@ class Terminal:
             progress.advance(task)
 
     def show(self, *parts: RenderableType) -> None:
-        """Print what a successful command has to say; text as it is, whatever brackets a name in it has."""
-        if not self._quiet:
-            for part in parts:
-                if isinstance(part, str):
-                    self._out.print(harmless(part), soft_wrap=True, markup=False, emoji=False)
-                else:
-                    self._out.print(part)
+        """Print what a successful command has to say."""
+        if self._quiet:
+            return
+        for part in parts:
+            shown = fitted(part, self._out) if isinstance(part, Table) else part
+            if isinstance(shown, str):
+                self._out.print(for_screen(harmless(shown), sys.stdout), soft_wrap=True, markup=False)
+            else:
+                self._out.print(shown)
 
     @property
     def can_ask(self) -> bool:
@@ -58,7 +62,7 @@ class Terminal:
 
     def ask(self, question: str) -> str:
         """What the operator types; the end of the input, as by Ctrl-D, is a 'q'. Asked even if `quiet`."""
-        self._err.print(harmless(question), end="", markup=False)
+        self._err.print(question, end="", markup=False)
         try:
             return input()
         except EOFError:
