@@ -64,7 +64,7 @@ class Light:
         contrast = self.mean_white - self.mean_black
         bright = float(np.percentile(contrast, _BRIGHT_PERCENTILE))
         difference = grey(self.black[1]) - grey(self.black[0])
-        noise = max(1.0, robust_sigma(difference - np.median(difference)))
+        noise = max(1.0, robust_sigma((difference - np.median(difference)).ravel()))
         lit: Bools = contrast > max(_DIRECT * bright, _SEEN * noise)
         return lit
 

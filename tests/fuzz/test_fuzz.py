@@ -35,3 +35,10 @@ def test_what_must_not_be_is_found(planted: str, found: str) -> None:
     assert outcome.inputs == 2
     assert [finding.what.startswith(found) for finding in outcome.findings] == [True]
     assert sum(outcome.kinds.values()) == 2
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("target", "seed", "number"), [("calibrating", 3, 548)])  # no answer beside the best one
+def test_what_was_found_once_is_refused(target: str, seed: int, number: int, tmp_path: Path) -> None:
+    with pytest.raises(RejectedError):
+        TARGETS[target](tmp_path)(rng_of(seed, number))
