@@ -100,12 +100,12 @@ def _read(path: Path) -> _Stored:
 
 
 def _binned(pixels: Pixels, count: int) -> Pixels:
-    """The means of `count` × `count` pixels; a rim that does not fill one is left out."""
+    """The means of `count` × `count` 8-bit pixels; a rim that does not fill one is left out."""
     if count == 1:
         return pixels
     height, width = (length // count for length in pixels.shape[:2])
     whole = pixels[: height * count, : width * count]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), pixels.dtype)
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _exif(path: Path) -> tuple[int, float | None]:
