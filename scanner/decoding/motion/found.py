@@ -101,11 +101,16 @@ class MotionFound:
 
     def __str__(self) -> str:
         """In words, as in: the projector moved by 1.2 px between frames 18 and 24."""
-        projector, camera = (float(np.hypot(*part[:2])) for part in np.split(self.motion, [PER_DEVICE]))
-        moved = [
-            f"the {device} moved by {px:.2g} px"
-            for device, px, other in (("projector", projector, camera), ("camera", camera, projector))
-            if px >= _BOTH * other
-        ]
         when = "slowly, from frame {} to {}" if self.slow else "between frames {} and {}"
-        return f"{' and '.join(moved)} {when.format(self.first, self.last)}"
+        return f"{who_moved(self.motion)} {when.format(self.first, self.last)}"
+
+
+def who_moved(motion: Floats) -> str:
+    """In words, as in: the projector moved by 1.2 px; `motion` (8,) as in `rigid`."""
+    projector, camera = (float(np.hypot(*part[:2])) for part in np.split(motion, [PER_DEVICE]))
+    moved = [
+        f"the {device} moved by {px:.2g} px"
+        for device, px, other in (("projector", projector, camera), ("camera", camera, projector))
+        if px >= _BOTH * other
+    ]
+    return " and ".join(moved)
