@@ -14,6 +14,7 @@ from calib.numerics.robust_statistics import (
     biweight_slope,
     blocks,
     influence_on,
+    median,
     robust_covariance,
     robust_sigma,
 )

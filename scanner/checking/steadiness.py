@@ -93,10 +93,10 @@ def _moved(
     design = shifts_by_motion(camera_px, was, gradient, (width, height), projector_size)
     spread = np.maximum(np.median(np.abs(changed - np.median(changed, axis=0)), axis=0), 1e-3)
     precision = np.broadcast_to(1 / spread**2, changed.shape)
-    tile = place[0] // _TILE_PX * width + place[1] // _TILE_PX
-    _, group = np.unique(tile, return_inverse=True)
+    _, group = np.unique(place[0] // _TILE_PX * width + place[1] // _TILE_PX, return_inverse=True)
+    rows = np.arange(design.shape[0] * design.shape[1])
     return fit_motion(
-        design.reshape(-1, design.shape[2]), changed.reshape(-1), precision.reshape(-1), np.repeat(group.reshape(-1), 2)
+        design.reshape(len(rows), -1), changed.reshape(-1), precision.reshape(-1), rows, np.repeat(group.reshape(-1), 2)
     )
 
 

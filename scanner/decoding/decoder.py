@@ -16,7 +16,7 @@ from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.checks.consequences import judge, suspecting
-from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.coordinate_maps import coordinate_maps
 from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
@@ -35,7 +35,7 @@ from scanner.decoding.motion import (
 )
 from scanner.decoding.one_axis import one_axis
 from scanner.decoding.pixel_sample import Sample
-from scanner.decoding.sequence_plan import plan_sequence
+from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
 
@@ -89,6 +89,7 @@ class Decoder:
         self._one_axis = one_axis(plan, calibration)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._count = 0
+        self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
         self._projector_size = projector_size
         self._held: tuple[Accumulators, Sample, TileSample] | None = None
         self._lit: EvenlyLit | None = None
@@ -118,8 +119,9 @@ class Decoder:
             halves = halves_of(self._plan)
             self._lit = EvenlyLit(halves, shape) if halves else None
         accumulators, sample, tiles = self._held
-        tiles.add(grey)
         number = self._plan.shown[self._count]
+        if number in self._of_fringes:
+            tiles.add(self._count, grey)
         # A pattern that was shown before is a witness of what has changed since, and nothing else.
         if number not in self._plan.shown[: self._count]:
             sample.add(grey)
@@ -144,12 +146,12 @@ class Decoder:
         seen = look(accumulators, sample, tiles, self._projector_size)
         del tiles
         oddities: list[Oddity] = []
-        motion = seen.motion
-        with blaming_motion(motion):
+        with blaming_motion(lambda: seen.motion):
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities)
                 del sample
                 maps = coordinate_maps(accumulators, learnt.decoders)
+                motion = seen.motion
                 if self._lit is not None:
                     motion = motion_between(
                         self._lit, accumulators.plan, maps.projector_px, self._projector_size, motion

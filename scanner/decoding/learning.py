@@ -1,7 +1,7 @@
 """What a sample of the frames tells before pixels are decoded: noise, light, motion, tolerances, and what is odd."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,8 @@ from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
 from scanner.decoding.checks.code_checks import check_codes
-from scanner.decoding.checks.frame_checks import Oddity, check_frames
+from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.frame_checks import check_frames
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
 from scanner.decoding.light.equalise import correction, out_of_line, swings_of
@@ -34,15 +35,23 @@ from scanner.errors import InputError
 
 @dataclass(frozen=True)
 class Seen:
-    """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken."""
+    """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken.
+
+    Motion is measured while other things go on.
+    """
 
     levels: Floats32
     noise: NoiseModel
     saturation: float
     flicker: float | None
-    motion: MotionFound | None
+    measuring_motion: Future[MotionFound | None]
     code_shifts: tuple[CodeShift, ...]
     notes: tuple[str, ...]
+
+    @property
+    def motion(self) -> MotionFound | None:
+        """Once it is measured."""
+        return self.measuring_motion.result()
 
 
 def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projector_size: tuple[int, int]) -> Seen:
@@ -53,8 +62,11 @@ def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projecto
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(accumulators.plan, sample, saturation)
     notes = tuple(resolve_bits(accumulators, noise, sample.pixels))
-    motion = measure_motion(accumulators, tiles, noise, saturation, projector_size)
-    return Seen(levels, noise, saturation, flicker, motion, shifts_of_codes(accumulators, tiles, noise), notes)
+    plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
+    aside = ThreadPoolExecutor(1)
+    motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
+    aside.shutdown(wait=False)
+    return Seen(levels, noise, saturation, flicker, motion, shifts_of_codes(plan, (x, y), noise), notes)
 
 
 def _equalise(accumulators: Accumulators, sample: Sample, tiles: TileSample) -> float | None:

@@ -1,6 +1,6 @@
 """What is said of captures during which something moved."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from calib.refusal import RefusalError
@@ -19,14 +19,15 @@ _EXPLAINED = 0.75
 
 
 @contextmanager
-def blaming_motion(motion: MotionFound | None) -> Iterator[None]:
-    """Frames that contradict each other in the block do so because something moved, if that explains it.
+def blaming_motion(found: Callable[[], MotionFound | None]) -> Iterator[None]:
+    """Frames that contradict each other in the block do so because of the motion that was found, if that explains it.
 
     Raises RefusalError in the place of InputError.
     """
     try:
         yield
     except InputError as error:
+        motion = found()
         if motion is not None and motion.significant and motion.explained > _EXPLAINED:
             raise moved(motion) from error
         raise
