@@ -61,11 +61,16 @@ class Light:
         return _mean(self.black)
 
     @cached_property
+    def settled_white(self) -> Floats:
+        """The same of the later frames, with nothing of the picture before."""
+        return _mean(self.white[1:])
+
+    @cached_property
     def lit(self) -> Bools:
         """(H, W): where the projector's light falls directly, as far as brightness tells; nowhere if noise is all."""
         contrast = self.mean_white - self.mean_black
         bright = float(np.percentile(contrast, _BRIGHT_PERCENTILE))
-        difference = grey(self.black[1]) - grey(self.black[0])
+        difference = (grey(self.black[1]) - grey(self.black[0])).reshape(-1)
         noise = max(1.0, robust_sigma(difference - np.median(difference)))
         lit: Bools = contrast > max(_DIRECT * bright, _SEEN * noise)
         return lit

@@ -24,17 +24,16 @@ _AXES: tuple[Axis, Axis] = ("x", "y")
 PERIOD_PX = 12.3
 _MOST_PIXELS = 4_000
 _TILE_PX = 16
-# A drift of this size in a minute still is one of a tenth of a pixel in most captures, which the decoder takes back.
+# What the decoder takes back without harm, of either device's pixels.
 _MOST_PX = 0.1
 _SURE = 5.0
 # Lamps settle to a few thousandths.
 _MOST_PERCENT = 0.5
-_MINUTE_S = 60.0
 
 
 @dataclass(frozen=True)
 class Before:
-    """What was seen from the time `since_s` on: `light`, and where each camera pixel looked, `projector_px` (H, W, 2)."""
+    """What was seen from the time `since_s` on: `light`, and where camera pixels looked, `projector_px` (H, W, 2)."""
 
     since_s: float
     light: Light
@@ -49,12 +48,12 @@ def patterns() -> tuple[Pattern, ...]:
 def steadiness_row(rig: Rig, before: Before, frames: Iterator[tuple[Pattern, Frame]], usable: Bools) -> CheckRow | None:
     """What has changed since, by frames of `patterns()`; None if no pixels are `usable` (H, W). Raises DeviceError."""
     moved = _moved(before.projector_px, frames, usable, rig.projector.size)
-    after = photograph_light(rig, 2, 2)
+    after = photograph_light(rig, 3, 2)
     where = before.light.well_lit & after.well_lit
     seconds = time.monotonic() - before.since_s
     if moved is None or not where.any():
         return None
-    percent = 100 * (after.mean_white[where].mean() / before.light.mean_white[where].mean() - 1)
+    percent = 100 * (after.settled_white[where].mean() / before.light.settled_white[where].mean() - 1)
     return row_of(moved, float(percent), seconds)
 
 
@@ -64,11 +63,10 @@ def row_of(fit: Fit, percent: float, seconds: float) -> CheckRow:
     sure = fit.significance > _SURE
     moving = f"{who_moved(fit.motion)}" if sure else "nothing moved by more than noise"
     finding = f"within {seconds:.0f} s {moving}, and white changed by {percent:+.2f} %"
-    per_minute = max(1.0, _MINUTE_S / max(seconds, 1.0))
     advice = []
-    if sure and px * per_minute > _MOST_PX:
-        advice.append("Fasten what moves: a capture tolerates a tenth of a pixel.")
-    if abs(percent) * per_minute > _MOST_PERCENT:
+    if sure and px > _MOST_PX:
+        advice.append("Fasten what moves, or let it settle: a capture tolerates a tenth of a pixel.")
+    if abs(percent) > _MOST_PERCENT:
         advice.append("The projector is not warm yet: give it a quarter of an hour with a picture on, and check again.")
     return CheckRow(_NAME, State.POOR if advice else State.OK, finding, " ".join(advice))
 
@@ -80,7 +78,7 @@ def _moved(
         (pattern.axis, pattern.shift): grey(frame.image) for pattern, frame in frames if isinstance(pattern, Phase)
     }
     by_y, by_x = (np.gradient(projector_px, axis=axis) for axis in (0, 1))
-    known = usable & np.isfinite(by_x).all(axis=2) & np.isfinite(by_y).all(axis=2)
+    known = usable & np.isfinite(np.concatenate([projector_px, by_x, by_y], axis=2)).all(axis=2)
     row, column = np.nonzero(known)
     chosen = np.linspace(0, len(row) - 1, min(len(row), _MOST_PIXELS)).astype(np.int64)
     if not len(chosen):
