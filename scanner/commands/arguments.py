@@ -1,6 +1,6 @@
 """What can be typed: every command with its arguments. Knows nothing of what they do, so that help comes at once."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -8,6 +8,8 @@ from pathlib import Path
 
 from scanner.exporting import DEFAULT_POINTS, FORMATS
 from scanner.viewing.opening import add_address
+
+_LONGEST_WATCH_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -100,10 +102,24 @@ def _patterns(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _seconds(text: str) -> float:
+    seconds = float(text)  # argparse tells of what is no number
+    if not 0 <= seconds <= _LONGEST_WATCH_S:
+        raise ArgumentTypeError(f"expected 0 to {_LONGEST_WATCH_S:.0f} seconds, found {text}")
+    return seconds
+
+
 def _check(parser: ArgumentParser) -> None:
     _config(parser, required=True)
     parser.add_argument(
         "--write", action="store_true", help="put the exposure and the projector's response into the configuration file"
+    )
+    parser.add_argument(
+        "--watch",
+        type=_seconds,
+        default=0.0,
+        metavar="SECONDS",
+        help="look for drift over so long, 60 say (default: as long as the rest takes)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder to make, for check.yaml and pictures (default: nothing is kept)"

@@ -19,6 +19,7 @@ from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.coordinate_maps import coordinate_maps
+from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
 from scanner.decoding.light.equalise import PairEqualiser
@@ -91,6 +92,7 @@ class Decoder:
         self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
         self._projector_size = projector_size
         self._held: tuple[Accumulators, Sample, TileSample] | None = None
+        self._lit: EvenlyLit | None = None
         self._texture: Image | None = None
 
     def add(self, image: Image, exposure_us: float | None = None) -> None:
@@ -114,6 +116,8 @@ class Decoder:
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
             accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape))
             self._held = accumulators, sample, TileSample(shape)
+            halves = halves_of(self._plan)
+            self._lit = EvenlyLit(halves, shape) if halves else None
         accumulators, sample, tiles = self._held
         number = self._plan.shown[self._count]
         if number in self._of_fringes:
@@ -122,6 +126,8 @@ class Decoder:
         if number not in self._plan.shown[: self._count]:
             sample.add(grey)
             accumulators.add(number, grey)
+            if self._lit is not None:
+                self._lit.add(number, grey)
             self._note_texture(image, number)
         self._count += 1
 
@@ -145,8 +151,14 @@ class Decoder:
                 learnt = learn(accumulators, sample, seen, oddities)
                 del sample
                 maps = coordinate_maps(accumulators, learnt.decoders)
-                if seen.motion is not None and seen.motion.significant and not seen.motion.is_too_large:
-                    seen.motion.shift.take_back(maps.projector_px)
+                motion = seen.motion
+                if self._lit is not None:
+                    motion = motion_between(
+                        self._lit, accumulators.plan, maps.projector_px, self._projector_size, motion
+                    )
+                    self._lit = None
+                if motion is not None and motion.significant and not motion.is_too_large:
+                    motion.shift.take_back(maps.projector_px)
                 # The running images are as large as the matches, and have served.
                 plan, brightest = accumulators.plan, accumulators.brightest
                 del accumulators
@@ -162,9 +174,9 @@ class Decoder:
             reasons,
             seen.noise,
             learnt.modulation,
-            (*odd, *seen.notes, *told, *remarks_on(seen.motion)),
+            (*odd, *seen.notes, *told, *remarks_on(motion)),
             flicker=seen.flicker,
-            motion=seen.motion,
+            motion=motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,
         )

@@ -85,19 +85,12 @@ class MotionMeter:
             explained=explained,
             shift=shift,
             others=tuple(others),
-            witnessed=self._is_witnessed,
         )
 
     @property
     def _is_overdetermined(self) -> bool:
         """Whether a frame that does not belong to its fringe shows; with three, a bent curve is in the phase."""
         return all(len(one.times) > _PARAMETERS for axis in self._showings for one in axis)
-
-    @property
-    def _is_witnessed(self) -> bool:
-        """Whether what moves between the axes shows: each was measured before and after the other, or in part."""
-        x, y = (np.concatenate([one.times for one in axis]) for axis in self._showings)
-        return bool(x.min() < y.max() and y.min() < x.max())
 
     def _try(self, course: Course) -> _Tried:
         return _Tried(course, self._fit(self._witnesses, course))
