@@ -47,7 +47,7 @@ def scan(
     check_places(config.required_rig, captures, terminal)
     earlier = read_captures(config.earlier, config.camera_size, config.projector_size)
     refuse_impossible(config, len(earlier) + captures)
-    with new_result(out, config, overwrite=overwrite, keep_capture=True) as folder:
+    with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         return pipeline.scan(config, folder, terminal, number=captures, masks=drawn, earlier=earlier)
 
 
@@ -74,7 +74,7 @@ def replay(
     known = _calibration_for(recording, calibration, settings) if calibration else None
     earlier = read_captures(settings.earlier, recording.camera_size, recording.projector_size)
     refuse_impossible(settings, len(earlier) + 1)
-    with new_result(out, settings, overwrite=overwrite) as folder:
+    with new_result(out, settings, overwrite=overwrite, tell=terminal.note) as folder:
         if known:
             return pipeline.replay_calibrated(recording, *known, settings, folder, terminal)
         return pipeline.replay(recording, settings, folder, terminal, masks=drawn, earlier=earlier)
@@ -90,7 +90,7 @@ def calibrate(
     config.principal_point(config.camera_size)
     captures = read_captures(matches, config.camera_size, config.projector_size)
     refuse_impossible(config, len(captures))
-    with new_result(out, config, overwrite=overwrite) as folder:
+    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
         return pipeline.reconstruct(captures, config, folder, terminal)
 
 

@@ -19,9 +19,10 @@ class Command:
     module: str
     more: str = ""
 
-    def run(self, args: Namespace) -> None:
-        """Do the work. Raises InputError, DeviceError, RefusalError."""
-        import_module(f"scanner.commands.{self.module}").run(args)
+    def load(self) -> Callable[[Namespace], None]:
+        """What does the work; it raises InputError, StorageError, DeviceError, RefusalError."""
+        run: Callable[[Namespace], None] = import_module(f"scanner.commands.{self.module}").run
+        return run
 
 
 def _scan(parser: ArgumentParser) -> None:

@@ -2,7 +2,7 @@
 
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
 from scanner.results.older_results import place_camera
-from scanner.results.result_folder import (
+from scanner.results.names import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
@@ -13,13 +13,13 @@ from scanner.results.result_folder import (
     POSES_FILE,
     REPORT_FILE,
     TRUTH_FILE,
-    OutputFolder,
     beside,
     default_out,
     folder_of,
-    new_result,
     refuse_occupied,
+    unused,
 )
+from scanner.results.result_folder import OutputFolder, new_result
 from scanner.results.stages import (
     Calibrated,
     Decoded,

@@ -46,6 +46,12 @@ class Terminal:
             for part in parts:
                 self._out.print(part, soft_wrap=isinstance(part, str))
 
+    def note(self, text: str) -> None:
+        """Say what is to be known whether or not the command succeeds."""
+        log.warning(text)
+        if not self._quiet:
+            self._err.print(text, soft_wrap=True, markup=False, highlight=False)
+
     @property
     def can_ask(self) -> bool:
         """Whether there is a person to answer."""
