@@ -4,19 +4,21 @@ What was found is written into `folder` also when RefusalError is raised: the ma
 calibrated are worth keeping, and the report says why.
 """
 
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration
 from calib.numerics import Bools
+from calib.refusal import RefusalError
 from hw.open_rig import open_rig
 from hw.settings import RigSettings
 from scanner.capture import CaptureFacts, Recording, Stream, capture, identity, next_place, record
 from scanner.configuration import Config
-from scanner.decoding import Decoder
+from scanner.decoding import Decoder, usable
+from scanner.errors import InputError
 from scanner.io import write_calibration
 from scanner.reconstruction import (
     calibrate,
@@ -76,8 +78,9 @@ def replay(
     earlier: Sequence[Decoded] = (),
 ) -> Scan:
     """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
-    found = _decode_recording(recording, folder, terminal)
-    return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
+    with _saying_what_is_missing(recording):
+        found = _decode_recording(recording, folder, terminal)
+        return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
 
 def replay_calibrated(
@@ -92,7 +95,8 @@ def replay_calibrated(
 
     Raises InputError, RefusalError.
     """
-    found = _decode_recording(recording, folder, terminal, calibration)
+    with _saying_what_is_missing(recording):
+        found = _decode_recording(recording, folder, terminal, calibration)
     with refusal_saved([found], folder) as reached:
         given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
         captures = triangulate([given], reached, terminal)
@@ -102,8 +106,30 @@ def replay_calibrated(
 def _decode_recording(
     recording: Recording, folder: Path, terminal: Terminal, calibration: Calibration | None = None
 ) -> Decoded:
+    """As much of it as determines something."""
+    sequence = usable(
+        recording.patterns, recording.planned, recording.projector_size, calibrated=calibration is not None
+    )
     recording.copy_to(folder / CAPTURE_FOLDER)
-    return decode(recording.stream(), terminal, "Decoding", str(recording.folder), calibration)
+    stream = recording.stream().shown_as(sequence.patterns)
+    found = decode(stream, terminal, "Decoding", str(recording.folder), calibration)
+    return found.noting(*recording.notes, *filter(None, [sequence.words, _resumption(recording)]))
+
+
+def _resumption(recording: Recording) -> str:
+    missing = len(recording.planned) > len(recording.patterns)
+    return f"scan --resume {recording.folder} takes the missing frames, if the rig still stands there." if missing else ""
+
+
+@contextmanager
+def _saying_what_is_missing(recording: Recording) -> Iterator[None]:
+    """A capture that comes to nothing may do so because it was broken off."""
+    try:
+        yield
+    except (InputError, RefusalError) as error:
+        for note in filter(None, [*recording.notes, _resumption(recording)]):
+            error.add_note(note)
+        raise
 
 
 def decode(
