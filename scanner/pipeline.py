@@ -15,8 +15,8 @@ from calib.numerics import Bools
 from calib.refusal import RefusalError
 from hw.open_rig import open_rig
 from hw.settings import RigSettings
-from scanner.capture import CaptureFacts, Recording, Stream, capture, identity, next_place, record
-from scanner.configuration import Config
+from scanner.capture import CaptureFacts, Recording, Stream, capture, identity, next_place, record, take_up
+from scanner.configuration import CONFIGURATION_KEY, Config
 from scanner.decoding import Decoder, usable
 from scanner.errors import InputError
 from scanner.io import write_calibration
@@ -55,15 +55,39 @@ def scan(
     return reconstruct(captures, config, folder, terminal, masks=masks)
 
 
-def take(settings: RigSettings, config: Config, folder: Path, progress: Progress, name: str) -> Decoded:
-    """One capture, recorded and decoded as it comes. Raises DeviceError."""
+def resume(
+    begun: Recording,
+    config: Config,
+    folder: Path,
+    terminal: Terminal,
+    *,
+    masks: Bools | None = None,
+    earlier: Sequence[Decoded] = (),
+) -> Scan:
+    """Take what is missing of a capture that was broken off, then reconstruct. Raises InputError, DeviceError too."""
+    name = f"Capture {len(earlier) + 1}"
+    found = take(config.required_rig, config, folder, terminal, name, begun)
+    return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
+
+
+def take(
+    settings: RigSettings,
+    config: Config,
+    folder: Path,
+    progress: Progress,
+    name: str,
+    begun: Recording | None = None,
+) -> Decoded:
+    """One capture, recorded and decoded as it comes, or the rest of one that was `begun`. Raises DeviceError."""
     patterns = config.sequence.patterns(config.projector_size)
     with ExitStack() as devices:
         with progress.step("Preparing the rig"):
             opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
         if opened.truth:
             write_calibration(folder / TRUTH_FILE, opened.truth)
-        live = capture(opened.rig, patterns, config.sequence.exposures_us, config.projector.known_response)
+        how = patterns, config.sequence.exposures_us, config.projector.known_response
+        live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
+        live = replace(live, metadata={**live.metadata, CONFIGURATION_KEY: config.recorded})
         found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding", name)
     return replace(found, facts=replace(found.facts, truth=opened.truth))
 

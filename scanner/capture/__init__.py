@@ -3,5 +3,6 @@
 from scanner.capture.facts import CaptureFacts, identity
 from scanner.capture.recorder import CAPTURE_FILE, record
 from scanner.capture.recording import Recording, open_capture
+from scanner.capture.resuming import take_up
 from scanner.capture.rig_placement import check_places, next_place
 from scanner.capture.stream import Stream, capture

@@ -26,7 +26,13 @@ class Command:
 
 
 def _scan(parser: ArgumentParser) -> None:
-    _config(parser, required=True)
+    _config(parser, required=False)
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        metavar="DIR",
+        help="take what is missing of a capture that was broken off, as in NAME-incomplete, with the rig as it was",
+    )
     parser.add_argument(
         "--captures",
         type=int,

@@ -2,6 +2,7 @@
 
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
 from scanner.results.older_results import place_camera
+from scanner.results.leftovers import settle
 from scanner.results.names import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,
