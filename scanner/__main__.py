@@ -6,7 +6,7 @@ from scanner.interruption import end_at_once, ignore, on_ending
 
 
 def run() -> int:
-    """The whole process, whose exit code is returned: not even while modules are loaded does Ctrl-C show a traceback."""
+    """The whole process, whose exit code is returned: not even while modules are loaded has Ctrl-C a traceback."""
     on_ending(end_at_once)
     from scanner.commands.main import main
 

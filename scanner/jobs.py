@@ -69,7 +69,8 @@ def resume(
     recording was made with, with KEY=VALUE `overrides`) and `out` (default: what the scan would have made) are of the
     new result. Raises InputError, also if rig or scene are not as they were, DeviceError, RefusalError.
     """
-    out = out or unused(folder.absolute().with_name(_NOT_INCOMPLETE.sub("", folder.absolute().name)))
+    named = folder if folder.name not in ("", "..") else folder.absolute()
+    out = out or unused(named.with_name(_NOT_INCOMPLETE.sub("", named.name)))
     for sentence in settle(out):
         terminal.note(sentence)
     begun = open_capture(folder / CAPTURE_FOLDER if (folder / CAPTURE_FOLDER).is_dir() else folder)

@@ -7,6 +7,7 @@ calibrated are worth keeping, and the report says why.
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from math import prod
 from pathlib import Path
 
 from calib.diagnostics import Uncertainty
@@ -19,7 +20,7 @@ from scanner.capture import CaptureFacts, Recording, Stream, capture, identity, 
 from scanner.configuration import CONFIGURATION_KEY, Config
 from scanner.decoding import Decoder, usable
 from scanner.errors import InputError
-from scanner.io import write_calibration
+from scanner.io import require_space, write_calibration
 from scanner.reconstruction import (
     calibrate,
     label,
@@ -32,6 +33,9 @@ from scanner.reconstruction import (
 )
 from scanner.results import CAPTURE_FOLDER, TRUTH_FILE, Decoded, GivenCalibration, Scan
 from scanner.ui import Progress, Terminal
+
+# Of matches and cloud, for each pixel of the camera.
+_RESULT_BYTES_PER_PIXEL = 75
 
 
 def scan(
@@ -78,8 +82,16 @@ def take(
     name: str,
     begun: Recording | None = None,
 ) -> Decoded:
-    """One capture, recorded and decoded as it comes, or the rest of one that was `begun`. Raises DeviceError."""
+    """One capture, recorded and decoded as it comes, or the rest of one that was `begun`.
+
+    Raises DeviceError, StorageError if there is no room for it.
+    """
     patterns = config.sequence.patterns(config.projector_size)
+    count, pixels = len(patterns) * max(1, len(config.sequence.exposures_us)), prod(config.camera_size)
+    total_bytes = pixels * (count * settings.bytes_per_pixel + _RESULT_BYTES_PER_PIXEL)
+    require_space(
+        folder, count, total_bytes, f"a capture of {count} frames of {config.camera_size} px, with its result,"
+    )
     with ExitStack() as devices:
         with progress.step("Preparing the rig"):
             opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
@@ -142,7 +154,9 @@ def _decode_recording(
 
 def _resumption(recording: Recording) -> str:
     missing = len(recording.planned) > len(recording.patterns)
-    return f"scan --resume {recording.folder} takes the missing frames, if the rig still stands there." if missing else ""
+    return (
+        f"scan --resume {recording.folder} takes the missing frames, if the rig still stands there." if missing else ""
+    )
 
 
 @contextmanager

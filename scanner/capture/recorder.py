@@ -12,7 +12,7 @@ from pathlib import Path
 
 from hw.rig import Frame
 from scanner.capture.stream import Stream
-from scanner.io import flow_yaml, require_space, sync, sync_open, write_png
+from scanner.io import flow_yaml, sync, sync_open, write_png
 from scanner.patterns import FORMAT, Pattern, frame_line, pattern_to_dict, size_to_dict
 
 CAPTURE_FILE = "capture.yaml"
@@ -30,8 +30,7 @@ def record(stream: Stream, folder: Path) -> Stream:
     patterns are missing. Frames are on the disk itself, whatever happens to the computer, before the next but one is
     asked for: a thread waits for the disk while the camera exposes.
 
-    `folder` is made. Walking through the frames raises OSError if the disk does not take them, StorageError if it is
-    seen at the first that it has no room for all.
+    `folder` is made. Walking through the frames raises OSError if the disk does not take them.
     """
     return replace(stream, frames=_recorded(stream, folder))
 
@@ -42,9 +41,6 @@ def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
         _append(listing, _keys(_header(stream)) + _sequence(stream.patterns) + "frames:\n")
         sync(folder)
         for index, (pattern, frame) in enumerate(stream.frames):
-            if index == 0:
-                count = len(stream.patterns)
-                require_space(folder, count, count * frame.image.nbytes, f"a capture of {count} frames")
             file = frame_file(index)
             syncing.wait()
             with _both_or_neither(listing, folder / file):

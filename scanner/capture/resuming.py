@@ -43,7 +43,10 @@ def take_up(
         rest,
         patterns=(*begun.patterns[: taken * repeats], *again.patterns, *rest.patterns),
         frames=chain(_recorded(begun, taken * repeats), witnesses, rest.frames),
-        metadata={**rest.metadata, "resumed": {"after_frames": taken * repeats, "begun": begun.metadata.get("captured")}},
+        metadata={
+            **rest.metadata,
+            "resumed": {"after_frames": taken * repeats, "begun": begun.metadata.get("captured")},
+        },
     )
 
 
@@ -60,11 +63,11 @@ def _require_first(begun: Recording, planned: Sequence[Pattern], repeats: int) -
 
 def _witnesses(taken: Sequence[Pattern]) -> tuple[Pattern, ...]:
     """White, and along each axis the finest stripes of the code and of the fringes, as far as there are any."""
-    chosen: list[Pattern] = [pattern for pattern in taken if isinstance(pattern, White)][:1]
+    chosen: list[Pattern] = []
+    chosen += [pattern for pattern in taken if isinstance(pattern, White)][:1]
     for axis in ("x", "y"):
-        codes = [pattern for pattern in taken if isinstance(pattern, Gray | Xor) and pattern.axis == axis]
-        fringes = [pattern for pattern in taken if isinstance(pattern, Phase) and pattern.axis == axis]
-        chosen += codes[-1:] + fringes[-1:]
+        for kind in (Gray | Xor, Phase):
+            chosen += [pattern for pattern in taken if isinstance(pattern, kind) and pattern.axis == axis][-1:]
     return tuple(chosen)
 
 
@@ -78,9 +81,7 @@ def _refuse_other_devices(begun: Recording, now: Mapping[str, object]) -> None:
         if name not in _MEASURED and str(before.get(name)) != str(found.get(name))
     ]
     if differing:
-        raise InputError(
-            f"{begun.folder}: was begun with another rig, or with other settings: {'; '.join(differing)}"
-        )
+        raise InputError(f"{begun.folder}: was begun with another rig, or with other settings: {'; '.join(differing)}")
 
 
 def _compare(begun: Recording, witnesses: Sequence[tuple[Pattern, Frame]], repeats: int) -> None:

@@ -1,10 +1,11 @@
 """Whether two frames of one pattern show the same: as bright, nothing moved, nothing else in the picture."""
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image
 from scanner.errors import InputError
@@ -45,11 +46,11 @@ def refuse_another_scene(shown: str, before: Image, now: Image) -> None:
     if found.moved_px is not None and found.moved_px > _MOST_MOVED_PX:
         said = f"it lies {found.moved_px:.1f} camera px elsewhere: camera, projector or scene have moved"
     elif found.changed > _MOST_CHANGED:
-        said = f"{found.changed:.0%} of the picture show something else: something was moved by far, added or taken away"
-    elif not 1 / _MOST_BRIGHTER < found.gain < _MOST_BRIGHTER:
         said = (
-            f"it is {found.gain:.2f} times as bright: exposure, aperture, lamp or the projector's mode are not as they were"
+            f"{found.changed:.0%} of the picture show something else: something was moved by far, added or taken away"
         )
+    elif not 1 / _MOST_BRIGHTER < found.gain < _MOST_BRIGHTER:
+        said = f"it is {found.gain:.2f} times as bright: exposure, aperture, lamp or the projector's mode were changed"
     elif abs(found.offset) > _MOST_LIGHT_ADDED:
         said = "the light in the room, beside the projector's, is not as it was"
     else:
@@ -105,7 +106,7 @@ def _brightness(one: Floats, other: Floats) -> tuple[float, float]:
     return gain, offset
 
 
-def _tiles(image: Floats) -> Floats:
+def _tiles(image: NDArray[Any]) -> Floats:
     """(tiles, pixels) of an image (H, W)."""
     side = min(_TILE_PX, *image.shape)
     rows, columns = image.shape[0] // side, image.shape[1] // side

@@ -1,6 +1,6 @@
 """What can be typed: every command with its arguments. Knows nothing of what they do, so that help comes at once."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Action, ArgumentParser, Namespace
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -25,11 +25,21 @@ class Command:
         return run
 
 
+class _InPlaceOfConfig(Action):
+    """Of an argument with which the configuration is known."""
+
+    def __call__(self, parser: ArgumentParser, namespace: Namespace, values: object, _: object = None) -> None:
+        setattr(namespace, self.dest, values)
+        for action in parser._actions:
+            action.required &= action.dest != "config"
+
+
 def _scan(parser: ArgumentParser) -> None:
-    _config(parser, required=False)
+    _config(parser, required=True)
     parser.add_argument(
         "--resume",
         type=Path,
+        action=_InPlaceOfConfig,
         metavar="DIR",
         help="take what is missing of a capture that was broken off, as in NAME-incomplete, with the rig as it was",
     )

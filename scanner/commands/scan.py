@@ -16,8 +16,6 @@ def run(args: Namespace) -> None:
     if args.resume:
         _resume(args, terminal)
         return
-    if args.config is None:
-        raise InputError("the following arguments are required: --config (see 'scan --help')")
     config = load_config(args.config, args.set)
     out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
     found = jobs.scan(

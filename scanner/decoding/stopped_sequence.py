@@ -96,7 +96,8 @@ def _decodable(axis: Axis, length: int, once: Sequence[Pattern], wanted: Sequenc
     for (bits, cell, offset, base), others in relative.items():
         bases = [pattern for pattern in codes[bits, cell, offset] if pattern.bit == base]
         if bases and _complete(axis, length, (bits, cell, offset), {base, *(pattern.bit for pattern in others)}):
-            found |= {pattern: pattern for pattern in (*bases, *others)}
+            whole: list[Pattern] = [*bases, *others]
+            found |= {pattern: pattern for pattern in whole}
     return found | {pattern: pattern for pattern in _whole_fringes(axis, once, wanted)}
 
 
@@ -136,10 +137,14 @@ def _balanced(
     for one, other in ((0, 1), (1, 0)):
         if axes[other] and (cut[one], not fine[one]) > (cut[other], not fine[other]):
             if calibrated:
-                return [found if n == other else {} for n, found in enumerate(axes)]
-            if axes[one]:
-                axes[other] = {p: as_ for p, as_ in axes[other].items() if not isinstance(p, Phase)}
+                axes[one] = {}
+            elif axes[one]:
+                axes[other] = _only_codes(axes[other])
     return axes
+
+
+def _only_codes(found: dict[Pattern, Pattern]) -> dict[Pattern, Pattern]:
+    return {shown: kept for shown, kept in found.items() if not isinstance(shown, Phase)}
 
 
 def _listed(wanted: Sequence[Pattern], decoded_as: Collection[Pattern]) -> str:

@@ -21,8 +21,8 @@ def require_space(folder: Path, count: int, total_bytes: int, what: str) -> None
         )
     if disk.f_files and disk.f_favail < count:
         raise StorageError(
-            f"{place}: {what} needs {count} files, but its file system takes only {disk.f_favail} more (inodes); remove "
-            "files there, or choose another --out"
+            f"{place}: {what} needs {count} files, but its file system takes only {disk.f_favail} more (inodes); "
+            "remove files there, or choose another --out"
         )
 
 

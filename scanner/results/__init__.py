@@ -1,7 +1,6 @@
 """A result: its folder, its verdict, what it states about itself."""
 
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
-from scanner.results.older_results import place_camera
 from scanner.results.leftovers import settle
 from scanner.results.names import (
     CALIBRATION_FILE,
@@ -20,6 +19,7 @@ from scanner.results.names import (
     refuse_occupied,
     unused,
 )
+from scanner.results.older_results import place_camera
 from scanner.results.result_folder import OutputFolder, new_result
 from scanner.results.stages import (
     Calibrated,

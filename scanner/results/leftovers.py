@@ -48,7 +48,9 @@ def _settle(partial: Path, out: Path, *, in_the_way: bool) -> list[str]:
         return []
     if not (partial / STATE).is_file():
         if in_the_way:
-            raise InputError(f"{partial}: is in the way, and no scan has left it like that: look into it, and remove it")
+            raise InputError(
+                f"{partial}: is in the way, and no scan has left it like that: look into it, and remove it"
+            )
         return []
     claim = Claim(partial / STATE)
     try:

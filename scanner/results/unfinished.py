@@ -1,8 +1,8 @@
 """A folder that is being made: who makes it, how far it has come, and what becomes of it if that is broken off.
 
-`.NAME.partial` beside NAME holds what is written for NAME. The file `STATE` in it says how far that is, and is locked by
-the process that writes; a state that nobody holds was left behind by one that was killed. It is removed last of all, so
-that every moment in between can be told:
+`.NAME.partial` beside NAME holds what is written for NAME. The file `STATE` in it says how far that is, and is locked
+by the process that writes; a state that nobody holds was left behind by one that was killed. It is removed last of all,
+so that every moment in between can be told:
 
     .NAME.partial, state 'live' or 'made'        not whole; of a live capture the frames are worth keeping
     .NAME.partial, state 'whole' or 'replacing'  whole, and not yet in its place
@@ -74,8 +74,8 @@ class Claim:
             os.close(self._file)
             by = f" (process {holder[0]})" if holder else ""
             raise HeldError(
-                f"another scan is writing there now{by}: wait for it, or choose another --out; if there is none, remove "
-                f"{path.parent}"
+                f"another scan is writing there now{by}: wait for it, or choose another --out; if there is none, "
+                f"remove {path.parent}"
             ) from error
 
     @property

@@ -20,7 +20,7 @@ class _Handler(logging.FileHandler):
         super().__init__(path, encoding="utf-8")
         self._failed = False
 
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+    def handleError(self, _: logging.LogRecord) -> None:  # noqa: N802
         """Called in the place of an error that ends `emit`."""
         self._tell(sys.exc_info()[1])
 
