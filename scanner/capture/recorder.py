@@ -1,6 +1,5 @@
 """Writing a capture down, frame by frame, so that it can be replayed whenever the program, or the power, goes away."""
 
-import errno
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -111,8 +110,8 @@ def _both_or_neither(listing: FileIO, image: Path) -> Iterator[None]:
 
 def _append(listing: FileIO, text: str) -> None:
     data = text.encode()
-    if listing.write(data) != len(data):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), listing.name)
+    while data:  # what is left of a disk may take a part of it; the rest tells why
+        data = data[listing.write(data) :]
 
 
 def _keys(values: Mapping[str, object]) -> str:
