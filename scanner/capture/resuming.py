@@ -6,7 +6,7 @@ from itertools import chain
 
 from hw.rig import Frame, Rig
 from scanner.capture.recording import Recording
-from scanner.capture.same_scene import refuse_another_scene
+from scanner.capture.same_scene import refuse_another_scene, scale_of
 from scanner.capture.stream import Stream, capture
 from scanner.errors import InputError
 from scanner.io import read_image
@@ -85,10 +85,12 @@ def _refuse_other_devices(begun: Recording, now: Mapping[str, object]) -> None:
 
 
 def _compare(begun: Recording, witnesses: Sequence[tuple[Pattern, Frame]], repeats: int) -> None:
+    scale = 0.0  # by the first, which is white if that was shown
     for number, (pattern, frame) in enumerate(witnesses):
         index = begun.patterns.index(pattern) + number % repeats
         before = read_image(begun.folder / begun.files[index])
-        refuse_another_scene(f"frame {index} ({begun.files[index]})", before, frame.image)
+        scale = scale or scale_of(before, begun.projector_size)
+        refuse_another_scene(f"frame {index} ({begun.files[index]})", before, frame.image, scale)
 
 
 def _recorded(begun: Recording, count: int) -> Iterator[tuple[Pattern, Frame]]:

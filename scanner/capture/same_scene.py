@@ -13,8 +13,10 @@ from scanner.errors import InputError
 # What a lamp or an exposure that is no whole number of refresh periods does from frame to frame is less.
 _MOST_BRIGHTER = 1.25
 _MOST_LIGHT_ADDED = 0.2
-# Motion that shifts what was taken before against what comes after by less is taken back, or does no harm.
+# Motion that shifts what was taken before against what comes after by less, in projector pixels, is taken back, or does
+# no harm; and less than so many camera pixels may be noise.
 _MOST_MOVED_PX = 0.3
+_NOISE_PX = 0.1
 # Of the tiles that show something, so many may differ: noise at edges, somebody's shadow.
 _MOST_CHANGED = 0.1
 _CHANGED_OF_CONTRAST = 0.25
@@ -22,6 +24,8 @@ _TILE_PX = 16
 _FEWEST_TILES = 4
 _SMOOTHING_PX = 1.0
 _ROUNDS = 10
+_BLACK_OF_ALL = 0.02
+_LEAST_GAIN = 1e-3
 _MOST_PIXELS = 200_000
 # A tile tells of motion if noise moves it by less than this.
 _SURE_PX = 0.1
@@ -40,11 +44,14 @@ class Comparison:
     changed: float
 
 
-def refuse_another_scene(shown: str, before: Image, now: Image) -> None:
-    """Raise InputError, naming what is not as it was, if two frames (H, W[, 3]) of what was `shown` differ."""
+def refuse_another_scene(shown: str, before: Image, now: Image, scale: float = 1.0) -> None:
+    """Raise InputError, naming what is not as it was, if two frames (H, W[, 3]) of what was `shown` differ.
+
+    `scale`: about how many camera pixels wide a projector pixel is.
+    """
     found = compare(before, now)
-    if found.moved_px is not None and found.moved_px > _MOST_MOVED_PX:
-        said = f"it lies {found.moved_px:.1f} camera px elsewhere: camera, projector or scene have moved"
+    if found.moved_px is not None and found.moved_px > max(_MOST_MOVED_PX * scale, _NOISE_PX):
+        said = f"it lies {found.moved_px:.2g} camera px elsewhere: camera, projector or scene have moved"
     elif found.changed > _MOST_CHANGED:
         said = (
             f"{found.changed:.0%} of the picture show something else: something was moved by far, added or taken away"
@@ -83,26 +90,37 @@ def compare(before: Image, now: Image) -> Comparison:
     return Comparison(gain, offset / contrast, moved, changed)
 
 
+def scale_of(brightest: Image, projector_size: tuple[int, int]) -> float:
+    """About how many camera pixels wide a projector pixel is, by the pixels that white (H, W[, 3]) lights."""
+    grey = _grey(brightest)
+    lit = np.count_nonzero(grey > np.mean(np.percentile(grey, [2, 99.9])))
+    return float(np.sqrt(lit / (projector_size[0] * projector_size[1])))
+
+
 def _grey(image: Image) -> Floats:
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     return cast(Floats, grey.astype(np.float64))
 
 
 def _brightness(one: Floats, other: Floats) -> tuple[float, float]:
-    """Gain and offset by which most pixels of one become those of the other, robustly."""
+    """Gain and offset by which most pixels of one become those of the other, robustly.
+
+    Black stays black, with little weight: so a picture without contrast tells of a gain, and not of an offset.
+    """
     step = max(1, one.size // _MOST_PIXELS)
-    x, y = one.reshape(-1)[::step], other.reshape(-1)[::step]
-    weight = np.ones_like(x)
+    x, y = np.append(one.reshape(-1)[::step], 0.0), np.append(other.reshape(-1)[::step], 0.0)
+    certain = np.append(np.ones(len(x) - 1), _BLACK_OF_ALL * len(x))
+    weight: Floats = certain
     gain, offset = 1.0, 0.0
     for _ in range(_ROUNDS):
         mean_x, mean_y = np.average(x, weights=weight), np.average(y, weights=weight)
         spread = np.average((x - mean_x) ** 2, weights=weight)
         gain = float(np.average((x - mean_x) * (y - mean_y), weights=weight) / max(spread, 1e-9))
-        gain = gain if gain > 1e-3 else 1.0
+        gain = gain if gain > _LEAST_GAIN else 1.0
         offset = float(mean_y - gain * mean_x)
         off = np.abs(y - gain * x - offset)
         scale = max(SIGMA_PER_MEDIAN * float(np.median(off)), 1e-6)
-        weight = np.minimum(1.0, scale / np.maximum(off, 1e-9))
+        weight = certain * np.minimum(1.0, scale / np.maximum(off, 1e-9))
     return gain, offset
 
 

@@ -10,8 +10,9 @@ from scanner.errors import InputError
 from scanner.io import Entry, parse_yaml, read_image, read_text, validate
 from scanner.patterns import Pattern, PatternEntry
 
-# Of our own listings, whose lines are whole when their last bracket is closed.
-_TORN_LINE = re.compile(r" *-? ?|( *- |[\w ]+: )\{.*(?<!\})")
+# Of our own listings: beginnings of a line without a bracket yet, and lines that are whole when the last one is closed.
+_BEGUN = re.compile(r" *-? ?|\w[\w ]*")
+_BRACKETED = re.compile(r"( *- |\w[\w ]*: )\{.*")
 
 
 class _PlanEntry(Entry):
@@ -22,15 +23,22 @@ def read_listing(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The mapping in a `capture.yaml`, without a last line that is torn, and a sentence on that. Raises InputError."""
     text = read_text(path)
     whole, newline, last = text.rpartition("\n")
-    torn = bool(last and _TORN_LINE.fullmatch(last))
+    torn = _is_torn(last)
     if torn:
         text = whole + newline
     value = parse_yaml(text, str(path)) or {}
     if not isinstance(value, dict):
         raise InputError(f"{path}: expected 'key: value' lines, found a {type(value).__name__}")
-    if "sequence" in value and not value.get("frames", True):
+    if "sequence" in value and not value.get("frames"):
         raise InputError(f"{path}: no frame was recorded before the capture was broken off: capture again")
     return value, ((f"The last line of {path.name} is torn, and left out.",) if torn else ())
+
+
+def _is_torn(last: str) -> bool:
+    """Whether a last line without an end is the beginning of one that we write."""
+    if _BRACKETED.fullmatch(last):
+        return last.count("{") != last.count("}")
+    return bool(last) and _BEGUN.fullmatch(last) is not None
 
 
 def torn_image(folder: Path, file: str) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 from scanner.decoding.light.exposure_fusion import exposures_of
-from scanner.decoding.sequence_plan import AxisPlan, constant_bits, plan_sequence
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan, constant_bits, plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import Axis, Gray, Pattern, Phase, Xor
 
@@ -59,15 +59,28 @@ def _trimmed(
     axes = [_decodable(axis, length, once, wanted) for axis, length in zip(_AXES, size, strict=True)]
     axes = _balanced(axes, wanted, calibrated=calibrated)
     decoded_as = {p: p for p in once if not isinstance(p, Gray | Xor | Phase)} | axes[0] | axes[1]
+    # Fringes that look alike within the cells that are left decide nothing.
+    decoded_as, plan, trouble = _first_plan((decoded_as, _only_codes(decoded_as)), once, size, calibrated=calibrated)
     taken = f"{len(patterns)} of its {len(planned)} frames were taken. " if planned else ""
     missing = f"The capture stops early: {taken}Missing or left out: {_listed(wanted, decoded_as)}"
-    try:
-        plan = plan_sequence([decoded_as[p] for p in once if p in decoded_as], size, calibrated=calibrated)
-    except InputError as error:
-        raise InputError(f"{missing}. From what there is nothing can be decoded: {error}") from error
+    if plan is None:
+        raise InputError(f"{missing}. From what there is nothing can be decoded: {trouble}")
     kept = (decoded_as.get(pattern) for pattern in patterns[: len(whole)])
     words = f"{missing}. What it costs: {'; '.join(_cost(axis) for axis in plan.axes)}."
     return Usable((*kept, *[None] * (len(patterns) - len(whole))), words)
+
+
+def _first_plan(
+    choices: Sequence[dict[Pattern, Pattern]], once: Sequence[Pattern], size: tuple[int, int], *, calibrated: bool
+) -> tuple[dict[Pattern, Pattern], SequencePlan | None, str]:
+    """The first of the choices that determines the coordinates, and its plan; or what the first one lacks."""
+    troubles = []
+    for choice in choices:
+        try:
+            return choice, plan_sequence([choice[p] for p in once if p in choice], size, calibrated=calibrated), ""
+        except InputError as error:
+            troubles.append(str(error))
+    return choices[0], None, troubles[0]
 
 
 def _exposures(patterns: Sequence[Pattern]) -> int:
@@ -135,11 +148,12 @@ def _balanced(
     fine = [any(isinstance(pattern, Phase) for pattern in found) for found in axes]
     cut = [any(found.get(p) != p for p in codes if p.axis == axis) for axis, found in zip(_AXES, axes, strict=True)]
     for one, other in ((0, 1), (1, 0)):
-        if axes[other] and (cut[one], not fine[one]) > (cut[other], not fine[other]):
-            if calibrated:
-                axes[one] = {}
-            elif axes[one]:
-                axes[other] = _only_codes(axes[other])
+        if fine[one] or not axes[other]:
+            continue
+        if calibrated and (fine[other] or (cut[one] and not cut[other])):
+            axes[one] = {}
+        elif axes[one] and fine[other]:
+            axes[other] = _only_codes(axes[other])
     return axes
 
 
