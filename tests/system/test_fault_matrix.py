@@ -225,20 +225,25 @@ def test_the_same_process_number_again_is_no_obstacle(bench: FaultBench, config:
 
 @dataclass(frozen=True)
 class Disk:
-    """`options` of a file system of its own; `fills`: another program takes what is left while frames come."""
+    """`options` of a file system of its own; another program takes what is left at a call of the function `filled`,
+    when there are so many `frames`.
+    """
 
     name: str
     options: str
     words: tuple[str, ...]
-    fills: bool = False
+    filled: tuple[str, int] | None = None
+    frames: int = 0
     read_only: bool = False
 
 
+FULL = ("room: cannot be written: No space left", "frames captured so far", "scan --resume")
 DISKS = [
     Disk("too small", "size=3m", ("a capture of 28 frames of 48 × 32 px", "needs up to 4 MB", "3 MB are free")),
     Disk("too few inodes", "size=20m,nr_inodes=20", ("needs 28 files", "takes only", "inodes")),
     Disk("read-only", "size=20m", ("cannot be made: Read-only file system",), read_only=True),
-    Disk("filled meanwhile", "size=20m", ("room: cannot be written: No space left", "8 frames captured"), fills=True),
+    Disk("filled while frames come", "size=20m", FULL, (f"{RECORDER}:write_png", TAKEN), TAKEN - 1),
+    Disk("filled before the result", "size=20m", FULL, ("scanner.pipeline:reconstruct", 1), len(PATTERNS)),
 ]
 
 
@@ -247,19 +252,16 @@ def test_a_disk_that_does_not_take_it(bench: FaultBench, config: Path, disk: Dis
     where = config.with_name("disk")
     where.mkdir()
     mount = {"where": where, "options": disk.options, "read_only": disk.read_only}
-    planted = {"at": f"{RECORDER}:write_png", "call": TAKEN, "do": "full disk", "where": where}
-    ended = bench.run(
-        config.parent, "--config", config, "--out", where / "room", mount=mount, faults=[planted] if disk.fills else ()
-    )
+    planted = [{"at": at, "call": call, "do": "full disk", "where": where} for at, call in filter(None, [disk.filled])]
+    ended = bench.run(config.parent, "--config", config, "--out", where / "room", mount=mount, faults=planted)
     assert ended.code == 3
     assert "Traceback" not in ended.said
     for word in (str(where), *disk.words):
         assert word in ended.said
-    if disk.fills:
-        assert {name.split("/")[0] for name in ended.files} == {"room-incomplete", "filling"}
-        assert len([name for name in ended.files if name.endswith(".png")]) == TAKEN - 1
-    else:
-        assert ended.files == {}
+    images = [name for name in ended.files if name.endswith(".png")]
+    assert len(images) == disk.frames
+    others = {"filling", "room-incomplete/scan.log", "room-incomplete/capture/capture.yaml"} if disk.filled else set()
+    assert set(ended.files) == {*images, *others}  # nothing that looks like a result
 
 
 @pytest.mark.parametrize("largest_file", [1200, 3500])
