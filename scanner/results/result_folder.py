@@ -37,6 +37,8 @@ def new_result(
     """The folder to write a result into, with a log in it; it becomes `out` as described at `OutputFolder`."""
     output = OutputFolder(out, overwrite=overwrite, keep_capture=keep_capture, tell=tell)
     with output, LogFile(output.folder / LOG_FILE):
+        for sentence in output.settled:
+            log.info(sentence)
         log.info("scan %s with the configuration %s", version("roomscan"), config.model_dump_json(exclude_unset=True))
         yield output.folder
 
@@ -68,7 +70,8 @@ class OutputFolder:
         self._shown = out
         self._overwrite = overwrite
         self._keep_capture = keep_capture
-        for sentence in settle(out):
+        self.settled = settle(out)
+        for sentence in self.settled:
             tell(sentence)
         if is_occupied(self.out):
             refuse_to_lose(out, overwrite=overwrite)

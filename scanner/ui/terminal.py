@@ -48,7 +48,6 @@ class Terminal:
 
     def note(self, text: str) -> None:
         """Say what is to be known whether or not the command succeeds."""
-        log.warning(text)
         if not self._quiet:
             self._err.print(text, soft_wrap=True, markup=False, highlight=False)
 
