@@ -1,6 +1,6 @@
 """What can be typed: every command with its arguments. Knows nothing of what they do, so that help comes at once."""
 
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -21,13 +21,30 @@ class Command:
     module: str
     more: str = ""
 
-    def run(self, args: Namespace) -> None:
-        """Do the work. Raises InputError, DeviceError, RefusalError."""
-        import_module(f"scanner.commands.{self.module}").run(args)
+    def load(self) -> Callable[[Namespace], None]:
+        """What does the work; it raises InputError, StorageError, DeviceError, RefusalError."""
+        run: Callable[[Namespace], None] = import_module(f"scanner.commands.{self.module}").run
+        return run
+
+
+class _InPlaceOfConfig(Action):
+    """Of an argument with which the configuration is known."""
+
+    def __call__(self, parser: ArgumentParser, namespace: Namespace, values: object, _: object = None) -> None:
+        setattr(namespace, self.dest, values)
+        for action in parser._actions:
+            action.required &= action.dest != "config"
 
 
 def _scan(parser: ArgumentParser) -> None:
     _config(parser, required=True)
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        action=_InPlaceOfConfig,
+        metavar="DIR",
+        help="take what is missing of a capture that was broken off, as in NAME-incomplete, with the rig as it was",
+    )
     parser.add_argument(
         "--captures",
         type=int,

@@ -6,3 +6,4 @@ from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import SUSPECTED_PX, UNSEEN_MOTION, moved
+from scanner.decoding.stopped_sequence import usable
