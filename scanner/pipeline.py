@@ -4,7 +4,7 @@ What was found is written into `folder` also when RefusalError is raised: the ma
 calibrated are worth keeping, and the report says why.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +14,7 @@ from calib.geometry import Calibration
 from calib.numerics import Bools
 from hw.open_rig import open_rig
 from hw.settings import RigSettings
-from scanner.capture import CaptureFacts, Recording, Stream, capture, identity, next_place, record
+from scanner.capture import CaptureFacts, Recording, Stream, capture, identity, next_place, open_capture, record
 from scanner.configuration import Config
 from scanner.decoding import Decoder
 from scanner.io import write_calibration
@@ -62,7 +62,10 @@ def take(settings: RigSettings, config: Config, folder: Path, progress: Progress
         if opened.truth:
             write_calibration(folder / TRUTH_FILE, opened.truth)
         live = capture(opened.rig, patterns, config.sequence.exposures_us, config.projector.known_response)
-        found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding", name)
+        recorded = folder / CAPTURE_FOLDER
+        found = decode(
+            record(live, recorded), progress, "Capturing and decoding", name, again=lambda: open_capture(recorded).stream()
+        )
     return replace(found, facts=replace(found.facts, truth=opened.truth))
 
 
@@ -103,18 +106,31 @@ def _decode_recording(
     recording: Recording, folder: Path, terminal: Terminal, calibration: Calibration | None = None
 ) -> Decoded:
     recording.copy_to(folder / CAPTURE_FOLDER)
-    return decode(recording.stream(), terminal, "Decoding", str(recording.folder), calibration)
+    return decode(recording.stream(), terminal, "Decoding", str(recording.folder), calibration, recording.stream)
 
 
 def decode(
-    stream: Stream, progress: Progress, what: str, name: str = "", calibration: Calibration | None = None
+    stream: Stream,
+    progress: Progress,
+    what: str,
+    name: str = "",
+    calibration: Calibration | None = None,
+    again: Callable[[], Stream] | None = None,
 ) -> Decoded:
-    """Frames as they come → matches; no frame is kept. With a calibration one axis is enough."""
+    """Frames as they come → matches; no frame is kept. With a calibration one axis is enough.
+
+    `again` gives the frames once more, which it takes if each of them shows some of the picture before.
+    """
     decoder = Decoder(stream.patterns, stream.projector_size, calibration)
     exposures_us = []
     for _, frame in progress.track(stream.frames, len(stream.patterns), what):
         decoder.add(frame.image, frame.exposure_us)
         exposures_us += [frame.exposure_us] if frame.exposure_us else []
+    ghost = decoder.ghost() if again else 0.0
+    if again and ghost:
+        decoder = Decoder(stream.patterns, stream.projector_size, calibration, ghost=ghost)
+        for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out a ghost"):
+            decoder.add(frame.image)
     with progress.step("Matching"):
         decoding = decoder.finish()
     about = identity({**stream.metadata, **stream.account()})
