@@ -63,9 +63,11 @@ def take(settings: RigSettings, config: Config, folder: Path, progress: Progress
             write_calibration(folder / TRUTH_FILE, opened.truth)
         live = capture(opened.rig, patterns, config.sequence.exposures_us, config.projector.known_response)
         recorded = folder / CAPTURE_FOLDER
-        found = decode(
-            record(live, recorded), progress, "Capturing and decoding", name, again=lambda: open_capture(recorded).stream()
-        )
+
+        def again() -> Stream:
+            return open_capture(recorded).stream()
+
+        found = decode(record(live, recorded), progress, "Capturing and decoding", name, again=again)
     return replace(found, facts=replace(found.facts, truth=opened.truth))
 
 

@@ -27,8 +27,8 @@ _MOST_TILES = 48
 class Maps:
     """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), NaN where one of them is not known; the
     mean `variance` of those that are measured; the `reason` not to use them. `counts` (2, reasons): how many pixels of
-    x and of y by itself have each of the `CONTRADICTIONS`. `footprint_px2`: variance of a camera pixel's footprint, 0 if
-    the capture does not show it.
+    x and of y by itself have each of the `CONTRADICTIONS`. `footprint_px2`: variance of a camera pixel's footprint, 0
+    if the capture does not show it.
     """
 
     projector_px: Floats32

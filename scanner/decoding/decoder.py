@@ -195,8 +195,8 @@ class Decoder:
     def _said_of_ghost(self) -> Iterator[str]:
         if self._ghost:
             yield (
-                f"Each frame shows {self._ghost:.0%} of the picture before it, which was taken out. Let the camera wait "
-                "longer for the projector."
+                f"Each frame shows {self._ghost:.0%} of the picture before it, which was taken out. Let the camera "
+                "wait longer for the projector."
             )
 
     def _check_form(self, image: Image) -> None:

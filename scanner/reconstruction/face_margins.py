@@ -1,7 +1,7 @@
 """Faces without the margin in which the lens mixes them with what is beside them.
 
-A camera pixel sees the mean over its footprint. Across a crease or an edge that is the coordinate of neither surface: too
-little to stand out from the noise, but always to the same side, so that a calibration would follow it.
+A camera pixel sees the mean over its footprint. Across a crease or an edge that is the coordinate of neither surface:
+too little to stand out from the noise, but always to the same side, so that a calibration would follow it.
 """
 
 from math import ceil, sqrt

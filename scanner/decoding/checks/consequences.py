@@ -81,7 +81,8 @@ def _epipolar(matches: Matches) -> tuple[float, float]:
     """
     count = len(matches)
     chosen = np.random.default_rng(_SEED).choice(count, min(count, _MOST_MATCHES), replace=False)
-    some = Matches(*(np.asarray(px[chosen], np.float64) for px in (matches.camera_px, matches.projector_px)))
+    camera, projector = (np.asarray(px[chosen], np.float64) for px in (matches.camera_px, matches.projector_px))
+    some = Matches(camera, projector)
     matrix = epipolar_matrix(some)
     if matrix is None:
         return 0.0, 1.0

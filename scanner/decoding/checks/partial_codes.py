@@ -1,7 +1,7 @@
 """Pixels that did without some bits of their code, held against those that have all of them.
 
-Where bits are missing because a pixel sees two cells, the others tell. Where they are missing because its light came by
-way of other surfaces, or from inside of them, the others may be wrong as well, and then they break the epipolar geometry.
+Where bits are missing because a pixel sees two cells, the others tell. Where they are missing because its light came
+by way of other surfaces, or from inside of them, others may be wrong as well, and then break the epipolar geometry.
 """
 
 import numpy as np

@@ -5,6 +5,7 @@ with the right share the light of patterns and inverses, and of the steps of fri
 """
 
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -38,14 +39,15 @@ class GhostRemover:
         if self._before is not None:
             without -= self._ratio * self._before
         self._before = without
-        result: Image = np.rint(np.maximum(without, 0)).astype(image.dtype)
+        result = cast(Image, np.rint(np.maximum(without, 0)).astype(image.dtype))
         np.copyto(result, image, where=clipped)
         return result
 
 
-def ghost_share(
-    plan: SequencePlan, levels: Floats32, saturation: float, contradiction: Callable[[SequencePlan, Floats32, Floats32], float]
-) -> float:
+Measure = Callable[[SequencePlan, Floats32, Floats32], float]
+
+
+def ghost_share(plan: SequencePlan, levels: Floats32, saturation: float, contradiction: Measure) -> float:
     """How much of the picture before each frame of a sample `levels` (frames, P) shows; 0 if none can be told.
 
     `contradiction` measures frames of the plan (frames, P), given how far the levels of each pixel are apart (P,).
