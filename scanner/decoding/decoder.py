@@ -18,7 +18,7 @@ from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.frame_checks import Oddity, contradiction
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
-from scanner.decoding.checks.partial_codes import leave_out_wrong_partial_codes
+from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import coordinate_maps
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
@@ -166,7 +166,7 @@ class Decoder:
                 learnt = learn(accumulators, sample, seen, oddities)
                 del sample
                 maps = coordinate_maps(accumulators, learnt.decoders)
-                leave_out_wrong_partial_codes(accumulators.plan, maps)
+                leave_out_stray_light(accumulators, maps)
                 if seen.motion is not None and seen.motion.significant and not seen.motion.is_too_large:
                     seen.motion.shift.take_back(maps.projector_px)
                 # The running images are as large as the matches, and have served.
