@@ -5,9 +5,9 @@ only for the one that they are compared with, or that gives their threshold.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, cast
 
@@ -27,28 +27,12 @@ _NO_BIT = np.uint8(0)
 _FINE_BITS = 3
 
 
-@dataclass(frozen=True)
-class FineBits:
-    """The bits that a pixel may do without if it is lit with a contrast of `well_lit`: their `contrasts` by bit, and
-    the `least_of_others`, images of one shape.
-    """
-
-    contrasts: dict[int, Image]
-    least_of_others: Image
-    well_lit: float
-
-    def at(self, select: Callable[[Image], Image]) -> "FineBits":
-        """The same at some pixels, (P,)."""
-        contrasts = {bit: select(image).reshape(-1) for bit, image in self.contrasts.items()}
-        return replace(self, contrasts=contrasts, least_of_others=select(self.least_of_others).reshape(-1))
-
-
 class GrayFold:
     """The code word of each pixel, with how far its bits were from their thresholds.
 
     `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels; `contrast`
     is None where fringes tell what is lit. Where none do, the `fine` bits have images of their own, by bit, and are not
-    among the `least`: whether the camera resolves them is known in the end. Some are then `optional`.
+    among the `least`: whether the camera resolves them is known in the end. They may then be `optional`.
     """
 
     def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool) -> None:
@@ -56,7 +40,8 @@ class GrayFold:
         self.contrast: Image | None = np.zeros(shape, dtype) if contrast else None
         self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
         self.fine: dict[int, Image] = {}
-        self.optional: FineBits | None = None
+        self.optional: dict[int, Image] = {}
+        self._least_of_others = self.least
         self._keeps_fine = contrast and code.base is None
         planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
         self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
@@ -86,12 +71,12 @@ class GrayFold:
     @property
     def least_needed(self) -> Image:
         """(H, W): the smallest contrast among the bits that no pixel can do without."""
-        return self.least if self.optional is None else self.optional.least_of_others
+        return self._least_of_others if self.optional else self.least
 
-    def without_finest(self, count: int, *, well_lit: float | None = None) -> "GrayFold":
+    def without_finest(self, count: int, *, optional: bool = False) -> "GrayFold":
         """The coarser code that the other bits are, once all frames are in; its `least` is that of all its bits.
 
-        `well_lit`: from which contrast on a pixel may do without some of its fine bits.
+        `optional`: a pixel may do without some of the fine bits that are left.
         """
         other = copy(self)
         other.code, other.fine = self.code.without_finest(count), {}
@@ -100,9 +85,8 @@ class GrayFold:
         for bit, image in self.fine.items():
             if bit < other.code.bits:
                 np.minimum(other.least, image, out=other.least)
-        if well_lit is not None:
-            kept = {bit: image for bit, image in self.fine.items() if bit < other.code.bits}
-            other.optional = FineBits(kept, self.least, well_lit)
+                if optional:
+                    other.optional = {**other.optional, bit: image}
         return other
 
 

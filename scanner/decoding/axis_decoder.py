@@ -38,9 +38,6 @@ _SEEN = 5.0
 _CERTAIN_BIT = 1.5
 # Smaller differences are rounding, compression and stray light, whatever the noise.
 _LEAST_DIFFERENCE = 5.0
-# Light that comes straight from the projector has this share of its contrast in all coarse bits; where fine bits are
-# undecided in bounced light, so are some of these.
-_DIRECT = 0.25
 # How far beyond the projector's pixels noise may carry a coordinate.
 _EDGE_PX = 0.5
 _FAINTEST_POWER = np.float32(1e-6)
@@ -189,19 +186,15 @@ class AxisDecoder:
     def _from_codes(self, signals: Signals) -> Coordinate:
         least_certain, least_seen = least_contrasts(self.noise, signals.middle)
         undecided = {
-            number: _undecided(code, fine.contrasts, least_certain)
+            number: _undecided(code, fine, least_certain)
             for number, (code, fine) in enumerate(zip(self.plan.codes, signals.fine, strict=True))
-            if fine is not None
+            if fine
         }
         interval = interval_of(self.plan, signals.words, len(signals.middle), undecided)
         against = np.empty(len(signals.middle), np.uint8)
         note_codes(interval.outside, interval.contradictory, against)
-        for number, (least, contrast) in enumerate(zip(signals.least, signals.contrast, strict=True)):
-            fine, certain = signals.fine[number], least_certain
-            if fine is not None:
-                needed = np.where(contrast >= fine.well_lit, np.float32(_DIRECT) * contrast, np.float32(np.inf))
-                certain = np.where(undecided[number] > 0, np.maximum(certain, needed), certain)
-            note_contrast(least, certain, contrast, least_seen, against)
+        for least, contrast in zip(signals.least, signals.contrast, strict=True):
+            note_contrast(least, least_certain, contrast, least_seen, against)
         # Evenly spread over the interval.
         variance = np.float32(1 / 12) * (interval.high - interval.low) ** 2
         shape = signals.shape

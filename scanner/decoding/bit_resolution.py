@@ -26,8 +26,6 @@ _FEWEST_LIT = 100
 # If fewer of the lit pixels have all bits, each does with what it has: near the edge of its stripe a bit is undecided,
 # and if a pixel sees no more than a cell or two, nearly all are near an edge.
 _MOSTLY = 0.75
-# That it is well lit shows next to the brightest few: the bits that are left mean less in stray light.
-_LIT, _BRIGHT = 0.25, 0.98
 
 
 def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
@@ -68,9 +66,7 @@ def _resolved(
     # A cell twice as long is worth a quarter, as its variance is four times as large.
     decided = [float(np.mean(at(one.least)[lit] > certain_from[lit])) for one in folds]
     count = _count_left_out(accumulators, folds, noise, int(np.argmax(np.array(decided) / 4.0 ** np.arange(weak + 1))))
-    if decided[count] > _MOSTLY:
-        return folds[count], count
-    return fold.without_finest(count, well_lit=_LIT * float(np.quantile(contrast[lit], _BRIGHT))), count
+    return fold.without_finest(count, optional=decided[count] < _MOSTLY), count
 
 
 def _count_left_out(accumulators: Accumulators, folds: Sequence[GrayFold], noise: NoiseModel, fewest: int) -> int:

@@ -1,8 +1,8 @@
 """Pixels that have a code by stray light: what has come by way of other surfaces, or from inside of them, is dim.
 
-Where a scene is dark, such light still has bits, some of them wrong. How dim is too dim depends on the scene, camera and
-noise; but wrong codes break the epipolar geometry of the well lit pixels, and show from which contrast on they do not. The
-same is asked of pixels that did without some bits, be it because they see two cells, or because their light is stray.
+Where a scene is dark, such light still has bits, some of them wrong. How dim is too dim depends on scene, camera and
+noise; but wrong codes break the epipolar geometry of the others, and show from which contrast on they do not. The same
+is asked of pixels that did without some bits, be it because they see two cells, or because their light is stray.
 Fringes need no such check: their amplitude is that of direct light.
 """
 
@@ -37,7 +37,8 @@ def leave_out_stray_light(accumulators: Accumulators, maps: Maps) -> None:
     whole = kept & ~partial
     if np.count_nonzero(whole) < _FEWEST:
         return
-    matrix = epipolar_matrix(_matches(_some(whole & (contrast >= np.median(contrast[whole])), _MOST_FOR_MATRIX), maps))
+    # Of all, for the brightest may lie in a plane, which has no epipolar geometry of its own.
+    matrix = epipolar_matrix(_matches(_some(whole, _MOST_FOR_MATRIX), maps))
     if matrix is None:
         return
     usual = 0.0
