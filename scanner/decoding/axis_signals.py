@@ -21,9 +21,9 @@ class Signals:
     `words`: per code, (P,). `least` (codes, P) unless fringes contradict wrong bits, and `contrast` (codes, P)
     without fringes, as in `GrayFold`; else with no codes. `fine`: of each code, the contrast (P,) of bits that a pixel
     may do without, by bit; `least` is then that of the others. `components` of each fringe, longest period first:
-    (H, W) each, which times its `scales` are in grey levels and then need its `corrections`. `brightest`, `middle` (P,): grey
-    level when lit, and half-way between lit and unlit. `peak` (P,): largest among the fringes. `log_exposure` (P,):
-    None if all are alike. `rows` (P,): of the image; empty if nothing depends on them.
+    (H, W) each, which times its `scales` are in grey levels and then need its `corrections`. `brightest`, `middle`
+    (P,): grey level when lit, and half-way between lit and unlit. `peak` (P,): largest among the fringes.
+    `log_exposure` (P,): None if all are alike. `rows` (P,): of the image; empty if nothing depends on them.
     """
 
     shape: tuple[int, int]
