@@ -27,13 +27,15 @@ _MOST_TILES = 48
 class Maps:
     """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), NaN where one of them is not known; the
     mean `variance` of those that are measured; the `reason` not to use them. `counts` (2, reasons): how many pixels of
-    x and of y by itself have each of the `CONTRADICTIONS`.
+    x and of y by itself have each of the `CONTRADICTIONS`. `footprint_px2`: variance of a camera pixel's footprint, 0
+    if the capture does not show it.
     """
 
     projector_px: Floats32
     variance: Floats32
     reason: Reasons
     counts: Ints
+    footprint_px2: float = 0.0
 
 
 def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Maps:
@@ -66,7 +68,7 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         return np.stack([count_reasons(c.reason[own], CONTRADICTIONS) for c in found])
 
     counts = np.sum(in_tiles((height, width), decode), axis=0)
-    return Maps(projector_px, variance, reasons, counts)
+    return Maps(projector_px, variance, reasons, counts, footprint_px2)
 
 
 def _first_reason(coordinates: list[Coordinate]) -> Reasons:

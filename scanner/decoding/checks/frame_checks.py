@@ -29,8 +29,9 @@ _FEWEST_LIT = 20
 _ENOUGH_LIT = 500
 _MOST_LIT = 4000
 # Each frame in a wrong place adds the square of its difference from the right one to the contradictions, twice that if
-# only one other frame contradicts it; undoing an exchange takes away at least this part of it.
-_REPAIRED = 0.5
+# only one other frame contradicts it; undoing an exchange takes away at least this part of it. No more than this share
+# of all contradictions is left, while of black in brighter light, say, any dark frame in its place takes away a half.
+_REPAIRED, _MOST_LEFT = 0.5, 0.3
 _DIFFERENT = 0.02
 _FEWEST_COMPARED = 400
 # Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
@@ -65,7 +66,7 @@ def check_frames(
 
 def _in_one_light(plan: SequencePlan, shown: Shown) -> tuple[Shown, list[Oddity]]:
     """The same without light that was switched on or off, and that it was."""
-    switch = light_switch(plan, shown.levels, shown.swing, lambda levels: _contradiction(plan, levels, shown.swing))
+    switch = light_switch(plan, shown.levels, shown.swing, lambda levels: contradiction(plan, levels, shown.swing))
     if switch is None:
         return shown, []
     share = median(switch.light / shown.swing)
@@ -83,8 +84,8 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
     few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for oddity in found for frame in oddity.frames})
-    before, best, pair = _contradiction(plan, levels, swing), _REPAIRED, (0, 0)
-    otherwise = _contradiction(plan, alike.levels[:, few], swing)
+    before, best, pair = contradiction(plan, levels, swing), _REPAIRED, (0, 0)
+    otherwise = contradiction(plan, alike.levels[:, few], swing)
     for first in suspects:
         for second in range(len(levels)):
             differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
@@ -92,13 +93,13 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
                 continue
             order = np.arange(len(levels))
             order[[first, second]] = second, first
-            left = _contradiction(plan, levels[order], swing)
-            if (before - left) / differ > best and left < otherwise:
+            left = contradiction(plan, levels[order], swing)
+            if (before - left) / differ > best and left < min(otherwise, _MOST_LEFT * before):
                 best, pair = (before - left) / differ, (first, second)
     return f"with {plan.names(pair)} exchanged they do" if pair[0] != pair[1] else ""
 
 
-def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
+def contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
     """Sum of squares of all that cannot be, in swings of the pixels, averaged over them; `levels` (frames, P)."""
     total = 0.0
     for frame, side in ((plan.white, 1), (plan.black, -1)):
