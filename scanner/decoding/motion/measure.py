@@ -36,8 +36,8 @@ _NEARLY = 0.8
 class _Tried:
     """A course with the motion that fits best; `moved_px`, `variance` (P, 2): of the pixels' coordinates.
 
-    `shares` (2,): of the motion that x and y have taken part in, averaged over their fringes, less what they have in
-    common, which is as if the rig had stood there.
+    `shares` (2,): of the motion that x and y have taken part in, less what they have in common, which is as if the rig
+    had stood there.
     """
 
     course: Course
@@ -155,10 +155,9 @@ class MotionMeter:
 
 
 def _share(fringes: Sequence[Showing], course: Course) -> float:
-    """The share of the motion in the mean coordinate, each fringe by the inverse of its variance."""
-    weights = np.array([1 / np.median(one.fit.variance) for one in fringes])
-    responses = np.array([np.mean(one.fit.follow(course.at(one.times)).response) for one in fringes])
-    return float(weights @ responses / weights.sum())
+    """The share of the motion in the coordinate: that in the most certain fringe, to whose mean others are brought."""
+    surest = min(fringes, key=lambda one: float(np.median(one.fit.variance)))
+    return float(np.mean(surest.fit.follow(course.at(surest.times)).response))
 
 
 def measure_motion(
