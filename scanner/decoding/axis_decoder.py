@@ -16,7 +16,7 @@ from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.code_voting import let_fringes_decide
 from scanner.decoding.fringes.edge_shift_correction import log_amplitude
 from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
-from scanner.decoding.fringes.systematic_error import add_systematic
+from scanner.decoding.fringes.systematic_error import correct_systematic
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import (
     NOT_LIT,
@@ -168,7 +168,7 @@ class AxisDecoder:
             for fringe, variance in zip(self.plan.fringes, variances, strict=True):
                 usable &= variance <= np.float32(largest_variance(fringe))
             periods = [fringe.period for fringe in self.plan.fringes]
-            add_systematic(periods, coordinates, variances, usable, signals.shape)
+            correct_systematic(periods, coordinates, variances, usable, signals.shape)
         value, variance = coordinates[0].copy(), variances[0].copy()
         for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
             _average_in(of_fringe, own_variance, value, variance)

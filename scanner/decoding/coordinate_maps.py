@@ -12,7 +12,7 @@ from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.discontinuities import breaks
-from scanner.decoding.fringes.edge_shift_correction import footprint_variance, straighten
+from scanner.decoding.fringes.edge_shift_correction import TYPICAL_PX2, footprint_variance, straighten
 from scanner.decoding.fringes.systematic_error import BLOCK_PX
 from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reasons
 from scanner.decoding.tiles import in_tiles, widened
@@ -55,7 +55,7 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
         for c in found:
-            if c.log_amplitude is not None and footprint_px2:
+            if c.log_amplitude is not None:
                 straighten(c.value, c.variance, c.log_amplitude, kept, footprint_px2)
             np.copyto(c.value, np.float32(np.nan), where=~kept)
         if plan.fringes:
@@ -84,7 +84,7 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     rows, columns = (np.arange(0, size - _TILE_PX + 1, _TILE_PX) for size in (height, width))
     corners = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
     if not accumulators.fringes or not len(corners):
-        return 0.0
+        return TYPICAL_PX2
     middles = tuple((corners + _TILE_PX // 2).T)
     lit = np.ones(len(corners), np.bool_)
     for decoder, at_middles in zip(decoders, signals_of(accumulators, lambda image: image[middles][None]), strict=True):
@@ -93,7 +93,7 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     corners = corners[lit]
     corners = corners[np.linspace(0, len(corners) - 1, min(len(corners), _MOST_TILES)).astype(np.int64)]
     if not len(corners):
-        return 0.0
+        return TYPICAL_PX2
 
     def tiles(image: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([image[row : row + _TILE_PX, column : column + _TILE_PX] for row, column in corners])

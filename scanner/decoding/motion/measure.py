@@ -146,10 +146,9 @@ class MotionMeter:
 
 
 def _share(fringes: Sequence[Showing], course: Course) -> float:
-    """The share of the motion in the mean coordinate, each fringe by the inverse of its variance."""
-    weights = np.array([1 / median(one.fit.variance) for one in fringes])
-    responses = np.array([np.mean(one.fit.follow(course.at(one.times)).response) for one in fringes])
-    return float(weights @ responses / weights.sum())
+    """The share of the motion in the coordinate: that in the most certain fringe, to whose mean others are brought."""
+    surest = min(fringes, key=lambda one: median(one.fit.variance))
+    return float(np.mean(surest.fit.follow(course.at(surest.times)).response))
 
 
 def measure_motion(
