@@ -162,8 +162,8 @@ def _lens_sigmas(device: Floats, pixels: Floats, covariance: Floats, seen: Bools
     by_turn, by_device = project_rays(device, rays_of(device, pixels[seen]))
     if seen.any():
         turns = by_turn.reshape(-1, 3)
-        jacobian = by_device.reshape(len(turns), -1)
-        jacobian = (jacobian - turns @ np.linalg.lstsq(turns, jacobian, rcond=None)[0]).reshape(by_device.shape)
+        own = by_device.reshape(len(turns), -1)
+        jacobian = (own - turns @ np.linalg.lstsq(turns, own, rcond=None)[0]).reshape(by_device.shape)
         sigmas[seen] = np.sqrt(np.einsum("nka,ab,nkb->n", jacobian, covariance, jacobian) / 2)
     return sigmas.reshape(_GRID, _GRID)
 
