@@ -2,7 +2,7 @@
 
 from calib.boards.acceptance import FEWEST_VIEWS, Coverage, ray_sigmas
 from calib.boards.calibrate import Board, BoardCalibration, OddView, calibrate_boards
-from calib.boards.cross_validation import INTRINSICS, Halves, Prediction
+from calib.boards.cross_validation import Halves, Prediction
 from calib.boards.estimate import Estimate
 from calib.boards.likelihood import View
-from calib.boards.parameters import State, predict_corners, predict_matches
+from calib.boards.parameters import INTRINSIC_COLUMNS, State, predict_corners, predict_matches

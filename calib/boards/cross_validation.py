@@ -11,13 +11,20 @@ import numpy as np
 
 from calib.boards.estimate import Estimate, of_views
 from calib.boards.likelihood import Levels, minimise
-from calib.boards.parameters import CAMERA, PER_FLEX, PER_POSE, PROJECTOR, SHARED, Placed, predict_matches
+from calib.boards.parameters import (
+    CAMERA,
+    INTRINSIC_COLUMNS,
+    PER_FLEX,
+    PER_POSE,
+    PROJECTOR,
+    SHARED,
+    Placed,
+    predict_matches,
+)
 from calib.numerics import Floats
 
 _FEWEST_OF_A_HALF = 2
 _USEFUL_HALF = 0.15  # sigma of a focal's logarithm, beyond which a half by itself says nothing
-# Of camera and projector: the focal's logarithm and the principal point.
-INTRINSICS = [device.start + column for device in (CAMERA, PROJECTOR) for column in (0, 2, 3)]
 
 
 @dataclass(frozen=True)
@@ -116,4 +123,4 @@ def halves(found: Estimate) -> Halves | None:
     difference = one.state.additive() - other.state.additive()
     sigma = np.sqrt(variances[0] + variances[1])
     names = [tuple(found.views[i].name for i in part) for part in parts]
-    return Halves(names[0], names[1], difference[INTRINSICS], sigma[INTRINSICS])
+    return Halves(names[0], names[1], difference[INTRINSIC_COLUMNS], sigma[INTRINSIC_COLUMNS])

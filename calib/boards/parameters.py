@@ -27,6 +27,8 @@ ROTATION, DIRECTION, LENGTH = slice(18, 21), slice(21, 23), 23
 MOTION, BEND = slice(18, 24), slice(24, 31)
 SHARED = 31
 FOCAL, ASPECT, CENTRE, LENS = 0, 1, slice(2, 4), slice(4, 9)  # of a device
+# Of camera and projector: the focal's logarithm and the principal point.
+INTRINSIC_COLUMNS = [0, 2, 3, 9, 11, 12]
 
 _MEETING_STEPS = 4
 _SPARE = 3.0  # of the board's reach: where a bend is of no meaning any more

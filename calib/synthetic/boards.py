@@ -4,7 +4,7 @@ Nothing here is shared with the solver: points of a bent board are projected int
 the camera's corners and to the projector's pixels.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,13 +55,18 @@ class SyntheticView:
 
 @dataclass(frozen=True)
 class SyntheticBoards:
-    """Views and everything that is true of them: heights are `bend` (3,) times a², ab, b² over `reach`."""
+    """Views and everything that is true of them.
+
+    Heights are `reach` times a², ab, b² times `bend` (3,), with a, b in units of `reach`. `poses`: of each board its
+    rotation (3, 3) from its own axes and its middle (3,), in the camera's frame.
+    """
 
     views: tuple[SyntheticView, ...]
     calibration: Calibration
+    options: BoardOptions
     bend: Floats
     reach: float
-    poses: tuple[tuple[Floats, Floats], ...] = field(default=())
+    poses: tuple[tuple[Floats, Floats], ...]
 
 
 def random_boards(rng: np.random.Generator, options: BoardOptions | None = None, **changes: Any) -> SyntheticBoards:
@@ -88,7 +93,7 @@ def random_boards(rng: np.random.Generator, options: BoardOptions | None = None,
             views.append(view)
             poses.append(pose)
         if len(views) == options.views:
-            return SyntheticBoards(tuple(views), calibration, bend, reach, tuple(poses))
+            return SyntheticBoards(tuple(views), calibration, options, bend, reach, tuple(poses))
     raise ValueError("no pose of the board that both devices see whole")
 
 

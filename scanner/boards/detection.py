@@ -76,7 +76,7 @@ def _find(grey: Image, target: Target) -> Detected | None:
 def _consistent(found: Detected, target: Target) -> Detected | None:
     """Without points that are not where the others put them; None if too few are left."""
     for _ in range(2):
-        if len(found.points) < min(_FEWEST, len(target.points)):
+        if len(found.points) < max(min(_FEWEST, len(target.points)), 4):
             return None
         homography = homography_between(found.pixels, found.points)
         off = np.linalg.norm(mapped(homography, found.pixels) - found.points, axis=1)
@@ -120,9 +120,8 @@ def _charuco(grey: Image, target: Target) -> Detected | None:
             board = cv2.aruco.CharucoBoard((target.columns, target.rows), 1.0, 0.75, dictionary)
             board.setLegacyPattern(legacy)
             corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
-            if ids is None:
-                continue
-            found = Detected(target.points[np.asarray(ids).ravel()], _pixels(corners))
+            numbers = np.asarray(ids if ids is not None else [], np.int64).ravel()
+            found = Detected(target.points[numbers], _pixels(corners if len(numbers) else []))
             checked = _consistent(found, target)
             if checked is not None and (best is None or len(checked.points) > len(best.points)):
                 best = checked
@@ -140,7 +139,7 @@ def _aprilgrid(grey: Image, target: Target) -> Detected | None:
     for border in (2, 1):
         parameters.markerBorderBits = border
         corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(grey)
-        if ids is None:
+        if ids is None or not len(corners):
             continue
         numbers = np.asarray(ids, np.int64).ravel()
         there = numbers < target.columns * target.rows
@@ -222,7 +221,7 @@ def _grey(image: Image) -> Image:
     """8 bits, from black to the brightest there is."""
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     if grey.dtype == np.uint8 and grey.max() > 127:
-        return np.ascontiguousarray(grey)
+        return np.ascontiguousarray(grey, np.uint8)
     top = max(float(np.percentile(grey, 99.9)), 1.0)
     return np.asarray(np.clip(grey.astype(np.float32) * (255.0 / top), 0, 255), np.uint8)
 

@@ -6,7 +6,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from calib.boards import INTRINSICS
+from calib.boards import INTRINSIC_COLUMNS
 from scanner.boards.calibrate import FromBoards
 from scanner.boards.page import write_page
 from scanner.boards.target import UNIT
@@ -82,7 +82,7 @@ def summary(result: FromBoards) -> Table:
 
 def rows(result: FromBoards) -> list[tuple[str, ...]]:
     """Of that table, as text."""
-    focals = [INTRINSICS[0], INTRINSICS[3]]
+    focals = [INTRINSIC_COLUMNS[0], INTRINSIC_COLUMNS[3]]
     return [
         (
             each.name,

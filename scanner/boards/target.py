@@ -60,7 +60,8 @@ class Target:
             points = np.stack([column, row], axis=1)
             if self.kind == "acircles":
                 points = np.stack([column + (row % 2) / 2, row / 2], axis=1)
-        return (points - (points.max(axis=0) + points.min(axis=0)) / 2) * self.square
+        centred: Floats = (points - (points.max(axis=0) + points.min(axis=0)) / 2) * self.square
+        return centred
 
     def _tag_corners(self) -> Floats:
         step = 1 + _TAG_SPACING
