@@ -8,10 +8,14 @@ import numpy as np
 
 from calib.geometry import homography_between, mapped
 from calib.numerics import Bools, Floats, Image, Ints
+from scanner.boards.dots import corrected
 from scanner.boards.target import Target
 
 _SB = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _FEWEST = 12  # points
+# AprilTag's lines meet at the corners without the bias that a blurred corner has, in pixels whose corners are whole
+# numbers.
+_APRILTAG_ORIGIN = 0.5
 _STRAY = 0.15  # of a square: where a point is none of the board's
 # Dictionaries that boards are printed with; what a board has is found by trying.
 _DICTIONARIES = (
@@ -39,10 +43,7 @@ def detect(image: Image, target: Target) -> Detected:
     found = _find(grey, target)
     if found is None:
         raise NotFoundError(f"no {target} was found{_what_else(grey, target)}")
-    if (
-        target.kind in ("chessboard", "circles", "acircles")
-        and _find(_without(grey, found, target), target) is not None
-    ):
+    if _is_another(_without(grey, found, target), target):
         raise NotFoundError(f"there are two boards like {target} in the picture, and only one may be")
     return found
 
@@ -71,6 +72,17 @@ def _find(grey: Image, target: Target) -> Detected | None:
     if found is None:
         return None
     return _consistent(found, target)
+
+
+def _is_another(grey: Image, target: Target) -> bool:
+    """Whether there is a second one in what is left: a quick look, for a board that is as easy to see as the first."""
+    counts = (target.columns, target.rows)
+    if target.kind == "chessboard":
+        small = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        return any(bool(cv2.findChessboardCornersSB(each, counts, flags=0)[0]) for each in (small, grey))
+    if target.kind == "charuco":
+        return _charuco(grey, target) is not None
+    return False
 
 
 def _consistent(found: Detected, target: Target) -> Detected | None:
@@ -133,10 +145,9 @@ def _charuco(grey: Image, target: Target) -> Detected | None:
 def _aprilgrid(grey: Image, target: Target) -> Detected | None:
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    parameters.markerBorderBits = 2  # Kalibr's tags
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
     best: Detected | None = None
-    for border in (2, 1):
+    for border in (2, 1):  # Kalibr's tags have two, OpenCV's one
         parameters.markerBorderBits = border
         corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(grey)
         if ids is None or not len(corners):
@@ -144,6 +155,7 @@ def _aprilgrid(grey: Image, target: Target) -> Detected | None:
         numbers = np.asarray(ids, np.int64).ravel()
         there = numbers < target.columns * target.rows
         pixels = np.concatenate([_pixels(each) for each in corners]).reshape(-1, 4, 2)[there].reshape(-1, 2)
+        pixels = pixels - _APRILTAG_ORIGIN
         for places in _tag_numberings(numbers[there], target):
             chosen = (4 * places[:, None] + np.arange(4)).ravel()
             checked = _consistent(Detected(target.points[chosen], pixels), target) if len(places) >= 3 else None
@@ -166,8 +178,9 @@ def _dots(grey: Image, target: Target) -> Detected | None:
         for flags in (symmetric, symmetric | cv2.CALIB_CB_CLUSTERING):
             found, centres = cv2.findCirclesGrid(picture, counts, flags=flags, blobDetector=_blobs(grey))
             if found:
-                pixels = _pixels(centres)
-                return _right_way_round(pixels, target) if target.kind == "circles" else _unmirrored(pixels, target)
+                order = _right_way_round if target.kind == "circles" else _unmirrored
+                ordered = order(_pixels(centres), target)
+                return Detected(ordered.points, corrected(grey, ordered.points, ordered.pixels))
     return None
 
 

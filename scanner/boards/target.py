@@ -18,7 +18,7 @@ UNIT = "mm"
 # The board that --print charuco:A4 prints: squares of 30 mm with markers of 22 mm.
 CHARUCO_A4 = (6, 9)
 _SHEETS = {"A4": CHARUCO_A4}
-_TAG_SPACING = 0.3  # between the tags of an AprilGrid, as a share of their side: Kalibr's
+TAG_SPACING = 0.3  # between the tags of an AprilGrid, as a share of their side: Kalibr's
 _MOST = 100
 _MARGIN = 0.8  # of a square around the points, where the board still is
 
@@ -64,7 +64,7 @@ class Target:
         return centred
 
     def _tag_corners(self) -> Floats:
-        step = 1 + _TAG_SPACING
+        step = 1 + TAG_SPACING
         column, row = (axis.ravel() for axis in np.meshgrid(np.arange(self.columns), np.arange(self.rows)))
         corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
         places: Floats = step * np.stack([column, row], axis=1)[:, None] + corners
