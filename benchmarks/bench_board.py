@@ -36,7 +36,10 @@ def real(folder: Path) -> None:
     peers = [corners_of(each.folder, _TARGET.points, (_TARGET.columns, _TARGET.rows)) for each in recordings]
     peer = calibrate(peers, *sizes)
     ours = [_own_corners(seen.view) for seen in result.seen]
-    print(f"stereo error by the script's definition, px (it says itself: 0.575)\n  its own, done again   {peer.rms[2]:.3f}", end="")
+    print(
+        f"stereo error by the script's definition, px (its own output: 0.575)\n  done again   {peer.rms[2]:.3f}",
+        end="",
+    )
     print(f"  (camera {peer.rms[0]:.3f}, projector {peer.rms[1]:.3f})")
     print(f"  ours, flat boards     {stereo_rms(result.found.calibration, ours):.3f}")
     print(f"  ours, its corners     {stereo_rms(result.found.calibration, peers):.3f}")

@@ -5,4 +5,5 @@ from calib.boards.calibrate import Board, BoardCalibration, OddView, calibrate_b
 from calib.boards.cross_validation import Halves, Prediction
 from calib.boards.estimate import Estimate
 from calib.boards.likelihood import View
+from calib.boards.next_pose import NextPose, best_next_pose
 from calib.boards.parameters import INTRINSIC_COLUMNS, State, predict_corners, predict_matches

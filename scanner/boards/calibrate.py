@@ -14,6 +14,7 @@ from scanner.boards.target import UNIT, Target
 from scanner.capture import Recording
 from scanner.errors import InputError
 from scanner.pipeline import decode
+from scanner.results import Decoded
 from scanner.ui import Progress
 
 _FEWEST_MATCHES = 300
@@ -23,12 +24,15 @@ _PLAUSIBLE_BOARD_MM, _PLAUSIBLE_BASELINE_MM = (50.0, 20_000.0), (10.0, 5_000.0)
 
 @dataclass(frozen=True)
 class Seen:
-    """A capture in which the board was found: its `texture` under white light, the points, and the `view` of them."""
+    """A capture in which the board was found: its `texture` under white light, and the `view` of the board."""
 
-    recording: Recording
     texture: Image
-    detected: Detected
     view: View
+
+    @property
+    def name(self) -> str:
+        """Which capture it is, in messages."""
+        return self.view.name
 
 
 @dataclass(frozen=True)
@@ -59,20 +63,25 @@ class FromBoards:
 
 def calibrate_captures(recordings: Sequence[Recording], target: Target, progress: Progress) -> FromBoards:
     """Decode, find the board, calibrate. Raises InputError if no capture has the board, RefusalError."""
-    seen: list[Seen] = []
-    missing: list[Missing] = []
-    for name, recording in zip(_names(recordings), recordings, strict=True):
-        try:
-            seen.append(_look(recording, name, target, progress))
-        except NotFoundError as error:
-            missing.append(Missing(name, str(error)))
+    looked = (
+        look(decode(recording.stream(), progress, f"Decoding {name}", name), target, progress)
+        for name, recording in zip(_names(recordings), recordings, strict=True)
+    )
+    return calibrate_seen(list(looked), target, recordings[0].camera_size, recordings[0].projector_size, progress)
+
+
+def calibrate_seen(
+    looked: Sequence[Seen | Missing], target: Target, camera_size: Size, projector_size: Size, progress: Progress
+) -> FromBoards:
+    """Calibrate from captures that were looked at. Raises InputError if none has the board, RefusalError."""
+    seen = [each for each in looked if isinstance(each, Seen)]
+    missing = [each for each in looked if isinstance(each, Missing)]
     if not seen:
         told = "".join(f"\n  {each.name}: {each.why}" for each in missing)
         raise InputError(f"--board {target}: in none of the captures is there such a board:{told}")
     if missing and len(seen) < FEWEST_VIEWS:
         told = "".join(f"\n  {each.name}: {each.why}" for each in missing)
         raise InputError(f"three views of the board are the least, and it was found in {len(seen)} only:{told}")
-    camera_size, projector_size = recordings[0].camera_size, recordings[0].projector_size
     with progress.step("Calibrating"):
         found = calibrate_boards(
             [each.view for each in seen], camera_size, projector_size, Board(target.reach, target.turns, UNIT)
@@ -86,15 +95,18 @@ def _names(recordings: Sequence[Recording]) -> list[str]:
     return short if len(set(short)) == len(short) else [str(recording.folder) for recording in recordings]
 
 
-def _look(recording: Recording, name: str, target: Target, progress: Progress) -> Seen:
-    """Raises NotFoundError where the board is not seen, or not lit; InputError for a capture that is none."""
-    decoded = decode(recording.stream(), progress, f"Decoding {name}", name)
-    texture = decoded.texture
-    if texture is None:
-        raise InputError(f"{name}: has no picture of the lit scene to find a board in")
-    with progress.step("Finding the board"):
-        detected = detect(texture, target)
-    return Seen(recording, texture, detected, view_of(name, detected, decoded.matches, target, recording.camera_size))
+def look(decoded: Decoded, target: Target, progress: Progress) -> Seen | Missing:
+    """Find the board in a capture."""
+    if decoded.texture is None:
+        return Missing(decoded.name, "it has no picture of the lit scene to find a board in")
+    try:
+        with progress.step("Finding the board"):
+            detected = detect(decoded.texture, target)
+        return Seen(
+            decoded.texture, view_of(decoded.name, detected, decoded.matches, target, decoded.facts.camera_size)
+        )
+    except NotFoundError as error:
+        return Missing(decoded.name, str(error))
 
 
 def view_of(name: str, detected: Detected, matches: Matches, target: Target, size: Size) -> View:

@@ -9,6 +9,7 @@ import numpy as np
 from calib.geometry import homography_between, mapped
 from calib.numerics import Bools, Floats, Image, Ints
 from scanner.boards.dots import corrected
+from scanner.boards.saddles import refined
 from scanner.boards.target import Target
 
 _SB = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
@@ -69,9 +70,10 @@ def _find(grey: Image, target: Target) -> Detected | None:
             found = _aprilgrid(grey, target)
         case _:
             found = _dots(grey, target)
-    if found is None:
-        return None
-    return _consistent(found, target)
+    found = None if found is None else _consistent(found, target)
+    if found is None or target.kind not in ("chessboard", "charuco"):
+        return found
+    return Detected(found.points, refined(grey, found.points, found.pixels, target.square))
 
 
 def _is_another(grey: Image, target: Target) -> bool:
@@ -106,11 +108,7 @@ def _chessboard(grey: Image, target: Target) -> Detected | None:
     found, corners = cv2.findChessboardCorners(grey, counts)
     if not found:
         return None
-    spacing = float(np.median(np.linalg.norm(np.diff(_pixels(corners), axis=0), axis=1)))
-    half = int(np.clip(spacing / 4, 2, 11))
-    until = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
-    refined = cv2.cornerSubPix(grey, np.asarray(corners, np.float32), (half, half), (-1, -1), until)
-    return _right_way_round(_pixels(refined), target)
+    return _right_way_round(_pixels(corners), target)
 
 
 def _right_way_round(pixels: Floats, target: Target) -> Detected:

@@ -196,6 +196,15 @@ def _board(parser: ArgumentParser) -> None:
         metavar="LENGTH",
         help="side of a square or tag, or distance between dots, as in 30mm (default unit: mm)",
     )
+    _config(parser, required=False)
+    parser.add_argument(
+        "--captures",
+        dest="number",
+        type=int,
+        default=8,
+        metavar="N",
+        help="with --config: capture the board N times, moving it in between (default: 8)",
+    )
     _out(parser, default="scans/board")
     _overwrite(parser)
     _quiet(parser)
