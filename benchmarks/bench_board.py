@@ -1,10 +1,11 @@
 """Boards: ours against local homographies and OpenCV's stereoCalibrate, on real captures and on made-up ones.
 
-python benchmarks/bench_board.py [--real FOLDER] [--sets 50]
+python benchmarks/bench_board.py [--real FOLDER] [--sets 50] [--rendered 8]
 
 Real captures (those of github.com/kamino410/procam-calibration, a chessboard of 9 × 7 corners, squares of 75): the
 stereo error by their own definition, and each board predicted by the others. Made-up ones, whose truth is known: error
-over sigma, and the errors of both beside the Cramér–Rao bound.
+over sigma, and the errors of both beside the Cramér–Rao bound. Rendered ones: six boards before the simulated rig of
+each seed, from the frames on.
 """
 
 import argparse
@@ -13,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from board_peer import Corners, Peer, calibrate, corners_of, local_corners, predicted
+from conditions.captures import patterns_of, take
 from cramer_rao import bound_of_boards
 from scipy.optimize import least_squares
 
@@ -22,10 +24,20 @@ from calib.numerics import Floats
 from calib.refinement import into_cells
 from calib.refusal import RefusalError
 from calib.synthetic import SyntheticBoards, random_boards
+from hw.settings import SimulatedRigSettings
+from hw.simulated.simulation import SimulatedRoom
 from scanner.boards import FromBoards, Target, calibrate_captures, read_folders
+from scanner.boards.calibrate import calibrate_seen, look
+from scanner.capture import CaptureFacts
+from scanner.decoding import Decoder
+from scanner.errors import InputError
+from scanner.results import Decoded
 from scanner.ui import Terminal
 
 _TARGET = Target("chessboard", 9, 7, 75.0)
+_RENDERED, _SQUARE_M = ((612, 512), (427, 240)), 0.06
+_RIGS_TARGET = Target("chessboard", 9, 7, 1000 * _SQUARE_M)
+_QUIET = Terminal(quiet=True)
 _NAMES = ("f_c", "x_c", "y_c", "f_p", "x_p", "y_p")
 
 
@@ -157,35 +169,69 @@ def made_up(sets: int, bend: float) -> None:
         rows.append([*errors_of(found, truth), _peer_errors(boards), bound_of_boards(boards, views)])
     error, sigma, theirs, bound = np.array(rows).transpose(1, 0, 2)
 
-    def root(values: Floats) -> Floats:
-        rms: Floats = np.sqrt(np.mean(values**2, axis=0))
-        return rms
-
     print(
         f"{len(rows)} of {sets} made-up sets of six boards, bent by {bend:g} of half their length (1 sigma, each term)"
     )
     print(f"  {'':34}" + "".join(f"{name:>8}" for name in _NAMES))
     for name, values in (
-        ("error / sigma, rms", root(error / sigma)),
-        ("error, rms, px", root(error)),
-        ("sigma told, rms, px", root(sigma)),
-        ("Cramér–Rao bound, rms, px", root(bound)),
-        ("OpenCV's error, rms, px", root(theirs)),
-        ("sigma told over OpenCV's error", root(sigma) / root(theirs)),
+        ("error / sigma, rms", _root(error / sigma)),
+        ("error, rms, px", _root(error)),
+        ("sigma told, rms, px", _root(sigma)),
+        ("Cramér–Rao bound, rms, px", _root(bound)),
+        ("OpenCV's error, rms, px", _root(theirs)),
+        ("sigma told over OpenCV's error", _root(sigma) / _root(theirs)),
     ):
         print(f"  {name:34}" + "".join(f"{value:8.3f}" for value in values))
     print(f"  error / sigma, rms over all: {float(np.sqrt(np.mean((error / sigma) ** 2))):.3f}")
+
+
+def _root(values: Floats) -> Floats:
+    rms: Floats = np.sqrt(np.mean(values**2, axis=0))
+    return rms
+
+
+def rendered(seeds: int) -> None:
+    rows = []
+    for seed in range(seeds):
+        room = SimulatedRoom(SimulatedRigSettings(seed=seed, interreflection=False, furniture=False), *_RENDERED)
+        looked = []
+        for pose in range(6):
+            posed = room.under(board={"square_m": _SQUARE_M, "pose": pose})
+            capture = take(posed, patterns_of("standard", posed_size := _RENDERED[1]), 1.0)
+            decoder = Decoder(capture.patterns, posed_size)
+            for frame in capture.frames:
+                decoder.add(frame)
+            decoding = decoder.finish()
+            facts = CaptureFacts(Size(*_RENDERED[0]), Size(*posed_size))
+            looked.append(look(Decoded(facts, decoding.matches, decoding, f"pose {pose}"), _RIGS_TARGET, _QUIET))
+        try:
+            result = calibrate_seen(looked, _RIGS_TARGET, Size(*_RENDERED[0]), Size(*_RENDERED[1]), _QUIET)
+        except (RefusalError, InputError) as refusal:
+            print(f"seed {seed}: {refusal}")
+            continue
+        error, sigma = errors_of(result.found, room.calibration)
+        rows.append((error, sigma))
+        print(
+            f"  seed {seed}: " + "".join(f"{e:+8.3f} ± {s:.3f}" for e, s in zip(error, sigma, strict=True)), flush=True
+        )
+    error, sigma = np.array(rows).transpose(1, 0, 2)
+    print(f"{len(rows)} of {seeds} rendered sets of six boards: error / sigma, rms")
+    print("".join(f"  {name} {value:.2f}" for name, value in zip(_NAMES, _root(error / sigma), strict=True)))
+    print(f"  over all {float(np.sqrt(np.mean((error / sigma) ** 2))):.2f}")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--real", type=Path, help="folder with the captures")
     parser.add_argument("--sets", type=int, default=50)
+    parser.add_argument("--rendered", type=int, default=0, help="so many sets of frames by the simulated rig")
     arguments = parser.parse_args()
     if arguments.real:
         real(arguments.real)
     for bend in (0.0, 0.002) if arguments.sets else ():
         made_up(arguments.sets, bend)
+    if arguments.rendered:
+        rendered(arguments.rendered)
 
 
 if __name__ == "__main__":

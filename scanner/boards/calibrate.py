@@ -91,8 +91,10 @@ def calibrate_seen(
 
 def _names(recordings: Sequence[Recording]) -> list[str]:
     """The folders, as short as tells them apart."""
-    short = [recording.folder.resolve().name for recording in recordings]
-    return short if len(set(short)) == len(short) else [str(recording.folder) for recording in recordings]
+    parts = [recording.folder.resolve().parts for recording in recordings]
+    longest = max(len(each) for each in parts)
+    names = (["/".join(each[-length:]) for each in parts] for length in range(1, longest + 1))
+    return next(each for each in names if len(set(each)) == len(each))
 
 
 def look(decoded: Decoded, target: Target, progress: Progress) -> Seen | Missing:

@@ -15,7 +15,7 @@ KINDS = {
     "acircles": "dots in a row, and rows, every other of which is shifted by half",
 }
 UNIT = "mm"
-# The board that --print charuco:A4 prints: squares of 30 mm with markers of 22 mm.
+# The board that --print charuco:A4 prints.
 CHARUCO_A4 = (6, 9)
 _SHEETS = {"A4": CHARUCO_A4}
 TAG_SPACING = 0.3  # between the tags of an AprilGrid, as a share of their side: Kalibr's

@@ -196,6 +196,12 @@ def _board(parser: ArgumentParser) -> None:
         metavar="LENGTH",
         help="side of a square or tag, or distance between dots, as in 30mm (default unit: mm)",
     )
+    parser.add_argument(
+        "--print",
+        dest="sheet",
+        metavar="KIND:SHEET",
+        help="write a PDF to print at true size instead: charuco:A4, or as chessboard:9x7@A3 with --square",
+    )
     _config(parser, required=False)
     parser.add_argument(
         "--captures",
@@ -205,7 +211,7 @@ def _board(parser: ArgumentParser) -> None:
         metavar="N",
         help="with --config: capture the board N times, moving it in between (default: 8)",
     )
-    _out(parser, default="scans/board")
+    _out(parser, default="scans/board, or a PDF's name")
     _overwrite(parser)
     _quiet(parser)
 

@@ -15,9 +15,11 @@ from scanner.boards import (
     summary,
     verdict_on,
 )
+from scanner.boards.printing import printed_target, write_pdf
 from scanner.boards.target import UNIT
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
+from scanner.io import new_file
 from scanner.quantities import calibration_table, parse_length
 from scanner.results import default_out, new_result, refuse_occupied
 from scanner.ui import Terminal
@@ -28,6 +30,9 @@ _EXAMPLE = "as in: scan board CAPTURE… --board chessboard:9x7 --square 10mm"
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError, DeviceError, RefusalError."""
     terminal = Terminal(quiet=args.quiet)
+    if args.sheet:
+        _print(args, terminal)
+        return
     if bool(args.captures) == bool(args.config):
         raise InputError(f"expected captures of a board, or --config to take them with, {_EXAMPLE}")
     if args.board is None or args.square is None:
@@ -41,6 +46,18 @@ def run(args: Namespace) -> None:
     for note in result.notes:
         terminal.show(f"Note: {note}")
     terminal.show(f"Written: {out} (calibration.yaml, report.html)")
+
+
+def _print(args: Namespace, terminal: Terminal) -> None:
+    square = parse_length(args.square, UNIT) if args.square else None
+    target, sheet = printed_target(args.sheet, square)
+    out: Path = args.out or Path(f"{target.kind}-{target.columns}x{target.rows}-{sheet}.pdf")
+    with new_file(out, overwrite=args.overwrite) as path:
+        write_pdf(path, target, sheet)
+    terminal.show(
+        f"Written: {out}. Print it at 100 %, measure the ruler, glue it to something flat and firm, and calibrate with "
+        f"--board {target} --square {target.square:g}mm."
+    )
 
 
 def _from_captures(args: Namespace, target: Target, out: Path, terminal: Terminal) -> FromBoards:
