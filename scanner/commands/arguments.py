@@ -233,6 +233,41 @@ def _photos(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _board(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "captures", type=Path, nargs="*", metavar="CAPTURE", help="folder with a capture.yaml, or with several of those"
+    )
+    parser.add_argument(
+        "--board",
+        metavar="KIND:WxH",
+        help="chessboard:9x7 (inner corners), charuco:6x9 (squares), "
+        "aprilgrid:6x6 (tags), circles:7x5 or acircles:4x11 (dots)",
+    )
+    parser.add_argument(
+        "--square",
+        metavar="LENGTH",
+        help="side of a square or tag, or distance between dots, as in 30mm (default unit: mm)",
+    )
+    parser.add_argument(
+        "--print",
+        dest="sheet",
+        metavar="KIND:SHEET",
+        help="write a PDF to print at true size instead: charuco:A4, or as chessboard:9x7@A3 with --square",
+    )
+    _config(parser, required=False)
+    parser.add_argument(
+        "--captures",
+        dest="number",
+        type=int,
+        default=8,
+        metavar="N",
+        help="with --config: capture the board N times, moving it in between (default: 8)",
+    )
+    _out(parser, default="scans/board, or a PDF's name")
+    _overwrite(parser)
+    _quiet(parser)
+
+
 def _result(parser: ArgumentParser) -> None:
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
 
@@ -325,6 +360,17 @@ the results: the largest errors count.
         """
 The photos may be cropped, if all of them are in the same way: the principal point is found, too. The zoom must not
 change between them. The second photo is the one that the result is about.
+""",
+    ),
+    "board": Command(
+        "Calibrate from captures of a printed board in different poses, and say how true that is.",
+        _board,
+        "board",
+        """
+Three captures are the least, six to ten are good: tilted by 20 to 45 degrees to either side and up and down, at
+different distances, so that together they fill the pictures of both devices. Nothing but the board is moved.
+
+Exit codes: 2 if the board is not found; 4 if these boards do not determine a calibration, with the reason.
 """,
     ),
     "import": Command("Make a capture of another program's frames, whose order is recognised.", _import, "import_"),

@@ -38,10 +38,11 @@ def correct_systematic(
 
     From the `coordinates` (fringes, P) of `usable` pixels (P,) in windows around each, in an image of `shape` (H, W).
     """
-    share = np.maximum(_coarse(usable.reshape(shape).astype(np.float32)), _FEWEST)
+    share: Floats32 = np.maximum(_coarse(usable.reshape(shape).astype(np.float32)), _FEWEST)
 
     def mean(values: Floats32) -> Floats32:
-        return _coarse(values.reshape(shape)) / share
+        means: Floats32 = _coarse(values.reshape(shape)) / share
+        return means
 
     excess, distance = np.empty((2, len(usable)), np.float32)
     excesses, distances = [], []
