@@ -19,3 +19,4 @@ from calib.numerics.robust_statistics import (
     robust_sigma,
 )
 from calib.numerics.sampling import evenly
+from calib.numerics.singular import singular_refused

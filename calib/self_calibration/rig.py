@@ -19,7 +19,7 @@ from calib.diagnostics import (
 )
 from calib.diagnostics.uncertainty import along_valley
 from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     SQUARENESS_DEG,
     Knowledge,
@@ -89,6 +89,7 @@ class SelfCalibration:
     possible_percent: float = 0.0
 
 
+@singular_refused(RIG)
 def self_calibrate(
     matches: Matches,
     camera_size: tuple[int, int],
@@ -126,6 +127,7 @@ def self_calibrate(
     return found
 
 
+@singular_refused(RIG)
 def self_calibrate_jointly(
     captures: Sequence[Matches],
     camera_size: tuple[int, int],

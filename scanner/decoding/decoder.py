@@ -30,6 +30,7 @@ from scanner.decoding.light.ghost import GhostRemover, ghost_share
 from scanner.decoding.light.noise_model import NoiseModel, needs_neighbours
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.memory import refuse_more_than_there_is
 from scanner.decoding.motion import (
     MotionFound,
     TileSample,
@@ -127,6 +128,7 @@ class Decoder:
         grey = self._remover.remove(grey) if self._remover else grey
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
+            refuse_more_than_there_is(shape)
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
             accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape))
             self._held = accumulators, sample, TileSample(shape)

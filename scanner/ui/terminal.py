@@ -10,6 +10,7 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from scanner.shown_text import harmless
 from scanner.ui.fitting import fitted, for_screen
 
 T = TypeVar("T")
@@ -50,7 +51,7 @@ class Terminal:
         for part in parts:
             shown = fitted(part, self._out) if isinstance(part, Table) else part
             if isinstance(shown, str):
-                self._out.print(for_screen(shown, sys.stdout), soft_wrap=True, markup=False)
+                self._out.print(for_screen(harmless(shown), sys.stdout), soft_wrap=True, markup=False)
             else:
                 self._out.print(shown)
 
