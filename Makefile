@@ -24,7 +24,7 @@ console: $(VENV)/.console
 	$(BIN)/scan console --config configs/room-sim.yaml
 
 scan-loopback: rig
-	$(BIN)/python tools/scan_loopback.py --config configs/room-loopback.yaml --out scans/room-loopback --overwrite
+	$(BIN)/python tools/on_loopback.py scan --config configs/room-loopback.yaml --out scans/room-loopback --overwrite
 
 rig: $(VENV)/.rig
 

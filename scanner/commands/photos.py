@@ -30,12 +30,12 @@ def run(args: Namespace) -> None:
         dense=args.dense,
     )
     terminal = Terminal(quiet=args.quiet)
-    with new_result(args.out, config, overwrite=args.overwrite) as folder:
+    with new_result(args.out, config, overwrite=args.overwrite, tell=terminal.note) as folder:
         scan = reconstruct_photos(photos, wanted, config, folder, terminal)
-    show_outcome(scan, args.out, terminal)
     focal_px = photos[0].focal_px
     used = "used as a prior" if args.exif_prior else "not used; --exif-prior uses it"
-    terminal.show("EXIF: no focal length" if focal_px is None else f"EXIF: focal length {focal_px:.0f} px ({used})")
+    exif = "EXIF: no focal length" if focal_px is None else f"EXIF: focal length {focal_px:.0f} px ({used})"
+    show_outcome(scan, args.out, terminal, [exif])
 
 
 def _given(path: Path, photos: Sequence[Photo]) -> Matches:

@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Image, compiled
-from scanner.decoding.arrays import Component, Floats32, Words
+from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.fringes.fringe_fold import FringeFold
 from scanner.decoding.light.brightness import Gains
-from scanner.decoding.light.equalise import Correction, PairEqualiser
-from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
+from scanner.decoding.light.equalise import PairEqualiser
+from scanner.decoding.sequence_plan import GrayCode, SequencePlan
+from scanner.decoding.tiles import along_pixels
 
 Planes = NDArray[np.uint8]
 _NO_BIT = np.uint8(0)
@@ -53,10 +55,15 @@ class GrayFold:
         least = self.least
         if self._keeps_fine and 0 < self.code.bits - bit <= _FINE_BITS < self.code.bits:
             least = self.fine.setdefault(bit, np.full_like(self.least, largest))
-        bright, dark = bright.reshape(-1), dark.reshape(-1)
-        _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, least.reshape(-1))
-        if self.contrast is not None:
-            _note_contrast(bright, dark, half, largest, self.contrast.reshape(-1))
+        bright, dark, least = bright.reshape(-1), dark.reshape(-1), least.reshape(-1)
+        contrast = None if self.contrast is None else self.contrast.reshape(-1)
+
+        def note(at: slice) -> None:
+            _note_bit(bright[at], dark[at], np.uint8(1 << position), half, largest, plane[at], least[at])
+            if contrast is not None:
+                _note_contrast(bright[at], dark[at], half, largest, contrast[at])
+
+        along_pixels(len(plane), note)
 
     @cached_property
     def words(self) -> Words:
@@ -90,44 +97,6 @@ class GrayFold:
         return other
 
 
-class FringeFold:
-    """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
-
-    `cosine` and `sine` times `scale` are in grey levels, and then need the `correction` if there is one. Of four equal
-    shifts each is the difference of two frames, in whole numbers, of which the first waits for the second; others are
-    weighted sums.
-    """
-
-    def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
-        self.fringe = fringe
-        weights = fringe.weights[1:]
-        largest = float(np.abs(weights).max())
-        self._signs = np.rint(weights / largest).astype(np.int64)
-        opposite = all(sorted(signs) == [-1, 0, 0, 1] for signs in self._signs.tolist())
-        self._is_plain = opposite and bool(np.allclose(self._signs * largest, weights, atol=1e-9))
-        self._waiting: dict[int, Image] = {}
-        self.scale = largest if self._is_plain else 1.0
-        self.correction: Correction | None = None
-        kept_as = np.dtype(np.float32) if not self._is_plain else np.dtype(np.int16 if dtype == np.uint8 else np.int32)
-        self.cosine: Component = np.zeros(shape, kept_as)
-        self.sine: Component = np.zeros(shape, kept_as)
-
-    def fold(self, step: int, frame: Image, peak: Image) -> None:
-        """Add the frame of one shift, and raise `peak` (H, W) to it: of frames that wait, when they are added."""
-        if not self._is_plain:
-            np.maximum(peak, frame, out=peak)
-            for component, weights in zip((self.cosine, self.sine), self.fringe.weights[1:], strict=True):
-                cv2.addWeighted(component, 1, frame, float(weights[step]), 0, dst=component, dtype=cv2.CV_32F)
-            return
-        number = int(np.flatnonzero(self._signs[:, step])[0])
-        other = self._waiting.pop(number, None)
-        if other is None:
-            self._waiting[number] = frame.copy()
-            return
-        component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
-        _subtract(frame.reshape(-1), other.reshape(-1), sign, component.reshape(-1), peak.reshape(-1))
-
-
 @compiled
 def _note_bit(
     bright: Image, dark: Image, bit: np.uint8, half: bool, largest: np.unsignedinteger[Any], plane: Planes, least: Image
@@ -154,14 +123,6 @@ def _note_contrast(bright: Image, dark: Image, half: bool, largest: np.unsignedi
         if half:
             difference = difference + difference if difference <= largest // 2 else largest
         contrast[i] = difference if difference > contrast[i] else contrast[i]
-
-
-@compiled
-def _subtract(frame: Image, other: Image, sign: int, difference: Component, peak: Image) -> None:
-    """A frame less another, or the reverse, and the peaks raised to both; (P,)."""
-    for i in range(len(frame)):
-        difference[i] = sign * (np.int32(frame[i]) - np.int32(other[i]))
-        peak[i] = max(peak[i], max(frame[i], other[i]))
 
 
 class Accumulators:

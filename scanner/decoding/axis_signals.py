@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image, compiled
+from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Component, Floats32, Words
 from scanner.decoding.light.equalise import Correction
@@ -42,11 +42,10 @@ class Signals:
 
     def fringe(self, number: int) -> tuple[Floats32, Floats32]:
         """The components A cos θ and A sin θ of a fringe in grey levels, (P,) each."""
-        cosine, sine = np.empty((2, len(self.middle)), np.float32)
-        for levels, component in zip((cosine, sine), self.components[number], strict=True):
-            # A part of an image is not in one piece, and a loop over what is not takes ten times as long.
-            flat = cast(Component, np.ascontiguousarray(component).reshape(-1))
-            _scale(flat, np.float32(self.scales[number]), levels)
+        levels = np.empty((2, *self.shape), np.float32)
+        for of_component, component in zip(levels, self.components[number], strict=True):
+            np.multiply(component, np.float32(self.scales[number]), out=of_component, dtype=np.float32)
+        cosine, sine = levels.reshape(2, -1)
         correction = self.corrections[number]
         if correction is None:
             return cosine, sine
@@ -84,12 +83,6 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
         )
 
     return map(of_axis, accumulators.plan.axes)
-
-
-@compiled
-def _scale(component: Component, scale: np.float32, levels: Floats32) -> None:
-    for i in range(len(levels)):
-        levels[i] = scale * np.float32(component[i])
 
 
 def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:

@@ -16,10 +16,11 @@ from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.checks.consequences import judge, suspecting
-from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import coordinate_maps
+from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
 from scanner.decoding.light.equalise import PairEqualiser
@@ -37,7 +38,7 @@ from scanner.decoding.motion import (
 )
 from scanner.decoding.one_axis import one_axis
 from scanner.decoding.pixel_sample import Sample
-from scanner.decoding.sequence_plan import plan_sequence
+from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
 
@@ -100,8 +101,10 @@ class Decoder:
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._ghost, self._remover = ghost, GhostRemover(ghost) if ghost else None
         self._count = 0
+        self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
         self._projector_size = projector_size
         self._held: tuple[Accumulators, Sample, TileSample] | None = None
+        self._lit: EvenlyLit | None = None
         self._texture: Image | None = None
 
     def add(self, image: Image, exposure_us: float | None = None) -> None:
@@ -126,13 +129,18 @@ class Decoder:
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
             accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape))
             self._held = accumulators, sample, TileSample(shape)
+            halves = halves_of(self._plan)
+            self._lit = EvenlyLit(halves, shape) if halves else None
         accumulators, sample, tiles = self._held
-        tiles.add(grey)
         number = self._plan.shown[self._count]
+        if number in self._of_fringes:
+            tiles.add(self._count, grey)
         # A pattern that was shown before is a witness of what has changed since, and nothing else.
         if number not in self._plan.shown[: self._count]:
             sample.add(grey)
             accumulators.add(number, grey)
+            if self._lit is not None:
+                self._lit.add(number, grey)
             self._note_texture(image, number)
         self._count += 1
 
@@ -161,14 +169,20 @@ class Decoder:
         seen = look(accumulators, sample, tiles, self._projector_size)
         del tiles
         oddities: list[Oddity] = []
-        with blaming_motion(seen.motion):
+        with blaming_motion(lambda: seen.motion):
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities)
                 del sample
                 maps = coordinate_maps(accumulators, learnt.decoders)
                 leave_out_stray_light(accumulators, maps)
-                if seen.motion is not None and seen.motion.significant and not seen.motion.is_too_large:
-                    seen.motion.shift.take_back(maps.projector_px)
+                motion = seen.motion
+                if self._lit is not None:
+                    motion = motion_between(
+                        self._lit, accumulators.plan, maps.projector_px, self._projector_size, motion
+                    )
+                    self._lit = None
+                if motion is not None and motion.significant and not motion.is_too_large:
+                    motion.shift.take_back(maps.projector_px)
                 # The running images are as large as the matches, and have served.
                 plan, brightest = accumulators.plan, accumulators.brightest
                 del accumulators
@@ -184,9 +198,9 @@ class Decoder:
             reasons,
             seen.noise,
             learnt.modulation,
-            (*odd, *self._said_of_ghost(), *seen.notes, *told, *remarks_on(seen.motion)),
+            (*odd, *self._said_of_ghost(), *seen.notes, *told, *remarks_on(motion)),
             flicker=seen.flicker,
-            motion=seen.motion,
+            motion=motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,
             footprint_px2=maps.footprint_px2,

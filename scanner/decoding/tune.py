@@ -8,7 +8,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools
+from calib.numerics import Bools, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder, Measured, largest_variance
 from scanner.decoding.axis_signals import Signals
@@ -60,7 +60,7 @@ def modulation(decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals
             measured = decoder.measure(part)
             lit = measured.well_lit
             shares.append(np.sqrt(measured.powers[-1][lit]) / np.maximum(part.middle[lit], 1))
-    return float(np.median(np.concatenate(shares))) if sum(map(len, shares)) else None
+    return median(np.concatenate(shares)) if sum(map(len, shares)) else None
 
 
 def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calib.geometry import NO_FACE, Matches
 from calib.numerics import Ints
 from scanner.errors import InputError
+from scanner.io.atomic_file import new_file
 
 MATCHES_FILE = "matches.npz"
 
@@ -43,7 +44,7 @@ def write_matches(
         arrays["plane"] = plane
     if only_axis is not None:
         arrays[_MEASURED] = np.array([only_axis == "x", only_axis == "y"])
-    with path.open("wb") as file:
+    with new_file(path, overwrite=True) as partial, partial.open("wb") as file:
         np.savez(file, **arrays)
 
 

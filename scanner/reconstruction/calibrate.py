@@ -70,7 +70,9 @@ def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrate
     refuse_costly(labelled, newest)
     calibration = scaled(newest.calibration, newest.corner, config.scale)
     return [
-        SelfCalibrated(capture.with_matches(solution.matches, capture.plane), with_doubt(solution), calibration)
+        SelfCalibrated(
+            capture.with_matches(solution.matches, capture.plane), with_doubt(labelled, solution), calibration
+        )
         for capture, solution in zip(labelled, solutions, strict=True)
     ]
 

@@ -1,9 +1,12 @@
 """What calibration.yaml says beside the calibration: how far a result can be trusted, and its covariance."""
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import yaml
 from pydantic import Field
 
 from calib.diagnostics import NOWHERE, Along, Uncertainty
@@ -48,14 +51,9 @@ class _ConfidenceEntry(Entry):
 
 def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dict[str, Any]:
     """Keys for a calibration file; `uncertainty` None where a method knows none."""
-    told = {
-        "grade": verdict.grade,
-        "headline": verdict.headline,
-        "reasons": [*verdict.reasons],
-        "advice": verdict.advice,
-    }
+    told = verdict_entries(verdict)
     if uncertainty is None:
-        return {"verdict": told}
+        return told
     to_file = _columns_of_file(uncertainty.state.translation)
     covariance = {
         "columns": [*COLUMNS],
@@ -66,11 +64,31 @@ def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dic
     if len(along.probability):
         steps = (along.steps @ to_file.T).tolist()
         covariance["along"] = {"probability": along.probability.tolist(), "steps": steps}
-    return {"verdict": told, "covariance": covariance}
+    return {**told, "covariance": covariance}
+
+
+def verdict_entries(verdict: Verdict) -> dict[str, Any]:
+    """A key for a calibration file, or for what stands in its place after a refusal."""
+    told = {
+        "grade": verdict.grade,
+        "headline": verdict.headline,
+        "reasons": [*verdict.reasons],
+        "advice": verdict.advice,
+    }
+    return {"verdict": told}
+
+
+def write_refusal(path: Path, entries: Mapping[str, Any]) -> None:
+    """Write why a capture was refused, for programs: the page says it to people. Raises OSError."""
+    text = yaml.safe_dump(dict(entries), default_flow_style=None, allow_unicode=True, sort_keys=False, width=math.inf)
+    path.write_text(text, encoding="utf-8")
 
 
 def read_verdict(path: Path) -> Verdict | None:
-    """The verdict in a result's calibration file. None where it says none, as older ones. Raises InputError."""
+    """The verdict in a result's calibration file, or in that of a refusal.
+
+    None where it says none, as older ones. Raises InputError.
+    """
     entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).verdict
     return Verdict(entry.grade, entry.headline, tuple(entry.reasons), entry.advice) if entry else None
 

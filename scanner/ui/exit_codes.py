@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from scanner.errors import InputError
+from scanner.errors import DISK_TROUBLE, InputError, StorageError
+from scanner.interruption import EXIT_INTERRUPTED
 
 EXIT_INPUT = 2
 EXIT_DEVICE = 3
 EXIT_REFUSED = 4
 EXIT_BUG = 70  # EX_SOFTWARE of sysexits.h
-EXIT_INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,11 @@ class Failure:
 def failure_of(error: BaseException) -> Failure:
     """What an error that ended a command means. A bug's traceback is written to a file, which the message names."""
     match error:
+        case OSError() if error.errno in DISK_TROUBLE:
+            return _failure(EXIT_DEVICE, error)
         case InputError() | OSError():
             return _failure(EXIT_INPUT, error)
-        case DeviceError():
+        case DeviceError() | StorageError():
             return _failure(EXIT_DEVICE, error)
         case RefusalError():
             return _failure(EXIT_REFUSED, error, f"no trustworthy {error.refused}: ")

@@ -14,7 +14,7 @@ import numpy as np
 from calib.geometry import Matches
 from calib.numerics import Floats
 from scanner.decoding.arrays import Reasons
-from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.mask_reasons import MaskReason, count_reasons
 from scanner.errors import InputError
 

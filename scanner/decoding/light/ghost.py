@@ -4,6 +4,7 @@ Frame k shows (1 − g) P(k) + g P(k − 1). The picture before is known, and so
 with the right share the light of patterns and inverses, and of the steps of fringes, adds up again.
 """
 
+from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
@@ -76,7 +77,8 @@ def _uneven(plan: SequencePlan, pictures: Floats32) -> float:
     """How far the light of pairs, and that of fringes in even steps, differs from one to the next, squared; in swings
     of the pixels. What steps leave of a cosine is no measure: a bent brightness curve leaves more.
     """
-    kinds = [plan.complements, [fringe.frames for fringe in plan.fringes if fringe.equal_steps]]
+    fringes = [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
+    kinds: tuple[Sequence[Sequence[int]], ...] = plan.complements, fringes
     total = 0.0
     for groups in kinds:
         if len(groups) > 1:
