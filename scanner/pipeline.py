@@ -163,7 +163,7 @@ def _decode_recording(recording: Recording, terminal: Terminal, calibration: Cal
     def stream() -> Stream:
         return recording.stream().shown_as(sequence.patterns)
 
-    found = decode(stream(), terminal, "Decoding", str(recording.folder), calibration, stream)
+    found = decode(stream(), terminal, "Decoding", str(recording.folder), calibration, again=stream)
     return found.noting(*recording.notes, *filter(None, [sequence.words, _resumption(recording)]))
 
 

@@ -211,9 +211,12 @@ class Accumulators:
 
     @cached_property
     def middle(self) -> Image:
-        """(H, W): grey level half-way between lit and unlit, once all frames are in."""
+        """(H, W): grey level half-way between lit and unlit, once all frames are in: that of a pair, without black."""
         black, self._black = self._black, None
-        return self.brightest // 2 if black is None else _mean(self.brightest, black)
+        if black is None and self._threshold is not None:
+            return self._threshold
+        darkest = self._darkest if black is None else black
+        return self.brightest // 2 if darkest is None else _mean(self.brightest, darkest)
 
     def _add_of_pair(self, index: int, grey: Image) -> None:
         normal, inverse = pair = self._pair_of[index]
@@ -227,7 +230,7 @@ class Accumulators:
             bright, dark = gains.equalised(0, bright), gains.equalised(1, dark)
         for fold, bit in self._pairs[pair]:
             fold.fold(bit, bright, dark)
-        if self._alone and self._threshold is None:
+        if self._threshold is None and (self._alone or self.plan.black is None):
             self._threshold = _mean(bright, dark)
 
     def _fold_alone(self) -> None:
@@ -246,8 +249,8 @@ class Accumulators:
 
 
 def _needs_midrange(plan: SequencePlan) -> bool:
-    """Whether nothing but the extremes over all frames tells where a bit's threshold is."""
-    return any(code.unpaired for code in plan.codes) and not plan.complements
+    """Whether nothing but the extremes over all frames tells what is half-way between lit and unlit."""
+    return not plan.complements
 
 
 def _mean(first: Image, second: Image) -> Image:

@@ -17,7 +17,6 @@ from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Oddity
-from scanner.decoding.checks.frame_checks import contradiction
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import coordinate_maps
@@ -155,7 +154,7 @@ class Decoder:
         if self._held is None or self._count < len(self._plan.shown) or self._ghost or self._merger is not None:
             return 0.0
         accumulators, sample, _ = self._held
-        return ghost_share(self._plan, sample.levels, saturation_level(accumulators.peak), contradiction)
+        return ghost_share(self._plan, sample.levels, saturation_level(accumulators.peak))
 
     def finish(self) -> Decoding:
         """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""

@@ -66,7 +66,7 @@ def check_frames(
 
 def _in_one_light(plan: SequencePlan, shown: Shown) -> tuple[Shown, list[Oddity]]:
     """The same without light that was switched on or off, and that it was."""
-    switch = light_switch(plan, shown.levels, shown.swing, lambda levels: contradiction(plan, levels, shown.swing))
+    switch = light_switch(plan, shown.levels, shown.swing, lambda levels: _contradiction(plan, levels, shown.swing))
     if switch is None:
         return shown, []
     share = median(switch.light / shown.swing)
@@ -84,8 +84,8 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
     few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for oddity in found for frame in oddity.frames})
-    before, best, pair = contradiction(plan, levels, swing), _REPAIRED, (0, 0)
-    otherwise = contradiction(plan, alike.levels[:, few], swing)
+    before, best, pair = _contradiction(plan, levels, swing), _REPAIRED, (0, 0)
+    otherwise = _contradiction(plan, alike.levels[:, few], swing)
     for first in suspects:
         for second in range(len(levels)):
             differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
@@ -93,13 +93,13 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
                 continue
             order = np.arange(len(levels))
             order[[first, second]] = second, first
-            left = contradiction(plan, levels[order], swing)
+            left = _contradiction(plan, levels[order], swing)
             if (before - left) / differ > best and left < min(otherwise, _MOST_LEFT * before):
                 best, pair = (before - left) / differ, (first, second)
     return f"with {plan.names(pair)} exchanged they do" if pair[0] != pair[1] else ""
 
 
-def contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
+def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
     """Sum of squares of all that cannot be, in swings of the pixels, averaged over them; `levels` (frames, P)."""
     total = 0.0
     for frame, side in ((plan.white, 1), (plan.black, -1)):

@@ -4,7 +4,7 @@ Frame k shows (1 − g) P(k) + g P(k − 1). The picture before is known, and so
 with the right share the light of patterns and inverses, and of the steps of fringes, adds up again.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
@@ -14,12 +14,13 @@ from calib.numerics import Image
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.brightness import lit_by
 from scanner.decoding.light.saturation_level import saturation_level
+from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 
 # The shares that are looked for; less does no harm. With a half and more either picture may be the ghost.
 _LEAST, _MOST = 0.02, 0.45
-# What taking it out may leave of the contradictions; other causes leave three quarters and more, or want the most.
-_LEFT = 0.6
+# What taking it out may leave of the unevenness: of a ghost a sixth is left, of other causes a half, or they want most.
+_LEFT = 0.4
 _TRIED = 0.03
 _FEWEST_PIXELS = 100
 _MOST_PIXELS = 400
@@ -44,14 +45,8 @@ class GhostRemover:
         return result
 
 
-Measure = Callable[[SequencePlan, Floats32, Floats32], float]
-
-
-def ghost_share(plan: SequencePlan, levels: Floats32, saturation: float, contradiction: Measure) -> float:
-    """How much of the picture before each frame of a sample `levels` (frames, P) shows; 0 if none can be told.
-
-    `contradiction` measures frames of the plan (frames, P), given how far the levels of each pixel are apart (P,).
-    """
+def ghost_share(plan: SequencePlan, levels: Floats32, saturation: float) -> float:
+    """How much of the picture before each frame of a sample `levels` (frames, P) shows; 0 if none can be told."""
     lit = lit_by(np.ptp(levels, axis=0))
     lit = lit[levels[:, lit].max(axis=0) < saturation]
     if len(lit) < _FEWEST_PIXELS:
@@ -60,8 +55,7 @@ def ghost_share(plan: SequencePlan, levels: Floats32, saturation: float, contrad
     before = [plan.shown[max(0, plan.shown.index(frame) - 1)] for frame in range(len(seen))]
 
     def left(share: float) -> float:
-        pictures = _without(seen, before, share)
-        return contradiction(plan, pictures, np.ptp(pictures, axis=0))
+        return _uneven(plan, _without(seen, before, share))
 
     at_first = left(0.0)
     if left(_TRIED) >= at_first:
@@ -77,3 +71,17 @@ def _without(levels: Floats32, before: list[int], share: float) -> Floats32:
     for frame in range(1, len(pictures)):
         pictures[frame] -= ratio * pictures[before[frame]]
     return pictures
+
+
+def _uneven(plan: SequencePlan, pictures: Floats32) -> float:
+    """How far the light of pairs, and that of fringes in even steps, differs from one to the next, squared; in swings
+    of the pixels. What steps leave of a cosine is no measure: a bent brightness curve leaves more.
+    """
+    fringes = [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
+    kinds: tuple[Sequence[Sequence[int]], ...] = plan.complements, fringes
+    total = 0.0
+    for groups in kinds:
+        if len(groups) > 1:
+            light = np.stack([np.sum(pictures[list(frames)], axis=0) for frames in groups])
+            total += float(np.sum(((light - medians(light, axis=0)) / np.ptp(pictures, axis=0)) ** 2))
+    return total
