@@ -17,7 +17,8 @@ _FEWEST = 12  # points
 # AprilTag's lines meet at the corners without the bias that a blurred corner has, in pixels whose corners are whole
 # numbers.
 _APRILTAG_ORIGIN = 0.5
-_NO_SQUARES = 0.4  # of the usual contrast
+_NO_SQUARES = 0.7  # of the usual contrast; where squares meet a white rim there is half of it
+_BESIDE_MARKERS = 0.35
 _STRAY = 0.15  # of a square: where a point is none of the board's
 # Dictionaries that boards are printed with; what a board has is found by trying.
 _DICTIONARIES = (
@@ -74,7 +75,9 @@ def _find(grey: Image, target: Target) -> Detected | None:
     found = None if found is None else _consistent(found, target)
     if found is None or target.kind not in ("chessboard", "charuco"):
         return found
-    return Detected(found.points, refined(grey, found.points, found.pixels, target.square))
+    # Beside a ChArUco board's corners there are markers.
+    free = target.square * (_BESIDE_MARKERS if target.kind == "charuco" else 1.0)
+    return Detected(found.points, refined(grey, found.points, found.pixels, free))
 
 
 def _is_another(grey: Image, target: Target) -> bool:

@@ -38,6 +38,6 @@ def photographed(target: Target, seed: int, size: tuple[int, int] = (800, 640)) 
     fine = cv2.warpPerspective(
         drawn.image, grown @ homography @ of_picture, (large * size[0], large * size[1]), borderValue=150
     )
-    picture = cv2.resize(fine, size, interpolation=cv2.INTER_AREA).astype(np.float64)
-    picture = 0.7 * cv2.GaussianBlur(picture, (0, 0), 0.7) + 30 + rng.normal(0, 1.5, picture.shape)
+    sharp = np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), np.float64)
+    picture = 0.7 * cv2.GaussianBlur(sharp, (0, 0), 0.7) + 30 + rng.normal(0, 1.5, sharp.shape)
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8), mapped(homography, target.points)

@@ -39,15 +39,13 @@ def test_the_jacobians_are_those_of_small_steps(seed: int, view: int) -> None:
     state = random_state(seed)
     points = np.random.default_rng(seed).uniform(-4, 4, (6, 2))
     pixels = predict_corners(state, points, view)[0]
-    for predict in (
-        lambda moved: predict_corners(moved, points, view),
-        lambda moved: predict_matches(moved, pixels, view),
-    ):
-        jacobian = predict(state)[1]
+    for predict, at in ((predict_corners, points), (predict_matches, pixels)):
+        jacobian = predict(state, at, view)[1]
         for local, column in enumerate(state.columns(view)):
             step = np.zeros(state.size)
             step[column] = 1e-6
-            slope = (predict(state.moved(step))[0] - predict(state.moved(-step))[0]) / 2e-6
+            ahead, behind = (predict(state.moved(way), at, view)[0] for way in (step, -step))
+            slope = (ahead - behind) / 2e-6
             assert np.abs(slope - jacobian[:, :, local]).max() < 1e-5 * (1 + np.abs(slope).max())
 
 
