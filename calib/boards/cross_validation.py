@@ -24,6 +24,7 @@ from calib.boards.parameters import (
 from calib.numerics import Floats
 
 _FEWEST_OF_A_HALF = 2
+_EXCUSED = 9.0  # variances so many times as large as usual ones
 _USEFUL_HALF = 0.15  # sigma of a focal's logarithm, beyond which a half by itself says nothing
 
 
@@ -77,7 +78,7 @@ def _predicted(found: Estimate, left_out: int, others: Sequence[int]) -> Predict
     moved = rest.state.additive() - found.state.additive()
     board = found.state.boards[left_out]
     alone = replace(rest.state, boards=(Placed(board.rotation, board.middle),))
-    levels = Levels(found.levels.corners[[left_out]], (found.levels.cells[left_out],))
+    levels = _usual_levels(found, left_out)
     free = np.zeros(alone.size, np.bool_)
     free[SHARED : SHARED + PER_POSE] = True
     posed = minimise([view], alone, found.prior, levels, free=free, matches=False)
@@ -90,11 +91,22 @@ def _predicted(found: Estimate, left_out: int, others: Sequence[int]) -> Predict
     variance = _variance(by_shared, rest.covariance) + _variance(jacobian[:, :, pose], of_pose)
     if found.prior.flex:
         variance += _variance(jacobian[:, :, -PER_FLEX:], found.prior.flex**2 * np.eye(PER_FLEX))
-    noise = found.noise[left_out]
-    variance += 2 * found.levels.cells[left_out] / noise.inflation + min(noise.smooth_px, _usual_px(found)) ** 2
+    variance += 2 * levels.cells[0] + min(found.noise[left_out].smooth_px, _usual_px(found)) ** 2
     # Huber's loss lets go of strays among the cells; so does this.
     square = np.minimum(np.sum(residual**2, axis=1), 9 * np.maximum(variance, np.median(np.sum(residual**2, axis=1))))
     return Prediction(view.name, float(np.sqrt(square.mean())), float(np.sqrt(variance.mean())), moved)
+
+
+def _usual_levels(found: Estimate, view: int) -> Levels:
+    """A view's own levels, its smooth misfit left aside, unless they are far above those of the others.
+
+    A board that moved looks noisy, and would excuse itself.
+    """
+    independent = [cells / noise.inflation for cells, noise in zip(found.levels.cells, found.noise, strict=True)]
+    usual = float(np.median([np.median(variances) for variances in independent]))
+    own = independent[view] * min(1.0, _EXCUSED * usual / float(np.median(independent[view])))
+    corners = found.levels.corners
+    return Levels(np.minimum(corners[[view]], _EXCUSED * np.median(corners)), (own,))
 
 
 def _usual_px(found: Estimate) -> float:

@@ -17,6 +17,8 @@ _FEWEST = 12  # points
 # AprilTag's lines meet at the corners without the bias that a blurred corner has, in pixels whose corners are whole
 # numbers.
 _APRILTAG_ORIGIN = 0.5
+_NO_SQUARES = 0.7  # of the usual contrast; where squares meet a white rim there is half of it
+_BESIDE_MARKERS = 0.35
 _STRAY = 0.15  # of a square: where a point is none of the board's
 # Dictionaries that boards are printed with; what a board has is found by trying.
 _DICTIONARIES = (
@@ -73,7 +75,9 @@ def _find(grey: Image, target: Target) -> Detected | None:
     found = None if found is None else _consistent(found, target)
     if found is None or target.kind not in ("chessboard", "charuco"):
         return found
-    return Detected(found.points, refined(grey, found.points, found.pixels, target.square))
+    # Beside a ChArUco board's corners there are markers.
+    free = target.square * (_BESIDE_MARKERS if target.kind == "charuco" else 1.0)
+    return Detected(found.points, refined(grey, found.points, found.pixels, free))
 
 
 def _is_another(grey: Image, target: Target) -> bool:
@@ -100,15 +104,63 @@ def _consistent(found: Detected, target: Target) -> Detected | None:
 
 
 def _chessboard(grey: Image, target: Target) -> Detected | None:
+    """Raises NotFoundError for a larger one, of which this would be a part, in each picture another."""
     counts = (target.columns, target.rows)
     for picture in (grey, _equalised(grey)):
-        found, corners = cv2.findChessboardCornersSB(picture, counts, flags=_SB)
-        if found:
-            return _right_way_round(_pixels(corners), target)
+        grid = _largest(picture, counts)
+        if grid is not None and grid.shape[:2] in (counts[::-1], counts):
+            ordered = grid if grid.shape[:2] == counts[::-1] else grid.transpose(1, 0, 2)
+            return _right_way_round(ordered.reshape(-1, 2), target)
+        if grid is not None:
+            raise NotFoundError(f"no {target} was found, but {_counted(grid)}")
     found, corners = cv2.findChessboardCorners(grey, counts)
+    return _right_way_round(_pixels(corners), target) if found else None
+
+
+def _largest(grey: Image, counts: tuple[int, int]) -> Floats | None:
+    """The corners (R, C, 2) of the chessboard that has these counts or more; None if there is none."""
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, counts, _SB | cv2.CALIB_CB_LARGER)
     if not found:
         return None
-    return _right_way_round(_pixels(corners), target)
+    grid = _pixels(corners).reshape(*meta.shape[:2], 2)
+    # The rim of the board's sheet may pass for one more row of corners, but has no squares on either side.
+    contrast = _contrast(grey, grid)
+    usual = float(np.median(contrast))
+    while (odd := _odd_side(contrast, usual)) is not None:
+        grid, contrast = grid[odd], contrast[odd]
+    return grid
+
+
+def _contrast(grey: Image, grid: Floats) -> Floats:
+    """By how much two opposite squares at each corner are brighter than the other two, (R, C)."""
+    rows, columns = grid.shape[:2]
+    column, row = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
+    places = np.stack([column.ravel(), row.ravel()], axis=1)
+    homography = homography_between(places, grid.reshape(-1, 2))
+    levels = []
+    for aside in ((-0.3, -0.3), (0.3, -0.3), (0.3, 0.3), (-0.3, 0.3)):
+        x, y = np.rint(mapped(homography, places + np.array(aside))).astype(np.int64).T
+        levels.append(grey[y.clip(0, grey.shape[0] - 1), x.clip(0, grey.shape[1] - 1)].astype(np.float64))
+    contrast: Floats = np.abs(levels[0] + levels[2] - levels[1] - levels[3]).reshape(rows, columns)
+    return contrast
+
+
+def _odd_side(contrast: Floats, usual: float) -> tuple[slice, slice] | None:
+    """What is left without the first of the four sides on which there are no squares; None if there is no such side."""
+    every = slice(None)
+    for side, rest in (
+        (contrast[0], (slice(1, None), every)),
+        (contrast[-1], (slice(None, -1), every)),
+        (contrast[:, 0], (every, slice(1, None))),
+        (contrast[:, -1], (every, slice(None, -1))),
+    ):
+        if np.median(side) < _NO_SQUARES * usual and min(contrast.shape) > 2:
+            return rest
+    return None
+
+
+def _counted(grid: Floats) -> str:
+    return f"a chessboard of {max(grid.shape[:2])} × {min(grid.shape[:2])} inner corners"
 
 
 def _right_way_round(pixels: Floats, target: Target) -> Detected:
@@ -201,12 +253,11 @@ def _blobs(grey: Image) -> cv2.SimpleBlobDetector:
 def _what_else(grey: Image, target: Target) -> str:
     """What there is instead, as far as that can be seen."""
     if target.kind == "chessboard":
-        for columns in range(max(3, target.columns - 2), target.columns + 3):
-            for rows in range(max(3, target.rows - 2), target.rows + 3):
-                if {columns, rows} == {target.columns, target.rows}:
-                    continue
-                if cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)[0]:
-                    return f", but a chessboard of {columns} × {rows} inner corners, or more"
+        fewer = (max(3, target.columns - 3), max(3, target.rows - 3))
+        for counts in (fewer, fewer[::-1]):
+            grid = _largest(grey, counts)
+            if grid is not None:
+                return f", but {_counted(grid)}"
     if target.kind in ("charuco", "aprilgrid"):
         seen = max(_markers(grey), default=0)
         return f", but {seen} markers that do not fit it" if seen else ", and no markers either"

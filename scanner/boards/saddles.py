@@ -20,7 +20,10 @@ _FARTHEST = 0.2  # of a square, from where the detector put it
 
 
 def refined(grey: Image, points: Floats, pixels: Floats, square: float) -> Floats:
-    """Pixels (N, 2) of a board's corners `points` (N, 2) from what a detector says; what is no saddle stays."""
+    """Pixels (N, 2) of a board's corners `points` (N, 2) from what a detector says; what is no saddle stays.
+
+    `square`: how far around a corner there is nothing but its four squares.
+    """
     side = _sides(points, pixels, square)
     blur = max(_LEAST_BLUR_PX, _BLUR * float(np.median(side)))
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), blur)
