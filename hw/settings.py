@@ -56,6 +56,21 @@ class PasserSettings(_Part):
     last_frame: int = Field(default=0, ge=0, description="The frame in which it leaves on the right.")
 
 
+class BoardSettings(_Part):
+    """A printed chessboard, held before the simulated rig."""
+
+    columns: int = Field(default=9, ge=3, le=50, description="Inner corners in a row.")
+    rows: int = Field(default=7, ge=3, le=50, description="Rows of them.")
+    square_m: float = Field(default=0.0, ge=0.0, le=1.0, description="Side of a square in metres; 0 is no board.")
+    pose: int = Field(default=0, ge=0, description="How it is held: drawn from the seed and this number.")
+    bend: float = Field(
+        default=0.002,
+        ge=0.0,
+        le=0.05,
+        description="Standard deviation of each term of its bend, as a share of half its length.",
+    )
+
+
 class PanelSettings(_Part):
     """What a simulated projector makes of the picture's shape before it shows it."""
 
@@ -172,6 +187,9 @@ class SimulatedRigSettings(BaseModel):
     passer: PasserSettings = Field(
         default=PasserSettings(), description="{width_m: …, first_frame: …, last_frame: …}: somebody goes past."
     )
+    board: BoardSettings = Field(
+        default=BoardSettings(), description="{square_m: …, pose: …}: a chessboard is held before the rig."
+    )
     bump: BumpSettings = Field(
         default=BumpSettings(), description="{device: …, frame: …, px: …}: a device is knocked against once."
     )
@@ -201,6 +219,11 @@ class SimulatedRigSettings(BaseModel):
         10_500.0, ge=100.0, description="Electrons in a saturated camera pixel: sets the shot noise."
     )
     read_noise_electrons: float = Field(2.5, ge=0.0, description="Standard deviation of the read noise in electrons.")
+
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Of a frame."""
+        return 1 if self.bit_depth == 8 else 2
 
 
 class AravisRigSettings(BaseModel):
@@ -241,6 +264,12 @@ class AravisRigSettings(BaseModel):
     refresh_hz: float | None = Field(
         None, ge=10.0, le=1000.0, description="Refresh rate of the projector; left out, that of the screen's mode."
     )
+
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Of a frame; those of colour cameras have three channels."""
+        channels = 1 if self.pixel_format.startswith("Mono") else 3
+        return channels * (1 if self.pixel_format.endswith("8") else 2)
 
     @model_validator(mode="before")
     @classmethod

@@ -11,8 +11,10 @@ if TYPE_CHECKING:
     from scanner.configuration import Config as Config
     from scanner.configuration import load_config as load_config
     from scanner.errors import InputError as InputError
+    from scanner.errors import StorageError as StorageError
     from scanner.jobs import calibrate as calibrate
     from scanner.jobs import replay as replay
+    from scanner.jobs import resume as resume
     from scanner.jobs import scan as scan
     from scanner.results import FinishedScan as FinishedScan
     from scanner.results import Scan as Scan
@@ -23,8 +25,8 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "225000000")
 
 _HOMES = {
     "configuration": "Config load_config",
-    "errors": "InputError",
-    "jobs": "calibrate replay scan",
+    "errors": "InputError StorageError",
+    "jobs": "calibrate replay resume scan",
     "results": "FinishedScan Scan read_finished_scan",
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names.split()}

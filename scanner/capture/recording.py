@@ -1,12 +1,7 @@
-"""The capture folder: `capture.yaml` and a frame for each pattern. Written as frames arrive, checked before use."""
+"""Reading a capture folder: `capture.yaml` and a frame for each pattern, checked before use."""
 
-import os
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from errno import ENOSPC
-from io import FileIO
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +10,9 @@ from pydantic import Field, field_validator, model_validator
 from calib.geometry import Size
 from calib.numerics import Image
 from hw.rig import Frame
+from scanner.capture.recorder import CAPTURE_FILE
 from scanner.capture.stream import Stream
+from scanner.capture.torn import planned_patterns, read_listing, torn_image, unlisted
 from scanner.errors import InputError
 from scanner.io import (
     LONGEST_SIDE_PX,
@@ -24,77 +21,15 @@ from scanner.io import (
     Entry,
     Whole,
     copy_given,
-    flow_yaml,
     read_image,
-    read_yaml,
     refuse_more_pixels,
+    require_space,
     validate,
-    write_png,
 )
-from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, frame_line, size_to_dict
+from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry
 from scanner.shown_text import shown
 
-CAPTURE_FILE = "capture.yaml"
 _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US = 1e-3, 1e9
-
-
-def record(stream: Stream, folder: Path) -> Stream:
-    """The same stream; each frame is on disk, and listed in `capture.yaml`, before it is passed on.
-
-    What was captured when a later frame fails is therefore a valid capture of fewer frames. `folder` is made. Walking
-    through the frames raises OSError if the disk is full.
-    """
-    return replace(stream, frames=_recorded(stream, folder))
-
-
-def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
-    (folder / "frames").mkdir(parents=True)
-    with (folder / CAPTURE_FILE).open("wb", buffering=0) as listing:
-        _append(listing, _keys(_header(stream)) + "frames:\n")
-        for index, (pattern, frame) in enumerate(stream.frames):
-            file = f"frames/{index:03d}.png"
-            with _both_or_neither(listing, folder / file):
-                write_png(folder / file, frame.image)
-                _append(listing, frame_line(file, pattern, **_read_back(frame)))
-            yield pattern, frame
-        _append(listing, _keys(stream.account()))
-
-
-@contextmanager
-def _both_or_neither(listing: FileIO, image: Path) -> Iterator[None]:
-    """An image and its line in the listing belong together, also when Ctrl-C or a full disk comes between them."""
-    end = listing.tell()
-    try:
-        yield
-    except BaseException:
-        listing.truncate(end)
-        image.unlink(missing_ok=True)
-        raise
-
-
-def _append(listing: FileIO, text: str) -> None:
-    data = text.encode()
-    if listing.write(data) != len(data):
-        raise OSError(ENOSPC, os.strerror(ENOSPC), listing.name)
-
-
-def _keys(values: Mapping[str, object]) -> str:
-    return "".join(f"{key}: {flow_yaml(value)}\n" for key, value in values.items())
-
-
-def _header(stream: Stream) -> dict[str, object]:
-    return {
-        "format": FORMAT,
-        "projector": size_to_dict(stream.projector_size),
-        "camera": size_to_dict(stream.camera_size),
-        "captured": datetime.now(UTC).isoformat(timespec="seconds"),
-        **stream.metadata,
-    }
-
-
-def _read_back(frame: Frame) -> dict[str, float | int]:
-    values = {"exposure_us": frame.exposure_us, "timestamp_ns": frame.timestamp_ns}
-    return {key: value for key, value in values.items() if value is not None}
 
 
 class _SizeEntry(Entry):
@@ -140,7 +75,8 @@ class Recording:
     """A capture on disk whose listing was checked; its images are read, and checked, one at a time.
 
     `files` are the frames' paths relative to `folder`, one for each of `patterns`; `read_back` their exposures (µs) and
-    time stamps (ns) where known. `metadata` is all of `capture.yaml`.
+    time stamps (ns) where known. `metadata` is all of `capture.yaml`. `planned`: the patterns that were to be shown, as
+    far as the recording says so, the frames' own first; empty if it does not. `notes`: sentences on what is left out.
     """
 
     folder: Path
@@ -150,6 +86,8 @@ class Recording:
     camera_size: Size
     metadata: Mapping[str, Any]
     read_back: tuple[tuple[float | None, int | None], ...]
+    planned: tuple[Pattern, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def stream(self) -> Stream:
         """The capture as it once arrived. Walking through the frames raises InputError at the first bad image."""
@@ -177,7 +115,9 @@ class Recording:
             )
 
     def copy_to(self, folder: Path) -> None:
-        """Copy the listing and the frames it lists into a new folder. Raises OSError, InputError."""
+        """Copy the listing and the frames it lists into a new folder. Raises OSError, StorageError, InputError."""
+        total_bytes = sum((self.folder / file).stat().st_size for file in self.files)
+        require_space(folder, len(self.files), total_bytes, "a copy of the capture")
         for file in (CAPTURE_FILE, *self.files):
             target = folder / file
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -191,18 +131,29 @@ def _kind(image: Image) -> str:
 def open_capture(path: Path) -> Recording:
     """Read and check the listing of a capture folder (or the path of its `capture.yaml`).
 
+    What was being written when a recording was broken off is left out: a torn last line, a last frame that is missing
+    or damaged, the image that was to be listed next.
+
     Raises InputError for a missing or malformed listing, an unknown pattern, a file listed twice, a file that is
     missing or outside the folder, and an image beside the frames that is not listed.
     """
     folder = path.parent if path.name == CAPTURE_FILE else path
     listing = _listing_in(folder)
-    data = read_yaml(listing)
+    data, notes = read_listing(listing)
     entry = validate(_CaptureEntry, data, str(listing))
-    files = tuple(frame.file for frame in entry.frames)
-    patterns = tuple(frame.pattern.pattern() for frame in entry.frames)
+    frames, left_out = entry.frames, set[Path]()
+    if len(frames) > 1 and (torn := torn_image(folder, frames[-1].file)):
+        left_out.add((folder / frames[-1].file).resolve())
+        frames, notes = frames[:-1], (*notes, torn)
+    files = tuple(frame.file for frame in frames)
+    patterns = tuple(frame.pattern.pattern() for frame in frames)
     paths = tuple(_frame_path(listing, file) for file in files)
     _refuse_repeats(listing, paths, "shows the file", files)
-    _refuse_extra_images(folder, set(paths))
+    planned = planned_patterns(data, patterns)
+    if len(planned) > len(patterns) and (extra := unlisted(folder, len(entry.frames))):
+        left_out.add(extra.resolve())
+        notes = (*notes, f"The image {extra.name} is left out: it was not listed any more.")
+    _refuse_extra_images(folder, {*paths, *left_out})
     return Recording(
         folder,
         files,
@@ -210,7 +161,9 @@ def open_capture(path: Path) -> Recording:
         Size(entry.projector.width, entry.projector.height),
         Size(entry.camera.width, entry.camera.height),
         data,
-        tuple(frame.read_back for frame in entry.frames),
+        tuple(frame.read_back for frame in frames),
+        planned,
+        notes,
     )
 
 

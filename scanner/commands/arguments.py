@@ -1,6 +1,6 @@
 """What can be typed: every command with its arguments. Knows nothing of what they do, so that help comes at once."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -8,6 +8,8 @@ from pathlib import Path
 
 from scanner.exporting import DEFAULT_POINTS, FORMATS
 from scanner.viewing.opening import add_address
+
+_LONGEST_WATCH_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -19,13 +21,30 @@ class Command:
     module: str
     more: str = ""
 
-    def run(self, args: Namespace) -> None:
-        """Do the work. Raises InputError, DeviceError, RefusalError."""
-        import_module(f"scanner.commands.{self.module}").run(args)
+    def load(self) -> Callable[[Namespace], None]:
+        """What does the work; it raises InputError, StorageError, DeviceError, RefusalError."""
+        run: Callable[[Namespace], None] = import_module(f"scanner.commands.{self.module}").run
+        return run
+
+
+class _InPlaceOfConfig(Action):
+    """Of an argument with which the configuration is known."""
+
+    def __call__(self, parser: ArgumentParser, namespace: Namespace, values: object, _: object = None) -> None:
+        setattr(namespace, self.dest, values)
+        for action in parser._actions:
+            action.required &= action.dest != "config"
 
 
 def _scan(parser: ArgumentParser) -> None:
     _config(parser, required=True)
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        action=_InPlaceOfConfig,
+        metavar="DIR",
+        help="take what is missing of a capture that was broken off, as in NAME-incomplete, with the rig as it was",
+    )
     parser.add_argument(
         "--captures",
         type=int,
@@ -100,10 +119,24 @@ def _patterns(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _seconds(text: str) -> float:
+    seconds = float(text)  # argparse tells of what is no number
+    if not 0 <= seconds <= _LONGEST_WATCH_S:
+        raise ArgumentTypeError(f"expected 0 to {_LONGEST_WATCH_S:.0f} seconds, found {text}")
+    return seconds
+
+
 def _check(parser: ArgumentParser) -> None:
     _config(parser, required=True)
     parser.add_argument(
         "--write", action="store_true", help="put the exposure and the projector's response into the configuration file"
+    )
+    parser.add_argument(
+        "--watch",
+        type=_seconds,
+        default=0.0,
+        metavar="SECONDS",
+        help="look for drift over so long, 60 say (default: as long as the rest takes)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder to make, for check.yaml and pictures (default: nothing is kept)"
@@ -200,6 +233,41 @@ def _photos(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _board(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "captures", type=Path, nargs="*", metavar="CAPTURE", help="folder with a capture.yaml, or with several of those"
+    )
+    parser.add_argument(
+        "--board",
+        metavar="KIND:WxH",
+        help="chessboard:9x7 (inner corners), charuco:6x9 (squares), "
+        "aprilgrid:6x6 (tags), circles:7x5 or acircles:4x11 (dots)",
+    )
+    parser.add_argument(
+        "--square",
+        metavar="LENGTH",
+        help="side of a square or tag, or distance between dots, as in 30mm (default unit: mm)",
+    )
+    parser.add_argument(
+        "--print",
+        dest="sheet",
+        metavar="KIND:SHEET",
+        help="write a PDF to print at true size instead: charuco:A4, or as chessboard:9x7@A3 with --square",
+    )
+    _config(parser, required=False)
+    parser.add_argument(
+        "--captures",
+        dest="number",
+        type=int,
+        default=8,
+        metavar="N",
+        help="with --config: capture the board N times, moving it in between (default: 8)",
+    )
+    _out(parser, default="scans/board, or a PDF's name")
+    _overwrite(parser)
+    _quiet(parser)
+
+
 def _result(parser: ArgumentParser) -> None:
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
 
@@ -292,6 +360,17 @@ the results: the largest errors count.
         """
 The photos may be cropped, if all of them are in the same way: the principal point is found, too. The zoom must not
 change between them. The second photo is the one that the result is about.
+""",
+    ),
+    "board": Command(
+        "Calibrate from captures of a printed board in different poses, and say how true that is.",
+        _board,
+        "board",
+        """
+Three captures are the least, six to ten are good: tilted by 20 to 45 degrees to either side and up and down, at
+different distances, so that together they fill the pictures of both devices. Nothing but the board is moved.
+
+Exit codes: 2 if the board is not found; 4 if these boards do not determine a calibration, with the reason.
 """,
     ),
     "import": Command("Make a capture of another program's frames, whose order is recognised.", _import, "import_"),

@@ -24,7 +24,7 @@ def run(args: Namespace) -> None:
     config.principal_point(config.camera_size)
     if args.out:
         refuse_occupied(args.out)
-    report = check(config, terminal)
+    report = check(config, terminal, None, args.watch)
     terminal.show(table_of(report, sys.stdout.encoding))
     if args.out:
         write_check(args.out, report)

@@ -30,7 +30,7 @@ def run(args: Namespace) -> None:
         dense=args.dense,
     )
     terminal = Terminal(quiet=args.quiet)
-    with new_result(args.out, config, overwrite=args.overwrite) as folder:
+    with new_result(args.out, config, overwrite=args.overwrite, tell=terminal.note) as folder:
         scan = reconstruct_photos(photos, wanted, config, folder, terminal)
     focal_px = photos[0].focal_px
     used = "used as a prior" if args.exif_prior else "not used; --exif-prior uses it"

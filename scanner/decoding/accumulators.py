@@ -34,7 +34,7 @@ class GrayFold:
 
     `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels; `contrast`
     is None where fringes tell what is lit. Where none do, the `fine` bits have images of their own, by bit, and are not
-    among the `least`: whether the camera resolves them is known in the end.
+    among the `least`: whether the camera resolves them is known in the end. They may then be `optional`.
     """
 
     def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool) -> None:
@@ -42,6 +42,8 @@ class GrayFold:
         self.contrast: Image | None = np.zeros(shape, dtype) if contrast else None
         self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
         self.fine: dict[int, Image] = {}
+        self.optional: dict[int, Image] = {}
+        self._least_of_others = self.least
         self._keeps_fine = contrast and code.base is None
         planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
         self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
@@ -73,8 +75,16 @@ class GrayFold:
         words: Words = merged.view("<u2" if len(planes) == 2 else "<u4")[..., 0]
         return self.code.relative_to_base(words)
 
-    def without_finest(self, count: int) -> "GrayFold":
-        """The coarser code that the other bits are, once all frames are in; its `least` is that of all its bits."""
+    @property
+    def least_needed(self) -> Image:
+        """(H, W): the smallest contrast among the bits that no pixel can do without."""
+        return self._least_of_others if self.optional else self.least
+
+    def without_finest(self, count: int, *, optional: bool = False) -> "GrayFold":
+        """The coarser code that the other bits are, once all frames are in; its `least` is that of all its bits.
+
+        `optional`: a pixel may do without some of the fine bits that are left.
+        """
         other = copy(self)
         other.code, other.fine = self.code.without_finest(count), {}
         other.words = self.words >> self.words.dtype.type(count)
@@ -82,6 +92,8 @@ class GrayFold:
         for bit, image in self.fine.items():
             if bit < other.code.bits:
                 np.minimum(other.least, image, out=other.least)
+                if optional:
+                    other.optional = {**other.optional, bit: image}
         return other
 
 
@@ -199,9 +211,12 @@ class Accumulators:
 
     @cached_property
     def middle(self) -> Image:
-        """(H, W): grey level half-way between lit and unlit, once all frames are in."""
+        """(H, W): grey level half-way between lit and unlit, once all frames are in: that of a pair, without black."""
         black, self._black = self._black, None
-        return self.brightest // 2 if black is None else _mean(self.brightest, black)
+        if black is None and self._threshold is not None:
+            return self._threshold
+        darkest = self._darkest if black is None else black
+        return self.brightest // 2 if darkest is None else _mean(self.brightest, darkest)
 
     def _add_of_pair(self, index: int, grey: Image) -> None:
         normal, inverse = pair = self._pair_of[index]
@@ -215,7 +230,7 @@ class Accumulators:
             bright, dark = gains.equalised(0, bright), gains.equalised(1, dark)
         for fold, bit in self._pairs[pair]:
             fold.fold(bit, bright, dark)
-        if self._alone and self._threshold is None:
+        if self._threshold is None and (self._alone or self.plan.black is None):
             self._threshold = _mean(bright, dark)
 
     def _fold_alone(self) -> None:
@@ -234,8 +249,8 @@ class Accumulators:
 
 
 def _needs_midrange(plan: SequencePlan) -> bool:
-    """Whether nothing but the extremes over all frames tells where a bit's threshold is."""
-    return any(code.unpaired for code in plan.codes) and not plan.complements
+    """Whether nothing but the extremes over all frames tells what is half-way between lit and unlit."""
+    return not plan.complements
 
 
 def _mean(first: Image, second: Image) -> Image:

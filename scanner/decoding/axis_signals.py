@@ -19,16 +19,18 @@ class Signals:
     """One axis at P pixels, which make up an image of `shape` (H, W), row after row.
 
     `words`: per code, (P,). `least` (codes, P) unless fringes contradict wrong bits, and `contrast` (codes, P)
-    without fringes, as in `GrayFold`; else with no codes. `components` of each fringe, longest period first: (H, W)
-    each, which times its `scales` are in grey levels and then need its `corrections`. `brightest`, `middle` (P,): grey
-    level when lit, and half-way between lit and unlit. `peak` (P,): largest among the fringes. `log_exposure` (P,):
-    None if all are alike. `rows` (P,): of the image; empty if nothing depends on them.
+    without fringes, as in `GrayFold`; else with no codes. `fine`: of each code, the contrast (P,) of bits that a pixel
+    may do without, by bit; `least` is then that of the others. `components` of each fringe, longest period first:
+    (H, W) each, which times its `scales` are in grey levels and then need its `corrections`. `brightest`, `middle`
+    (P,): grey level when lit, and half-way between lit and unlit. `peak` (P,): largest among the fringes.
+    `log_exposure` (P,): None if all are alike. `rows` (P,): of the image; empty if nothing depends on them.
     """
 
     shape: tuple[int, int]
     words: list[Words]
     least: Floats32
     contrast: Floats32
+    fine: list[dict[int, Image]]
     components: list[tuple[Component, Component]]
     scales: list[float]
     corrections: list[Correction | None]
@@ -67,8 +69,9 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
         return Signals(
             shape,
             [select(fold.words).reshape(-1) for fold in codes],
-            _stack([] if axis.corrects_bits else [select(fold.least) for fold in codes], shape),
+            _stack([] if axis.corrects_bits else [select(fold.least_needed) for fold in codes], shape),
             _stack([select(fold.contrast) for fold in codes if fold.contrast is not None], shape),
+            [{bit: select(image).reshape(-1) for bit, image in fold.optional.items()} for fold in codes],
             [(select(fold.cosine), select(fold.sine)) for fold in fringes],
             [fold.scale for fold in fringes],
             [fold.correction for fold in fringes],

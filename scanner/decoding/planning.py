@@ -76,12 +76,14 @@ def _nothing() -> _Shown:
 
 
 def _code(axis: Axis, length: int, numbering: _Numbering, shown: _Shown, base: int | None) -> GrayCode:
-    constant = _constant_bits(axis, length, numbering, {*shown[False], *shown[True]})
+    constant = constant_bits(axis, length, numbering, {*shown[False], *shown[True]})
     return GrayCode(axis, *numbering, shown[False], shown[True], constant, base)
 
 
-def _constant_bits(axis: Axis, length: int, key: tuple[int, int, int], shown: set[int]) -> int:
-    """The value of the bits that were not shown, which must be the same on all pixels of the axis."""
+def constant_bits(axis: Axis, length: int, key: tuple[int, int, int], shown: set[int]) -> int:
+    """The value of the bits that were not shown, which must be the same on all pixels of the axis; `key`: a code's
+    bits, cell and offset. Raises InputError.
+    """
     bits, cell, offset = key
     if bits > _MAX_BITS:
         raise InputError(f"a Gray code of {bits} bits along {axis}; at most {_MAX_BITS} are read")

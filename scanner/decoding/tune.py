@@ -96,7 +96,7 @@ def _ripples(decoders: list[AxisDecoder], signals: tuple[Signals, Signals]) -> d
     """Per fringe, what straightens its phase.
 
     Fringes with the same shifts and period are bent alike on both axes and are measured together. Where the pixels see
-    too few cycles of a period, the next shorter one lends its table.
+    too few cycles of a period, or too unevenly, the next shorter one lends its table.
     """
     groups: dict[tuple[int, float], list[_Phases]] = defaultdict(list)
     for decoder, part in zip(decoders, signals, strict=True):
@@ -109,7 +109,8 @@ def _ripples(decoders: list[AxisDecoder], signals: tuple[Signals, Signals]) -> d
         for period in sorted({seen.fringe.period for seen in group}):
             alike = [seen for seen in group if seen.fringe.period == period]
             if sum(seen.cycles for seen in alike) >= _ENOUGH_CYCLES:
-                table = straightening(alike[0].fringe, [seen.phases for seen in alike])
+                own = straightening(alike[0].fringe, [seen.phases for seen in alike])
+                table = table if own is None else own
             if table is not None:
                 found.update({seen.fringe: table for seen in alike})
     return found

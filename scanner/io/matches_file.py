@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from calib.geometry import NO_FACE, Matches
 from calib.numerics import Floats, Ints
 from scanner.errors import InputError
+from scanner.io.atomic_file import new_file
 from scanner.io.given_file import opened, refuse_bomb
 from scanner.shown_text import harmless, shortened
 
@@ -69,7 +70,7 @@ def write_matches(
         arrays["plane"] = plane
     if only_axis is not None:
         arrays[_MEASURED] = np.array([only_axis == "x", only_axis == "y"])
-    with path.open("wb") as file:
+    with new_file(path, overwrite=True) as partial, partial.open("wb") as file:
         np.savez(file, **arrays)
 
 

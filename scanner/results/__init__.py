@@ -1,9 +1,8 @@
 """A result: its folder, its verdict, what it states about itself."""
 
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
-from scanner.results.older_results import place_camera
-from scanner.results.provenance import Provenance, provenance
-from scanner.results.result_folder import (
+from scanner.results.leftovers import settle
+from scanner.results.names import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
@@ -15,13 +14,15 @@ from scanner.results.result_folder import (
     REFUSAL_FILE,
     REPORT_FILE,
     TRUTH_FILE,
-    OutputFolder,
     beside,
     default_out,
     folder_of,
-    new_result,
     refuse_occupied,
+    unused,
 )
+from scanner.results.older_results import place_camera
+from scanner.results.provenance import Provenance, provenance
+from scanner.results.result_folder import OutputFolder, new_result
 from scanner.results.stages import (
     Calibrated,
     Decoded,

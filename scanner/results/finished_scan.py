@@ -11,8 +11,8 @@ from calib.numerics import Floats, Ints
 from calib.pointcloud import index_grid
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_cloud, read_matches
+from scanner.results.names import CALIBRATION_FILE, CLOUD_FILE
 from scanner.results.older_results import find_matches, same_points
-from scanner.results.result_folder import CALIBRATION_FILE, CLOUD_FILE
 
 # Of a cloud, so many points tell whether it comes from these matches.
 _SAMPLE = 1000

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from scanner.configuration import Config
-from scanner.results.result_folder import published_name
+from scanner.results.unfinished import published_name
 
 
 @dataclass(frozen=True)

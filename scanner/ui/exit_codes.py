@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from scanner.errors import InputError
+from scanner.errors import DISK_TROUBLE, InputError, StorageError
+from scanner.interruption import EXIT_INTERRUPTED
 from scanner.shown_text import harmless, shortened
 
 _MOST_LINES, _LONGEST_LINE = 100, 1000
@@ -15,7 +16,6 @@ EXIT_INPUT = 2
 EXIT_DEVICE = 3
 EXIT_REFUSED = 4
 EXIT_BUG = 70  # EX_SOFTWARE of sysexits.h
-EXIT_INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,13 @@ class Failure:
 def failure_of(error: BaseException) -> Failure:
     """What an error that ended a command means. A bug's traceback is written to a file, which the message names."""
     match error:
+        case OSError() if error.errno in DISK_TROUBLE:
+            return _failure(EXIT_DEVICE, error)
         case InputError() | OSError():
             return _failure(EXIT_INPUT, error)
         case MemoryError():
             return _failure(EXIT_INPUT, error, "there is not enough memory for an input of this size: ")
-        case DeviceError():
+        case DeviceError() | StorageError():
             return _failure(EXIT_DEVICE, error)
         case RefusalError():
             return _failure(EXIT_REFUSED, error, f"no trustworthy {error.refused}: ")

@@ -55,6 +55,11 @@ class Terminal:
             else:
                 self._out.print(shown)
 
+    def note(self, text: str) -> None:
+        """Say what is to be known whether or not the command succeeds."""
+        if not self._quiet:
+            self._err.print(text, soft_wrap=True, markup=False, highlight=False)
+
     @property
     def can_ask(self) -> bool:
         """Whether there is a person to answer."""

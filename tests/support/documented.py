@@ -22,6 +22,7 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 NEED_DEVICES = "needs a camera and a projector"
 NOT_RUN = {
     "scan devices": NEED_DEVICES,
+    "scan --resume": "needs a scan that was broken off",
     "scan --config configs/room.yaml": NEED_DEVICES,
     "scan --config my-room.yaml": NEED_DEVICES,
     "scan check --config configs/room.yaml": NEED_DEVICES,

@@ -29,8 +29,9 @@ _FEWEST_LIT = 20
 _ENOUGH_LIT = 500
 _MOST_LIT = 4000
 # Each frame in a wrong place adds the square of its difference from the right one to the contradictions, twice that if
-# only one other frame contradicts it; undoing an exchange takes away at least this part of it.
-_REPAIRED = 0.5
+# only one other frame contradicts it; undoing an exchange takes away at least this part of it. No more than this share
+# of all contradictions is left, while of black in brighter light, say, any dark frame in its place takes away a half.
+_REPAIRED, _MOST_LEFT = 0.5, 0.3
 _DIFFERENT = 0.02
 _FEWEST_COMPARED = 400
 # Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
@@ -93,7 +94,7 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
             order = np.arange(len(levels))
             order[[first, second]] = second, first
             left = _contradiction(plan, levels[order], swing)
-            if (before - left) / differ > best and left < otherwise:
+            if (before - left) / differ > best and left < min(otherwise, _MOST_LEFT * before):
                 best, pair = (before - left) / differ, (first, second)
     return f"with {plan.names(pair)} exchanged they do" if pair[0] != pair[1] else ""
 

@@ -10,6 +10,10 @@ from scanner.decoding.sequence_plan import SequencePlan
 from scanner.errors import InputError
 
 ADVICE = "Fasten what moved, let a projector warm up, keep away from the rig while it captures, and capture again."
+UNSEEN_MOTION = (
+    "All patterns along one axis came before those along the other, and nothing in the frames tells whether a device "
+    "turned in between"
+)
 # Frames that were exchanged contradict each other in ways that hardly any motion explains.
 _EXPLAINED = 0.75
 

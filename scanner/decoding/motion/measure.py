@@ -85,19 +85,12 @@ class MotionMeter:
             explained=explained,
             shift=shift,
             others=tuple(others),
-            witnessed=self._is_witnessed,
         )
 
     @property
     def _is_overdetermined(self) -> bool:
         """Whether a frame that does not belong to its fringe shows; with three, a bent curve is in the phase."""
         return all(len(one.times) > _PARAMETERS for axis in self._showings for one in axis)
-
-    @property
-    def _is_witnessed(self) -> bool:
-        """Whether what moves between the axes shows: each was measured before and after the other, or in part."""
-        x, y = (np.concatenate([one.times for one in axis]) for axis in self._showings)
-        return bool(x.min() < y.max() and y.min() < x.max())
 
     def _try(self, course: Course) -> _Tried:
         return _Tried(course, self._fit(self._witnesses, course))
@@ -153,10 +146,9 @@ class MotionMeter:
 
 
 def _share(fringes: Sequence[Showing], course: Course) -> float:
-    """The share of the motion in the mean coordinate, each fringe by the inverse of its variance."""
-    weights = np.array([1 / median(one.fit.variance) for one in fringes])
-    responses = np.array([np.mean(one.fit.follow(course.at(one.times)).response) for one in fringes])
-    return float(weights @ responses / weights.sum())
+    """The share of the motion in the coordinate: that in the most certain fringe, to whose mean others are brought."""
+    surest = min(fringes, key=lambda one: median(one.fit.variance))
+    return float(np.mean(surest.fit.follow(course.at(surest.times)).response))
 
 
 def measure_motion(
