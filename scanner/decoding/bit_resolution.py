@@ -25,7 +25,7 @@ _USUAL = 0.9
 _FEWEST_LIT = 100
 # If fewer of the lit pixels have all bits, each does with what it has: near the edge of its stripe a bit is undecided,
 # and if a pixel sees no more than a cell or two, nearly all are near an edge.
-_MOSTLY = 0.75
+_MOSTLY = 0.85
 
 
 def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:

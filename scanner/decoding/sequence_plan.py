@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.numerics import Floats
 from scanner.decoding.arrays import Words
-from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor
+from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
 
 _MOST_NAMED = 12
 
@@ -169,6 +169,11 @@ class SequencePlan:
         if self.white is not None and self.black is not None:
             pairs.append((self.white, self.black))
         return pairs
+
+    def shows_the_same(self, frame: int, other: int) -> bool:
+        """Whether two patterns are one picture, as white and a bit that is 1 all over the projector."""
+        size = self.x.length, self.y.length
+        return np.array_equal(draw(self.patterns[frame], size), draw(self.patterns[other], size))
 
     def name(self, frame: int) -> str:
         """A frame and its pattern, for messages."""

@@ -29,9 +29,11 @@ _FEWEST_LIT = 20
 _ENOUGH_LIT = 500
 _MOST_LIT = 4000
 # Each frame in a wrong place adds the square of its difference from the right one to the contradictions, twice that if
-# only one other frame contradicts it; undoing an exchange takes away at least this part of it. No more than this share
-# of all contradictions is left, while of black in brighter light, say, any dark frame in its place takes away a half.
-_REPAIRED, _MOST_LEFT = 0.5, 0.3
+# only one other frame contradicts it; undoing an exchange takes away at least this part of it.
+_REPAIRED = 0.5
+# What an exchange leaves of the contradictions, next to others of either frame: of black in brighter light, say, any
+# dark frame in its place leaves as much.
+_MOST_LEFT = 0.5
 _DIFFERENT = 0.02
 _FEWEST_COMPARED = 400
 # Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
@@ -79,13 +81,14 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
     """Says which two frames, exchanged back, make the sample more consistent by what they differ; '' if none do.
 
     If they were not exchanged, that makes it less consistent by as much. Nor were they if the sample is as consistent
-    once frames are made alike in brightness.
+    once frames are made alike in brightness, or if another exchange of one of them does nearly as well.
     """
     few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for oddity in found for frame in oddity.frames})
     before, best, pair = _contradiction(plan, levels, swing), _REPAIRED, (0, 0)
     otherwise = _contradiction(plan, alike.levels[:, few], swing)
+    tried: dict[tuple[int, int], float] = {}
     for first in suspects:
         for second in range(len(levels)):
             differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
@@ -93,10 +96,13 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
                 continue
             order = np.arange(len(levels))
             order[[first, second]] = second, first
-            left = _contradiction(plan, levels[order], swing)
-            if (before - left) / differ > best and left < min(otherwise, _MOST_LEFT * before):
+            left = tried[first, second] = _contradiction(plan, levels[order], swing)
+            if (before - left) / differ > best and left < otherwise:
                 best, pair = (before - left) / differ, (first, second)
-    return f"with {plan.names(pair)} exchanged they do" if pair[0] != pair[1] else ""
+    others = [left for exchange, left in tried.items() if len({*exchange, *pair}) == 3]  # one frame in common
+    if pair not in tried or tried[pair] > _MOST_LEFT * min(others, default=before):
+        return ""
+    return f"with {plan.names(pair)} exchanged they do"
 
 
 def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
@@ -127,10 +133,9 @@ def _double(plan: SequencePlan, shown: Shown, found: Sequence[Oddity]) -> str:
     for frame in sorted({frame for oddity in found for frame in oddity.frames}):
         alike = np.abs(shown.levels - shown.levels[frame]) < _SAME_SIGMAS * np.sqrt(2) * shown.sigma
         share = np.mean(alike, axis=1)
-        share[frame] = 0
-        twin = int(np.argmax(share))
-        if share[twin] > _SAME_SHARE:
-            return f"{plan.names((frame, twin))} show the same"
+        for twin in np.flatnonzero(share > _SAME_SHARE).tolist():
+            if not plan.shows_the_same(frame, twin):
+                return f"{plan.names((frame, twin))} show the same"
     return ""
 
 
