@@ -72,7 +72,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     ("arguments", "words"),
     [
         ((), ("nothing to do", "usage: scan", "replay")),
-        (("device",), ("unknown command 'device'", "--config FILE", "replay, calibrate, patterns, devices")),
+        (("device",), ("unknown command 'device'", "--config FILE", "replay, calibrate, ")),
         (("--confg", "room.yaml"), ("--config", "scan --help")),
         (("--out", "room"), ("--config",)),
         (("--config", "missing.yaml"), ("missing.yaml", "no such file")),
