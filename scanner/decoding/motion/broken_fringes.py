@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints, median
+from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
@@ -21,14 +21,14 @@ _JUMPS = 33
 # Farther than a knock throws a picture.
 _LARGEST_PX = 15.0
 # Jumps differ from face to face, but not from block to block: length of the mean of unit vectors.
-_ALIKE = 0.6
+_ALIKE = 0.8
 _BLOCK_TILES = 4
 _FEWEST_IN_BLOCK = 100
 _FEWEST_BLOCKS = 4
 _SEEN = 5.0
 # The share of a fringe's power that its fit leaves over: harmonics of a gamma of 2.2 make 0.05.
 _MOST_LEFT = 0.12
-_OF_BEFORE = 0.4
+_OF_BEFORE = 0.12
 # A jump of a whole step, to so many cycles, is a frame that was taken for the next.
 _STEP_CYCLES = 0.02
 
@@ -46,7 +46,7 @@ class _Taken:
 
     def left(self, first_after: int) -> tuple[float, float]:
         """The share of the power that is left over if it jumps before the frame `first_after`, and the jump in cycles;
-        of a typical block of the image, by the best jump of each.
+        on average over blocks of the image, by the best jump of each.
         """
         after = self.times >= first_after
         largest = min(0.5, _LARGEST_PX / self.period) if 0 < after.sum() < len(after) else 0.0
@@ -66,7 +66,7 @@ class _Taken:
         common = np.mean(np.exp(2j * np.pi * jumps[best]))
         if abs(common) < _ALIKE:
             return 1.0, 0.0
-        return median(left[best, np.arange(len(best))] / count[big]), float(np.angle(common)) / (2 * np.pi)
+        return float(np.mean(left[best, np.arange(len(best))] / count[big])), float(np.angle(common)) / (2 * np.pi)
 
 
 def broken_between(plan: SequencePlan, tiles: TileSample, noise: NoiseModel) -> tuple[int, int] | None:
