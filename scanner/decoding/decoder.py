@@ -17,6 +17,7 @@ from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.cycle_checks import check_cycles
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import coordinate_maps
@@ -171,12 +172,14 @@ class Decoder:
         seen = look(accumulators, sample, tiles, self._projector_size)
         del tiles
         oddities: list[Oddity] = []
-        with blaming_motion(lambda: seen.motion):
+        with blaming_motion(lambda: seen.motion, seen.broken):
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities)
                 del sample
                 maps = coordinate_maps(accumulators, learnt.decoders)
                 leave_out_stray_light(accumulators, maps)
+                with blaming_shifts(accumulators.plan, seen.code_shifts):
+                    check_cycles(accumulators.plan, maps.projector_px)
                 motion = seen.motion
                 if self._lit is not None:
                     motion = motion_between(

@@ -1,6 +1,6 @@
 """What a sample of the frames tells before pixels are decoded: noise, light, motion, tolerances, and what is odd."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -24,6 +24,7 @@ from scanner.decoding.motion import (
     MotionFound,
     TileSample,
     blaming_shifts,
+    broken_between,
     measure_motion,
     shifts_of_codes,
 )
@@ -37,7 +38,7 @@ from scanner.errors import InputError
 class Seen:
     """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken.
 
-    Motion is measured while other things go on.
+    Motion is measured while other things go on; between which frames fringes were `broken`, only if asked.
     """
 
     levels: Image
@@ -47,6 +48,7 @@ class Seen:
     measuring_motion: Future[MotionFound | None]
     code_shifts: tuple[CodeShift, ...]
     notes: tuple[str, ...]
+    broken: Callable[[], tuple[int, int] | None]
 
     @property
     def motion(self) -> MotionFound | None:
@@ -66,7 +68,16 @@ def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projecto
     aside = ThreadPoolExecutor(1)
     motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
     aside.shutdown(wait=False)
-    return Seen(levels, noise, saturation, flicker, motion, shifts_of_codes(plan, (x, y), noise), notes)
+    return Seen(
+        levels,
+        noise,
+        saturation,
+        flicker,
+        motion,
+        shifts_of_codes(plan, (x, y), noise),
+        notes,
+        lambda: broken_between(plan, tiles, noise),
+    )
 
 
 def _equalise(accumulators: Accumulators, sample: Sample, tiles: TileSample) -> float | None:

@@ -1,6 +1,13 @@
 """Motion during a capture: of the camera, of the projector, of something in the scene."""
 
-from scanner.decoding.motion.blame import UNSEEN_MOTION, blaming_motion, blaming_shifts, moved, remarks_on
+from scanner.decoding.motion.blame import (
+    UNSEEN_MOTION,
+    blaming_motion,
+    blaming_shifts,
+    moved,
+    remarks_on,
+)
+from scanner.decoding.motion.broken_fringes import broken_between
 from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
 from scanner.decoding.motion.found import SUSPECTED_PX, MotionFound, who_moved
 from scanner.decoding.motion.measure import measure_motion
@@ -16,6 +23,7 @@ __all__ = [
     "TileSample",
     "blaming_motion",
     "blaming_shifts",
+    "broken_between",
     "fit_motion",
     "measure_motion",
     "moved",

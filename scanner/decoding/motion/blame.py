@@ -19,8 +19,11 @@ _EXPLAINED = 0.75
 
 
 @contextmanager
-def blaming_motion(found: Callable[[], MotionFound | None]) -> Iterator[None]:
-    """Frames that contradict each other in the block do so because of the motion that was found, if that explains it.
+def blaming_motion(
+    found: Callable[[], MotionFound | None], broken: Callable[[], tuple[int, int] | None]
+) -> Iterator[None]:
+    """Frames that contradict each other in the block do so because of the motion that was found, if that explains it,
+    or of a bump that has `broken` fringes between two frames.
 
     Raises RefusalError in the place of InputError.
     """
@@ -30,6 +33,11 @@ def blaming_motion(found: Callable[[], MotionFound | None]) -> Iterator[None]:
         motion = found()
         if motion is not None and motion.significant and motion.explained > _EXPLAINED:
             raise moved(motion) from error
+        if frames := broken():
+            raise RefusalError(
+                f"Camera or projector moved between frames {frames[0]} and {frames[1]}, by so much that fringes broke.",
+                ADVICE,
+            ) from error
         raise
 
 

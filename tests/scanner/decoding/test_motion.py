@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from calib.numerics import Image
+from calib.refusal import RefusalError
 from scanner.decoding import Decoding
 from scanner.decoding.motion import MotionFound
-from scanner.patterns import PRESETS, Pattern, Phase, PresetName, phase_sequence, sequence_for
+from scanner.errors import InputError
+from scanner.patterns import PRESETS, Gray, Pattern, Phase, PresetName, phase_sequence, sequence_for
 from tests.support.synthetic_capture import Light, Scene, decode
 
 SCENE = Scene()
@@ -163,3 +165,18 @@ def test_the_first_axis_again_is_a_witness() -> None:
     assert motion.unseen == ()
     assert motion.first < FIRST_OF_Y <= motion.last
     assert 0.2 < motion.size_px < 0.4
+
+
+def test_a_bump_of_several_px_in_the_middle_of_a_fringe_is_named() -> None:
+    patterns = PRESETS["concave"].patterns(SCENE.projector)
+    assert isinstance(patterns[27], Phase)
+    with pytest.raises(RefusalError, match="moved between frames 26 and 27"):
+        bumped(patterns, 27, 5.0, -4.0)
+
+
+def test_a_bump_in_the_middle_of_a_code_leaves_pixels_a_period_apart() -> None:
+    patterns = PRESETS["quick"].patterns(SCENE.projector)
+    apart = tuple(sorted(patterns, key=lambda pattern: getattr(pattern, "axis", "")))
+    of_code = [n for n, pattern in enumerate(apart) if isinstance(pattern, Gray) and pattern.axis == "y"]
+    with pytest.raises((InputError, RefusalError), match="move"):
+        bumped(apart, max(of_code), 0.0, 3.0)
