@@ -4,10 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry import Intrinsics, Matches
+from calib.boards.likelihood import Levels, View, lens_prior
+from calib.boards.likelihood import evaluate as evaluate_boards
+from calib.boards.parameters import INTRINSIC_COLUMNS, Placed, device_of
+from calib.boards.parameters import State as BoardState
+from calib.geometry import Intrinsics, Matches, Motion
 from calib.refinement import CAMERA, PROJECTOR, Cells, Knowledge, Pose, State, covariance_of, evaluate, predict
 from calib.self_calibration import anywhere
-from calib.synthetic import SyntheticCapture, SyntheticPhotos
+from calib.synthetic import SyntheticBoards, SyntheticCapture, SyntheticPhotos
 
 _SAMPLE = 3000
 
@@ -81,3 +85,24 @@ def bound_of_photos(
     information = np.diag(prior.root_precision**2) + np.einsum("nia,nib->ab", jacobian, weighted)
     sigma = np.sqrt(np.diag(covariance_of(information, prior.free)))[CAMERA][:3]
     return sigma * np.array([camera[0], 1.0, 1.0])
+
+
+def bound_of_boards(boards: SyntheticBoards, views: list[View]) -> np.ndarray:
+    """Sigmas of f_x, x_0, y_0 of camera and projector, (6,), in pixels, at the truth.
+
+    Lens terms that are zero in truth are known to be, as is a board's bend; pixels are known to be square. `views`: the
+    same boards' matches as cells, whose sigmas are those of the noise.
+    """
+    rig, options = boards.calibration, boards.options
+    bend = np.append(boards.bend, np.zeros(4))
+    placed = tuple(Placed(*pose) for pose in boards.poses)
+    motion = Motion(rig.rotation, rig.translation)
+    state = BoardState(device_of(rig.camera), device_of(rig.projector), motion, bend, boards.reach, placed)
+    prior = lens_prior(rig.camera.size, rig.projector.size, 3 if bend.any() else 0)
+    zero = np.flatnonzero(state.additive()[:18] == 0)
+    prior = prior.knowing(np.concatenate([zero, [1, 10]]))
+    per_match = [options.match_px**2 * (view.cells.sigma_px / view.cells.noise_px) ** 2 for view in views]
+    levels = Levels(np.full(len(views), options.corner_px**2), tuple(per_match))
+    fit = evaluate_boards(views, state, prior, levels)
+    sigma = np.sqrt(np.diag(covariance_of(fit.information, prior.free(state))))[INTRINSIC_COLUMNS]
+    return sigma * np.array([rig.camera.focal_px[0], 1, 1, rig.projector.focal_px[0], 1, 1])

@@ -56,6 +56,21 @@ class PasserSettings(_Part):
     last_frame: int = Field(default=0, ge=0, description="The frame in which it leaves on the right.")
 
 
+class BoardSettings(_Part):
+    """A printed chessboard, held before the simulated rig."""
+
+    columns: int = Field(default=9, ge=3, le=50, description="Inner corners in a row.")
+    rows: int = Field(default=7, ge=3, le=50, description="Rows of them.")
+    square_m: float = Field(default=0.0, ge=0.0, le=1.0, description="Side of a square in metres; 0 is no board.")
+    pose: int = Field(default=0, ge=0, description="How it is held: drawn from the seed and this number.")
+    bend: float = Field(
+        default=0.002,
+        ge=0.0,
+        le=0.05,
+        description="Standard deviation of each term of its bend, as a share of half its length.",
+    )
+
+
 class PanelSettings(_Part):
     """What a simulated projector makes of the picture's shape before it shows it."""
 
@@ -171,6 +186,9 @@ class SimulatedRigSettings(BaseModel):
     )
     passer: PasserSettings = Field(
         default=PasserSettings(), description="{width_m: …, first_frame: …, last_frame: …}: somebody goes past."
+    )
+    board: BoardSettings = Field(
+        default=BoardSettings(), description="{square_m: …, pose: …}: a chessboard is held before the rig."
     )
     bump: BumpSettings = Field(
         default=BumpSettings(), description="{device: …, frame: …, px: …}: a device is knocked against once."

@@ -3,6 +3,7 @@
 The names below are what other programs use; each is imported when it is first asked for. docs/api.md shows them.
 """
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from scanner.results import FinishedScan as FinishedScan
     from scanner.results import Scan as Scan
     from scanner.results import read_finished_scan as read_finished_scan
+
+# The most pixels of an image, also for OpenCV, which reads this when it is loaded (see scanner/io/given_file.py).
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "225000000")
 
 _HOMES = {
     "configuration": "Config load_config",

@@ -100,9 +100,12 @@ def replay(
     calibration: Path | None = None,
     masks: Path | None = None,
     overwrite: bool = False,
+    keep_recording: bool = True,
     terminal: Terminal = _SILENT,
 ) -> Scan:
     """Reconstruct from a recorded capture, whoever made it; with a `calibration` nothing is calibrated.
+
+    `keep_recording`: a copy of it becomes part of the result.
 
     Raises InputError, RefusalError.
     """
@@ -116,6 +119,8 @@ def replay(
     earlier = read_captures(settings.earlier, recording.camera_size, recording.projector_size)
     refuse_impossible(settings, len(earlier) + 1)
     with new_result(out, settings, overwrite=overwrite, tell=terminal.note) as folder:
+        if keep_recording:
+            recording.copy_to(folder / CAPTURE_FOLDER)
         if known:
             return pipeline.replay_calibrated(recording, *known, settings, folder, terminal)
         return pipeline.replay(recording, settings, folder, terminal, masks=drawn, earlier=earlier)

@@ -4,7 +4,7 @@ What was found is written into `folder` also when RefusalError is raised: the ma
 calibrated are worth keeping, and the report says why.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from math import prod
@@ -16,7 +16,17 @@ from calib.numerics import Bools
 from calib.refusal import RefusalError
 from hw.open_rig import open_rig
 from hw.settings import RigSettings
-from scanner.capture import CaptureFacts, Recording, Stream, capture, identity, next_place, record, take_up
+from scanner.capture import (
+    CaptureFacts,
+    Recording,
+    Stream,
+    capture,
+    identity,
+    next_place,
+    open_capture,
+    record,
+    take_up,
+)
 from scanner.configuration import CONFIGURATION_KEY, Config
 from scanner.decoding import Decoder, usable
 from scanner.errors import InputError
@@ -100,7 +110,12 @@ def take(
         how = patterns, config.sequence.exposures_us, config.projector.known_response
         live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
         live = replace(live, metadata={**live.metadata, CONFIGURATION_KEY: config.recorded})
-        found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding", name)
+        recorded = folder / CAPTURE_FOLDER
+
+        def again() -> Stream:
+            return open_capture(recorded).stream()
+
+        found = decode(record(live, recorded), progress, "Capturing and decoding", name, again=again)
     return replace(found, facts=replace(found.facts, truth=opened.truth))
 
 
@@ -115,7 +130,7 @@ def replay(
 ) -> Scan:
     """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
     with _saying_what_is_missing(recording):
-        found = _decode_recording(recording, folder, terminal)
+        found = _decode_recording(recording, terminal)
         return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
 
@@ -132,23 +147,23 @@ def replay_calibrated(
     Raises InputError, RefusalError.
     """
     with _saying_what_is_missing(recording):
-        found = _decode_recording(recording, folder, terminal, calibration)
-    with refusal_saved([found], folder) as reached:
+        found = _decode_recording(recording, terminal, calibration)
+    with refusal_saved([found], folder, config) as reached:
         given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
         captures = triangulate([given], reached, terminal)
-    return _finished(Scan(captures), folder, terminal)
+    return _finished(Scan(captures), config, folder, terminal)
 
 
-def _decode_recording(
-    recording: Recording, folder: Path, terminal: Terminal, calibration: Calibration | None = None
-) -> Decoded:
+def _decode_recording(recording: Recording, terminal: Terminal, calibration: Calibration | None = None) -> Decoded:
     """As much of it as determines something."""
     sequence = usable(
         recording.patterns, recording.planned, recording.projector_size, calibrated=calibration is not None
     )
-    recording.copy_to(folder / CAPTURE_FOLDER)
-    stream = recording.stream().shown_as(sequence.patterns)
-    found = decode(stream, terminal, "Decoding", str(recording.folder), calibration)
+
+    def stream() -> Stream:
+        return recording.stream().shown_as(sequence.patterns)
+
+    found = decode(stream(), terminal, "Decoding", str(recording.folder), calibration, again=stream)
     return found.noting(*recording.notes, *filter(None, [sequence.words, _resumption(recording)]))
 
 
@@ -171,14 +186,27 @@ def _saying_what_is_missing(recording: Recording) -> Iterator[None]:
 
 
 def decode(
-    stream: Stream, progress: Progress, what: str, name: str = "", calibration: Calibration | None = None
+    stream: Stream,
+    progress: Progress,
+    what: str,
+    name: str = "",
+    calibration: Calibration | None = None,
+    again: Callable[[], Stream] | None = None,
 ) -> Decoded:
-    """Frames as they come → matches; no frame is kept. With a calibration one axis is enough."""
+    """Frames as they come → matches; no frame is kept. With a calibration one axis is enough.
+
+    `again` gives the frames once more, which it takes if each of them shows some of the picture before.
+    """
     decoder = Decoder(stream.patterns, stream.projector_size, calibration)
     exposures_us = []
     for _, frame in progress.track(stream.frames, len(stream.patterns), what):
         decoder.add(frame.image, frame.exposure_us)
         exposures_us += [frame.exposure_us] if frame.exposure_us else []
+    ghost = decoder.ghost() if again else 0.0
+    if again and ghost:
+        decoder = Decoder(stream.patterns, stream.projector_size, calibration, ghost=ghost)
+        for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out a ghost"):
+            decoder.add(frame.image)
     with progress.step("Matching"):
         decoding = decoder.finish()
     about = identity({**stream.metadata, **stream.account()})
@@ -190,7 +218,7 @@ def reconstruct(
     captures: Sequence[Decoded], config: Config, folder: Path, progress: Progress, *, masks: Bools | None = None
 ) -> Scan:
     """Matches → faces → one calibration → clouds → files; `masks` are of the newest capture. Raises RefusalError."""
-    with refusal_saved(captures, folder) as reached:
+    with refusal_saved(captures, folder, config) as reached:
         with progress.step("Calibrating"):
             labelled = label(captures, reached, masks)
             reached[:] = calibrated = calibrate(labelled, config)
@@ -199,10 +227,10 @@ def reconstruct(
         if len(captures) > 1 and config.corner.same:
             with progress.step("Merging the clouds"):
                 result = Scan(reconstructed, *merge(calibrated, [capture.cloud for capture in reconstructed]))
-    return _finished(result, folder, progress)
+    return _finished(result, config, folder, progress)
 
 
-def _finished(result: Scan, folder: Path, progress: Progress) -> Scan:
+def _finished(result: Scan, config: Config, folder: Path, progress: Progress) -> Scan:
     with progress.step("Writing the result"):
-        save(result, folder)
+        save(result, folder, config)
     return result

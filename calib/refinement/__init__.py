@@ -4,8 +4,9 @@ from calib.refinement.distortion_from_planes import Straightened
 from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins
 from calib.refinement.further_planes import with_further_planes
 from calib.refinement.image_polynomial import CUBIC, monomials
-from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate
+from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate, misfit
 from calib.refinement.match_cells import Cells, into_cells
+from calib.refinement.noise_model import Noise, noise_of
 from calib.refinement.parameters import (
     CAMERA,
     PER_CORNER,
@@ -23,4 +24,4 @@ from calib.refinement.photo_starts import photo_family
 from calib.refinement.profile_likelihood import covariance_of, inverse_of
 from calib.refinement.refine import Refinement, explore, refine, settle, thin
 from calib.refinement.shared_corner import is_anticlockwise, oriented, reflected
-from calib.refinement.systematic_shifts import Shifts, percent_of_intrinsics, response_to_shift, together
+from calib.refinement.systematic_shifts import Shift, Shifts, percent_of_intrinsics, response_to_shift, together

@@ -138,7 +138,7 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
     for i, (cells, variance) in enumerate(zip(captures, variances, strict=True)):
         predicted, jacobian, depths = predict(state, cells.camera_px, cells.plane, i)
         residual = np.empty(predicted.shape)
-        cost += _misfit(
+        cost += misfit(
             predicted,
             np.ascontiguousarray(cells.projector_px),
             jacobian,
@@ -154,7 +154,7 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
 
 
 @compiled
-def _misfit(
+def misfit(
     predicted: Floats,
     seen: Floats,
     jacobian: Floats,

@@ -1,5 +1,6 @@
 """Corners with known truth, made without anything that the estimators use."""
 
+from calib.synthetic.boards import BoardOptions, SyntheticBoards, SyntheticView, random_boards
 from calib.synthetic.captures import (
     PAPER_CAMERA,
     PAPER_PROJECTOR,

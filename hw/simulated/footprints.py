@@ -11,6 +11,7 @@ from scipy import ndimage, sparse
 
 from calib.numerics import Bools, Floats, Ints, in_parallel
 from hw.simulated.arrays import Indices, sparse_matrix
+from hw.simulated.board import Sheet, before
 from hw.simulated.device import PlacedDevice
 from hw.simulated.illumination import SPILL_PX, ProjectorLight
 from hw.simulated.mesh import Mesh
@@ -50,7 +51,7 @@ class FootprintCaster:
     """Casts the rays of camera pixels, a strip of rows at a time; `samples` × `samples` rays for a detailed pixel.
 
     `stand_in` (nodes,): the node whose light to use at each node. `painted` (surfaces,): the surface of texture and
-    mesh that each surface of the scene looks like; None if all look like themselves.
+    mesh that each surface of the scene looks like; None if all look like themselves. `board`: what is held before it.
     """
 
     light: ProjectorLight
@@ -61,6 +62,7 @@ class FootprintCaster:
     stand_in: Indices
     samples: int
     painted: Ints | None = None
+    board: Sheet | None = None
 
     def moved(self, camera: PlacedDevice, projector: PlacedDevice, passer: Block | None) -> "FootprintCaster":
         """The same with the devices elsewhere, and perhaps one more block in the scene, which has the walls' paint."""
@@ -90,7 +92,24 @@ class FootprintCaster:
         offsets = (np.arange(self.samples) + 0.5) / self.samples - 0.5
         within = np.stack(np.meshgrid(offsets, offsets)).reshape(2, 1, -1)
         seen = self._see((centres[:, detailed, None] + within).reshape(2, -1))
-        return Footprints(self._direct(detailed, seen, centres.shape[1]), self._indirect(detailed, seen, centres))
+        footprints = Footprints(self._direct(detailed, seen, centres.shape[1]), self._indirect(detailed, seen, centres))
+        return footprints if self.board is None else self._with_board(footprints, self.board, centres, within)
+
+    def _with_board(self, room: Footprints, board: Sheet, centres: Floats, within: Floats) -> Footprints:
+        """The same with the board before what it hides; as everywhere, `samples` × `samples` rays for each pixel."""
+        per_pixel = self.samples**2
+        pixels = (centres[:, :, None] + within).reshape(2, -1)
+        uv, hit = board.meet(self.camera.centre, self.camera.rays(pixels))
+        struck = np.flatnonzero(hit)
+        uv = uv[:, struck]
+        points, pixel = board.points(uv), struck // per_pixel
+        gain = board.albedo(uv) * self.camera.optics.vignetting(pixels[:, struck], _CAMERA_VIGNETTING)
+        projected, irradiance = self.light.unhidden(points, board.normals(uv))
+        texels, weights = self.picture.interpolate(projected[:, irradiance > 0])
+        lit = np.flatnonzero(irradiance)
+        weights *= (gain[lit] * irradiance[lit] / per_pixel)[:, None]
+        direct = sparse_matrix(pixel[lit], texels, weights, (centres.shape[1], self.picture.fine_count))
+        return Footprints(*before((room.direct, room.indirect), pixel, gain, direct, per_pixel))
 
     def _detailed(self, rows: range) -> Bools:
         """Pixels that may see more than one surface or the projector's light, (pixels,), judged by their neighbours."""

@@ -28,14 +28,18 @@ class ProjectorLight:
         fall with cos³ of the angle to the axis; hence the irradiance (n · s) / z³, with s the vector to the projector
         and z the depth along its axis, times vignetting.
         """
+        pixels, irradiance = self.unhidden(points, self.scene.normals(surface, points))
+        reached = np.flatnonzero(irradiance)
+        irradiance[reached[self.scene.occluded(points[:, reached], self.projector.centre)]] = 0.0
+        return pixels, irradiance
+
+    def unhidden(self, points: Floats, normals: Floats) -> tuple[Floats, Floats]:
+        """The same for points with unit normals (3, n) from which nothing hides the projector."""
         pixels, depths = self.projector.project(points)
         irradiance = np.zeros(points.shape[1])
         reached = np.flatnonzero(self.projector.optics.sees(pixels, SPILL_PX))
-        points = points[:, reached]
-        facing = np.sum(
-            self.scene.normals(surface[reached], points) * (self.projector.centre[:, None] - points), axis=0
-        )
-        facing[(facing < 0) | self.scene.occluded(points, self.projector.centre)] = 0.0
+        to_projector = self.projector.centre[:, None] - points[:, reached]
+        facing = np.sum(normals[:, reached] * to_projector, axis=0).clip(0.0)
         brightness = self.projector.optics.vignetting(pixels[:, reached], _VIGNETTING)
         irradiance[reached] = brightness * facing / depths[reached] ** 3
         return pixels, irradiance

@@ -9,6 +9,7 @@ import numpy as np
 from calib.numerics import Floats, Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
+from hw.simulated.board import draw_board
 from hw.simulated.device import PlacedDevice
 from hw.simulated.footprints import FootprintCaster, Footprints, samples_per_pixel
 from hw.simulated.gather import Gatherer
@@ -90,6 +91,13 @@ class Renderer:
         turn = steered(self.caster.light.projector, projector)
         return replace(self, caster=caster, footprints=caster.cast(), turn=turn)
 
+    def with_board(self, settings: SimulatedRigSettings) -> "Renderer":
+        """The view with the board of these settings, or none, before the room: only rays are cast anew."""
+        camera, projector = self.caster.camera, self.caster.light.projector
+        board = draw_board(settings.board, settings.seed, camera, projector) if settings.board.square_m else None
+        caster = replace(self.caster, board=board)
+        return replace(self, caster=caster, footprints=caster.cast())
+
     def _of_nodes(self, irradiance: Light) -> Light:
         image: Light = (self.footprints.indirect @ irradiance).reshape(self.shape)
         return image
@@ -117,9 +125,10 @@ def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Ge
         interreflection.ceiling,
         ambient_level=1.0,
     )
-    return replace(
+    renderer = replace(
         unscaled, ceiling=interreflection.ceiling * _white_over_ambient(unscaled), ambient_level=settings.ambient
     )
+    return renderer.with_board(settings) if settings.board.square_m else renderer
 
 
 def _white_over_ambient(renderer: Renderer) -> np.float32:

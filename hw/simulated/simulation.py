@@ -53,6 +53,8 @@ class SimulatedRoom:
             raise ValueError(f"{', '.join(fixed)}: needs a room of its own")
         picture = self.renderer.picture.under(other.settings)
         other.renderer = replace(self.renderer, picture=picture, ambient_level=other.settings.ambient)
+        if other.settings.board != self.settings.board:
+            other.renderer = other.renderer.with_board(other.settings)
         other._begin()
         return other
 

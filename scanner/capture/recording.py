@@ -1,12 +1,11 @@
 """Reading a capture folder: `capture.yaml` and a frame for each pattern, checked before use."""
 
-import shutil
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from calib.geometry import Size
 from calib.numerics import Image
@@ -15,13 +14,32 @@ from scanner.capture.recorder import CAPTURE_FILE
 from scanner.capture.stream import Stream
 from scanner.capture.torn import planned_patterns, read_listing, torn_image, unlisted
 from scanner.errors import InputError
-from scanner.io import SUFFIXES, Entry, Whole, read_image, require_space, validate
+from scanner.io import (
+    LONGEST_SIDE_PX,
+    MOST_IMAGE_FILE_BYTES,
+    SUFFIXES,
+    Entry,
+    Whole,
+    copy_given,
+    read_image,
+    refuse_more_pixels,
+    require_space,
+    validate,
+)
 from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry
+from scanner.shown_text import shown
+
+_SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US = 1e-3, 1e9
 
 
 class _SizeEntry(Entry):
-    width: Whole = Field(ge=1, le=65535)
-    height: Whole = Field(ge=1, le=65535)
+    width: Whole = Field(ge=1, le=LONGEST_SIDE_PX)
+    height: Whole = Field(ge=1, le=LONGEST_SIDE_PX)
+
+    @model_validator(mode="after")
+    def _is_read(self) -> "_SizeEntry":
+        refuse_more_pixels(self.width, self.height)
+        return self
 
 
 class _FrameEntry(Entry):
@@ -33,7 +51,8 @@ class _FrameEntry(Entry):
     @property
     def read_back(self) -> tuple[float | None, int | None]:
         """Exposure and time stamp; other programs may mean something else by these keys, which is no error."""
-        exposure_us = self.exposure_us if isinstance(self.exposure_us, float | int) and self.exposure_us > 0 else None
+        found, shortest, longest = self.exposure_us, _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US
+        exposure_us = found if isinstance(found, float | int) and shortest <= found <= longest else None
         return exposure_us, self.timestamp_ns if isinstance(self.timestamp_ns, int) else None
 
 
@@ -77,7 +96,7 @@ class Recording:
     def _frames(self) -> Iterator[tuple[Pattern, Frame]]:
         first: Image | None = None
         for pattern, file, read_back in zip(self.patterns, self.files, self.read_back, strict=True):
-            image = read_image(self.folder / file)
+            image = read_image(self.folder / file, self.camera_size)
             self._check_size(file, image)
             first = image if first is None else first
             if (image.dtype, image.shape) != (first.dtype, first.shape):
@@ -96,13 +115,13 @@ class Recording:
             )
 
     def copy_to(self, folder: Path) -> None:
-        """Copy the listing and the frames it lists into a new folder. Raises OSError, StorageError."""
+        """Copy the listing and the frames it lists into a new folder. Raises OSError, StorageError, InputError."""
         total_bytes = sum((self.folder / file).stat().st_size for file in self.files)
         require_space(folder, len(self.files), total_bytes, "a copy of the capture")
         for file in (CAPTURE_FILE, *self.files):
             target = folder / file
             target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(self.folder / file, target)
+            copy_given(self.folder / file, target, MOST_IMAGE_FILE_BYTES)
 
 
 def _kind(image: Image) -> str:
@@ -151,6 +170,9 @@ def open_capture(path: Path) -> Recording:
 def _listing_in(folder: Path) -> Path:
     listing = folder / CAPTURE_FILE
     if listing.is_file():
+        # Or what anyone keeps in a file beside would be copied into results, and quoted in messages.
+        if not listing.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{listing}: is a link that leads out of the capture folder")
         return listing
     if not folder.exists():
         raise InputError(f"{folder}: no such capture folder")
@@ -167,18 +189,18 @@ def _listing_in(folder: Path) -> Path:
 def _frame_path(listing: Path, file: str) -> Path:
     """Where a listed frame really is; it must be a file inside the capture folder, whatever links lead to it."""
     if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file:
-        raise InputError(f"{listing}: frame {file!r} must be a path inside the capture folder")
+        raise InputError(f"{listing}: frame {shown(file)} must be a path inside the capture folder")
     root = listing.parent.resolve()
     try:
         path = (root / file).resolve()
         found = "is no file" if path.exists() else "is missing"
         is_file = path.is_file()
     except (OSError, RuntimeError) as error:  # a name that is too long, links in a circle
-        raise InputError(f"{listing}: frame {file!r} cannot be found: {error}") from error
+        raise InputError(f"{listing}: frame {shown(file)} cannot be found: {error}") from error
     if not path.is_relative_to(root):
-        raise InputError(f"{listing}: frame {file!r} is a link that leads out of the capture folder")
+        raise InputError(f"{listing}: frame {shown(file)} is a link that leads out of the capture folder")
     if not is_file:
-        raise InputError(f"{listing}: frame {file!r} {found}")
+        raise InputError(f"{listing}: frame {shown(file)} {found}")
     return path
 
 
@@ -186,7 +208,9 @@ def _refuse_repeats(listing: Path, values: Sequence[Hashable], what: str, names:
     first_with: dict[Hashable, int] = {}
     for index, value in enumerate(values):
         if value in first_with:
-            raise InputError(f"{listing}: frame {index} {what} of frame {first_with[value]} again: {names[index]}")
+            raise InputError(
+                f"{listing}: frame {index} {what} of frame {first_with[value]} again: {shown(names[index])}"
+            )
         first_with[value] = index
 
 

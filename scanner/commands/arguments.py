@@ -1,6 +1,6 @@
 """What can be typed: every command with its arguments. Knows nothing of what they do, so that help comes at once."""
 
-from argparse import Action, ArgumentParser, Namespace
+from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -8,6 +8,8 @@ from pathlib import Path
 
 from scanner.exporting import DEFAULT_POINTS, FORMATS
 from scanner.viewing.opening import add_address
+
+_LONGEST_WATCH_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,25 @@ def _replay(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _batch(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "sources",
+        nargs="+",
+        metavar="FOLDER",
+        help="every capture below it; or a name with * in it; or a list (.csv) with a column 'capture'",
+    )
+    _config(parser, required=False)
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
+    parser.add_argument("--memory", metavar="SIZE", help="of each process, as in 4GB (default: an equal share of all)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a running Dask scheduler, as in tcp://10.0.0.1:8786")
+    parser.add_argument("--retry", action="store_true", help="try captures again that crashed in an earlier run")
+    _quiet(parser)
+
+
 def _import(parser: ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder with the frames")
     parser.add_argument("--from", dest="layout", metavar="FORMAT", help="whose order of frames it is (default: any)")
@@ -98,10 +119,24 @@ def _patterns(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _seconds(text: str) -> float:
+    seconds = float(text)  # argparse tells of what is no number
+    if not 0 <= seconds <= _LONGEST_WATCH_S:
+        raise ArgumentTypeError(f"expected 0 to {_LONGEST_WATCH_S:.0f} seconds, found {text}")
+    return seconds
+
+
 def _check(parser: ArgumentParser) -> None:
     _config(parser, required=True)
     parser.add_argument(
         "--write", action="store_true", help="put the exposure and the projector's response into the configuration file"
+    )
+    parser.add_argument(
+        "--watch",
+        type=_seconds,
+        default=0.0,
+        metavar="SECONDS",
+        help="look for drift over so long, 60 say (default: as long as the rest takes)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder to make, for check.yaml and pictures (default: nothing is kept)"
@@ -198,6 +233,41 @@ def _photos(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _board(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "captures", type=Path, nargs="*", metavar="CAPTURE", help="folder with a capture.yaml, or with several of those"
+    )
+    parser.add_argument(
+        "--board",
+        metavar="KIND:WxH",
+        help="chessboard:9x7 (inner corners), charuco:6x9 (squares), "
+        "aprilgrid:6x6 (tags), circles:7x5 or acircles:4x11 (dots)",
+    )
+    parser.add_argument(
+        "--square",
+        metavar="LENGTH",
+        help="side of a square or tag, or distance between dots, as in 30mm (default unit: mm)",
+    )
+    parser.add_argument(
+        "--print",
+        dest="sheet",
+        metavar="KIND:SHEET",
+        help="write a PDF to print at true size instead: charuco:A4, or as chessboard:9x7@A3 with --square",
+    )
+    _config(parser, required=False)
+    parser.add_argument(
+        "--captures",
+        dest="number",
+        type=int,
+        default=8,
+        metavar="N",
+        help="with --config: capture the board N times, moving it in between (default: 8)",
+    )
+    _out(parser, default="scans/board, or a PDF's name")
+    _overwrite(parser)
+    _quiet(parser)
+
+
 def _result(parser: ArgumentParser) -> None:
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
 
@@ -234,6 +304,15 @@ NAMED = {
         _calibrate,
         "calibrate",
     ),
+    "batch": Command(
+        "Reconstruct many captures, on all processors of this machine or of many, with one table of all.",
+        _batch,
+        "batch",
+        """
+What a capture does, a refusal or a crash, is in its row; the others go on. Interrupted or repeated with the same
+arguments, a batch does what is left. Sources and --out may be far away, as in s3://bucket/folder.
+""",
+    ),
     "patterns": Command(
         "Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means.",
         _patterns,
@@ -247,7 +326,7 @@ NAMED = {
         """
 Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
 projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
-these lines change, and the file as it was is kept beside it as FILE.bak.
+these lines change, and the file as it was before the first time is kept beside it as FILE.bak.
 
 Exit codes: 0 if a scan would work, be it poorly; 3 if a device fails; 4 if a scan of this view would be refused. What
 is known is shown in any case.
@@ -281,6 +360,17 @@ the results: the largest errors count.
         """
 The photos may be cropped, if all of them are in the same way: the principal point is found, too. The zoom must not
 change between them. The second photo is the one that the result is about.
+""",
+    ),
+    "board": Command(
+        "Calibrate from captures of a printed board in different poses, and say how true that is.",
+        _board,
+        "board",
+        """
+Three captures are the least, six to ten are good: tilted by 20 to 45 degrees to either side and up and down, at
+different distances, so that together they fill the pictures of both devices. Nothing but the board is moved.
+
+Exit codes: 2 if the board is not found; 4 if these boards do not determine a calibration, with the reason.
 """,
     ),
     "import": Command("Make a capture of another program's frames, whose order is recognised.", _import, "import_"),

@@ -42,10 +42,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _told(error: BaseException) -> int:
     """Say what it was; the exit code that goes with it."""
-    from scanner.ui import failure_of  # with what it takes to show progress, which help does without
+    from scanner.ui import failure_of, for_screen  # with what it takes to show progress, which help does without
 
     failure = failure_of(error)
-    print(f"scan: {failure.message}", file=sys.stderr)
+    print(for_screen(f"scan: {failure.message}", sys.stderr), file=sys.stderr)
     return failure.exit_code
 
 

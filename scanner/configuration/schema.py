@@ -14,7 +14,7 @@ from calib.refinement import SQUARENESS_DEG
 from calib.self_calibration import PrincipalPoint
 from hw.settings import RigSettings
 from scanner.errors import InputError
-from scanner.io import Flag, Number, Pair, Section, Whole, parse_yaml, read_yaml, validate
+from scanner.io import Flag, Number, Pair, Section, Whole, parse_yaml, read_yaml, refuse_more_pixels, validate
 from scanner.patterns import PRESETS, Code, Pattern, Preset, PresetName, ProjectorResponse
 
 # Of an unknown camera only the image's centre is known; real principal points scatter around it by a few per cent.
@@ -37,6 +37,7 @@ class _DeviceSettings(Section):
     def _both_or_neither(self) -> "_DeviceSettings":
         if (self.width is None) != (self.height is None):
             raise ValueError("give both width and height, or neither")
+        refuse_more_pixels(self.width or 0, self.height or 0)
         return self
 
     @property

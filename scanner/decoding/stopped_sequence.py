@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 from scanner.decoding.light.exposure_fusion import exposures_of
-from scanner.decoding.sequence_plan import AxisPlan, SequencePlan, constant_bits, plan_sequence
+from scanner.decoding.planning import constant_bits, plan_sequence
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.errors import InputError
 from scanner.patterns import Axis, Gray, Pattern, Phase, Xor
 

@@ -11,6 +11,7 @@ from scanner.results.names import (
     LOG_FILE,
     MERGED_FILE,
     POSES_FILE,
+    REFUSAL_FILE,
     REPORT_FILE,
     TRUTH_FILE,
     beside,
@@ -20,6 +21,7 @@ from scanner.results.names import (
     unused,
 )
 from scanner.results.older_results import place_camera
+from scanner.results.provenance import Provenance, provenance
 from scanner.results.result_folder import OutputFolder, new_result
 from scanner.results.stages import (
     Calibrated,
@@ -37,5 +39,11 @@ from scanner.results.stages import (
     solution_of,
     titles_of,
 )
-from scanner.results.stated_uncertainty import confidence_entries, read_uncertainty, read_verdict
-from scanner.results.verdict import Verdict
+from scanner.results.stated_uncertainty import (
+    confidence_entries,
+    read_uncertainty,
+    read_verdict,
+    verdict_entries,
+    write_refusal,
+)
+from scanner.results.verdict import SIGNS, Verdict

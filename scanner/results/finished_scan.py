@@ -91,9 +91,7 @@ def _has_own_pixels(pixel: Ints, calibration: Calibration) -> bool:
     size = calibration.camera.size
     if np.any((pixel < 0) | (pixel >= size)):
         return False
-    taken = np.zeros(size[::-1], np.bool_)
-    taken[pixel[:, 1], pixel[:, 0]] = True
-    return int(np.count_nonzero(taken)) == len(pixel)
+    return len(np.unique(pixel[:, 1] * size.width + pixel[:, 0])) == len(pixel)
 
 
 def _is_where_rays_meet(points: Floats, matched: Matches, calibration: Calibration) -> bool:

@@ -10,6 +10,7 @@ CALIBRATION_FILE = "calibration.yaml"
 TRUTH_FILE = "truth.yaml"
 CLOUD_FILE = "cloud.ply"
 REPORT_FILE = "report.html"
+REFUSAL_FILE = "refused.yaml"
 CAPTURE_FOLDER = "capture"
 CAPTURES_FOLDER = "captures"
 MERGED_FILE = "merged.ply"
@@ -25,6 +26,7 @@ _OURS = {
     POSES_FILE,
     DENSE_FILE,
     REPORT_FILE,
+    REFUSAL_FILE,
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
     LOG_FILE,

@@ -47,6 +47,12 @@ def target_of(partial: Path) -> Path:
     return partial.with_name(partial.name[1 : -len(_PARTIAL)])
 
 
+def published_name(folder: Path) -> str:
+    """What a folder will be called that is being made; any other folder's own name."""
+    hidden = folder.name.startswith(".") and folder.name.endswith(_PARTIAL)
+    return target_of(folder).name if hidden else folder.name
+
+
 def is_held(out: Path) -> bool:
     """Whether a process that is alive is making `out`."""
     state = partial_of(out) / STATE

@@ -8,6 +8,9 @@ from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from scanner.errors import DISK_TROUBLE, InputError, StorageError
 from scanner.interruption import EXIT_INTERRUPTED
+from scanner.shown_text import harmless, shortened
+
+_MOST_LINES, _LONGEST_LINE = 100, 1000
 
 EXIT_INPUT = 2
 EXIT_DEVICE = 3
@@ -30,6 +33,8 @@ def failure_of(error: BaseException) -> Failure:
             return _failure(EXIT_DEVICE, error)
         case InputError() | OSError():
             return _failure(EXIT_INPUT, error)
+        case MemoryError():
+            return _failure(EXIT_INPUT, error, "there is not enough memory for an input of this size: ")
         case DeviceError() | StorageError():
             return _failure(EXIT_DEVICE, error)
         case RefusalError():
@@ -41,7 +46,15 @@ def failure_of(error: BaseException) -> Failure:
 
 def _failure(code: int, error: BaseException, introduction: str = "", *more: str) -> Failure:
     notes = getattr(error, "__notes__", [])
-    return Failure(code, "\n".join([f"{introduction}{error}", *notes, *more]))
+    return Failure(code, _on_a_screen(harmless("\n".join([f"{introduction}{error}", *notes])), *more))
+
+
+def _on_a_screen(message: str, *more: str) -> str:
+    """The message, and less of it where it is longer than a screen: what it quotes may be of any length."""
+    lines = [shortened(line, _LONGEST_LINE) for line in message.splitlines()]
+    if len(lines) > _MOST_LINES:
+        lines[_MOST_LINES - 1 :] = [f"(and {len(lines) - _MOST_LINES + 1} lines more)"]
+    return "\n".join([*lines, *more])
 
 
 def _written_traceback(error: BaseException) -> str:

@@ -30,12 +30,13 @@ NOT_RUN = {
     "scan view": "serves until it is stopped",
     "scan photos": "needs two photographs",
     "scan accept": "needs scans of a ball bar",
+    "scan batch": "starts workers; its own tests do",
     "make": "installs packages, or runs for minutes",
     "python": "runs for minutes, or changes files of this repository",
     "pytest": "is what runs this test",
 }
 # These are for other programs: nothing of ours is in them.
-FOREIGN = ("git clone", "cd", "source", "xdg-open", "apt-get", "sudo apt-get", "pip install", "python -m pip")
+FOREIGN = ("git clone", "cd", "source", "xdg-open", "apt-get", "sudo apt-get", "pip install", "python -m pip", "dask")
 
 
 @dataclass(frozen=True)

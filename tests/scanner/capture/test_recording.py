@@ -271,7 +271,7 @@ BROKEN = [
     Broken("folder linked out", link_folder_out, ("000.png", "leads out")),
     Broken("circular link", link_in_a_circle, ("004.png",)),
     Broken("endless name", first_file("x" * 5000), ("cannot be found",)),
-    Broken("null in name", first_file("a\0b"), ("inside the capture folder",)),
+    Broken("null in name", first_file("a\0b"), ("a�b", "is missing")),
     Broken("number as name", first_file(7), ("frames[0].file", "string", "7")),
     Broken("same file twice", first_file("frames/001.png"), ("frame 1", "file", "frame 0")),
     Broken("unlisted frame", listing_with(lambda x: x["frames"].pop()), ("is not listed",)),

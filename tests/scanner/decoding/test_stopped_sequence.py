@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from calib.geometry.calibration import Calibration
 from calib.geometry.camera import Intrinsics
 from scanner.decoding.decoder import Decoder
-from scanner.decoding.sequence_plan import plan_sequence
+from scanner.decoding.planning import plan_sequence
 from scanner.decoding.stopped_sequence import usable
 from scanner.errors import InputError
 from scanner.patterns.pattern import Gray, Pattern, Phase, draw, sequence_for

@@ -1,0 +1,197 @@
+"""Which calibrations from boards deserve to be used, and why others do not: the reasons that a person can do something
+about are in how the boards were held.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import cv2
+import numpy as np
+
+from calib.boards.estimate import Estimate
+from calib.boards.likelihood import Fit, View, minimise
+from calib.boards.parameters import (
+    CAMERA,
+    FOCAL,
+    PROJECTOR,
+    SHARED,
+    State,
+    is_seen,
+    points_along,
+    project_rays,
+    rays_of,
+)
+from calib.geometry import Size
+from calib.numerics import Bools, Floats
+from calib.refusal import RefusalError
+
+FEWEST_VIEWS = 3
+_USEFUL_SIGMA = 0.03  # of a focal length
+_HOPELESSLY_PARALLEL_DEG = 5.0  # what is not quite right with a print or a lens then tells more than the perspective
+_USEFUL_RAY = 0.002  # of a picture's longer side, anywhere that both devices see
+_CLEARLY_WORSE = 9.0  # in cost
+_WALK_SIGMAS, _NEARLY_PARABOLIC = 2.0, 1.2
+# What a spread must fall below to be named as a reason.
+_PARALLEL_DEG = 15.0
+_SAME_DISTANCE = 1.15
+_SMALL_COVERAGE = 0.3
+_GRID = 13
+
+_ADVICE = (
+    "Take six to ten captures with the board tilted by 20 to 45 degrees, to either side and up and down, at different "
+    "distances, so that together they fill both pictures."
+)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How the boards were held: the largest angle between two of them, the farthest over the nearest, and the share of
+    each picture's area that the hull of all their corners, or lit cells, has.
+    """
+
+    tilt_deg: float
+    distances: float
+    camera: float
+    projector: float
+
+    @property
+    def reasons(self) -> list[str]:
+        """What is wrong with it, in words."""
+        found = []
+        if self.tilt_deg < _PARALLEL_DEG:
+            found.append(f"the boards are nearly parallel to each other, within {self.tilt_deg:.0f} degrees")
+        if self.distances < _SAME_DISTANCE:
+            found.append(f"they are all at about the same distance, within {100 * (self.distances - 1):.0f} %")
+        for name, share in (("camera", self.camera), ("projector", self.projector)):
+            if share < _SMALL_COVERAGE:
+                found.append(f"they cover only {100 * share:.0f} % of the {name}'s picture")
+        return found
+
+
+def coverage_of(views: Sequence[View], state: State, camera_size: Size, projector_size: Size) -> Coverage:
+    """Of views and where their boards are."""
+    normals = [state.normal(i) for i in range(len(views))]
+    angles = [np.degrees(np.arccos(min(abs(float(a @ b)), 1.0))) for a, b in combinations(normals, 2)]
+    distances = [float(np.linalg.norm(board.middle)) for board in state.boards]
+    return Coverage(
+        float(max(angles, default=0.0)),
+        max(distances) / min(distances),
+        _hull_share([view.corners_px for view in views], camera_size),
+        _hull_share([view.cells.projector_px for view in views], projector_size),
+    )
+
+
+def _hull_share(pixels: Sequence[Floats], size: Size) -> float:
+    hull = cv2.convexHull(np.concatenate(pixels).astype(np.float32))
+    return float(cv2.contourArea(hull)) / (size.width * size.height)
+
+
+def too_few(count: int) -> RefusalError:
+    """The refusal of fewer views than determine anything."""
+    return RefusalError(
+        f"{count} usable {'view' if count == 1 else 'views'} of the board, where three are the least.", _ADVICE
+    )
+
+
+def no_rig(coverage: Coverage | None) -> RefusalError:
+    """The refusal where no devices explain the views."""
+    return RefusalError("No camera and projector explain these boards" + _because(coverage), _ADVICE)
+
+
+def refuse_untrustworthy(found: Estimate, others: Sequence[Fit], coverage: Coverage, sizes: tuple[Size, Size]) -> None:
+    """Raise RefusalError where the boards do not determine both devices, everywhere in their pictures and uniquely."""
+    sigma = np.sqrt(found.covariance.diagonal())
+    if coverage.tilt_deg < _HOPELESSLY_PARALLEL_DEG:
+        raise RefusalError("Parallel boards do not determine focal lengths" + _because(coverage), _ADVICE)
+    for name, device in (("camera", CAMERA), ("projector", PROJECTOR)):
+        if not sigma[device][FOCAL] < _USEFUL_SIGMA:
+            raise RefusalError(
+                f"These boards hardly determine the {name}'s focal length: its sigma is "
+                f"{100 * sigma[device][FOCAL]:.2g} %" + _because(coverage),
+                _ADVICE,
+            )
+    for name, sigmas, size in zip(("camera", "projector"), ray_sigmas(found, sizes), sizes, strict=True):
+        worst = float(np.nanmax(sigmas, initial=0.0))
+        if not worst < _USEFUL_RAY * max(size):
+            raise RefusalError(
+                f"These boards do not determine the {name}'s lens wherever both devices see: the sigma of a ray is "
+                f"up to {worst:.2g} px" + _because(coverage),
+                _ADVICE,
+            )
+    for other in others:
+        apart = np.abs(other.state.additive() - found.state.additive())[[CAMERA.start, PROJECTOR.start]]
+        if other.cost - found.fit.cost < _CLEARLY_WORSE and np.any(apart > 2 * sigma[[CAMERA.start, PROJECTOR.start]]):
+            raise RefusalError(
+                f"Ambiguous: {_focals(found.fit)}, and {_focals(other)}, explain these boards almost equally well"
+                + _because(coverage),
+                _ADVICE,
+            )
+
+
+def ray_sigmas(found: Estimate, sizes: tuple[Size, Size]) -> tuple[Floats, Floats]:
+    """Standard deviations (13, 13) of where camera and projector have their rays, in px over either picture.
+
+    NaN where the other device does not see, at the boards' distance, what this one does. What a rotation of the device
+    would do is no error of its lens: the motion between the devices makes up for it.
+    """
+    state, (camera_size, projector_size) = found.state, sizes
+    rotation, translation = state.motion.rotation, state.motion.translation
+    depth = float(np.median([board.middle[2] for board in state.boards]))
+    ahead = float(np.median([(rotation @ board.middle + translation)[2] for board in state.boards]))
+    camera, projector = _grid(camera_size), _grid(projector_size)
+    there = points_along(state.camera, camera, depth) @ rotation.T + translation
+    back = (points_along(state.projector, projector, ahead) - translation) @ rotation
+    return (
+        _lens_sigmas(
+            state.camera, camera, found.covariance[CAMERA, CAMERA], is_seen(state.projector, there, projector_size)
+        ),
+        _lens_sigmas(
+            state.projector, projector, found.covariance[PROJECTOR, PROJECTOR], is_seen(state.camera, back, camera_size)
+        ),
+    )
+
+
+def _grid(size: Size) -> Floats:
+    columns, rows = (np.linspace(0, side - 1, _GRID) for side in size)
+    return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+
+
+def _lens_sigmas(device: Floats, pixels: Floats, covariance: Floats, seen: Bools) -> Floats:
+    sigmas: Floats = np.full(len(pixels), np.nan)
+    by_turn, by_device = project_rays(device, rays_of(device, pixels[seen]))
+    if seen.any():
+        turns = by_turn.reshape(-1, 3)
+        own = by_device.reshape(len(turns), -1)
+        jacobian = (own - turns @ np.linalg.lstsq(turns, own, rcond=None)[0]).reshape(by_device.shape)
+        sigmas[seen] = np.sqrt(np.einsum("nka,ab,nkb->n", jacobian, covariance, jacobian) / 2)
+    return sigmas.reshape(_GRID, _GRID)
+
+
+def straightness(found: Estimate) -> float:
+    """By what factor the focals' sigmas are larger than the curvature says: 1 where the cost is nearly a parabola.
+
+    A valley that flattens out is wider than its floor is curved.
+    """
+    factor = 1.0
+    for column in (CAMERA.start, PROJECTOR.start):
+        sigma = float(np.sqrt(found.covariance[column, column]))
+        held = found.prior.knowing([column])
+        for side in (-1.0, 1.0):
+            step = np.zeros(found.state.size)
+            step[column] = side * _WALK_SIGMAS * sigma
+            response = found.covariance[:, column] / found.covariance[column, column]
+            step[:SHARED] = response * step[column]
+            fit = minimise(found.views, found.state.moved(step), held, found.levels, tolerance=0.01)
+            rise = max(fit.cost - found.fit.cost, 1e-3)
+            factor = max(factor, _WALK_SIGMAS / float(np.sqrt(rise)))
+    return factor if factor > _NEARLY_PARABOLIC else 1.0
+
+
+def _focals(fit: Fit) -> str:
+    return f"a camera of {fit.state.camera[0]:.0f} px with a projector of {fit.state.projector[0]:.0f} px"
+
+
+def _because(coverage: Coverage | None) -> str:
+    reasons = coverage.reasons if coverage else []
+    return f": {'; '.join(reasons)}." if reasons else "."

@@ -1,0 +1,70 @@
+"""What the board itself is like: which way round each view shows it, and whether it bends from pose to pose.
+
+A chessboard of odd by odd corners looks the same after half a turn, and one of as many rows as columns after a quarter.
+A bend, or a print that is not quite regular, does not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.boards.likelihood import Levels, Prior, View, minimise
+from calib.boards.parameters import Placed, State
+from calib.numerics import Floats
+
+_CLEARLY = 2.0  # in cost
+_PASSES = 2
+_ROUGH = 0.03  # tolerance in cost
+_FLEXES = (3e-4, 1e-3, 3e-3)  # of half the board's length
+_EVIDENT = 3.0  # nats
+
+
+def turned_alike(
+    views: Sequence[View], state: State, prior: Prior, levels: Levels, turns: int
+) -> tuple[tuple[View, ...], State]:
+    """Views and state with each board turned as the first one, of so many ways that look the same."""
+    views, current = list(views), minimise(views, state, prior, levels, tolerance=_ROUGH)
+    for _ in range(_PASSES if turns > 1 else 0):
+        changed = False
+        for i in range(1, len(views)):
+            for turn in range(1, turns):
+                trial_views, trial = _turned(views, current.state, i, turn / turns)
+                fit = minimise(trial_views, trial, prior, levels, tolerance=_ROUGH)
+                if fit.cost < current.cost - _CLEARLY:
+                    views, current, changed = trial_views, fit, True
+        if not changed:
+            break
+    return tuple(views), current.state
+
+
+def _turned(views: list[View], state: State, which: int, turn: float) -> tuple[list[View], State]:
+    """With one board turned about its normal."""
+    angle = 2 * np.pi * turn
+    about = np.round(np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]))
+    board = state.boards[which]
+    boards = [*state.boards]
+    boards[which] = Placed(board.rotation @ about.T, board.middle, board.flex)
+    turned = [*views]
+    turned[which] = replace(views[which], points=views[which].points @ about[:2, :2].T)
+    return turned, replace(state, boards=tuple(boards))
+
+
+def flex_of(views: Sequence[View], state: State, prior: Prior, levels: Levels) -> float:
+    """By how much the board's bend differs from pose to pose, as a `Prior` has it; 0 where a rigid one does as well.
+
+    The evidence is Laplace's approximation of it: cost and curvature at the maximum.
+    """
+    evidence = [_log_evidence(views, state, replace(prior, flex=flex), levels) for flex in (0.0, *_FLEXES)]
+    best = int(np.argmax(evidence))
+    return _FLEXES[best - 1] if best and evidence[best] > evidence[0] + _EVIDENT else 0.0
+
+
+def _log_evidence(views: Sequence[View], state: State, prior: Prior, levels: Levels) -> float:
+    fit = minimise(views, state, prior, levels, tolerance=_ROUGH)
+    free = prior.free(fit.state)
+    scale: Floats = np.sqrt(np.diag(fit.information)[free])
+    scaled = fit.information[np.ix_(free, free)] / np.outer(scale, scale)
+    curvature = float(np.linalg.slogdet(scaled)[1]) + 2 * float(np.sum(np.log(scale)))
+    precision = -2 * state.flex_columns().size * np.log(prior.flex) if prior.flex else 0.0
+    return -0.5 * (fit.cost + curvature - precision)

@@ -1,0 +1,222 @@
+"""Views of a board → a calibration with its uncertainty and what tests it, or a refusal with a reason."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.boards.acceptance import (
+    FEWEST_VIEWS,
+    Coverage,
+    coverage_of,
+    no_rig,
+    refuse_untrustworthy,
+    straightness,
+    too_few,
+)
+from calib.boards.board_shape import flex_of, turned_alike
+from calib.boards.cross_validation import Halves, Prediction, halves, leave_one_out
+from calib.boards.estimate import Estimate, estimate, of_views
+from calib.boards.likelihood import Fit, Prior, View, lens_prior, minimise
+from calib.boards.parameters import (
+    CAMERA,
+    CENTRE,
+    DIRECTION,
+    FOCAL,
+    LENGTH,
+    LENS,
+    PROJECTOR,
+    ROTATION,
+    State,
+    intrinsics_of,
+)
+from calib.boards.starts import rough_levels, starts
+from calib.geometry import Calibration, DeviceSigmas, Sigmas, Size
+from calib.refusal import RefusalError
+
+_BEND_TERMS = 7
+_ODD_SIGMAS, _ODD_TIMES, _ODD_PX = 4.0, 4.0, 0.2
+_MOST_ODD = 0.34  # of the views; more of them are no exceptions
+_STEPS = 20
+_SURPRISING = 1.3  # of errors of prediction over what was promised
+
+
+@dataclass(frozen=True)
+class Board:
+    """`reach`: half its longer side, in the unit of its corners; `turns`: how many ways round look the same."""
+
+    reach: float
+    turns: int
+    unit: str
+
+
+@dataclass(frozen=True)
+class OddView:
+    """A view that was left out, and by how much the others mispredict its matches."""
+
+    name: str
+    error_px: float
+    usual_px: float
+
+
+@dataclass(frozen=True)
+class BoardCalibration:
+    """A calibration from boards, in their unit.
+
+    `estimate`: its covariance is that of the answer. `predictions`: each board by the others; `halves`: half of them
+    against the others, None if too few. `enlarged`: by what factor the sigmas were, because errors of prediction, or a
+    flat valley, showed them too small; 1 where there was no need. `left_out`: odd views. `calibration` has the sigmas.
+    """
+
+    calibration: Calibration
+    estimate: Estimate
+    predictions: tuple[Prediction, ...]
+    halves: Halves | None
+    enlarged: float
+    left_out: tuple[OddView, ...]
+    coverage: Coverage
+    notes: tuple[str, ...]
+
+
+def calibrate_boards(views: Sequence[View], camera_size: Size, projector_size: Size, board: Board) -> BoardCalibration:
+    """Calibrate one unchanged rig from views of one board, by maximum likelihood.
+
+    Raises RefusalError where no trustworthy answer can be had.
+    """
+    if len(views) < FEWEST_VIEWS:
+        raise too_few(len(views))
+    prior = lens_prior(camera_size, projector_size, _BEND_TERMS)
+    begun = starts(views, camera_size, projector_size, board.reach, prior)
+    if not begun:
+        raise no_rig(None)
+    found = _estimated(views, begun[0].state, prior, board)
+    found, predictions, left_out = _without_odd(found, prior, board)
+    coverage = coverage_of(found.views, found.state, camera_size, projector_size)
+    surprise = float(np.sqrt(np.mean([each.sigmas**2 for each in predictions])))
+    enlarged = straightness(found) * (surprise if surprise > _SURPRISING else 1.0)
+    found = replace(found, covariance=found.covariance * enlarged**2)
+    refuse_untrustworthy(found, _others(found, begun, views), coverage, (camera_size, projector_size))
+    calibration = _calibration_of(found, camera_size, projector_size, board.unit)
+    tested = halves(found)
+    return BoardCalibration(
+        calibration,
+        found,
+        predictions,
+        tested,
+        enlarged,
+        left_out,
+        coverage,
+        tuple(_notes(found, left_out, enlarged, tested)),
+    )
+
+
+def _estimated(views: Sequence[View], start: State, prior: Prior, board: Board) -> Estimate:
+    rough = estimate(views, start, prior, rough_levels(views))
+    if board.turns > 1:
+        views, start = turned_alike(views, rough.state, prior, rough.levels, board.turns)
+        rough = estimate(views, start, prior, rough.levels)
+    flex = flex_of(views, rough.state, rough.prior, rough.levels)
+    return estimate(views, rough.state, replace(prior, flex=flex), rough.levels) if flex else rough
+
+
+def _without_odd(
+    found: Estimate, prior: Prior, board: Board
+) -> tuple[Estimate, tuple[Prediction, ...], tuple[OddView, ...]]:
+    """The estimate without views that the others mispredict by far: a board that moved, a view of something else."""
+    left_out: list[OddView] = []
+    most = int(_MOST_ODD * len(found.views))
+    while True:
+        predictions = leave_one_out(found)
+        errors = np.array([prediction.error_px for prediction in predictions])
+        worst = int(np.argmax(errors))
+        usual = float(np.median(np.delete(errors, worst)))
+        odd = errors[worst] > max(_ODD_TIMES * usual, _ODD_PX) and predictions[worst].sigmas > _ODD_SIGMAS
+        if not odd:
+            return found, predictions, tuple(left_out)
+        if len(left_out) == most or len(errors) == FEWEST_VIEWS:
+            raise RefusalError(
+                f"The boards contradict each other: {predictions[worst].name} is {errors[worst]:.2g} projector px from "
+                f"where the others put it, {usual:.2g} px is usual, and {len(left_out)} like it were left out already.",
+                "The rig, its zoom or its focus may have changed between the captures, or the board have moved during "
+                "them.",
+            )
+        left_out.append(OddView(predictions[worst].name, float(errors[worst]), usual))
+        rest = of_views(found, [i for i in range(len(errors)) if i != worst])
+        found = _estimated(rest.views, rest.state, replace(prior, flex=0.0), replace(board, turns=1))
+
+
+def _others(found: Estimate, begun: Sequence[Fit], views: Sequence[View]) -> list[Fit]:
+    """The further minima, refined like the best one."""
+    names = [view.name for view in views]
+    chosen = [names.index(view.name) for view in found.views]
+    further = []
+    for fit in begun[1:]:
+        state = fit.state.of_views(chosen)
+        further.append(minimise(found.views, state, found.prior, found.levels, tolerance=0.1, steps=_STEPS))
+    return further
+
+
+def _calibration_of(found: Estimate, camera_size: Size, projector_size: Size, unit: str) -> Calibration:
+    state, sigma = found.state, np.sqrt(found.covariance.diagonal())
+    turn = np.degrees(sigma[ROTATION])
+    sigmas = Sigmas(
+        _device_sigmas(found, CAMERA),
+        _device_sigmas(found, PROJECTOR),
+        (float(turn[0]), float(turn[1]), float(turn[2])),
+        float(np.degrees(np.hypot(*sigma[DIRECTION]))),
+        known_baseline=float(sigma[LENGTH]) * state.motion.length,
+    )
+    return Calibration(
+        intrinsics_of(state.camera, camera_size),
+        intrinsics_of(state.projector, projector_size),
+        state.motion.rotation,
+        state.motion.translation,
+        unit,
+        sigmas,
+    )
+
+
+def _device_sigmas(found: Estimate, columns: slice) -> DeviceSigmas:
+    device = found.state.camera if columns == CAMERA else found.state.projector
+    covariance = found.covariance[columns, columns]
+    along_y = np.array([1.0, 1.0]) @ covariance[:2, :2] @ np.array([1.0, 1.0])  # of log f_y = log f_x + log aspect
+    focals = float(device[FOCAL]) * np.sqrt([covariance[FOCAL, FOCAL], along_y])
+    sigma = np.sqrt(covariance.diagonal())
+    centre = sigma[CENTRE]
+    same = device[1] == 1.0
+    return DeviceSigmas(
+        (float(focals[0]), float(focals[0] if same else device[1] * focals[1])),
+        (float(centre[0]), float(centre[1])),
+        tuple(float(value) for value in sigma[LENS]),
+    )
+
+
+def _notes(found: Estimate, left_out: Sequence[OddView], enlarged: float, tested: Halves | None) -> list[str]:
+    notes = [
+        f"{odd.name} was left out: its matches are {odd.error_px:.2g} projector px from where the other boards put "
+        f"them, {odd.usual_px:.2g} px is usual. The board may have moved during that capture."
+        for odd in left_out
+    ]
+    blurred = [
+        f"{view.name} ({sigma:.2g} px)"
+        for view, sigma in zip(found.views, found.corner_px, strict=True)
+        if sigma > 3 * np.median(found.corner_px)
+    ]
+    if blurred:
+        notes.append(
+            f"Corners were found poorly in {', '.join(blurred)}, where {np.median(found.corner_px):.2g} px is usual: "
+            "they count for less. Blur, or light that is uneven over the board, does that."
+        )
+    if found.state.bend.any():
+        bend = 1000 * float(np.abs(found.state.bend[:3]).max())
+        notes.append(f"The board is bent by {bend:.2g} thousandths of half its length, which was taken into account.")
+    if found.prior.flex:
+        notes.append(f"It bends otherwise from pose to pose, by some {1000 * found.prior.flex:.2g} thousandths.")
+    if enlarged > 1:
+        notes.append(
+            f"All sigmas are told {enlarged:.2g} times as large as the residuals say: the boards predict each other "
+            "worse than they would allow."
+        )
+    if tested is None:
+        notes.append("These boards are too few to be split in two halves that could be compared.")
+    return notes

@@ -1,0 +1,138 @@
+"""What the boards say of each other: each predicted by the others, and one half of them against the other half.
+
+Reprojection error is small wherever there are parameters enough; these are errors of prediction. Both are compared with
+what the covariance promises, so that they test it too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.boards.estimate import Estimate, of_views
+from calib.boards.likelihood import Levels, minimise
+from calib.boards.parameters import (
+    CAMERA,
+    INTRINSIC_COLUMNS,
+    PER_FLEX,
+    PER_POSE,
+    PROJECTOR,
+    SHARED,
+    Placed,
+    predict_matches,
+)
+from calib.numerics import Floats
+
+_FEWEST_OF_A_HALF = 2
+_EXCUSED = 9.0  # variances so many times as large as usual ones
+_USEFUL_HALF = 0.15  # sigma of a focal's logarithm, beyond which a half by itself says nothing
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A view that was left out, predicted by the others: where its corners put it, its matches should fall.
+
+    `error_px`: root mean square distance in the projector; `expected_px`: what the covariance and the noise promise;
+    `moved` (SHARED,): by how much the estimate moves without it.
+    """
+
+    name: str
+    error_px: float
+    expected_px: float
+    moved: Floats
+
+    @property
+    def sigmas(self) -> float:
+        """The error over what was promised."""
+        return self.error_px / self.expected_px
+
+
+@dataclass(frozen=True)
+class Halves:
+    """Two halves of the views, by name, calibrated apart.
+
+    `difference` and its `sigma` (6,): of log f, x_0, y_0 of the camera and of the projector.
+    """
+
+    first: tuple[str, ...]
+    second: tuple[str, ...]
+    difference: Floats
+    sigma: Floats
+
+    @property
+    def sigmas(self) -> float:
+        """Root mean square of the differences in their sigmas."""
+        return float(np.sqrt(np.mean((self.difference / self.sigma) ** 2)))
+
+
+def leave_one_out(found: Estimate) -> tuple[Prediction, ...]:
+    """Each view predicted by the others; none for fewer than three."""
+    count = len(found.views)
+    if count < 3:
+        return ()
+    return tuple(_predicted(found, i, [j for j in range(count) if j != i]) for i in range(count))
+
+
+def _predicted(found: Estimate, left_out: int, others: Sequence[int]) -> Prediction:
+    rest, view = of_views(found, others), found.views[left_out]
+    moved = rest.state.additive() - found.state.additive()
+    board = found.state.boards[left_out]
+    alone = replace(rest.state, boards=(Placed(board.rotation, board.middle),))
+    levels = _usual_levels(found, left_out)
+    free = np.zeros(alone.size, np.bool_)
+    free[SHARED : SHARED + PER_POSE] = True
+    posed = minimise([view], alone, found.prior, levels, free=free, matches=False)
+    predicted, jacobian, _ = predict_matches(posed.state, view.cells.camera_px, 0)
+    residual = predicted - view.cells.projector_px
+    pose = slice(SHARED, SHARED + PER_POSE)
+    of_pose = np.asarray(np.linalg.inv(posed.information[pose, pose]), np.float64)
+    # The pose follows what all views share: its corners stay where they were seen.
+    by_shared = jacobian[:, :, :SHARED] - jacobian[:, :, pose] @ (of_pose @ posed.information[pose, :SHARED])
+    variance = _variance(by_shared, rest.covariance) + _variance(jacobian[:, :, pose], of_pose)
+    if found.prior.flex:
+        variance += _variance(jacobian[:, :, -PER_FLEX:], found.prior.flex**2 * np.eye(PER_FLEX))
+    variance += 2 * levels.cells[0] + min(found.noise[left_out].smooth_px, _usual_px(found)) ** 2
+    # Huber's loss lets go of strays among the cells; so does this.
+    square = np.minimum(np.sum(residual**2, axis=1), 9 * np.maximum(variance, np.median(np.sum(residual**2, axis=1))))
+    return Prediction(view.name, float(np.sqrt(square.mean())), float(np.sqrt(variance.mean())), moved)
+
+
+def _usual_levels(found: Estimate, view: int) -> Levels:
+    """A view's own levels, its smooth misfit left aside, unless they are far above those of the others.
+
+    A board that moved looks noisy, and would excuse itself.
+    """
+    independent = [cells / noise.inflation for cells, noise in zip(found.levels.cells, found.noise, strict=True)]
+    usual = float(np.median([np.median(variances) for variances in independent]))
+    own = independent[view] * min(1.0, _EXCUSED * usual / float(np.median(independent[view])))
+    corners = found.levels.corners
+    return Levels(np.minimum(corners[[view]], _EXCUSED * np.median(corners)), (own,))
+
+
+def _usual_px(found: Estimate) -> float:
+    """The smooth misfit of a usual view: a larger one is the view's own fault, and none of the noise."""
+    return float(np.median([noise.smooth_px for noise in found.noise]))
+
+
+def _variance(jacobian: Floats, covariance: Floats) -> Floats:
+    """Of x and y together, (N,)."""
+    variance: Floats = np.einsum("nka,ab,nkb->n", jacobian, covariance, jacobian, optimize=True)
+    return variance
+
+
+def halves(found: Estimate) -> Halves | None:
+    """Every second view against the others; None if a half is too few views, or would determine nothing by itself."""
+    count = len(found.views)
+    parts = [list(range(start, count, 2)) for start in (0, 1)]
+    if min(len(part) for part in parts) < _FEWEST_OF_A_HALF:
+        return None
+    one, other = (of_views(found, part) for part in parts)
+    # What other choices of terms would have changed, they would have changed in both.
+    variances = [(part.covariance - found.terms.spread).diagonal() for part in (one, other)]
+    focals = [CAMERA.start, PROJECTOR.start]
+    if not all(np.sqrt(variance[focals]).max() < _USEFUL_HALF for variance in variances):
+        return None
+    difference = one.state.additive() - other.state.additive()
+    sigma = np.sqrt(variances[0] + variances[1])
+    names = [tuple(found.views[i].name for i in part) for part in parts]
+    return Halves(names[0], names[1], difference[INTRINSIC_COLUMNS], sigma[INTRINSIC_COLUMNS])

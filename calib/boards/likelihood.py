@@ -1,0 +1,172 @@
+"""The likelihood of all views of a board for a state, with derivatives; and what is known of any lens and board.
+
+Corners deviate in camera pixels, cells of matches in projector pixels, both under Huber's loss.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calib.boards.parameters import (
+    ASPECT,
+    BEND,
+    CAMERA,
+    CENTRE,
+    FOCAL,
+    LENS,
+    PER_DEVICE,
+    PROJECTOR,
+    SHARED,
+    State,
+    predict_corners,
+    predict_matches,
+)
+from calib.numerics import NIELSEN, Bools, Floats, Ints, Quadratic, descend
+from calib.refinement import Cells, misfit
+
+_STEPS = 60
+CONVERGED = 1e-4  # in cost: a hundredth of a sigma
+# One sigma of what lenses and boards are like, before any is seen: enough to hold what a set of views leaves open.
+_LENS_SIGMA = (0.3, 0.3, 0.005, 0.005, 0.3)
+_ASPECT_SIGMA = 0.02
+_LOG_FOCAL_SIGMA = 1.0
+_BEND_SIGMA = (0.01, 0.01, 0.01, 0.003, 0.003, 0.003, 0.003)
+
+
+@dataclass(frozen=True)
+class View:
+    """One pose of the board: its corners `points` (N, 2), in lengths from its middle, `corners_px` (N, 2) where the
+    camera saw them, and the `cells` of matches on it. `name` says in messages which it is.
+    """
+
+    name: str
+    points: Floats
+    corners_px: Floats
+    cells: Cells
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Variances of each coordinate: of the corners of each view (V,), of each view's cells, (M,) each."""
+
+    corners: Floats
+    cells: tuple[Floats, ...]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Gaussian prior on the shared columns: `mean`, `sigma` (SHARED,); 0 = known, infinity = unknown.
+
+    `flex`: standard deviation of each term by which a view's bend differs from the usual one; 0 for a rigid board.
+    """
+
+    mean: Floats
+    sigma: Floats
+    flex: float = 0.0
+
+    @cached_property
+    def root_precision(self) -> Floats:
+        """1 / σ of what is not known, 0 elsewhere."""
+        unknown = self.sigma > 0
+        return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0), 0.0)
+
+    def free(self, layout: State) -> Bools:
+        """Which columns are estimated, (size,)."""
+        free = np.ones(layout.size, np.bool_)
+        free[:SHARED] = self.sigma > 0
+        free[layout.flex_columns()] = self.flex > 0
+        return free
+
+    def knowing(self, columns: Sequence[int] | Ints) -> "Prior":
+        """The same with some columns held where they are."""
+        sigma = self.sigma.copy()
+        sigma[list(columns)] = 0.0
+        return replace(self, sigma=sigma)
+
+
+def lens_prior(camera_size: tuple[int, int], projector_size: tuple[int, int], bend_terms: int) -> Prior:
+    """What holds for devices of these sizes (width, height) and a board with so many terms of bend."""
+    mean, sigma = np.zeros(SHARED), np.full(SHARED, np.inf)
+    for device, (width, height) in ((CAMERA, camera_size), (PROJECTOR, projector_size)):
+        of_device = np.zeros(PER_DEVICE), np.zeros(PER_DEVICE)
+        of_device[0][FOCAL], of_device[1][FOCAL] = np.log(1.2 * width), _LOG_FOCAL_SIGMA
+        of_device[1][ASPECT] = _ASPECT_SIGMA
+        of_device[0][CENTRE], of_device[1][CENTRE] = ((width - 1) / 2, (height - 1) / 2), height / 2
+        of_device[1][LENS] = _LENS_SIGMA
+        mean[device], sigma[device] = of_device
+    sigma[BEND] = _BEND_SIGMA
+    sigma[BEND.start + bend_terms : BEND.stop] = 0.0
+    return Prior(mean, sigma)
+
+
+@dataclass(frozen=True)
+class Fit(Quadratic):
+    """A state with its cost; residuals of the `corners` in camera px and of the `cells` in projector px, by view."""
+
+    state: State
+    corners: tuple[Floats, ...]
+    cells: tuple[Floats, ...]
+
+
+def evaluate(views: Sequence[View], state: State, prior: Prior, levels: Levels, *, matches: bool = True) -> Fit:
+    """The cost of a state with its derivatives; infinite where more than strays fall behind a device.
+
+    Without `matches` the camera alone is looked at.
+    """
+    deviation = (state.additive() - prior.mean) * prior.root_precision
+    cost = float(deviation @ deviation)
+    gradient, information = np.zeros(state.size), np.zeros((state.size, state.size))
+    gradient[:SHARED] = deviation * prior.root_precision
+    information[np.arange(SHARED), np.arange(SHARED)] = prior.root_precision**2
+    if prior.flex:
+        columns, flex = (
+            state.flex_columns().ravel(),
+            np.concatenate([board.flex for board in state.boards]) / prior.flex,
+        )
+        cost += float(flex @ flex)
+        gradient[columns], information[columns, columns] = flex / prior.flex, prior.flex**-2.0
+    corners, cells = [], []
+    for i, view in enumerate(views):
+        columns = state.columns(i)
+        predicted, jacobian, depth = predict_corners(state, view.points, i)
+        residual = np.empty_like(predicted)
+        seen, depths = np.ascontiguousarray(view.corners_px), np.stack([depth, depth], axis=1)
+        variance = np.full(len(seen), levels.corners[i])
+        cost += misfit(predicted, seen, jacobian, depths, variance, columns, residual, gradient, information)
+        corners.append(residual)
+        if not matches:
+            continue
+        predicted, jacobian, depths = predict_matches(state, view.cells.camera_px, i)
+        residual = np.empty_like(predicted)
+        seen = np.ascontiguousarray(view.cells.projector_px)
+        cost += misfit(predicted, seen, jacobian, depths, levels.cells[i], columns, residual, gradient, information)
+        cells.append(residual)
+    if not np.isfinite(cost):
+        cost = np.inf
+    return Fit(cost, gradient, information, state, tuple(corners), tuple(cells))
+
+
+def minimise(
+    views: Sequence[View],
+    state: State,
+    prior: Prior,
+    levels: Levels,
+    *,
+    free: Bools | None = None,
+    matches: bool = True,
+    tolerance: float = CONVERGED,
+    steps: int = _STEPS,
+) -> Fit:
+    """The nearest minimum over the `free` columns (size,), by default all that the prior does not know.
+
+    Ends when a further step promises to lower the cost by less than `tolerance`.
+    """
+    columns = np.flatnonzero(prior.free(state) if free is None else free)
+
+    def moved(fit: Fit, step: Floats) -> Fit:
+        return evaluate(views, fit.state.moved(step), prior, levels, matches=matches)
+
+    start = evaluate(views, state, prior, levels, matches=matches)
+    return descend(start, moved, lambda _, decrement: decrement < tolerance, NIELSEN, steps, free=columns)

@@ -1,0 +1,130 @@
+"""Where to hold the board next: the pose that lowers the sigmas of the intrinsics most, by the information matrix."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from calib.boards.estimate import Estimate
+from calib.boards.parameters import (
+    INTRINSIC_COLUMNS,
+    PER_POSE,
+    SHARED,
+    Placed,
+    State,
+    is_seen,
+    points_along,
+    predict_corners,
+    predict_matches,
+)
+from calib.geometry import Size, rotation_about
+from calib.numerics import Floats
+from calib.refinement import inverse_of
+
+_PLACES = (0.25, 0.5, 0.75)  # across and down the projector's picture
+_DISTANCES = {"nearer than most so far": 0.8, "as far away as most so far": 1.0, "farther away than most so far": 1.25}
+_TILT = np.radians(30.0)
+_SIDES = ("right", "lower right", "lower", "lower left", "left", "upper left", "upper", "upper right")
+_GRID = 7
+_CELLS = 250.0  # of matches, that a view has
+
+_ACROSS, _DOWN = ("left", "middle", "right"), ("top", "middle", "bottom")
+
+
+@dataclass(frozen=True)
+class NextPose:
+    """`words` say how to hold the board; `gain`: of the sigmas of the intrinsics, root mean square, now over then."""
+
+    words: str
+    gain: float
+
+
+def best_next_pose(found: Estimate, sizes: tuple[Size, Size]) -> NextPose | None:
+    """Among boards in nine parts of the projected picture, at three distances, facing it or tilted to eight sides.
+
+    None if neither picture would hold any of them.
+    """
+    free = found.prior.free(found.state)[:SHARED]
+    known = inverse_of(found.covariance[np.ix_(free, free)])
+    scale = _scale(found.state)
+    best: NextPose | None = None
+    before = _size(found.covariance, scale)
+    for words, state in _candidates(found.state, sizes):
+        if not _is_whole(found, state, sizes):
+            continue
+        covariance = np.zeros_like(found.covariance)
+        covariance[np.ix_(free, free)] = inverse_of(known + _information(found, state)[np.ix_(free, free)])
+        gain = before / _size(covariance, scale)
+        if best is None or gain > best.gain:
+            best = NextPose(words, gain)
+    return best
+
+
+def _scale(state: State) -> Floats:
+    """Makes principal points comparable with logarithms of focals."""
+    scale = np.ones(len(INTRINSIC_COLUMNS))
+    scale[1:3], scale[4:6] = 1 / state.camera[0], 1 / state.projector[0]
+    return scale
+
+
+def _size(covariance: Floats, scale: Floats) -> float:
+    return float(np.sqrt(np.mean(covariance.diagonal()[INTRINSIC_COLUMNS] * scale**2)))
+
+
+def _candidates(state: State, sizes: tuple[Size, Size]) -> Iterator[tuple[str, State]]:
+    rotation, translation = state.motion.rotation, state.motion.translation
+    usual = float(np.median([(rotation @ board.middle + translation)[2] for board in state.boards]))
+    for (i, x), (j, y), (words, factor) in product(enumerate(_PLACES), enumerate(_PLACES), _DISTANCES.items()):
+        pixel = np.array([[x * sizes[1].width, y * sizes[1].height]])
+        there = points_along(state.projector, pixel, factor * usual)[0]
+        middle = rotation.T @ (there - translation)
+        place = "middle" if i == j == 1 else f"{_DOWN[j]} {_ACROSS[i]}"
+        for tilted, turn in _turns():
+            board = Placed(turn, middle)
+            yield f"{tilted}, in the {place} of the projected picture, {words}", replace(state, boards=(board,))
+
+
+def _turns() -> Iterator[tuple[str, Floats]]:
+    yield "facing the camera", np.eye(3)
+    for k, side in enumerate(_SIDES):
+        towards = np.pi / 4 * k
+        # About the axis across that direction: its side comes nearer.
+        yield (
+            f"tilted with its {side} side towards the rig",
+            rotation_about(_TILT * np.array([-np.sin(towards), np.cos(towards), 0.0])),
+        )
+
+
+def _points(found: Estimate) -> tuple[Floats, Floats]:
+    """Corners of the board, and a grid over it."""
+    corners = found.views[0].points
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    grid = np.stack(np.meshgrid(*(np.linspace(low[k], high[k], _GRID) for k in (0, 1))), axis=-1).reshape(-1, 2)
+    return corners, grid
+
+
+def _is_whole(found: Estimate, state: State, sizes: tuple[Size, Size]) -> bool:
+    corners, _ = _points(found)
+    board = state.boards[0]
+    points = corners @ board.rotation[:, :2].T + board.middle
+    there = points @ state.motion.rotation.T + state.motion.translation
+    in_camera = is_seen(state.camera, points, sizes[0]).all()
+    return bool(in_camera and is_seen(state.projector, there, sizes[1]).all())
+
+
+def _information(found: Estimate, state: State) -> Floats:
+    """What a view of this board would tell of what all views share, its pose being unknown, (SHARED, SHARED)."""
+    corners, grid = _points(found)
+    _, by_corners, _ = predict_corners(state, corners, 0)
+    camera_px, _, _ = predict_corners(state, grid, 0)
+    _, by_cells, _ = predict_matches(state, camera_px, 0)
+    of_cells = float(np.median(np.concatenate(found.levels.cells))) * len(grid) / _CELLS
+    whole = np.zeros((SHARED + PER_POSE, SHARED + PER_POSE))
+    for jacobian, variance in ((by_corners, float(np.median(found.levels.corners))), (by_cells, of_cells)):
+        rows = jacobian[:, :, : SHARED + PER_POSE].reshape(-1, SHARED + PER_POSE)
+        whole += rows.T @ rows / variance
+    pose = slice(SHARED, None)
+    across = whole[:SHARED, pose]
+    information: Floats = whole[:SHARED, :SHARED] - across @ np.linalg.solve(whole[pose, pose], across.T)
+    return information

@@ -1,0 +1,313 @@
+"""Parameters of a rig before boards, what they predict of corners and of matches, and the exact derivatives.
+
+A board's point (a, b), in lengths from its middle, is at (a, b, h(a, b)), h being its bend. The camera sees its
+corners. A camera pixel's ray meets the board, and the point where it does is projected into the projector: so every
+match on the board is predicted, whether or not there is a corner.
+
+Columns of every step, gradient and Hessian: of the camera log f_x, log (f_y / f_x), x_0, y_0, k1, k2, p1, p2, k3; the
+same of the projector; rotation (3), direction (2) and logarithm of the length of the motion between them; the bend (7);
+then for each view the board's rotation (3), its place (3, as a share of its distance), and by how much it is bent
+otherwise than usual (3): held by hand, or leaning against something, a board is not quite rigid.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.geometry import Intrinsics, Motion, rotation_about, tangent_basis
+from calib.geometry import radial_distortion as lens
+from calib.numerics import Bools, Floats, Ints
+
+PER_DEVICE, PER_BEND = 9, 7
+PER_POSE, PER_FLEX = 6, 3
+PER_VIEW = PER_POSE + PER_FLEX
+CAMERA, PROJECTOR = slice(0, 9), slice(9, 18)
+ROTATION, DIRECTION, LENGTH = slice(18, 21), slice(21, 23), 23
+MOTION, BEND = slice(18, 24), slice(24, 31)
+SHARED = 31
+FOCAL, ASPECT, CENTRE, LENS = 0, 1, slice(2, 4), slice(4, 9)  # of a device
+# Of camera and projector: the focal's logarithm and the principal point.
+INTRINSIC_COLUMNS = [0, 2, 3, 9, 11, 12]
+
+_MEETING_STEPS = 4
+_SPARE = 3.0  # of the board's reach: where a bend is of no meaning any more
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where a board is in the camera's frame: `rotation` (3, 3) from its own axes, `middle` (3,).
+
+    `flex` (3,): what is added to the first terms of its bend.
+    """
+
+    rotation: Floats
+    middle: Floats
+    flex: Floats = field(default_factory=lambda: np.zeros(PER_FLEX))
+
+    def moved(self, step: Floats) -> "Placed":
+        """After a step (9,)."""
+        place = self.middle + step[3:PER_POSE] * float(np.linalg.norm(self.middle))
+        return Placed(rotation_about(step[:3]) @ self.rotation, place, self.flex + step[PER_POSE:])
+
+
+@dataclass(frozen=True)
+class State:
+    """`camera`, `projector`: (9,) f_x, f_y / f_x, x_0, y_0, k1, k2, p1, p2, k3. `motion`: camera to projector.
+
+    `bend` (7,): coefficients of a², ab, b², a³, a²b, ab², b³, with a, b and the height in units of the board's `reach`.
+    """
+
+    camera: Floats
+    projector: Floats
+    motion: Motion
+    bend: Floats
+    reach: float
+    boards: tuple[Placed, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return SHARED + PER_VIEW * len(self.boards)
+
+    def pose_columns(self, view: int) -> slice:
+        """Columns of a view's pose and flex."""
+        return slice(SHARED + PER_VIEW * view, SHARED + PER_VIEW * (view + 1))
+
+    def flex_columns(self) -> Ints:
+        """Columns of all views' flex, (V, 3)."""
+        starts = SHARED + PER_VIEW * np.arange(len(self.boards)) + PER_POSE
+        columns: Ints = (starts[:, None] + np.arange(PER_FLEX)).astype(np.int32)
+        return columns
+
+    def bend_of(self, view: int) -> Floats:
+        """The board's bend in a view, (7,)."""
+        bend: Floats = self.bend.copy()
+        bend[:PER_FLEX] += self.boards[view].flex
+        return bend
+
+    def columns(self, view: int) -> Ints:
+        """The columns that a view depends on, in the order of its Jacobians: what is shared, and its pose."""
+        pose = self.pose_columns(view)
+        return np.concatenate([np.arange(SHARED, dtype=np.int32), np.arange(pose.start, pose.stop, dtype=np.int32)])
+
+    def moved(self, step: Floats) -> "State":
+        """The state after a step (size,)."""
+        return replace(
+            self,
+            camera=_moved_device(self.camera, step[CAMERA]),
+            projector=_moved_device(self.projector, step[PROJECTOR]),
+            motion=self.motion.moved(step[MOTION]),
+            bend=self.bend + step[BEND],
+            boards=tuple(board.moved(step[self.pose_columns(i)]) for i, board in enumerate(self.boards)),
+        )
+
+    def additive(self) -> Floats:
+        """The columns that may have a prior, as numbers that a step adds to, (SHARED,); zero for the motion."""
+        values = np.zeros(SHARED)
+        for columns, device in ((CAMERA, self.camera), (PROJECTOR, self.projector)):
+            values[columns] = device
+            values[columns][:2] = np.log(device[:2])
+        values[BEND] = self.bend
+        return values
+
+    def of_views(self, chosen: Sequence[int]) -> "State":
+        """The same with some of the boards."""
+        return replace(self, boards=tuple(self.boards[i] for i in chosen))
+
+    def normal(self, view: int) -> Floats:
+        """The board's unit normal in the camera's frame, (3,)."""
+        return self.boards[view].rotation[:, 2]
+
+
+def device_of(intrinsics: Intrinsics) -> Floats:
+    """(9,) of a device."""
+    (fx, fy), centre = intrinsics.focal_px, intrinsics.principal_point_px
+    return np.array([fx, fy / fx, *centre, *intrinsics.distortion])
+
+
+def intrinsics_of(device: Floats, size: tuple[int, int]) -> Intrinsics:
+    """A device (9,) of a size (width, height)."""
+    f, aspect, x0, y0, k1, k2, p1, p2, k3 = (float(value) for value in device)
+    return Intrinsics(*size, (f, f * aspect), (x0, y0), (k1, k2, p1, p2, k3))
+
+
+def surface(state: State, points: Floats, view: int) -> tuple[Floats, Floats, Floats]:
+    """Heights (N,) of a board's points (N, 2), their slopes (N, 2) and derivatives by the bend (N, 7)."""
+    bend = state.bend_of(view)
+    a, b = (points / state.reach).T
+    zero = np.zeros_like(a)
+    aa, ab, bb = a * a, a * b, b * b
+    terms = np.stack([aa, ab, bb, aa * a, aa * b, ab * b, bb * b])
+    by_a = bend @ np.stack([2 * a, b, zero, 3 * aa, 2 * ab, bb, zero])
+    by_b = bend @ np.stack([zero, a, 2 * b, zero, aa, 2 * ab, 3 * bb])
+    return state.reach * (bend @ terms), np.stack([by_a, by_b], axis=1), state.reach * terms.T
+
+
+def predict_corners(state: State, points: Floats, view: int) -> tuple[Floats, Floats, Floats]:
+    """Where a board's points (N, 2) are in the camera: pixels (N, 2), Jacobian (N, 2, 40), depths (N,)."""
+    heights, _, by_bend = surface(state, points, view)
+    seen, by_columns = _placed(state, view, points, heights, by_bend)
+    pixels, by_point, by_device = _project(state.camera, seen)
+    jacobian = by_point @ by_columns
+    jacobian[:, :, CAMERA] += by_device
+    return pixels, jacobian, seen[:, 2]
+
+
+def predict_matches(state: State, camera_px: Floats, view: int) -> tuple[Floats, Floats, Floats]:
+    """Where camera pixels (N, 2) on a board fall in the projector, (N, 2); Jacobian (N, 2, 40); depths (N, 2)."""
+    rays, rays_by_camera = _unproject(state.camera, camera_px)
+    met = meet(state, rays, view)
+    heights, slopes, by_bend = surface(state, met, view)
+    seen, by_columns = _placed(state, view, met, heights, by_bend)
+    rotation = state.boards[view].rotation
+    along = rotation[:, :2] + slopes[:, None, :] * rotation[:, 2:]  # (N, 3, 2): how the point moves along the board
+    by_point = _by_point(seen)
+    # The point stays on its ray while everything else moves: d(X/Z) = dr.
+    off_ray = -by_point @ by_columns
+    off_ray[:, :, CAMERA] += rays_by_camera
+    by_columns = by_columns + along @ _solved(by_point @ along, off_ray)
+
+    motion = state.motion
+    turned = seen @ motion.rotation.T
+    moved = turned + motion.translation
+    by_columns = motion.rotation @ by_columns
+    by_columns[:, :, ROTATION] -= _cross_matrices(turned)
+    by_columns[:, :, DIRECTION] += motion.length * tangent_basis(motion.translation / motion.length)
+    by_columns[:, :, LENGTH] += motion.translation
+    pixels, by_moved, by_device = _project(state.projector, moved)
+    jacobian = by_moved @ by_columns
+    jacobian[:, :, PROJECTOR] += by_device
+    return pixels, jacobian, np.stack([seen[:, 2], moved[:, 2]], axis=1)
+
+
+def meet(state: State, rays: Floats, view: int) -> Floats:
+    """Where rays (N, 2), at z = 1 in the camera's frame, meet a board: its points (N, 2), by Newton's method."""
+    board = state.boards[view]
+    directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) @ board.rotation
+    start = -board.middle @ board.rotation  # the camera's centre on the board's axes
+    points: Floats = start[:2] - directions[:, :2] * (start[2] / directions[:, 2])[:, None]
+    if not state.bend_of(view).any():
+        return points
+    for _ in range(_MEETING_STEPS):
+        within = np.clip(points, -_SPARE * state.reach, _SPARE * state.reach)
+        heights, slopes, _ = surface(state, within, view)
+        # On the tangent plane at the point: z − h − s · (p − point) = 0 along start + t direction.
+        fixed = heights - np.sum(slopes * within, axis=1)
+        falling = directions[:, 2] - np.sum(slopes * directions[:, :2], axis=1)
+        t = (fixed + slopes @ start[:2] - start[2]) / falling
+        points = start[:2] + t[:, None] * directions[:, :2]
+    return points
+
+
+def rays_of(device: Floats, pixels: Floats) -> Floats:
+    """Ideal image points (N, 2) of a device's pixels, in focals."""
+    return _ideal(device, pixels)
+
+
+def points_along(device: Floats, pixels: Floats, depth: float) -> Floats:
+    """Points (N, 3) so deep on the rays of a device's pixels (N, 2), in its frame; NaN where there is no ray."""
+    return depth * np.concatenate([rays_of(device, pixels), np.ones((len(pixels), 1))], axis=1)
+
+
+def is_seen(device: Floats, points: Floats, size: tuple[int, int]) -> Bools:
+    """Whether points (N, 3) in a device's frame are in its picture."""
+    pixels = np.full((len(points), 2), np.nan)
+    ahead = points[:, 2] > 0
+    pixels[ahead] = _project(device, points[ahead])[0]
+    # A lens model that folds back brings what is far outside into the picture again: its rays are none.
+    rays = rays_of(device, pixels)
+    same = np.linalg.norm(rays - points[:, :2] / points[:, 2:], axis=1) < 1e-6
+    seen: Bools = same & np.all((pixels >= 0) & (pixels <= np.array(size) - 1), axis=1)
+    return seen
+
+
+def project_rays(device: Floats, rays: Floats) -> tuple[Floats, Floats]:
+    """How the pixels of rays (N, 2) move with a turn of a device (N, 2, 3) and with its columns (N, 2, 9)."""
+    points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+    _, by_point, by_device = _project(device, points)
+    return -by_point @ _cross_matrices(points), by_device
+
+
+def _ideal(device: Floats, pixels: Floats) -> Floats:
+    distorted = (pixels - device[CENTRE]) / _focals(device)
+    return lens.undistort(distorted, _terms(device)) if device[LENS].any() else distorted
+
+
+def _unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
+    """Ideal points (N, 2), and derivatives (N, 2, 9) by the device: J dx = du − (∂ distorted / ∂k) dk."""
+    focals = _focals(device)
+    ideal = _ideal(device, pixels)
+    _, by_ideal, by_terms = lens.derivatives(ideal, _terms(device))
+    by_device = np.zeros((len(pixels), 2, PER_DEVICE))
+    distorted = (pixels - device[CENTRE]) / focals
+    by_device[:, :, FOCAL] = -distorted
+    by_device[:, 1, ASPECT] = -distorted[:, 1]
+    by_device[:, 0, 2], by_device[:, 1, 3] = -1 / focals[0], -1 / focals[1]
+    by_device[:, :, LENS] = -by_terms
+    return ideal, _solved(by_ideal, by_device)
+
+
+def _project(device: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Pixels (N, 2), their derivatives (N, 2, 3) by the point and (N, 2, 9) by the device."""
+    focals = _focals(device)
+    distorted, by_ideal, by_terms = lens.derivatives(points[:, :2] / points[:, 2:], _terms(device))
+    offset = focals * distorted
+    by_device = np.zeros((len(points), 2, PER_DEVICE))
+    by_device[:, :, FOCAL] = offset
+    by_device[:, 1, ASPECT] = offset[:, 1]
+    by_device[:, 0, 2] = by_device[:, 1, 3] = 1.0
+    by_device[:, :, LENS] = focals[:, None] * by_terms
+    return offset + device[CENTRE], (focals[:, None] * by_ideal) @ _by_point(points), by_device
+
+
+def _solved(matrices: Floats, values: Floats) -> Floats:
+    """Solutions (N, 2, K) of 2 × 2 systems (N, 2, 2), by Cramer's rule: several times as fast as LAPACK, one by one."""
+    (a, b), (c, d) = matrices.transpose(1, 2, 0)[:, :, :, None]
+    x, y = values[:, 0], values[:, 1]
+    solved: Floats = np.stack([d * x - b * y, a * y - c * x], axis=1) / (a * d - b * c)[:, None]
+    return solved
+
+
+def _by_point(points: Floats) -> Floats:
+    """Derivatives (N, 2, 3) of (X/Z, Y/Z)."""
+    x, y, z = points.T
+    by_point = np.zeros((len(points), 2, 3))
+    by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / z
+    by_point[:, 0, 2], by_point[:, 1, 2] = -x / z**2, -y / z**2
+    return by_point
+
+
+def _placed(state: State, view: int, points: Floats, heights: Floats, by_bend: Floats) -> tuple[Floats, Floats]:
+    """A board's points (N, 2) in the camera's frame (N, 3), and their derivatives (N, 3, 40)."""
+    board = state.boards[view]
+    turned = np.concatenate([points, heights[:, None]], axis=1) @ board.rotation.T
+    by_columns = np.zeros((len(points), 3, SHARED + PER_VIEW))
+    by_columns[:, :, BEND] = board.rotation[:, 2][:, None] * by_bend[:, None, :]
+    by_columns[:, :, SHARED : SHARED + 3] = -_cross_matrices(turned)
+    by_columns[:, :, SHARED + 3 : SHARED + PER_POSE] = np.linalg.norm(board.middle) * np.eye(3)
+    by_columns[:, :, SHARED + PER_POSE :] = by_columns[:, :, BEND.start : BEND.start + PER_FLEX]
+    return turned + board.middle, by_columns
+
+
+def _cross_matrices(vectors: Floats) -> Floats:
+    """[v]× of vectors (N, 3), (N, 3, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def _focals(device: Floats) -> Floats:
+    focals: Floats = device[0] * np.array([1.0, device[1]])
+    return focals
+
+
+def _terms(device: Floats) -> lens.Distortion:
+    k1, k2, p1, p2, k3 = (float(value) for value in device[LENS])
+    return k1, k2, p1, p2, k3
+
+
+def _moved_device(device: Floats, step: Floats) -> Floats:
+    moved: Floats = device + step
+    moved[:2] = device[:2] * np.exp(step[:2])
+    return moved

@@ -1,0 +1,192 @@
+"""Where the descent begins: the camera from a sweep of focals, the projector from the points that it lights.
+
+For a trial focal each board has its pose in closed form (Collins and Bartoli 2014, through OpenCV); the few best trials
+are refined. With the camera known, all matches have points in space, and those of all boards are not in one plane: the
+projector's matrix is then linear in them (Hartley and Zisserman, 2nd ed., section 7.1).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from scipy.linalg import rq
+
+from calib.boards.likelihood import Fit, Levels, Prior, View, minimise
+from calib.boards.parameters import (
+    BEND,
+    CAMERA,
+    FOCAL,
+    LENS,
+    MOTION,
+    PER_BEND,
+    PROJECTOR,
+    Placed,
+    State,
+    meet,
+    rays_of,
+)
+from calib.geometry import Motion, homogeneous, normalisation
+from calib.numerics import Bools, Floats, evenly
+
+_SHORTEST, _LONGEST, _TRIALS = 0.35, 8.0, 14  # focals in units of the image's longer side
+_FINALISTS = 3
+_ROUGH_PX = 1.0  # before anything is known of the noise
+_SAMPLE = 60  # cells of each view
+_ROUGH, _STEPS = 0.1, 20  # tolerance in cost
+_DIFFERENT = 0.02  # of log f
+
+
+def starts(
+    views: Sequence[View], camera_size: tuple[int, int], projector_size: tuple[int, int], reach: float, prior: Prior
+) -> list[Fit]:
+    """Rough fits of the views with different focals, best first."""
+    levels = rough_levels(views)
+    rough = prior.knowing(_all_but(CAMERA.start + LENS.start, PROJECTOR.start + LENS.start))
+    fits = []
+    for state in _cameras(views, camera_size, reach, rough, levels):
+        candidates = [
+            minimise(views, with_projector, rough, levels, tolerance=_ROUGH, steps=_STEPS)
+            for with_projector in _projectors(views, state, projector_size)
+        ]
+        fits += [fit for fit in candidates if np.isfinite(fit.cost)]
+    return _distinct(fits)
+
+
+def _distinct(fits: list[Fit]) -> list[Fit]:
+    """Those with other focals than better ones, best first."""
+    distinct: list[Fit] = []
+    for fit in sorted(fits, key=lambda fit: fit.cost):
+        focals = np.log([fit.state.camera[0], fit.state.projector[0]])
+        others = (np.log([other.state.camera[0], other.state.projector[0]]) for other in distinct)
+        if all(np.abs(focals - other).max() > _DIFFERENT for other in others):
+            distinct.append(fit)
+    return distinct
+
+
+def rough_levels(views: Sequence[View]) -> Levels:
+    """One pixel, whatever it is of."""
+    return Levels(np.full(len(views), _ROUGH_PX), tuple(np.full(len(view.cells), _ROUGH_PX) for view in views))
+
+
+def _all_but(*free: int) -> list[int]:
+    """Aspects, lens terms and bend, but for these."""
+    of_devices = [device.start + k for device in (CAMERA, PROJECTOR) for k in (1, 4, 5, 6, 7, 8)]
+    return [column for column in (*of_devices, *range(BEND.start, BEND.stop)) if column not in free]
+
+
+def _cameras(
+    views: Sequence[View], size: tuple[int, int], reach: float, prior: Prior, levels: Levels
+) -> Iterator[State]:
+    """States whose camera and poses fit the corners; nothing is said of the projector."""
+    trials = []
+    for focal in np.geomspace(_SHORTEST, _LONGEST, _TRIALS) * max(size):
+        camera = np.array([focal, 1.0, (size[0] - 1) / 2, (size[1] - 1) / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
+        posed = [pose_of(view.points, view.corners_px, camera) for view in views]
+        cost = sum(np.minimum(error**2, 100.0 * _ROUGH_PX**2) for _, error in posed)
+        motion = Motion(np.eye(3), np.array([1.0, 0.0, 0.0]))
+        boards = tuple(board for board, _ in posed)
+        trials.append((cost, State(camera, camera, motion, np.zeros(PER_BEND), reach, boards)))
+    trials.sort(key=lambda trial: trial[0])
+    found: list[Fit] = []
+    for _, state in trials[:_FINALISTS]:
+        free = prior.free(state)
+        free[PROJECTOR] = free[MOTION] = False
+        fit = minimise(views, state, prior, levels, free=free, matches=False, tolerance=_ROUGH, steps=_STEPS)
+        fit = _turned_over(views, fit, prior, levels, free)
+        if all(abs(np.log(fit.state.camera[0] / other.state.camera[0])) > _DIFFERENT for other in found):
+            found.append(fit)
+    yield from (fit.state for fit in sorted(found, key=lambda fit: fit.cost))
+
+
+def _turned_over(views: Sequence[View], fit: Fit, prior: Prior, levels: Levels, free: Bools) -> Fit:
+    """The same with each board in the other of the two poses that a weak perspective leaves, where that is better."""
+    boards = tuple(pose_of(view.points, view.corners_px, fit.state.camera)[0] for view in views)
+    other = minimise(
+        views,
+        replace(fit.state, boards=boards),
+        prior,
+        levels,
+        free=free,
+        matches=False,
+        tolerance=_ROUGH,
+        steps=_STEPS,
+    )
+    return min(fit, other, key=lambda each: each.cost)
+
+
+def pose_of(points: Floats, pixels: Floats, camera: Floats) -> tuple[Placed, float]:
+    """A flat board's pose from its corners (N, 2) and their pixels (N, 2), and the root mean square error in px."""
+    rays = np.ascontiguousarray(rays_of(camera, pixels))
+    usable = np.isfinite(rays).all(axis=1)
+    flat = np.concatenate([points, np.zeros((len(points), 1))], axis=1)[usable]
+    _, turns, places, errors = cv2.solvePnPGeneric(flat, rays[usable], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    best = int(np.argmin(np.asarray(errors).ravel()))
+    rotation = np.asarray(cv2.Rodrigues(turns[best])[0], np.float64)
+    place = np.asarray(places[best], np.float64).ravel()
+    return Placed(rotation, place), float(np.asarray(errors).ravel()[best]) * float(camera[FOCAL])
+
+
+def _projectors(views: Sequence[View], state: State, size: tuple[int, int]) -> Iterator[State]:
+    """The state with the projector that the lit points give, and with one for each of several focals."""
+    points, pixels = _lit(views, state)
+    solved = _resected(points, pixels)
+    if solved is not None:
+        matrix, rotation, translation = solved
+        if 0.1 < matrix[0, 0] / size[0] < 20 and 0.5 < matrix[1, 1] / matrix[0, 0] < 2:
+            yield _with_projector(state, matrix[0, 0], matrix[:2, 2], Motion(rotation, translation))
+    trials = []
+    for focal in np.geomspace(0.5, 5.0, 6) * size[0]:
+        for centre in (
+            np.array([(size[0] - 1) / 2, (size[1] - 1) / 2 + share * size[1]]) for share in (0.0, 0.5, -0.5)
+        ):
+            matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
+            found, turn, place = cv2.solvePnP(points, pixels, matrix, None, flags=cv2.SOLVEPNP_SQPNP)
+            if found:
+                image, _ = cv2.projectPoints(points, turn, place, matrix, None)
+                error = float(np.median(np.linalg.norm(image.reshape(-1, 2) - pixels, axis=1)))
+                motion = Motion(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place, np.float64).ravel())
+                trials.append((error, _with_projector(state, float(focal), centre, motion)))
+    if trials:
+        yield min(trials, key=lambda trial: trial[0])[1]
+
+
+def _with_projector(state: State, focal: float, centre: Floats, motion: Motion) -> State:
+    return replace(state, projector=np.array([focal, 1.0, *centre, 0, 0, 0, 0, 0], np.float64), motion=motion)
+
+
+def _lit(views: Sequence[View], state: State) -> tuple[Floats, Floats]:
+    """Points (N, 3) in the camera's frame that cells of matches see, and their projector pixels (N, 2)."""
+    points, pixels = [], []
+    for i, view in enumerate(views):
+        few = evenly(np.ones(len(view.cells), np.bool_), _SAMPLE)
+        board = state.boards[i]
+        met = meet(state, rays_of(state.camera, view.cells.camera_px[few]), i)
+        points.append(met @ board.rotation[:, :2].T + board.middle)
+        pixels.append(view.cells.projector_px[few])
+    return np.concatenate(points), np.concatenate(pixels)
+
+
+def _resected(points: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats] | None:
+    """K, R, t of the pinhole that takes points (N, 3) to pixels (N, 2), without its skew; None if there is none."""
+    after = normalisation(pixels)
+    middle, length = points.mean(axis=0), float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
+    before = np.diag([1 / length, 1 / length, 1 / length, 1.0])
+    before[:3, 3] = -middle / length
+    x = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ before.T
+    u = homogeneous(pixels) @ after.T
+    zero = np.zeros_like(x)
+    rows = np.concatenate(
+        [np.concatenate([x, zero, -u[:, :1] * x], axis=1), np.concatenate([zero, x, -u[:, 1:2] * x], axis=1)]
+    )
+    matrix = np.linalg.inv(after) @ np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 4) @ before
+    if np.linalg.det(matrix[:, :3]) < 0:
+        matrix = -matrix
+    upper, rotation = rq(matrix[:, :3])
+    signs = np.diag(np.sign(np.diag(upper)))
+    upper, rotation = upper @ signs, signs @ rotation
+    translation = np.linalg.solve(upper, matrix[:, 3])
+    in_front = (points @ rotation[2] + translation[2]) > 0
+    if not np.all(np.isfinite(upper)) or in_front.mean() < 1 or np.linalg.det(rotation) < 0:
+        return None
+    return upper / upper[2, 2], np.asarray(rotation, np.float64), translation

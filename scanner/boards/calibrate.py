@@ -1,0 +1,138 @@
+"""Captures of a board → views of it → a calibration."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.boards import FEWEST_VIEWS, Board, BoardCalibration, View, calibrate_boards
+from calib.geometry import Matches, Size, TooFewMatchesError
+from calib.numerics import Image
+from calib.refinement import into_cells
+from scanner.boards.detection import Detected, NotFoundError, detect, on_board
+from scanner.boards.target import UNIT, Target
+from scanner.capture import Recording
+from scanner.errors import InputError
+from scanner.pipeline import decode
+from scanner.results import Decoded
+from scanner.ui import Progress
+
+_FEWEST_MATCHES = 300
+# Boards, and the distance between the devices, outside these are more likely of another unit than real.
+_PLAUSIBLE_BOARD_MM, _PLAUSIBLE_BASELINE_MM = (50.0, 20_000.0), (10.0, 5_000.0)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A capture in which the board was found: its `texture` under white light, and the `view` of the board."""
+
+    texture: Image
+    view: View
+
+    @property
+    def name(self) -> str:
+        """Which capture it is, in messages."""
+        return self.view.name
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A capture in which it was not, and why."""
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True)
+class FromBoards:
+    """What captures of a board gave. `found` has the calibration; `missing` are captures without the board."""
+
+    target: Target
+    seen: tuple[Seen, ...]
+    missing: tuple[Missing, ...]
+    found: BoardCalibration
+    camera_size: Size
+    projector_size: Size
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know, in sentences."""
+        missing = (f"{each.name} is not used: {each.why}." for each in self.missing)
+        return (*missing, *self.found.notes, *_on_scale(self))
+
+
+def calibrate_captures(recordings: Sequence[Recording], target: Target, progress: Progress) -> FromBoards:
+    """Decode, find the board, calibrate. Raises InputError if no capture has the board, RefusalError."""
+    looked = (
+        look(decode(recording.stream(), progress, f"Decoding {name}", name), target, progress)
+        for name, recording in zip(_names(recordings), recordings, strict=True)
+    )
+    return calibrate_seen(list(looked), target, recordings[0].camera_size, recordings[0].projector_size, progress)
+
+
+def calibrate_seen(
+    looked: Sequence[Seen | Missing], target: Target, camera_size: Size, projector_size: Size, progress: Progress
+) -> FromBoards:
+    """Calibrate from captures that were looked at. Raises InputError if none has the board, RefusalError."""
+    seen = [each for each in looked if isinstance(each, Seen)]
+    missing = [each for each in looked if isinstance(each, Missing)]
+    if not seen:
+        told = "".join(f"\n  {each.name}: {each.why}" for each in missing)
+        raise InputError(f"--board {target}: in none of the captures is there such a board:{told}")
+    if missing and len(seen) < FEWEST_VIEWS:
+        told = "".join(f"\n  {each.name}: {each.why}" for each in missing)
+        raise InputError(f"three views of the board are the least, and it was found in {len(seen)} only:{told}")
+    with progress.step("Calibrating"):
+        found = calibrate_boards(
+            [each.view for each in seen], camera_size, projector_size, Board(target.reach, target.turns, UNIT)
+        )
+    return FromBoards(target, tuple(seen), tuple(missing), found, camera_size, projector_size)
+
+
+def _names(recordings: Sequence[Recording]) -> list[str]:
+    """The folders, as short as tells them apart."""
+    parts = [recording.folder.resolve().parts for recording in recordings]
+    longest = max(len(each) for each in parts)
+    names = (["/".join(each[-length:]) for each in parts] for length in range(1, longest + 1))
+    return next(each for each in names if len(set(each)) == len(each))
+
+
+def look(decoded: Decoded, target: Target, progress: Progress) -> Seen | Missing:
+    """Find the board in a capture."""
+    if decoded.texture is None:
+        return Missing(decoded.name, "it has no picture of the lit scene to find a board in")
+    try:
+        with progress.step("Finding the board"):
+            detected = detect(decoded.texture, target)
+        return Seen(
+            decoded.texture, view_of(decoded.name, detected, decoded.matches, target, decoded.facts.camera_size)
+        )
+    except NotFoundError as error:
+        return Missing(decoded.name, str(error))
+
+
+def view_of(name: str, detected: Detected, matches: Matches, target: Target, size: Size) -> View:
+    """The board with the matches on it. Raises NotFoundError where there are too few of them."""
+    column, row = np.rint(matches.camera_px).astype(np.int64).clip(0, np.array(size) - 1).T
+    lit = matches[on_board(detected, target, size)[row, column]]
+    if len(lit) < _FEWEST_MATCHES:
+        raise NotFoundError(f"the board has {len(lit)} matches only: is it lit by the projector?")
+    try:
+        cells = into_cells(lit.with_faces(np.zeros(len(lit), np.int32)), (0,))
+    except TooFewMatchesError as error:
+        raise NotFoundError(f"the board's matches are no plane: {error}") from error
+    return View(name, detected.points, detected.pixels, cells)
+
+
+def _on_scale(result: FromBoards) -> list[str]:
+    """What the geometry can tell of the square's size: nothing but whether what follows from it can be."""
+    distances = [float(np.linalg.norm(board.middle)) for board in result.found.estimate.state.boards]
+    nearest, farthest, baseline = min(distances), max(distances), result.found.calibration.baseline
+    told = (
+        f"Lengths are as true as the square: with {result.target.square:g} {UNIT}, camera and projector are "
+        f"{baseline:.4g} {UNIT} apart and the boards were {nearest:.4g} to {farthest:.4g} {UNIT} away."
+    )
+    low, high = _PLAUSIBLE_BOARD_MM
+    if not (low < nearest and farthest < high and _PLAUSIBLE_BASELINE_MM[0] < baseline < _PLAUSIBLE_BASELINE_MM[1]):
+        told += " That is hardly so: measure the square again, and mind the unit. The intrinsics do not depend on it."
+    return [told]

@@ -1,0 +1,102 @@
+"""Boards before a live rig: the operator moves the board, and is told after each capture what it added."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from calib.boards import FEWEST_VIEWS, best_next_pose
+from calib.refusal import RefusalError
+from hw.settings import RigSettings, SimulatedRigSettings
+from scanner.boards.calibrate import FromBoards, Missing, Seen, calibrate_seen, look
+from scanner.boards.target import Target
+from scanner.configuration import Config
+from scanner.errors import InputError
+from scanner.pipeline import take
+from scanner.results import CAPTURES_FOLDER
+from scanner.ui import Terminal
+
+_WORTH_IT = 1.05  # times as sure
+
+
+def check_live(config: Config, number: int, target: Target, terminal: Terminal) -> None:
+    """Raise InputError if that cannot become a calibration, whatever is captured."""
+    if number < FEWEST_VIEWS:
+        raise InputError(f"--captures {number}: expected {FEWEST_VIEWS} or more of a board, six to ten are good")
+    rig = config.required_rig
+    if not isinstance(rig, SimulatedRigSettings):
+        if not terminal.can_ask:
+            raise InputError(
+                f"--captures {number} asks you to move the board between captures, but the input is no terminal: run "
+                "it in one, or capture with scan and give the recordings to scan board"
+            )
+    elif not rig.board.square_m or (rig.board.columns, rig.board.rows) != (target.columns, target.rows):
+        raise InputError(
+            f"the simulated rig holds no board like {target}: it has chessboards, as with "
+            "--set rig.board.square_m=0.06 --board chessboard:9x7"
+        )
+
+
+def capture_boards(config: Config, number: int, target: Target, folder: Path, terminal: Terminal) -> FromBoards:
+    """So many captures with the board in them, each recorded in `folder`, and the calibration from all.
+
+    Raises DeviceError, RefusalError, and InputError if the operator ends too early.
+    """
+    looked: list[Seen | Missing] = []
+    for step, rig in _rigs(config.required_rig):
+        found = sum(isinstance(each, Seen) for each in looked)
+        if found == number or (step and not _moved(looked, found, number, rig, terminal)):
+            break
+        place = folder / CAPTURES_FOLDER / str(step + 1)
+        place.mkdir(parents=True)
+        looked.append(look(take(rig, config, place, terminal, f"capture {step + 1}"), target, terminal))
+        _tell(looked, config, target, terminal)
+    return calibrate_seen(looked, target, config.camera_size, config.projector_size, terminal)
+
+
+def _rigs(settings: RigSettings) -> Iterator[tuple[int, RigSettings]]:
+    step = 0
+    while True:
+        if isinstance(settings, SimulatedRigSettings):
+            board = settings.board.model_copy(update={"pose": settings.board.pose + step})
+            yield step, settings.model_copy(update={"board": board})
+        else:
+            yield step, settings
+        step += 1
+
+
+def _moved(looked: list[Seen | Missing], found: int, number: int, rig: RigSettings, terminal: Terminal) -> bool:
+    """Whether the board was moved, and not the operator has had enough."""
+    if isinstance(rig, SimulatedRigSettings):
+        # A simulated board moves by itself; one that is never found will not be found by going on.
+        return len(looked) < 2 * number
+    question = (
+        f"{found} of {number} captures. Move the board, and nothing else; then press Enter, or q and Enter to end: "
+    )
+    return not terminal.ask(question).strip().lower().startswith("q")
+
+
+def _tell(looked: list[Seen | Missing], config: Config, target: Target, terminal: Terminal) -> None:
+    """What the last capture added, and how to hold the board next."""
+    last = looked[-1]
+    if isinstance(last, Missing):
+        terminal.show(f"{last.name} does not count: {last.why}.")
+        return
+    count = sum(isinstance(each, Seen) for each in looked)
+    if count < FEWEST_VIEWS:
+        terminal.show(f"{last.name}: the board was found. {FEWEST_VIEWS - count} more before anything can be said.")
+        return
+    try:
+        result = calibrate_seen(looked, target, config.camera_size, config.projector_size, terminal)
+    except RefusalError as refusal:
+        terminal.show(f"{last.name}: the board was found. Not yet enough: {refusal.reason} {refusal.advice}")
+        return
+    estimate, sizes = result.found.estimate, (result.camera_size, result.projector_size)
+    sigma = 100 * np.sqrt(estimate.covariance.diagonal())
+    told = f"{last.name}: focal lengths are now known to {sigma[0]:.2g} % (camera) and {sigma[9]:.2g} % (projector)."
+    pose = best_next_pose(estimate, sizes)
+    if pose is not None and pose.gain > _WORTH_IT:
+        told += f" The most would add a board {pose.words}: sigmas lower by a factor of {pose.gain:.2f}."
+    elif pose is not None:
+        told += " No further board would add much."
+    terminal.show(told)

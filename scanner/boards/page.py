@@ -1,0 +1,114 @@
+"""report.html of a calibration from boards: whether it can be trusted, and what shows it."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from calib.boards import ray_sigmas
+from calib.geometry import Size
+from calib.numerics import Floats
+from scanner.boards.calibrate import FromBoards, Seen
+from scanner.boards.verdict import verdict_on
+from scanner.quantities import Quantity, device_quantities, plain, pose_quantities
+from scanner.rendering import jpeg_uri, photograph
+
+_DOTS = 2500
+_THUMB = 420
+_HALVES = (
+    *(("camera", "focal length", "%"), ("camera", "principal point x₀", "px"), ("camera", "principal point y₀", "px")),
+    *(("projector", "focal length", "%"), ("projector", "principal point x₀", "px")),
+    ("projector", "principal point y₀", "px"),
+)
+
+
+def write_page(path: Path, result: FromBoards) -> None:
+    """Write the page; it needs no network and no other file. Raises OSError."""
+    from scanner.boards.result import rows  # which writes this page
+
+    environment = Environment(
+        loader=PackageLoader("scanner"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    found = result.found
+    rays = ray_sigmas(found.estimate, (result.camera_size, result.projector_size))
+    page = environment.get_template("board.html").render(
+        verdict=verdict_on(result),
+        subtitle=f"{result.target}, squares of {result.target.square:g} mm, {len(found.predictions)} captures",
+        notes=result.notes,
+        tables=_tables(result),
+        rows=rows(result),
+        halves=_halves(result),
+        coverage=[
+            ("camera", _coverage([seen.view.corners_px for seen in result.seen], result.camera_size, "corners")),
+            (
+                "projector",
+                _coverage([seen.view.cells.projector_px for seen in result.seen], result.projector_size, "matches"),
+            ),
+        ],
+        rays=[("camera", _ray_rows(rays[0])), ("projector", _ray_rows(rays[1]))],
+        pictures=[(seen.view.name, _picture(seen)) for seen in result.seen],
+        tilt=f"{found.coverage.tilt_deg:.0f}",
+        distances=f"{found.coverage.distances:.2f}",
+        plain=plain,
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def _tables(result: FromBoards) -> list[tuple[str, list[Quantity]]]:
+    calibration = result.found.calibration
+    return [
+        ("Camera", device_quantities("camera", calibration, None)),
+        ("Projector", device_quantities("projector", calibration, None)),
+        ("Between them", pose_quantities(calibration, None)),
+    ]
+
+
+def _halves(result: FromBoards) -> list[tuple[str, str, str, str]]:
+    """What, by how much the halves differ, the sigma of that, and how many sigmas it is."""
+    halves = result.found.halves
+    if halves is None:
+        return []
+    told = []
+    for (device, name, unit), difference, sigma in zip(_HALVES, halves.difference, halves.sigma, strict=True):
+        factor, decimals = (100.0, 3) if unit == "%" else (1.0, 2)
+        shown = [
+            plain(factor * value, decimals, signed=signed) for value, signed in ((difference, True), (sigma, False))
+        ]
+        told.append(
+            (f"{device}, {name}", *(f"{each} {unit}" for each in shown), plain(difference / sigma, 1, signed=True))
+        )
+    return [(a, b, c, d) for a, b, c, d in told]
+
+
+def _ray_rows(sigmas: Floats) -> list[list[str]]:
+    """Every third of the grid, as text; '' where the other device does not see."""
+    return [["" if np.isnan(value) else f"{value:.2f}" for value in row] for row in sigmas[::3, ::3]]
+
+
+def _coverage(pixels: list[Floats], size: Size, what: str) -> Markup:
+    """Where in a picture the boards were."""
+    every = np.concatenate(pixels)
+    every = every[:: max(1, len(every) // _DOTS)]
+    radius = max(size) / 220
+    dots = "".join(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="{radius:.1f}"/>' for x, y in every)
+    return Markup(
+        f'<svg class="plot" style="min-width:0" role="img" aria-label="{escape(f"{what} over the picture")}" '
+        f'viewBox="0 0 {size.width} {size.height}"><rect width="{size.width}" height="{size.height}" fill="none" '
+        f'stroke="currentColor" stroke-width="{radius:.1f}"/><g fill="var(--accent)">{dots}</g></svg>'
+    )
+
+
+def _picture(seen: Seen) -> str:
+    """The capture under white light with the corners that were found, small, as a data URI."""
+    image = np.ascontiguousarray(photograph(seen.texture))
+    scale = min(1.0, _THUMB / max(image.shape))
+    small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+    for x, y in np.rint(seen.view.corners_px * scale).astype(int):
+        cv2.circle(small, (int(x), int(y)), 1, (240, 140, 0), -1)
+    return jpeg_uri(small)

@@ -1,0 +1,75 @@
+"""A board as a PDF of true size, with a ruler that shows whether the printer kept it."""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from scanner.boards.drawing import Picture, draw_target
+from scanner.boards.target import CHARUCO_A4, KINDS, UNIT, Target, parse_target
+from scanner.errors import InputError
+
+SHEETS_MM = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "A2": (420.0, 594.0), "LETTER": (215.9, 279.4)}
+_DPI = 600
+_MM_PER_INCH = 25.4
+_EDGE_MM, _RULER_MM, _FOOT_MM = 5.0, 150, 14.0
+_A4_SQUARE_MM = 30.0
+
+
+def printed_target(text: str, square: float | None) -> tuple[Target, str]:
+    """'charuco:A4', or 'chessboard:9x7@A3' with a square → the board and its sheet. Raises InputError."""
+    kind, _, rest = text.partition(":")
+    if rest.upper() in SHEETS_MM and kind == "charuco":
+        return Target(kind, *CHARUCO_A4, _A4_SQUARE_MM if square is None else square), rest.upper()
+    counts, _, sheet = rest.partition("@")
+    sheet = sheet.upper() or "A4"
+    if kind not in KINDS or sheet not in SHEETS_MM:
+        raise InputError(f"--print {text}: expected charuco:A4, or a board and a sheet, as in chessboard:9x7@A4")
+    if square is None:
+        raise InputError(f"--print {text}: expected --square, as in 25mm")
+    return parse_target(f"{kind}:{counts}", square), sheet
+
+
+def write_pdf(path: Path, target: Target, sheet: str) -> None:
+    """One page. Raises InputError if the board does not fit the sheet, OSError."""
+    per_mm = _DPI / _MM_PER_INCH
+    side_px = round(target.square * per_mm)
+    board = draw_target(target, side_px).image[side_px:-side_px, side_px:-side_px]
+    # Of a whole number of dots to a square: the page is drawn by that, and told to be of the size that makes it true.
+    dpi = side_px / target.square * _MM_PER_INCH
+    page = _page(board, SHEETS_MM[sheet], dpi / _MM_PER_INCH)
+    if page is None:
+        width, height = (side / per_mm for side in board.shape[::-1])
+        raise InputError(
+            f"--print: a {target} with squares of {target.square:g} {UNIT} takes {width:.0f} × {height:.0f} mm, which "
+            f"is more than {sheet} leaves; choose a smaller --square, or another sheet"
+        )
+    _caption(page, target, sheet, dpi / _MM_PER_INCH)
+    page.convert("1", dither=Image.Dither.NONE).save(path, "PDF", resolution=dpi, title=f"{target}")
+
+
+def _page(board: Picture, sheet_mm: tuple[float, float], per_mm: float) -> Image.Image | None:
+    """The sheet, upright or lying, with the board in the middle of what the ruler leaves."""
+    for width, height in (sheet_mm, sheet_mm[::-1]):
+        free = np.array([width - 2 * _EDGE_MM, height - 2 * _EDGE_MM - _FOOT_MM]) * per_mm
+        if np.all(np.array(board.shape[::-1]) <= free):
+            page = Image.new("L", (round(width * per_mm), round(height * per_mm)), 255)
+            left, top = (_EDGE_MM * per_mm + (free - board.shape[::-1]) / 2).astype(int)
+            page.paste(Image.fromarray(board), (int(left), int(top)))
+            return page
+    return None
+
+
+def _caption(page: Image.Image, target: Target, sheet: str, per_mm: float) -> None:
+    """A ruler along the lower edge, and what the board is called."""
+    draw, bottom = ImageDraw.Draw(page), page.height - _EDGE_MM * per_mm
+    font = ImageFont.load_default(2.6 * per_mm)
+    left, line = 2 * _EDGE_MM * per_mm, max(1, round(0.1 * per_mm))
+    for mm in range(_RULER_MM + 1):
+        length = 4.0 if mm % 10 == 0 else 3.0 if mm % 5 == 0 else 2.0
+        x = left + mm * per_mm
+        draw.line((x, bottom, x, bottom - length * per_mm), 0, line)
+        if mm % 50 == 0:
+            draw.text((x, bottom - 4.2 * per_mm), f"{mm}", 0, font, "ms")
+    told = f"{target}, {target.square:g} mm, {sheet}: print at 100 %. This ruler is {_RULER_MM} mm long: measure it."
+    draw.text((left, bottom - 8.0 * per_mm), told, 0, font, "ls")

@@ -1,0 +1,95 @@
+"""A calibration from boards as a folder, and on the terminal."""
+
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.table import Table
+
+from calib.boards import INTRINSIC_COLUMNS
+from scanner.boards.calibrate import FromBoards
+from scanner.boards.page import write_page
+from scanner.boards.target import UNIT
+from scanner.boards.verdict import verdict_on
+from scanner.io import write_calibration
+from scanner.results import CALIBRATION_FILE, REPORT_FILE
+
+_NAMES = (
+    "camera_log_focal",
+    "camera_x0_px",
+    "camera_y0_px",
+    "projector_log_focal",
+    "projector_x0_px",
+    "projector_y0_px",
+)
+
+
+def save_result(result: FromBoards, folder: Path) -> None:
+    """calibration.yaml and report.html. Raises OSError."""
+    write_calibration(folder / CALIBRATION_FILE, result.found.calibration, _more(result))
+    write_page(folder / REPORT_FILE, result)
+
+
+def _more(result: FromBoards) -> dict[str, Any]:
+    """Keys beside the calibration, for those who know them."""
+    found, verdict = result.found, verdict_on(result)
+    halves = found.halves
+    return {
+        "verdict": {
+            "grade": verdict.grade,
+            "headline": verdict.headline,
+            "reasons": [*verdict.reasons],
+            "advice": verdict.advice,
+        },
+        "board": {
+            "kind": str(result.target),
+            f"square_{UNIT}": result.target.square,
+            "bend": [float(value) for value in found.estimate.state.bend],
+            "captures": [
+                {
+                    "name": each.name,
+                    "leave_one_out_px": round(each.error_px, 4),
+                    "expected_px": round(each.expected_px, 4),
+                    "corner_px": round(float(corner), 4),
+                }
+                for each, corner in zip(found.predictions, found.estimate.corner_px, strict=True)
+            ],
+            "left_out": [{"name": odd.name, "leave_one_out_px": round(odd.error_px, 4)} for odd in found.left_out]
+            + [{"name": each.name, "why": each.why} for each in result.missing],
+            "halves": None
+            if halves is None
+            else {
+                name: {"difference": float(difference), "sigma": float(sigma)}
+                for name, difference, sigma in zip(_NAMES, halves.difference, halves.sigma, strict=True)
+            },
+            "sigmas_enlarged_by": round(found.enlarged, 3),
+        },
+    }
+
+
+def summary(result: FromBoards) -> Table:
+    """Each board, predicted by the others, for the terminal."""
+    table = Table(
+        title="Each board, predicted by the others (projector px)", title_justify="left", box=box.SIMPLE, pad_edge=False
+    )
+    table.add_column("", overflow="fold")
+    for heading in ("off by", "expected", "in sigmas", "moves f_c by", "f_p by"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows(result):
+        table.add_row(*row)
+    return table
+
+
+def rows(result: FromBoards) -> list[tuple[str, ...]]:
+    """Of that table, as text."""
+    focals = [INTRINSIC_COLUMNS[0], INTRINSIC_COLUMNS[3]]
+    return [
+        (
+            each.name,
+            f"{each.error_px:.3f}",
+            f"{each.expected_px:.3f}",
+            f"{each.sigmas:.1f}",
+            *(f"{100 * moved:+.2f} %".replace("-", "−") for moved in each.moved[focals]),
+        )
+        for each in result.found.predictions
+    ]

@@ -1,0 +1,52 @@
+"""Can a calibration from boards be trusted? In words, from what tests it."""
+
+import numpy as np
+
+from calib.boards import ray_sigmas
+from scanner.boards.calibrate import FromBoards
+from scanner.results import Verdict
+
+_MEASUREMENT_GRADE = 0.003  # sigma of a focal length
+_USEFUL_RAY_PX = 1.0
+_SURPRISING = 2.0  # of halves, in their sigmas
+
+
+def verdict_on(result: FromBoards) -> Verdict:
+    """Good where both focals and all rays are known well and the halves agree."""
+    found = result.found
+    calibration, sigma = found.calibration, found.calibration.sigma
+    relative = [
+        sigmas.focal_px[0] / device.focal_px[0] if sigmas.focal_px else float("inf")
+        for device, sigmas in ((calibration.camera, sigma.camera), (calibration.projector, sigma.projector))
+    ]
+    rays = [float(np.nanmax(each)) for each in ray_sigmas(found.estimate, (result.camera_size, result.projector_size))]
+    predicted = float(np.sqrt(np.mean([each.error_px**2 for each in found.predictions])))
+    expected = float(np.sqrt(np.mean([each.expected_px**2 for each in found.predictions])))
+    reasons = [
+        f"Focal lengths are known to {100 * relative[0]:.2g} % (camera) and {100 * relative[1]:.2g} % (projector), "
+        f"rays to {rays[0]:.2g} and {rays[1]:.2g} px wherever both devices see (1 sigma).",
+        f"Each board is predicted by the others to {predicted:.2g} projector px; {expected:.2g} px were expected.",
+    ]
+    if found.halves is not None:
+        reasons.append(
+            "Half of the boards against the other half: focals and principal points differ by "
+            f"{found.halves.sigmas:.1f} of their sigmas (root mean square; 1 is expected)."
+        )
+    reasons += found.coverage.reasons and [f"How the boards were held: {'; '.join(found.coverage.reasons)}."]
+    doubtful = found.halves is not None and found.halves.sigmas > _SURPRISING
+    if max(relative) < _MEASUREMENT_GRADE and max(rays) < _USEFUL_RAY_PX and not doubtful:
+        return Verdict("good", "Calibrated, and sure enough to measure with", tuple(reasons))
+    if doubtful:
+        return Verdict(
+            "fair",
+            "Calibrated, but its halves disagree",
+            tuple(reasons),
+            "Something changed between the captures, or the board is not what it is taken for: see that nothing moves "
+            "or is refocused, and that the board is flat and firm.",
+        )
+    return Verdict(
+        "fair",
+        "Calibrated, less surely than boards can",
+        tuple(reasons),
+        "More captures make it surer: boards at other tilts, and where the pictures are still empty.",
+    )

@@ -1,0 +1,78 @@
+"""Calibrate from a printed board: from captures of it, or live; or print one."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from scanner.boards import (
+    FromBoards,
+    Target,
+    calibrate_captures,
+    capture_boards,
+    check_live,
+    parse_target,
+    read_folders,
+    save_result,
+    summary,
+    verdict_on,
+)
+from scanner.boards.printing import printed_target, write_pdf
+from scanner.boards.target import UNIT
+from scanner.configuration import Config, load_config
+from scanner.errors import InputError
+from scanner.io import new_file
+from scanner.quantities import calibration_table, parse_length
+from scanner.results import default_out, new_result, refuse_occupied
+from scanner.ui import Terminal
+
+_EXAMPLE = "as in: scan board CAPTURE… --board chessboard:9x7 --square 10mm"
+
+
+def run(args: Namespace) -> None:
+    """Do the work. Raises InputError, DeviceError, RefusalError."""
+    terminal = Terminal(quiet=args.quiet)
+    if args.sheet:
+        _print(args, terminal)
+        return
+    if bool(args.captures) == bool(args.config):
+        raise InputError(f"expected captures of a board, or --config to take them with, {_EXAMPLE}")
+    if args.board is None or args.square is None:
+        raise InputError(f"expected which board it is and how large its squares are, {_EXAMPLE}")
+    target = parse_target(args.board, parse_length(args.square, UNIT))
+    out: Path = args.out or default_out("board", overwrite=args.overwrite)
+    result = _live(args, target, out, terminal) if args.config else _from_captures(args, target, out, terminal)
+    verdict = verdict_on(result)
+    terminal.show(f"{verdict.headline}.", *verdict.reasons, *([verdict.advice] if verdict.advice else []))
+    terminal.show(calibration_table(result.found.calibration), summary(result))
+    for note in result.notes:
+        terminal.show(f"Note: {note}")
+    terminal.show(f"Written: {out} (calibration.yaml, report.html)")
+
+
+def _print(args: Namespace, terminal: Terminal) -> None:
+    square = parse_length(args.square, UNIT) if args.square else None
+    target, sheet = printed_target(args.sheet, square)
+    out: Path = args.out or Path(f"{target.kind}-{target.columns}x{target.rows}-{sheet}.pdf")
+    with new_file(out, overwrite=args.overwrite) as path:
+        write_pdf(path, target, sheet)
+    terminal.show(
+        f"Written: {out}. Print it at 100 %, measure the ruler, glue it to something flat and firm, and calibrate with "
+        f"--board {target} --square {target.square:g}mm."
+    )
+
+
+def _from_captures(args: Namespace, target: Target, out: Path, terminal: Terminal) -> FromBoards:
+    if not args.overwrite:
+        refuse_occupied(out)
+    result = calibrate_captures(read_folders(args.captures), target, terminal)
+    with new_result(out, Config(), overwrite=args.overwrite) as folder:
+        save_result(result, folder)
+    return result
+
+
+def _live(args: Namespace, target: Target, out: Path, terminal: Terminal) -> FromBoards:
+    config = load_config(args.config, args.set)
+    check_live(config, args.number, target, terminal)
+    with new_result(out, config, overwrite=args.overwrite, keep_capture=True) as folder:
+        result = capture_boards(config, args.number, target, folder, terminal)
+        save_result(result, folder)
+    return result

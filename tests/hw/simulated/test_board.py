@@ -1,0 +1,63 @@
+"""A chessboard before the simulated rig."""
+
+import cv2
+import numpy as np
+import pytest
+
+from hw.errors import DeviceError
+from hw.settings import BoardSettings, SimulatedRigSettings
+from hw.simulated.board import draw_board
+from hw.simulated.rig import SimulatedCamera, SimulatedProjector
+from hw.simulated.simulation import SimulatedRoom
+
+SIZES = (306, 256), (214, 120)
+
+
+@pytest.fixture(scope="module")
+def room() -> SimulatedRoom:
+    return SimulatedRoom(SimulatedRigSettings(seed=0, interreflection=False, furniture=False), *SIZES)
+
+
+def test_it_is_seen_where_it_is(room: SimulatedRoom) -> None:
+    posed = room.under(board={"square_m": 0.08, "columns": 5, "rows": 4})
+    board = posed.renderer.caster.board
+    projector = SimulatedProjector(posed)
+    projector.show(np.full(SIZES[1][::-1], 255, np.uint8))
+    frame = SimulatedCamera(posed, projector).grab().image
+    expected = posed.room.camera.project(board.points(board.corners.T))[0].T
+    found = cv2.cornerSubPix(frame, np.ascontiguousarray(expected, np.float32), (3, 3), (-1, -1), (3, 50, 1e-3))
+    off = np.linalg.norm(found - expected, axis=1)
+    assert 0.001 < np.median(off) < 0.12
+    changed = posed.renderer.footprints.direct - room.renderer.footprints.direct
+    assert np.count_nonzero(changed.data) > 1000
+
+
+def test_its_rays_meet_it_and_it_is_slightly_bent(room: SimulatedRoom) -> None:
+    camera, projector = room.room.camera, room.room.projector
+    board = draw_board(BoardSettings(square_m=0.06, bend=0.01), 1, camera, projector)
+    uv = np.random.default_rng(0).uniform(-1, 1, (2, 50)) * board.half[:, None]
+    points = board.points(uv)
+    met, hit = board.meet(camera.centre, points - camera.centre[:, None])
+    assert hit.all()
+    assert np.abs(met - uv).max() < 1e-9
+    heights = (board.rotation.T @ (points - board.middle[:, None]))[2]
+    assert 1e-4 < np.abs(heights).max() < 0.05
+    assert np.allclose(np.linalg.norm(board.normals(uv), axis=0), 1)
+
+
+def test_each_pose_is_another_and_the_board_stays_the_same(room: SimulatedRoom) -> None:
+    first, again, other = (
+        draw_board(BoardSettings(square_m=0.06, pose=pose), 0, room.room.camera, room.room.projector)
+        for pose in (0, 0, 1)
+    )
+    assert np.array_equal(first.middle, again.middle)
+    assert np.linalg.norm(first.middle - other.middle) > 0.01
+    assert np.array_equal(first.bend, other.bend)
+
+
+def test_a_board_that_is_seen_by_nobody_is_refused(room: SimulatedRoom) -> None:
+    settings = BoardSettings(square_m=0.06, columns=50, rows=3)
+    hidden = room.room.projector
+    turned = type(hidden)(hidden.optics, -hidden.rotation, hidden.centre)
+    with pytest.raises(DeviceError, match="sees no board"):
+        draw_board(settings, 0, room.room.camera, turned)

@@ -1,0 +1,87 @@
+"""`scan board`: from captures, live, printed, and what it says of wrong input."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.boards import Board, calibrate_boards
+from calib.synthetic import random_boards
+from scanner.boards.calibrate import FromBoards, Missing, Seen
+from scanner.boards.result import save_result
+from scanner.boards.target import Target
+from scanner.commands.main import main
+from scanner.io import read_calibration
+from scanner.results import read_verdict
+from tests.support.boards import photographed, views_of
+from tests.support.places import REAL_CAPTURES
+
+BOARDS = REAL_CAPTURES / "procam-calibration"
+TARGET = Target("chessboard", 9, 7, 30.0)
+
+
+def test_a_result_is_a_calibration_and_a_page(tmp_path: Path) -> None:
+    boards = random_boards(np.random.default_rng(4), views=4, matches=3000)
+    rig = boards.calibration
+    found = calibrate_boards(views_of(boards), rig.camera.size, rig.projector.size, Board(boards.reach, 2, "mm"))
+    picture, _ = photographed(TARGET, seed=0)
+    seen = tuple(Seen(picture, view) for view in found.estimate.views)
+    missing = (Missing("view 9", "no chessboard:9x7 was found"),)
+    save_result(FromBoards(TARGET, seen, missing, found, rig.camera.size, rig.projector.size), tmp_path)
+    read = read_calibration(tmp_path / "calibration.yaml")
+    assert read.camera == found.calibration.camera
+    assert read.sigma.projector == found.calibration.sigma.projector
+    assert read_verdict(tmp_path / "calibration.yaml").grade in ("good", "fair")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for told in ("Each board, predicted by the others", "view 3", "view 9 is not used", "Half of the boards"):
+        assert told in page
+    assert "://" not in re.sub(r"data:image/jpeg;base64,[^\"]*", "", page)
+
+
+@pytest.mark.parametrize("text", ["charuco:A4", "chessboard:9x7@A3 --square 25mm", "acircles:4x9@A4 --square 30mm"])
+def test_a_printed_page_has_its_true_size(text: str, tmp_path: Path) -> None:
+    out = tmp_path / "board.pdf"
+    assert main(["board", "--print", *text.split(), "--out", str(out), "--quiet"]) == 0
+    box = re.search(rb"/MediaBox \[ *([\d.]+) +([\d.]+) +([\d.]+) +([\d.]+)", out.read_bytes())
+    size_mm = np.sort([float(side) * 25.4 / 72 for side in box.groups()[2:]])
+    expected = (297, 420) if "A3" in text else (210, 297)
+    assert np.abs(size_mm - expected).max() < 0.1
+    assert main(["board", "--print", *text.split(), "--out", str(out), "--quiet"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ("", "expected captures of a board"),
+        ("nowhere --square 10mm", "which board"),
+        ("nowhere --board chessboard:9x7", "which board"),
+        ("nowhere --board chessboard:9x7 --square 10mm", "no such capture"),
+        ("nowhere --board chessboard:9x7 --square 10ells", "ells"),
+        ("--print charuco:A4 --square 60mm", "more than A4 leaves"),
+        ("--print chessboard:9x7", "--square"),
+    ],
+)
+def test_wrong_arguments_are_told(
+    arguments: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["board", *arguments.split()]) == 2
+    assert told in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not BOARDS.is_dir(), reason=f"the real captures are not there: {BOARDS}")
+@pytest.mark.xdist_group("real-captures")
+def test_real_boards_predict_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "boards"
+    assert main(["board", str(BOARDS), "--board", "chessboard:9x7", "--square", "75mm", "--out", str(out)]) == 0
+    calibration = read_calibration(out / "calibration.yaml")
+    # Local homographies and stereoCalibrate: 3455 and 1896 px, moving by 0.7 % with a board left out.
+    assert 3415 < calibration.camera.focal_px[0] < 3465
+    assert 1875 < calibration.projector.focal_px[0] < 1900
+    assert 1.0 < calibration.sigma.camera.focal_px[0] < 10.0
+    told = re.search(r"by the others to ([\d.]+) projector px", capsys.readouterr().out)
+    assert 0.02 < float(told[1]) < 0.3
+    again = ["board", str(BOARDS / "capture_0"), str(BOARDS / "capture_0"), "--board", "chessboard:9x7"]
+    assert main([*again, "--square", "75mm", "--out", str(tmp_path / "twice")]) == 2
