@@ -1,8 +1,9 @@
 """`python -m scanner` is the command `scan`."""
 
+import signal
 import sys
 
-from scanner.interruption import end_at_once, ignore, on_ending
+from scanner.interruption import end_at_once, on_ending
 
 
 def run() -> int:
@@ -11,7 +12,7 @@ def run() -> int:
     from scanner.commands.main import main
 
     code = main()
-    on_ending(ignore)
+    on_ending(signal.SIG_IGN)  # everything has been said; a handler would be gone before the process is
     return code
 
 

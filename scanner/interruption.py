@@ -28,11 +28,7 @@ def interrupt(_number: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def ignore(_number: int, _frame: FrameType | None) -> None:
-    """A handler for when everything has been said."""
-
-
-def on_ending(handler: Handler) -> None:
+def on_ending(handler: Handler | signal.Handlers) -> None:
     """Call this from now on; nothing changes outside of the main thread, or where signals are ignored, as by nohup."""
     if current_thread() is main_thread():
         for number in _ENDING:

@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+from scanner.capture import open_capture
 from scanner.errors import InputError, cannot_write
 from scanner.io import MATCHES_FILE
 from scanner.results.names import (
@@ -100,17 +101,25 @@ def keep_recording(partial: Path, out: Path) -> Path:
 def kept_words(kept: Path) -> str:
     """Where the frames are, and what can be done with them."""
     recording, frames = kept / CAPTURE_FOLDER, frames_in(kept / CAPTURE_FOLDER)
+    if _is_complete(recording):
+        to_do = f"none is missing, and scan replay {recording} makes a result of them"
+    else:
+        to_do = f"scan --resume {kept} takes the missing ones, and scan replay {recording} makes of it what can be made"
     if not _whole(kept):
-        return (
-            f"The {frames} frames captured so far are in {recording}: scan --resume {kept} takes the missing ones, and "
-            f"scan replay {recording} makes of it what can be made."
-        )
+        return f"The {frames} frames captured so far are in {recording}: {to_do}."
     finished = len(_whole(kept))
     return (
         f"What was captured so far is kept: {finished} whole capture{'s' if finished > 1 else ''} in "
-        f"{kept / CAPTURES_FOLDER}, which scan calibrate takes, and {frames} frames in {recording}, of which scan "
-        f"--resume {kept} takes the missing ones."
+        f"{kept / CAPTURES_FOLDER}, which scan calibrate takes, and {frames} frames in {recording}: {to_do}."
     )
+
+
+def _is_complete(folder: Path) -> bool:
+    try:
+        recording = open_capture(folder)
+    except InputError:
+        return False
+    return len(recording.planned) == len(recording.patterns)
 
 
 def _whole(folder: Path) -> list[Path]:

@@ -102,6 +102,8 @@ def test_killed_while_it_records(bench: FaultBench, config: Path, fault: str, mo
     if moment.frames:
         assert f"{len(list((kept / 'capture/frames').glob('*.png')))} frames" in after.said
         assert names(kept) == {"capture", "scan.log"}
+        assert ("none is missing, and scan replay" in after.said) == (moment.frames == len(PATTERNS))
+        assert ("scan --resume" in after.said) == (moment.frames < len(PATTERNS))
 
 
 @pytest.mark.parametrize("fault", ["Ctrl-C", "Ctrl-C again and again", "SIGTERM", "SIGHUP"])
@@ -237,7 +239,7 @@ class Disk:
     read_only: bool = False
 
 
-FULL = ("room: cannot be written: No space left", "frames captured so far", "scan --resume")
+FULL = ("room: cannot be written: No space left", "frames captured so far", "scan replay")
 DISKS = [
     Disk("too small", "size=3m", ("a capture of 28 frames of 48 × 32 px", "needs up to 4 MB", "3 MB are free")),
     Disk("too few inodes", "size=20m,nr_inodes=20", ("needs 28 files", "takes only", "inodes")),

@@ -24,7 +24,6 @@ from scanner.commands.main import main
 from scanner.configuration.schema import load_config
 from scanner.io.image_file import read_image, write_png
 from scanner.patterns.pattern import Black, White
-from scanner.results.leftovers import settle
 from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Keeper, Loopback, after_frames, check_frames, scan
 
 pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
@@ -193,14 +192,12 @@ def test_what_is_missing_is_taken(
 ) -> None:
     command = [sys.executable, "-m", "scanner", "--config", str(config), "--out", str(config.with_name("result"))]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    after_frames(5, config, process.kill)
+    after_frames(5, config, process.terminate)  # killed, it would leave the camera to its heartbeat's time-out
     process.communicate(timeout=60)
-    assert process.returncode == -signal.SIGKILL
+    assert process.returncode == 130
     left, out = config.with_name("result-incomplete"), config.with_name("whole")
-    before = len(open_capture(config.with_name(".result.partial") / "capture").patterns)
+    before = len(open_capture(left / "capture").patterns)
     assert before >= 5
-    for sentence in settle(out):  # as any start does
-        assert str(left) in sentence
     if moved:  # white was half as bright when it was shown first
         frame = left / "capture" / "frames" / "000.png"
         write_png(frame, read_image(frame) // 2)
