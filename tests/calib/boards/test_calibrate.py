@@ -86,7 +86,7 @@ def test_boards_that_look_alike_after_half_a_turn_are_turned_alike() -> None:
 def test_a_board_that_moved_is_named_and_left_out() -> None:
     boards = made_up(3)
     views = views_of(boards)
-    moved = replace(views[4].cells, projector_px=views[4].cells.projector_px + (3.0, 0.0))
+    moved = replace(views[4].cells, projector_px=views[4].cells.projector_px + np.array([3.0, 0.0]))
     views[4] = replace(views[4], cells=moved)
     found = calibrated(boards, views)
     assert [odd.name for odd in found.left_out] == ["view 4"]
