@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: help setup scan console scan-loopback rig try-rig try-browser test lint check-types unit benchmark clean
+.PHONY: help setup scan console scan-loopback rig try-rig try-browser test lint check-types unit benchmark fuzz clean
 
 help:
 	@echo "make scan           set up, then scan a simulated room into scans/room-sim/"
@@ -13,6 +13,7 @@ help:
 	@echo "make rig            set up for real devices: system packages (apt-get), PyGObject, pyglet"
 	@echo "make scan-loopback  the same, then scan through a real window and a real camera protocol into scans/room-loopback/"
 	@echo "make benchmark      measure accuracy and speed (minutes)"
+	@echo "make fuzz           damage files at random for hours, and watch every reader (SEED=, INPUTS=, SECONDS=)"
 	@echo "make clean          remove $(VENV)/ and caches; scans/ is kept"
 
 setup: $(VENV)/.runtime
@@ -24,7 +25,7 @@ console: $(VENV)/.console
 	$(BIN)/scan console --config configs/room-sim.yaml
 
 scan-loopback: rig
-	$(BIN)/python tools/scan_loopback.py --config configs/room-loopback.yaml --out scans/room-loopback --overwrite
+	$(BIN)/python tools/on_loopback.py scan --config configs/room-loopback.yaml --out scans/room-loopback --overwrite
 
 rig: $(VENV)/.rig
 
@@ -62,6 +63,12 @@ benchmark: $(VENV)/.dev try-rig
 		case $$file in *conditions.py) brief=--quick;; *) brief=;; esac; \
 		echo "== $$file"; OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $$brief || exit 1; \
 	done
+
+SEED   ?= 0
+INPUTS ?= 50000
+SECONDS ?= 3600
+fuzz: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --seed $(SEED) --inputs $(INPUTS) --seconds $(SECONDS)
 
 $(BIN)/pip:
 	tools/make-venv $(PYTHON) $(VENV)

@@ -10,7 +10,8 @@ process; the principal point is given, and the walls are known to be square, as 
 - *refused that could be decoded*: the exit code is not 0, but the matches of a page of plain code without checks
   (`conditions/plain_decoder.py`) have a median error of at most 0.5 px, and calibrating with them errs by at most
   4 sigma or by at most 2 %;
-- *confident and wrong*: the exit code is 0, and one of f_c, f_p, x_p, y_p errs by more than 4 sigma or 2 %.
+- *confident and wrong*: the exit code is 0, and one of f_c, f_p, x_p, y_p errs by more than 4 sigma; or by more than
+  2 % where the report does not say that the result is good for a first look only.
 
 Mistakes (exchanged frames, a wrong size) may always be refused. A picture that no pinhole with square pixels throws is
 held against the truth by the camera's focal length alone.

@@ -28,6 +28,7 @@ class Wording:
     """Names of the first and the second device and of both, of what is `taken`, of the second's pixels; and advice.
 
     `move`: how to get a better view. `again`: how to get a further one. `unrelated`: what else may be wrong.
+    `shape`: a suspect where images are not those of a square corner, as a sentence after others; '' if there is none.
     """
 
     first: str
@@ -39,6 +40,7 @@ class Wording:
     again: str
     unrelated: str
     smooth: str
+    shape: str
 
 
 RIG = Wording(
@@ -51,6 +53,8 @@ RIG = Wording(
     "Capture the same corner again from another place with the rig unchanged.",
     "frames and patterns do not belong together",
     "lenses and decoding",
+    " If the corner is square, suspect the projector's picture: keystone correction, or a zoom that squeezes it, makes "
+    "it what no lens throws. Switch both off, and show the picture pixel for pixel.",
 )
 PHOTOS = Wording(
     "the first photo",
@@ -63,4 +67,5 @@ PHOTOS = Wording(
     "Add a third photo of the same corner from another place, at the same zoom.",
     "the photos may not be by one camera at one zoom, or one was cropped differently",
     "lens and matching",
+    "",
 )

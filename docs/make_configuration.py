@@ -44,7 +44,8 @@ _INTRODUCTION = """\
 A configuration is a YAML file. [configs/room-sim.yaml](../configs/room-sim.yaml) and
 [configs/room.yaml](../configs/room.yaml) are two to start from.
 
-- Every key may be left out; `–` stands for a default that depends on the capture, as its meaning says.
+- A scan needs `rig.backend` and the sizes of camera and projector; `scan patterns` the projector's. Every other key may
+  be left out; `–` stands for a default that depends on the capture, as its meaning says.
 - Every key can be given on the command line as well, after the file and with YAML values: `--set camera.width=640`.
 - A key that is unknown, or a value that is impossible, is an error that names the nearest key or the values that are
   possible. Nothing is ignored.

@@ -17,8 +17,8 @@ from hw.synchronisation import synchronised
 
 MISSING_ARAVIS = (
     "cameras need Aravis and PyGObject, which are not installed: apt-get install gir1.2-aravis-0.8 "
-    "libgirepository1.0-dev libcairo2-dev pkg-config gcc python3-dev, then pip install 'roomscan[rig]' "
-    "(see docs/rig.md)"
+    "libgirepository1.0-dev libcairo2-dev pkg-config gcc python3-dev, then pip install '.[rig]' in the program's "
+    "folder (see docs/rig.md)"
 )
 # Where a screen does not know its rate, and nobody has said it.
 _USUAL_REFRESH_HZ = 60.0

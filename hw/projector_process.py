@@ -21,7 +21,8 @@ _START_TIMEOUT_S = 60.0
 _SHOW_TIMEOUT_S = 10.0
 
 MISSING_PYGLET = (
-    "the projector needs the package pyglet, which is not installed: pip install 'roomscan[rig]' (see docs/rig.md)"
+    "the projector needs the package pyglet, which is not installed: pip install '.[rig]' in the program's folder, "
+    "or 'make rig' there (see docs/rig.md)"
 )
 
 

@@ -220,6 +220,11 @@ class SimulatedRigSettings(BaseModel):
     )
     read_noise_electrons: float = Field(2.5, ge=0.0, description="Standard deviation of the read noise in electrons.")
 
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Of a frame."""
+        return 1 if self.bit_depth == 8 else 2
+
 
 class AravisRigSettings(BaseModel):
     """A GenICam camera (GigE Vision, USB3 Vision) reached through Aravis, and a projector that is a screen."""
@@ -259,6 +264,12 @@ class AravisRigSettings(BaseModel):
     refresh_hz: float | None = Field(
         None, ge=10.0, le=1000.0, description="Refresh rate of the projector; left out, that of the screen's mode."
     )
+
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Of a frame; those of colour cameras have three channels."""
+        channels = 1 if self.pixel_format.startswith("Mono") else 3
+        return channels * (1 if self.pixel_format.endswith("8") else 2)
 
     @model_validator(mode="before")
     @classmethod

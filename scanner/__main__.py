@@ -2,6 +2,18 @@
 
 import sys
 
-from scanner.commands.main import main
+from scanner.interruption import end_at_once, ignore, on_ending
 
-sys.exit(main())
+
+def run() -> int:
+    """The whole process, whose exit code is returned: not even while modules are loaded has Ctrl-C a traceback."""
+    on_ending(end_at_once)
+    from scanner.commands.main import main
+
+    code = main()
+    on_ending(ignore)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(run())

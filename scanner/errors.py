@@ -1,5 +1,30 @@
 """Errors of the application; the command line turns each into its exit code."""
 
+import errno
+
+# What an OSError says of the disk, whatever was being done there.
+DISK_TROUBLE = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO})
+_REMEDIES = {
+    errno.EFBIG: "files of this size are not allowed (ulimit -f), or the file system cannot hold them",
+    errno.EROFS: "mount it to be written, or choose another --out",
+    errno.EACCES: "change the folder's permissions, or choose another --out",
+    errno.EPERM: "change the folder's permissions, or choose another --out",
+    errno.EIO: "the disk, or the connection to it, has failed: choose another --out",
+}
+_FULL = "make room there, or choose another --out"
+
 
 class InputError(Exception):
     """A wrong argument, configuration or input file. The message says what was expected, what was found, what to do."""
+
+
+class StorageError(Exception):
+    """A disk that is full, may not be written, or fails. The message names the path and says what to do."""
+
+
+def cannot_write(where: object, error: OSError, what: str = "written") -> StorageError | InputError:
+    """What is said of an error in writing: a disk that does not take it, or a path where nothing can be `what`."""
+    said = f"{where}: cannot be {what}: {error.strerror or error}"
+    if error.errno in DISK_TROUBLE or error.errno in _REMEDIES:
+        return StorageError(f"{said}; {_REMEDIES.get(error.errno or 0, _FULL)}")
+    return InputError(said)

@@ -7,21 +7,23 @@
 A result is left in `out`, whole or not at all; also after RefusalError, with the reason in its report.
 """
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration
 from scanner import pipeline
-from scanner.capture import Recording, check_places, open_capture
-from scanner.configuration import Config
+from scanner.capture import CAPTURE_FILE, Recording, check_places, open_capture
+from scanner.configuration import Config, recorded_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.reconstruction import read_captures, read_masks, refuse_impossible
-from scanner.results import Scan, new_result, read_uncertainty
+from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Scan, new_result, read_uncertainty, settle, unused
 from scanner.ui import Terminal
 
 _SILENT = Terminal(quiet=True)
+_NOT_INCOMPLETE = re.compile(r"-incomplete(-\d+)?$")
 
 
 def scan(
@@ -47,8 +49,47 @@ def scan(
     check_places(config.required_rig, captures, terminal)
     earlier = read_captures(config.earlier, config.camera_size, config.projector_size)
     refuse_impossible(config, len(earlier) + captures)
-    with new_result(out, config, overwrite=overwrite, keep_capture=True) as folder:
+    with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         return pipeline.scan(config, folder, terminal, number=captures, masks=drawn, earlier=earlier)
+
+
+def resume(
+    folder: Path,
+    out: Path | None = None,
+    *,
+    config: Config | None = None,
+    overrides: Sequence[str] = (),
+    masks: Path | None = None,
+    overwrite: bool = False,
+    terminal: Terminal = _SILENT,
+) -> tuple[Scan, Path]:
+    """Take what is missing of the capture in what a scan has left that was broken off, and make a result of all of it.
+
+    `folder` stays as it is. Whole captures in it are calibrated together with this one. `config` (default: what the
+    recording was made with, with KEY=VALUE `overrides`) and `out` (default: what the scan would have made) are of the
+    new result. Raises InputError, also if rig or scene are not as they were, DeviceError, RefusalError.
+    """
+    named = folder if folder.name not in ("", "..") else folder.absolute()
+    out = out or unused(named.with_name(_NOT_INCOMPLETE.sub("", named.name)))
+    for sentence in settle(out):
+        terminal.note(sentence)
+    begun = open_capture(folder / CAPTURE_FOLDER if (folder / CAPTURE_FOLDER).is_dir() else folder)
+    settings = config or recorded_config(begun.metadata, str(begun.folder / CAPTURE_FILE), overrides)
+    for note in begun.notes:
+        terminal.note(note)
+    for device, size, expected in (
+        ("camera", settings.camera_size, begun.camera_size),
+        ("projector", settings.projector_size, begun.projector_size),
+    ):
+        if size != expected:
+            raise InputError(f"{folder}: its {device} is {expected}, but the configuration's is {size}")
+    settings.principal_point(settings.camera_size)
+    drawn = read_masks(masks, settings.camera_size) if masks else None
+    whole = [folder] if (folder / CAPTURES_FOLDER).is_dir() else []
+    earlier = read_captures([*settings.earlier, *whole], settings.camera_size, settings.projector_size)
+    refuse_impossible(settings, len(earlier) + 1)
+    with new_result(out, settings, overwrite=overwrite, keep_capture=True, tell=terminal.note) as made:
+        return pipeline.resume(begun, settings, made, terminal, masks=drawn, earlier=earlier), out
 
 
 def replay(
@@ -59,9 +100,12 @@ def replay(
     calibration: Path | None = None,
     masks: Path | None = None,
     overwrite: bool = False,
+    keep_recording: bool = True,
     terminal: Terminal = _SILENT,
 ) -> Scan:
     """Reconstruct from a recorded capture, whoever made it; with a `calibration` nothing is calibrated.
+
+    `keep_recording`: a copy of it becomes part of the result.
 
     Raises InputError, RefusalError.
     """
@@ -74,7 +118,9 @@ def replay(
     known = _calibration_for(recording, calibration, settings) if calibration else None
     earlier = read_captures(settings.earlier, recording.camera_size, recording.projector_size)
     refuse_impossible(settings, len(earlier) + 1)
-    with new_result(out, settings, overwrite=overwrite) as folder:
+    with new_result(out, settings, overwrite=overwrite, tell=terminal.note) as folder:
+        if keep_recording:
+            recording.copy_to(folder / CAPTURE_FOLDER)
         if known:
             return pipeline.replay_calibrated(recording, *known, settings, folder, terminal)
         return pipeline.replay(recording, settings, folder, terminal, masks=drawn, earlier=earlier)
@@ -90,7 +136,7 @@ def calibrate(
     config.principal_point(config.camera_size)
     captures = read_captures(matches, config.camera_size, config.projector_size)
     refuse_impossible(config, len(captures))
-    with new_result(out, config, overwrite=overwrite) as folder:
+    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
         return pipeline.reconstruct(captures, config, folder, terminal)
 
 

@@ -4,20 +4,33 @@ What was found is written into `folder` also when RefusalError is raised: the ma
 calibrated are worth keeping, and the report says why.
 """
 
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from math import prod
 from pathlib import Path
 
 from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration
 from calib.numerics import Bools
+from calib.refusal import RefusalError
 from hw.open_rig import open_rig
 from hw.settings import RigSettings
-from scanner.capture import CaptureFacts, Recording, Stream, capture, identity, next_place, record
-from scanner.configuration import Config
-from scanner.decoding import Decoder
-from scanner.io import write_calibration
+from scanner.capture import (
+    CaptureFacts,
+    Recording,
+    Stream,
+    capture,
+    identity,
+    next_place,
+    open_capture,
+    record,
+    take_up,
+)
+from scanner.configuration import CONFIGURATION_KEY, Config
+from scanner.decoding import Decoder, usable
+from scanner.errors import InputError
+from scanner.io import require_space, write_calibration
 from scanner.reconstruction import (
     calibrate,
     label,
@@ -30,6 +43,9 @@ from scanner.reconstruction import (
 )
 from scanner.results import CAPTURE_FOLDER, TRUTH_FILE, Decoded, GivenCalibration, Scan
 from scanner.ui import Progress, Terminal
+
+# Of matches and cloud, for each pixel of the camera.
+_RESULT_BYTES_PER_PIXEL = 75
 
 
 def scan(
@@ -53,16 +69,53 @@ def scan(
     return reconstruct(captures, config, folder, terminal, masks=masks)
 
 
-def take(settings: RigSettings, config: Config, folder: Path, progress: Progress, name: str) -> Decoded:
-    """One capture, recorded and decoded as it comes. Raises DeviceError."""
+def resume(
+    begun: Recording,
+    config: Config,
+    folder: Path,
+    terminal: Terminal,
+    *,
+    masks: Bools | None = None,
+    earlier: Sequence[Decoded] = (),
+) -> Scan:
+    """Take what is missing of a capture that was broken off, then reconstruct. Raises InputError, DeviceError too."""
+    name = f"Capture {len(earlier) + 1}"
+    found = take(config.required_rig, config, folder, terminal, name, begun)
+    return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
+
+
+def take(
+    settings: RigSettings,
+    config: Config,
+    folder: Path,
+    progress: Progress,
+    name: str,
+    begun: Recording | None = None,
+) -> Decoded:
+    """One capture, recorded and decoded as it comes, or the rest of one that was `begun`.
+
+    Raises DeviceError, StorageError if there is no room for it.
+    """
     patterns = config.sequence.patterns(config.projector_size)
+    count, pixels = len(patterns) * max(1, len(config.sequence.exposures_us)), prod(config.camera_size)
+    total_bytes = pixels * (count * settings.bytes_per_pixel + _RESULT_BYTES_PER_PIXEL)
+    require_space(
+        folder, count, total_bytes, f"a capture of {count} frames of {config.camera_size} px, with its result,"
+    )
     with ExitStack() as devices:
         with progress.step("Preparing the rig"):
             opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
         if opened.truth:
             write_calibration(folder / TRUTH_FILE, opened.truth)
-        live = capture(opened.rig, patterns, config.sequence.exposures_us, config.projector.known_response)
-        found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding", name)
+        how = patterns, config.sequence.exposures_us, config.projector.known_response
+        live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
+        live = replace(live, metadata={**live.metadata, CONFIGURATION_KEY: config.recorded})
+        recorded = folder / CAPTURE_FOLDER
+
+        def again() -> Stream:
+            return open_capture(recorded).stream()
+
+        found = decode(record(live, recorded), progress, "Capturing and decoding", name, again=again)
     return replace(found, facts=replace(found.facts, truth=opened.truth))
 
 
@@ -76,8 +129,9 @@ def replay(
     earlier: Sequence[Decoded] = (),
 ) -> Scan:
     """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
-    found = _decode_recording(recording, folder, terminal)
-    return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
+    with _saying_what_is_missing(recording):
+        found = _decode_recording(recording, terminal)
+        return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
 
 def replay_calibrated(
@@ -92,29 +146,67 @@ def replay_calibrated(
 
     Raises InputError, RefusalError.
     """
-    found = _decode_recording(recording, folder, terminal, calibration)
-    with refusal_saved([found], folder) as reached:
+    with _saying_what_is_missing(recording):
+        found = _decode_recording(recording, terminal, calibration)
+    with refusal_saved([found], folder, config) as reached:
         given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
         captures = triangulate([given], reached, terminal)
-    return _finished(Scan(captures), folder, terminal)
+    return _finished(Scan(captures), config, folder, terminal)
 
 
-def _decode_recording(
-    recording: Recording, folder: Path, terminal: Terminal, calibration: Calibration | None = None
-) -> Decoded:
-    recording.copy_to(folder / CAPTURE_FOLDER)
-    return decode(recording.stream(), terminal, "Decoding", str(recording.folder), calibration)
+def _decode_recording(recording: Recording, terminal: Terminal, calibration: Calibration | None = None) -> Decoded:
+    """As much of it as determines something."""
+    sequence = usable(
+        recording.patterns, recording.planned, recording.projector_size, calibrated=calibration is not None
+    )
+
+    def stream() -> Stream:
+        return recording.stream().shown_as(sequence.patterns)
+
+    found = decode(stream(), terminal, "Decoding", str(recording.folder), calibration, again=stream)
+    return found.noting(*recording.notes, *filter(None, [sequence.words, _resumption(recording)]))
+
+
+def _resumption(recording: Recording) -> str:
+    missing = len(recording.planned) > len(recording.patterns)
+    return (
+        f"scan --resume {recording.folder} takes the missing frames, if the rig still stands there." if missing else ""
+    )
+
+
+@contextmanager
+def _saying_what_is_missing(recording: Recording) -> Iterator[None]:
+    """A capture that comes to nothing may do so because it was broken off."""
+    try:
+        yield
+    except (InputError, RefusalError) as error:
+        for note in filter(None, [*recording.notes, _resumption(recording)]):
+            error.add_note(note)
+        raise
 
 
 def decode(
-    stream: Stream, progress: Progress, what: str, name: str = "", calibration: Calibration | None = None
+    stream: Stream,
+    progress: Progress,
+    what: str,
+    name: str = "",
+    calibration: Calibration | None = None,
+    again: Callable[[], Stream] | None = None,
 ) -> Decoded:
-    """Frames as they come → matches; no frame is kept. With a calibration one axis is enough."""
+    """Frames as they come → matches; no frame is kept. With a calibration one axis is enough.
+
+    `again` gives the frames once more, which it takes if each of them shows some of the picture before.
+    """
     decoder = Decoder(stream.patterns, stream.projector_size, calibration)
     exposures_us = []
     for _, frame in progress.track(stream.frames, len(stream.patterns), what):
         decoder.add(frame.image, frame.exposure_us)
         exposures_us += [frame.exposure_us] if frame.exposure_us else []
+    ghost = decoder.ghost() if again else 0.0
+    if again and ghost:
+        decoder = Decoder(stream.patterns, stream.projector_size, calibration, ghost=ghost)
+        for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out a ghost"):
+            decoder.add(frame.image)
     with progress.step("Matching"):
         decoding = decoder.finish()
     about = identity({**stream.metadata, **stream.account()})
@@ -126,7 +218,7 @@ def reconstruct(
     captures: Sequence[Decoded], config: Config, folder: Path, progress: Progress, *, masks: Bools | None = None
 ) -> Scan:
     """Matches → faces → one calibration → clouds → files; `masks` are of the newest capture. Raises RefusalError."""
-    with refusal_saved(captures, folder) as reached:
+    with refusal_saved(captures, folder, config) as reached:
         with progress.step("Calibrating"):
             labelled = label(captures, reached, masks)
             reached[:] = calibrated = calibrate(labelled, config)
@@ -135,10 +227,10 @@ def reconstruct(
         if len(captures) > 1 and config.corner.same:
             with progress.step("Merging the clouds"):
                 result = Scan(reconstructed, *merge(calibrated, [capture.cloud for capture in reconstructed]))
-    return _finished(result, folder, progress)
+    return _finished(result, config, folder, progress)
 
 
-def _finished(result: Scan, folder: Path, progress: Progress) -> Scan:
+def _finished(result: Scan, config: Config, folder: Path, progress: Progress) -> Scan:
     with progress.step("Writing the result"):
-        save(result, folder)
+        save(result, folder, config)
     return result

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from conditions.catalogue import conditions
-from conditions.judging import MOST_SIGMAS
+from conditions.judging import MOST_PERCENT, MOST_SIGMAS
 from conditions.trial import Outcome
 
 BEGIN, END = "<!-- conditions: begin, written by benchmarks/bench_conditions.py --write -->", "<!-- conditions: end -->"
@@ -33,12 +33,16 @@ def refused_needlessly(outcomes: Iterable[Outcome]) -> list[Outcome]:
 
 
 def confident_and_wrong(outcomes: Iterable[Outcome]) -> list[Outcome]:
-    """Captures with an answer that the program stands behind and that is too far from the truth."""
-    return [o for o in outcomes if o.wrong]
+    """Captures with an answer that is too far from the truth, other than the `admitted` ones."""
+    accepted = admitted(outcomes := list(outcomes))
+    return [o for o in outcomes if o.wrong and o not in accepted]
 
 
 def admitted(outcomes: Iterable[Outcome]) -> list[Outcome]:
-    """Of the wrong answers those that are more than 2 % off, but say so: within their sigmas, and for a first look."""
+    """Answers that are more than 2 % off, but say so: within 4 sigma of the truth, and graded as a first look only.
+
+    An uncertainty that is stated truly, together with the advice to capture again, is not confidence.
+    """
     return [
         o for o in outcomes if o.wrong and o.grade == "fair" and o.sigmas and _worst(np.array(o.sigmas)) <= MOST_SIGMAS
     ]
@@ -92,8 +96,8 @@ def _totals(outcomes: Sequence[Outcome]) -> list[str]:
         if those:
             lines.append(
                 f"{title}, {len(those)} captures: **{len(refused_needlessly(those))} refused that could be decoded, "
-                f"{len(confident_and_wrong(those))} confident and wrong** ({len(admitted(those))} of them "
-                f"by more than 2 %, but within {MOST_SIGMAS:g} sigma, and graded as a first look only)."
+                f"{len(confident_and_wrong(those))} confident and wrong**; {len(admitted(those))} more are off by over "
+                f"{MOST_PERCENT:g} % and say so, being within {MOST_SIGMAS:g} sigma and graded as a first look only."
             )
             lines.append("")
     return lines[:-1]

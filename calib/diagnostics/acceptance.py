@@ -24,7 +24,7 @@ def no_corner(captures: Sequence[Cells], words: Wording) -> RefusalError:
     return RefusalError(
         "These three faces are not the picture of a square corner for any focal length of the camera"
         + _because([reason for cells in captures for reason in reasons_in_images(cells)]),
-        "A face may be wrong, or be seen edge on. " + words.move,
+        "A face may be wrong, or be seen edge on. " + words.move + words.shape,
     )
 
 
@@ -63,7 +63,7 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
             raise RefusalError(
                 f"The solution has a {name} with a focal length of {field:.2g} image widths, which hardly any has"
                 + _because(_reasons(refinement, words)),
-                f"The faces may not be square to each other, or {words.unrelated}. " + words.move,
+                f"The faces may not be square to each other, or {words.unrelated}. " + words.move + words.shape,
             )
     _refuse_misfit(refinement, words)
     _refuse_skew(refinement, knowledge)
@@ -90,7 +90,7 @@ def _refuse_misfit(refinement: Refinement, words: Wording) -> None:
                 f"No corner explains the matches{which}: {noise.smooth_px:.2g} {words.pixels} of smooth misfit remain "
                 f"over the faces, where {words.smooth} leave less than {limit_px:.2g}.",
                 "What was taken for faces may be bent or wrong, or the lenses bend more than two radial terms allow "
-                "for. " + words.move,
+                "for. " + words.move + words.shape,
             )
 
 
@@ -108,7 +108,8 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
                 else "they should be"
             )
             + f": with the angles free, −2 log likelihood is lower by {refinement.tension:.0f}.",
-            "Choose another corner, or allow for walls farther from square (a larger squareness_deg).",
+            "Choose another corner, or allow for walls farther from square (a larger squareness_deg)."
+            + knowledge.words.shape,
         )
 
 

@@ -5,7 +5,7 @@ from calib.numerics.chunks import by_columns, in_pieces
 from calib.numerics.jit import compiled
 from calib.numerics.levenberg_marquardt import NIELSEN, Damping, Quadratic, descend, minimise, newton
 from calib.numerics.morans_i import SpatialCorrelation, spatial_correlation
-from calib.numerics.parallel import in_parallel, in_slices
+from calib.numerics.parallel import in_parallel, in_slices, use_processors
 from calib.numerics.reweighted import reweighted
 from calib.numerics.robust_statistics import (
     MEDIAN_LENGTH,
@@ -14,7 +14,9 @@ from calib.numerics.robust_statistics import (
     biweight_slope,
     blocks,
     influence_on,
+    median,
     robust_covariance,
     robust_sigma,
 )
 from calib.numerics.sampling import evenly
+from calib.numerics.singular import singular_refused

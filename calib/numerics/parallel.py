@@ -9,9 +9,22 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
+_chosen: list[int] = []
+
+
+def use_processors(count: int) -> None:
+    """Share work among so many threads from now on, in this process: beside others, fewer than there are processors."""
+    _chosen[:] = [count]
+
+
+def processors() -> int:
+    """How many threads share work: as many as were chosen, or as there are processors."""
+    return _chosen[0] if _chosen else os.cpu_count() or 1
+
+
 def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """What a function returns for each item, in the items' order."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(processors()) as pool:
         return list(pool.map(function, items))
 
 

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import NO_FACE, Matches
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, singular_refused
 from calib.plane_segmentation.corner_hypotheses import Triple, corner_triples, outermost
 from calib.plane_segmentation.labelling import label_matches
 from calib.plane_segmentation.plane_extraction import NO_PLANE
 from calib.plane_segmentation.segmentation import Segments, segment
 from calib.plane_segmentation.surfels import make_surfels
-from calib.refusal import RefusalError
+from calib.refusal import RIG, RefusalError
 
 _SEED = 20240
 _FEWEST_MATCHES = 1500
@@ -44,6 +44,7 @@ class Faces:
     plane: Ints
 
 
+@singular_refused(RIG)
 def find_faces(matches: Matches, camera_size: tuple[int, int], projector_size: tuple[int, int]) -> Faces:
     """Segment matches (N) into planes and choose the three that form a cuboid corner; sizes are (width, height).
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.geometry import NO_FACE, Matches, dehomogenise, homogeneous
-from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints
+from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, singular_refused
 from calib.plane_segmentation.plane_extraction import NO_PLANE
 from calib.refusal import PHOTOS, RefusalError
 
@@ -38,6 +38,7 @@ class SparseFaces:
     plane: Ints
 
 
+@singular_refused(PHOTOS)
 def find_sparse_faces(matches: Matches, size: tuple[int, int]) -> SparseFaces:
     """Find the planes among matches (N) of two photos of (width, height) and take the three largest that can be faces.
 
@@ -52,6 +53,7 @@ def find_sparse_faces(matches: Matches, size: tuple[int, int]) -> SparseFaces:
     return SparseFaces(matches.with_faces(face_of[plane]), plane)
 
 
+@singular_refused(PHOTOS)
 def find_alike(labelled: Matches, matches: Matches, size: tuple[int, int]) -> SparseFaces:
     """The planes among matches of the same first photo with another one, numbered as the faces in `labelled` are.
 

@@ -107,7 +107,7 @@ def _neighbour_planes(
     near = (distance <= reach[:, None]).astype(np.float64)
     offsets: Floats = cloud[np.minimum(index, len(cloud) - 1)].astype(np.float64) - points[:, None]
     weight: Floats = near.sum(axis=1)
-    mean = np.einsum("mk,mki->mi", near, offsets) / weight[:, None]
+    mean = np.einsum("mk,mki->mi", near, offsets) / np.maximum(weight, 1.0)[:, None]  # not even itself: no reach
     centred = (offsets - mean[:, None]) * near[..., None]
     spread, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", centred, centred))
     toward_camera = -points.astype(np.float64) / np.linalg.norm(points, axis=1, keepdims=True)

@@ -17,8 +17,8 @@ _REACH_OF_SPACING = 1.5
 
 def index_grid(pixel: Ints, size: tuple[int, int]) -> Ints:
     """The grid of points at pixels (N, 2), column and row, in an image of `size` (width, height)."""
-    grid = np.full(size[::-1], NONE, np.int64)
-    grid[pixel[:, 1], pixel[:, 0]] = np.arange(len(pixel))
+    grid = np.full(size[::-1], NONE, np.int32)
+    grid[pixel[:, 1], pixel[:, 0]] = np.arange(len(pixel), dtype=np.int32)
     return grid
 
 

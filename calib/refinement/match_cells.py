@@ -132,6 +132,8 @@ def _means(label: int, sums: Floats, sample: Matches, reference: Reference, rast
     count = sums[:, 0]
     # A cell far emptier than the one that a typical match is in holds stray labels, not a piece of the plane.
     full = np.sort(count[count > 0])
+    if not len(full):
+        raise TooFewMatchesError(f"the matches of face {label} follow no homography")
     typical = full[np.searchsorted(np.cumsum(full), full.sum() / 2)]
     filled = np.flatnonzero(count >= max(1.0, _SPARSE * typical))
     sums = sums[filled]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from calib.numerics import MEDIAN_LENGTH, Floats
+from calib.numerics import MEDIAN_LENGTH, Floats, median
 from calib.refinement.image_polynomial import CUBIC, monomials
 from calib.refinement.match_cells import Cells
 
@@ -52,7 +52,7 @@ def _systematic(residual: Floats, sigma_px: Floats) -> float:
     for _ in range(50):
         middle = (low + high) / 2
         relative = size / np.sqrt(variance + middle**2)
-        low, high = (middle, high) if np.median(relative) > MEDIAN_LENGTH else (low, middle)
+        low, high = (middle, high) if median(relative) > MEDIAN_LENGTH else (low, middle)
     return high if high > 1e-3 * float(np.median(sigma_px)) else 0.0
 
 

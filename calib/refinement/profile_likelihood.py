@@ -48,7 +48,10 @@ class Valley:
 
 
 def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> Valley:
-    """Both ways from the best fit, until the cost is clearly higher."""
+    """Both ways from the best fit, until the cost is clearly higher.
+
+    Raises LinAlgError if no other focal length has an answer: nothing tells then how sure the best one is.
+    """
     anchored = prior.holding(CAMERA.start)
     sigma = float(np.sqrt(covariance_of(best.information, prior.free)[CAMERA.start, CAMERA.start]))
     walked = [best]
@@ -63,6 +66,8 @@ def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence
             if fit.cost - best.cost > _HIGHEST:
                 break
             step = min(step * _GROWTH, _LONGEST_STEP)
+    if len(walked) == 1:
+        raise np.linalg.LinAlgError("no other focal length has an answer")
     walked.sort(key=lambda fit: float(fit.state.camera[0]))
     cost = np.array([fit.cost for fit in walked])
     states = tuple(fit.state for fit in walked)

@@ -23,8 +23,8 @@ _STEP_PX = 0.5
 
 @dataclass(frozen=True)
 class Shifts:
-    """By what the matches of a capture may be shifted: `likely` fields, of one standard deviation each, and `possible`
-    ones, of which nothing is known.
+    """By what the matches of a capture may be shifted, by fields of one standard deviation each: `likely` ones, and
+    `possible` ones, which nothing tells of.
     """
 
     likely: tuple[Shift, ...] = ()

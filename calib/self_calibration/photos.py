@@ -21,7 +21,7 @@ from calib.diagnostics import (
     uncertainty_of,
 )
 from calib.geometry import Corner, Matches, Motion, TooFewMatchesError, before_the_matches, unproject
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     PER_CORNER,
     PER_POSE,
@@ -57,6 +57,7 @@ def anywhere(size: tuple[int, int]) -> PrincipalPoint:
     return PrincipalPoint(((width - 1) / 2, (height - 1) / 2), _CROP_SIGMA_OF_WIDTH * width)
 
 
+@singular_refused(PHOTOS)
 def calibrate_photos(
     pairs: Sequence[Matches],
     size: tuple[int, int],

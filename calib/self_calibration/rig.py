@@ -19,11 +19,12 @@ from calib.diagnostics import (
 )
 from calib.diagnostics.uncertainty import along_valley
 from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     SQUARENESS_DEG,
     Knowledge,
     Refinement,
+    Shift,
     Shifts,
     family_of,
     into_cells,
@@ -71,8 +72,8 @@ class SelfCalibration:
     reprojection error of a match in the projector, `notes` are things that a person should know. `uncertainty` is None
     for a method that knows none. `order_nats`: of captures of one corner, by how much its angles make the order in
     which the faces are numbered likelier than any other; 0 where they do not tell. `likely_percent`: what likely shifts
-    of the matches may have done to the intrinsics, one standard deviation, which is part of their sigmas;
-    `possible_percent`: what the worst of the possible ones would have done, which is not.
+    of the matches may have done to the intrinsics, one standard deviation; `possible_percent`: the same of those that
+    nothing tells of. Both are part of the sigmas.
     """
 
     calibration: Calibration
@@ -88,6 +89,7 @@ class SelfCalibration:
     possible_percent: float = 0.0
 
 
+@singular_refused(RIG)
 def self_calibrate(
     matches: Matches,
     camera_size: tuple[int, int],
@@ -125,6 +127,7 @@ def self_calibrate(
     return found
 
 
+@singular_refused(RIG)
 def self_calibrate_jointly(
     captures: Sequence[Matches],
     camera_size: tuple[int, int],
@@ -242,8 +245,9 @@ def _by_refinement(
     refinement = refine(cells, families, trials, knowledge, same=same, further=further)
     if refinement is None:
         raise no_corner(cells, RIG)
-    refinement, likely_percent, possible_percent = _with_shifts(refinement, shifts)
+    refinement, likely_percent = _with_shifts(refinement, [each.likely for each in shifts])
     refuse_untrustworthy(refinement, knowledge)
+    refinement, possible_percent = _with_shifts(refinement, [each.possible for each in shifts])
     fit = refinement.fit
     calibration = calibration_of(
         fit.state,
@@ -283,23 +287,13 @@ def _by_refinement(
     return tuple(results)
 
 
-def _with_shifts(refinement: Refinement, shifts: Sequence[Shifts]) -> tuple[Refinement, float, float]:
-    """The same with the likely shifts in its covariance; what these and the possible ones cost, in per cent."""
+def _with_shifts(refinement: Refinement, shifts: Sequence[Sequence[Shift]]) -> tuple[Refinement, float]:
+    """The same with independent shifts of each capture in its covariance; what these cost, in per cent."""
     state = refinement.fit.state
-    likely, possible = (
-        [
-            response_to_shift(refinement, shift, capture)
-            for capture, of_capture in enumerate(shifts)
-            for shift in (of_capture.likely if is_likely else of_capture.possible)
-        ]
-        for is_likely in (True, False)
-    )
-    covariance = together(likely, state.size)
-    return (
-        replace(refinement, covariance=refinement.covariance + covariance),
-        percent_of_intrinsics(state, np.sqrt(np.diag(covariance))),
-        max((percent_of_intrinsics(state, step) for step in possible), default=0.0),
-    )
+    responses = [response_to_shift(refinement, shift, capture) for capture, some in enumerate(shifts) for shift in some]
+    covariance = together(responses, state.size)
+    percent = percent_of_intrinsics(state, np.sqrt(np.diag(covariance)))
+    return replace(refinement, covariance=refinement.covariance + covariance), percent
 
 
 def _renumbered(matches: Matches, *, reflect: bool, shift: int) -> Matches:

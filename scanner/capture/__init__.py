@@ -1,6 +1,8 @@
 """The stream of (pattern, frame), whether live, recorded or simulated, and its recording on disk."""
 
 from scanner.capture.facts import CaptureFacts, identity
-from scanner.capture.recording import CAPTURE_FILE, Recording, open_capture, record
+from scanner.capture.recorder import CAPTURE_FILE, record
+from scanner.capture.recording import Recording, open_capture
+from scanner.capture.resuming import take_up
 from scanner.capture.rig_placement import check_places, next_place
 from scanner.capture.stream import Stream, capture

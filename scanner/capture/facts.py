@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 
 from calib.geometry import Calibration, Size
 from scanner.patterns import Pattern
+from scanner.shown_text import shortened, shown
 
 
 @dataclass(frozen=True)
@@ -35,16 +37,25 @@ class CaptureFacts:
         return "second photo" if self.photos else "projector"
 
 
+_MOST_LINES, _LONGEST_LINE = 50, 200
 _NOT_ABOUT_DEVICES = {"format", "projector", "camera", "frames", "devices"}
 
 
 def identity(metadata: Mapping[str, object]) -> dict[str, str]:
     """What a recording says about its devices and itself, as far as it fits on a line each."""
     devices = metadata.get("devices")
-    named = {str(key): str(value) for key, value in devices.items()} if isinstance(devices, Mapping) else {}
+    named = {str(key): value for key, value in devices.items()} if isinstance(devices, Mapping) else {}
     named |= _synchronisation(metadata.get("synchronisation"))
-    others = {key: value for key, value in metadata.items() if key not in _NOT_ABOUT_DEVICES}
-    return named | {key: str(value) for key, value in others.items() if not isinstance(value, Mapping | list)}
+    others = {str(key): value for key, value in metadata.items() if key not in _NOT_ABOUT_DEVICES}
+    named |= {key: value for key, value in others.items() if not isinstance(value, Mapping | list)}
+    return {shortened(key): _line(value) for key, value in islice(named.items(), _MOST_LINES)}
+
+
+def _line(value: object) -> str:
+    """On a line; what others wrote may be of any kind, and of any length."""
+    if isinstance(value, str):
+        return shortened(value, _LONGEST_LINE)
+    return shown(value) if isinstance(value, Mapping | list) else shortened(str(value), _LONGEST_LINE)
 
 
 def _synchronisation(measured: object) -> dict[str, str]:
@@ -57,8 +68,8 @@ def _synchronisation(measured: object) -> dict[str, str]:
         "time per frame": _with_unit(measured.get("ms_per_frame"), "ms"),
         "of it over exposure and latency": _with_unit(measured.get("overhead_percent"), "%"),
     }
-    return {name: str(value) for name, value in rows.items() if value is not None}
+    return {name: _line(value) for name, value in rows.items() if value is not None}
 
 
 def _with_unit(value: object, unit: str) -> str | None:
-    return None if value is None else f"{value} {unit}"
+    return None if value is None else f"{_line(value)} {unit}"

@@ -1,91 +1,45 @@
-"""The capture folder: `capture.yaml` and a frame for each pattern. Written as frames arrive, checked before use."""
+"""Reading a capture folder: `capture.yaml` and a frame for each pattern, checked before use."""
 
-import os
-import shutil
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from errno import ENOSPC
-from io import FileIO
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from calib.geometry import Size
 from calib.numerics import Image
 from hw.rig import Frame
+from scanner.capture.recorder import CAPTURE_FILE
 from scanner.capture.stream import Stream
+from scanner.capture.torn import planned_patterns, read_listing, torn_image, unlisted
 from scanner.errors import InputError
-from scanner.io import SUFFIXES, Entry, Whole, flow_yaml, read_image, read_yaml, validate, write_png
-from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, frame_line, size_to_dict
+from scanner.io import (
+    LONGEST_SIDE_PX,
+    MOST_IMAGE_FILE_BYTES,
+    SUFFIXES,
+    Entry,
+    Whole,
+    copy_given,
+    read_image,
+    refuse_more_pixels,
+    require_space,
+    validate,
+)
+from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry
+from scanner.shown_text import shown
 
-CAPTURE_FILE = "capture.yaml"
-
-
-def record(stream: Stream, folder: Path) -> Stream:
-    """The same stream; each frame is on disk, and listed in `capture.yaml`, before it is passed on.
-
-    What was captured when a later frame fails is therefore a valid capture of fewer frames. `folder` is made. Walking
-    through the frames raises OSError if the disk is full.
-    """
-    return replace(stream, frames=_recorded(stream, folder))
-
-
-def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
-    (folder / "frames").mkdir(parents=True)
-    with (folder / CAPTURE_FILE).open("wb", buffering=0) as listing:
-        _append(listing, _keys(_header(stream)) + "frames:\n")
-        for index, (pattern, frame) in enumerate(stream.frames):
-            file = f"frames/{index:03d}.png"
-            with _both_or_neither(listing, folder / file):
-                write_png(folder / file, frame.image)
-                _append(listing, frame_line(file, pattern, **_read_back(frame)))
-            yield pattern, frame
-        _append(listing, _keys(stream.account()))
-
-
-@contextmanager
-def _both_or_neither(listing: FileIO, image: Path) -> Iterator[None]:
-    """An image and its line in the listing belong together, also when Ctrl-C or a full disk comes between them."""
-    end = listing.tell()
-    try:
-        yield
-    except BaseException:
-        listing.truncate(end)
-        image.unlink(missing_ok=True)
-        raise
-
-
-def _append(listing: FileIO, text: str) -> None:
-    data = text.encode()
-    if listing.write(data) != len(data):
-        raise OSError(ENOSPC, os.strerror(ENOSPC), listing.name)
-
-
-def _keys(values: Mapping[str, object]) -> str:
-    return "".join(f"{key}: {flow_yaml(value)}\n" for key, value in values.items())
-
-
-def _header(stream: Stream) -> dict[str, object]:
-    return {
-        "format": FORMAT,
-        "projector": size_to_dict(stream.projector_size),
-        "camera": size_to_dict(stream.camera_size),
-        "captured": datetime.now(UTC).isoformat(timespec="seconds"),
-        **stream.metadata,
-    }
-
-
-def _read_back(frame: Frame) -> dict[str, float | int]:
-    values = {"exposure_us": frame.exposure_us, "timestamp_ns": frame.timestamp_ns}
-    return {key: value for key, value in values.items() if value is not None}
+_SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US = 1e-3, 1e9
 
 
 class _SizeEntry(Entry):
-    width: Whole = Field(ge=1, le=65535)
-    height: Whole = Field(ge=1, le=65535)
+    width: Whole = Field(ge=1, le=LONGEST_SIDE_PX)
+    height: Whole = Field(ge=1, le=LONGEST_SIDE_PX)
+
+    @model_validator(mode="after")
+    def _is_read(self) -> "_SizeEntry":
+        refuse_more_pixels(self.width, self.height)
+        return self
 
 
 class _FrameEntry(Entry):
@@ -97,7 +51,8 @@ class _FrameEntry(Entry):
     @property
     def read_back(self) -> tuple[float | None, int | None]:
         """Exposure and time stamp; other programs may mean something else by these keys, which is no error."""
-        exposure_us = self.exposure_us if isinstance(self.exposure_us, float | int) and self.exposure_us > 0 else None
+        found, shortest, longest = self.exposure_us, _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US
+        exposure_us = found if isinstance(found, float | int) and shortest <= found <= longest else None
         return exposure_us, self.timestamp_ns if isinstance(self.timestamp_ns, int) else None
 
 
@@ -120,7 +75,8 @@ class Recording:
     """A capture on disk whose listing was checked; its images are read, and checked, one at a time.
 
     `files` are the frames' paths relative to `folder`, one for each of `patterns`; `read_back` their exposures (µs) and
-    time stamps (ns) where known. `metadata` is all of `capture.yaml`.
+    time stamps (ns) where known. `metadata` is all of `capture.yaml`. `planned`: the patterns that were to be shown, as
+    far as the recording says so, the frames' own first; empty if it does not. `notes`: sentences on what is left out.
     """
 
     folder: Path
@@ -130,6 +86,8 @@ class Recording:
     camera_size: Size
     metadata: Mapping[str, Any]
     read_back: tuple[tuple[float | None, int | None], ...]
+    planned: tuple[Pattern, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def stream(self) -> Stream:
         """The capture as it once arrived. Walking through the frames raises InputError at the first bad image."""
@@ -138,7 +96,7 @@ class Recording:
     def _frames(self) -> Iterator[tuple[Pattern, Frame]]:
         first: Image | None = None
         for pattern, file, read_back in zip(self.patterns, self.files, self.read_back, strict=True):
-            image = read_image(self.folder / file)
+            image = read_image(self.folder / file, self.camera_size)
             self._check_size(file, image)
             first = image if first is None else first
             if (image.dtype, image.shape) != (first.dtype, first.shape):
@@ -157,11 +115,13 @@ class Recording:
             )
 
     def copy_to(self, folder: Path) -> None:
-        """Copy the listing and the frames it lists into a new folder. Raises OSError."""
+        """Copy the listing and the frames it lists into a new folder. Raises OSError, StorageError, InputError."""
+        total_bytes = sum((self.folder / file).stat().st_size for file in self.files)
+        require_space(folder, len(self.files), total_bytes, "a copy of the capture")
         for file in (CAPTURE_FILE, *self.files):
             target = folder / file
             target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(self.folder / file, target)
+            copy_given(self.folder / file, target, MOST_IMAGE_FILE_BYTES)
 
 
 def _kind(image: Image) -> str:
@@ -171,18 +131,29 @@ def _kind(image: Image) -> str:
 def open_capture(path: Path) -> Recording:
     """Read and check the listing of a capture folder (or the path of its `capture.yaml`).
 
+    What was being written when a recording was broken off is left out: a torn last line, a last frame that is missing
+    or damaged, the image that was to be listed next.
+
     Raises InputError for a missing or malformed listing, an unknown pattern, a file listed twice, a file that is
     missing or outside the folder, and an image beside the frames that is not listed.
     """
     folder = path.parent if path.name == CAPTURE_FILE else path
     listing = _listing_in(folder)
-    data = read_yaml(listing)
+    data, notes = read_listing(listing)
     entry = validate(_CaptureEntry, data, str(listing))
-    files = tuple(frame.file for frame in entry.frames)
-    patterns = tuple(frame.pattern.pattern() for frame in entry.frames)
+    frames, left_out = entry.frames, set[Path]()
+    if len(frames) > 1 and (torn := torn_image(folder, frames[-1].file)):
+        left_out.add((folder / frames[-1].file).resolve())
+        frames, notes = frames[:-1], (*notes, torn)
+    files = tuple(frame.file for frame in frames)
+    patterns = tuple(frame.pattern.pattern() for frame in frames)
     paths = tuple(_frame_path(listing, file) for file in files)
     _refuse_repeats(listing, paths, "shows the file", files)
-    _refuse_extra_images(folder, set(paths))
+    planned = planned_patterns(data, patterns)
+    if len(planned) > len(patterns) and (extra := unlisted(folder, len(entry.frames))):
+        left_out.add(extra.resolve())
+        notes = (*notes, f"The image {extra.name} is left out: it was not listed any more.")
+    _refuse_extra_images(folder, {*paths, *left_out})
     return Recording(
         folder,
         files,
@@ -190,13 +161,18 @@ def open_capture(path: Path) -> Recording:
         Size(entry.projector.width, entry.projector.height),
         Size(entry.camera.width, entry.camera.height),
         data,
-        tuple(frame.read_back for frame in entry.frames),
+        tuple(frame.read_back for frame in frames),
+        planned,
+        notes,
     )
 
 
 def _listing_in(folder: Path) -> Path:
     listing = folder / CAPTURE_FILE
     if listing.is_file():
+        # Or what anyone keeps in a file beside would be copied into results, and quoted in messages.
+        if not listing.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{listing}: is a link that leads out of the capture folder")
         return listing
     if not folder.exists():
         raise InputError(f"{folder}: no such capture folder")
@@ -213,18 +189,18 @@ def _listing_in(folder: Path) -> Path:
 def _frame_path(listing: Path, file: str) -> Path:
     """Where a listed frame really is; it must be a file inside the capture folder, whatever links lead to it."""
     if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file:
-        raise InputError(f"{listing}: frame {file!r} must be a path inside the capture folder")
+        raise InputError(f"{listing}: frame {shown(file)} must be a path inside the capture folder")
     root = listing.parent.resolve()
     try:
         path = (root / file).resolve()
         found = "is no file" if path.exists() else "is missing"
         is_file = path.is_file()
     except (OSError, RuntimeError) as error:  # a name that is too long, links in a circle
-        raise InputError(f"{listing}: frame {file!r} cannot be found: {error}") from error
+        raise InputError(f"{listing}: frame {shown(file)} cannot be found: {error}") from error
     if not path.is_relative_to(root):
-        raise InputError(f"{listing}: frame {file!r} is a link that leads out of the capture folder")
+        raise InputError(f"{listing}: frame {shown(file)} is a link that leads out of the capture folder")
     if not is_file:
-        raise InputError(f"{listing}: frame {file!r} {found}")
+        raise InputError(f"{listing}: frame {shown(file)} {found}")
     return path
 
 
@@ -232,7 +208,9 @@ def _refuse_repeats(listing: Path, values: Sequence[Hashable], what: str, names:
     first_with: dict[Hashable, int] = {}
     for index, value in enumerate(values):
         if value in first_with:
-            raise InputError(f"{listing}: frame {index} {what} of frame {first_with[value]} again: {names[index]}")
+            raise InputError(
+                f"{listing}: frame {index} {what} of frame {first_with[value]} again: {shown(names[index])}"
+            )
         first_with[value] = index
 
 

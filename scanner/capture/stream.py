@@ -1,7 +1,7 @@
 """Rig and patterns → the stream that everything else consumes."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from calib.geometry import Size
 from hw.errors import DeviceError
@@ -23,6 +23,12 @@ class Stream:
     frames: Iterator[tuple[Pattern, Frame]]
     metadata: Mapping[str, object] = field(default_factory=dict)
     account: Callable[[], Mapping[str, object]] = dict
+
+    def shown_as(self, patterns: Sequence[Pattern | None]) -> "Stream":
+        """The same frames with other names for what they show, without those that have None."""
+        kept = tuple(pattern for pattern in patterns if pattern is not None)
+        renamed = zip(patterns, self.frames, strict=True)
+        return replace(self, patterns=kept, frames=((p, frame) for p, (_, frame) in renamed if p is not None))
 
 
 def capture(

@@ -1,6 +1,7 @@
 """The check from top to bottom. The rows come as they are found, so that a page can show them one by one."""
 
 import logging
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -18,8 +19,10 @@ from scanner.checking.focus_row import finest_period_px, focus_row
 from scanner.checking.fringes import STEPS, FringeMeter
 from scanner.checking.light import Light, light_rows, photograph_light
 from scanner.checking.pictures import contrast_picture, coverage_picture, saturation_picture
+from scanner.checking.pixels import pixel_row
 from scanner.checking.report import CheckReport, CheckRow, Pixels, State
 from scanner.checking.response import measure_ramp, response_row
+from scanner.checking.steadiness import Before, patterns, steadiness_row
 from scanner.configuration import Config
 from scanner.decoding import MaskReason
 from scanner.patterns import Pattern, phase_sequence
@@ -34,8 +37,10 @@ log = logging.getLogger(__name__)
 _WHITES, _BLACKS = 6, 4
 
 
-def check(config: Config, terminal: Progress, on_row: OnRow | None = None) -> CheckReport:
+def check(config: Config, terminal: Progress, on_row: OnRow | None = None, watch_s: float = 0.0) -> CheckReport:
     """Open the configured rig and check it; `on_row` is called with each row as soon as it is known.
+
+    Drift is looked for over `watch_s` seconds, or as long as the rest of the check takes.
 
     A device that fails is a row. Raises InputError if the configuration names no rig or no sizes, or if earlier
     captures that it names cannot be read.
@@ -48,15 +53,17 @@ def check(config: Config, terminal: Progress, on_row: OnRow | None = None) -> Ch
             checking = Checking(on_row)
             checking.fail(error)
             return checking.report()
-        return check_rig(rig, config, terminal, on_row)
+        return check_rig(rig, config, terminal, on_row, watch_s)
 
 
-def check_rig(rig: Rig, config: Config, terminal: Progress, on_row: OnRow | None = None) -> CheckReport:
+def check_rig(
+    rig: Rig, config: Config, terminal: Progress, on_row: OnRow | None = None, watch_s: float = 0.0
+) -> CheckReport:
     """Check a rig that is open, as `check` does. Its camera is left at the exposure that is proposed."""
     earlier = read_captures(config.earlier, Size(*rig.camera.size), Size(*rig.projector.size))
     checking = Checking(on_row)
     try:
-        _check(_Bench(rig, config, terminal, earlier), checking)
+        _check(_Bench(rig, config, terminal, earlier, watch_s), checking)
     except DeviceError as error:
         checking.fail(error)
     return checking.report()
@@ -64,12 +71,13 @@ def check_rig(rig: Rig, config: Config, terminal: Progress, on_row: OnRow | None
 
 @dataclass(frozen=True)
 class _Bench:
-    """What is checked, with the captures that a scan would be calibrated with."""
+    """What is checked, with the captures that a scan would be calibrated with, and for how long drift is looked for."""
 
     rig: Rig
     config: Config
     terminal: Progress
     earlier: list[Decoded]
+    watch_s: float
 
     def show(self, patterns: tuple[Pattern, ...]) -> Iterator[tuple[Pattern, Frame]]:
         """Frames of patterns, sent as a scan would send them."""
@@ -123,6 +131,9 @@ def _check(bench: _Bench, checking: Checking) -> None:
         return
     checking.response = ramp.response.light if ramp.response else None
     checking.add(response_row(ramp))
+    with terminal.step("Looking at lines of one pixel"):
+        row = pixel_row(rig, light, ramp)
+    checking.add(*([row] if row else []))
     _check_view(bench, light, checking)
 
 
@@ -130,6 +141,7 @@ def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
     """From a quick capture; the configured one follows where the quick one is refused or patchy, which takes longer."""
     rig, config, terminal = bench.rig, bench.config, bench.terminal
     meter = FringeMeter()
+    since_s = time.monotonic()
     quick = view.take_quick(rig, config, meter, terminal)
     checking.add(*transfer_rows(rig))
     with terminal.step("Calibrating"):
@@ -140,8 +152,21 @@ def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
             row, failure = view.view_row(scanned, config, bench.earlier, as_configured=True)
     decoded = next((seen for seen in (scanned, quick) if seen and seen.decoding), None)
     _check_lenses(bench, light, decoded or view.take_coarse(rig, config, terminal), meter, checking)
+    _check_steadiness(bench, light, quick, since_s, checking)
     checking.add(row)
     checking.failure = failure
+
+
+def _check_steadiness(bench: _Bench, light: Light, quick: view.Capture, since_s: float, checking: Checking) -> None:
+    if not quick.decoding:
+        return
+    with bench.terminal.step("Waiting to see whether anything drifts"):
+        time.sleep(max(0.0, bench.watch_s - (time.monotonic() - since_s)))
+    fringes = patterns()
+    frames = bench.terminal.track(bench.show(fringes), len(fringes), "Looking at the same stripes again")
+    before = Before(since_s, light, view.projector_map(quick.decoding))
+    row = steadiness_row(bench.rig, before, frames, light.well_lit)
+    checking.add(*([row] if row else []))
 
 
 def _check_lenses(bench: _Bench, light: Light, decoded: view.Capture, meter: FringeMeter, checking: Checking) -> None:

@@ -12,7 +12,7 @@ from scanner.patterns import ProjectorResponse
 
 _NAME = "response"
 # 255 = 15 × 17: the levels are whole numbers, and as many as a smooth curve needs.
-_STEPS = 16
+RAMP_STEPS = 16
 # Averages over thousands of pixels are known so well; two levels that differ by less are alike.
 _LEAST_RISE = 1e-4
 # Of white: a step that brings less light at the bright end is wasted on it.
@@ -36,7 +36,7 @@ def measure_ramp(rig: Rig, light: Light) -> Ramp | None:
     where = light.well_lit
     if not where.any():
         return None
-    pictures = (np.full((height, width), round(level), np.uint8) for level in np.linspace(0, 255, _STEPS))
+    pictures = (np.full((height, width), round(level), np.uint8) for level in np.linspace(0, 255, RAMP_STEPS))
     levels = np.array([grey(frame.image)[where].mean() for frame in rig.photograph(pictures)])
     return ramp_of((levels - levels[0]) / (levels[-1] - levels[0]))
 

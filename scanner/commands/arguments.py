@@ -1,6 +1,6 @@
 """What can be typed: every command with its arguments. Knows nothing of what they do, so that help comes at once."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -8,6 +8,8 @@ from pathlib import Path
 
 from scanner.exporting import DEFAULT_POINTS, FORMATS
 from scanner.viewing.opening import add_address
+
+_LONGEST_WATCH_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -19,13 +21,30 @@ class Command:
     module: str
     more: str = ""
 
-    def run(self, args: Namespace) -> None:
-        """Do the work. Raises InputError, DeviceError, RefusalError."""
-        import_module(f"scanner.commands.{self.module}").run(args)
+    def load(self) -> Callable[[Namespace], None]:
+        """What does the work; it raises InputError, StorageError, DeviceError, RefusalError."""
+        run: Callable[[Namespace], None] = import_module(f"scanner.commands.{self.module}").run
+        return run
+
+
+class _InPlaceOfConfig(Action):
+    """Of an argument with which the configuration is known."""
+
+    def __call__(self, parser: ArgumentParser, namespace: Namespace, values: object, _: object = None) -> None:
+        setattr(namespace, self.dest, values)
+        for action in parser._actions:
+            action.required &= action.dest != "config"
 
 
 def _scan(parser: ArgumentParser) -> None:
     _config(parser, required=True)
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        action=_InPlaceOfConfig,
+        metavar="DIR",
+        help="take what is missing of a capture that was broken off, as in NAME-incomplete, with the rig as it was",
+    )
     parser.add_argument(
         "--captures",
         type=int,
@@ -48,6 +67,25 @@ def _replay(parser: ArgumentParser) -> None:
     _masks(parser)
     _out(parser, default="scans/<name of the capture>")
     _overwrite(parser)
+    _quiet(parser)
+
+
+def _batch(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "sources",
+        nargs="+",
+        metavar="FOLDER",
+        help="every capture below it; or a name with * in it; or a list (.csv) with a column 'capture'",
+    )
+    _config(parser, required=False)
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
+    parser.add_argument("--memory", metavar="SIZE", help="of each process, as in 4GB (default: an equal share of all)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a running Dask scheduler, as in tcp://10.0.0.1:8786")
+    parser.add_argument("--retry", action="store_true", help="try captures again that crashed in an earlier run")
     _quiet(parser)
 
 
@@ -81,10 +119,24 @@ def _patterns(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _seconds(text: str) -> float:
+    seconds = float(text)  # argparse tells of what is no number
+    if not 0 <= seconds <= _LONGEST_WATCH_S:
+        raise ArgumentTypeError(f"expected 0 to {_LONGEST_WATCH_S:.0f} seconds, found {text}")
+    return seconds
+
+
 def _check(parser: ArgumentParser) -> None:
     _config(parser, required=True)
     parser.add_argument(
         "--write", action="store_true", help="put the exposure and the projector's response into the configuration file"
+    )
+    parser.add_argument(
+        "--watch",
+        type=_seconds,
+        default=0.0,
+        metavar="SECONDS",
+        help="look for drift over so long, 60 say (default: as long as the rest takes)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder to make, for check.yaml and pictures (default: nothing is kept)"
@@ -252,6 +304,15 @@ NAMED = {
         _calibrate,
         "calibrate",
     ),
+    "batch": Command(
+        "Reconstruct many captures, on all processors of this machine or of many, with one table of all.",
+        _batch,
+        "batch",
+        """
+What a capture does, a refusal or a crash, is in its row; the others go on. Interrupted or repeated with the same
+arguments, a batch does what is left. Sources and --out may be far away, as in s3://bucket/folder.
+""",
+    ),
     "patterns": Command(
         "Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means.",
         _patterns,
@@ -265,7 +326,7 @@ NAMED = {
         """
 Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
 projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
-these lines change, and the file as it was is kept beside it as FILE.bak.
+these lines change, and the file as it was before the first time is kept beside it as FILE.bak.
 
 Exit codes: 0 if a scan would work, be it poorly; 3 if a device fails; 4 if a scan of this view would be refused. What
 is known is shown in any case.

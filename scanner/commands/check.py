@@ -4,8 +4,6 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-from rich.markup import escape
-
 from scanner.checking.check import check
 from scanner.checking.document import write_check
 from scanner.checking.report import CheckReport
@@ -26,13 +24,13 @@ def run(args: Namespace) -> None:
     config.principal_point(config.camera_size)
     if args.out:
         refuse_occupied(args.out)
-    report = check(config, terminal)
+    report = check(config, terminal, None, args.watch)
     terminal.show(table_of(report, sys.stdout.encoding))
     if args.out:
         write_check(args.out, report)
-        terminal.show(escape(f"Written: {args.out}"))
+        terminal.show(f"Written: {args.out}")
     if args.write:
-        terminal.show(escape(_write(args.config, report)))
+        terminal.show(_write(args.config, report))
     if report.failure:
         raise report.failure
 
@@ -47,4 +45,4 @@ def _write(path: Path, report: CheckReport) -> str:
     if not values:
         return f"{path} is as it was: there is nothing to write into it"
     backup = set_keys(path, values)
-    return f"{path}: {' and '.join(values)} set; as it was it is kept in {backup.name}"
+    return f"{path}: {' and '.join(values)} set; as it was at first it is kept in {backup.name}"

@@ -1,8 +1,8 @@
 """List cameras and screens, with the lines to paste into a configuration."""
 
 from argparse import Namespace
-
-from rich.markup import escape
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 from hw.cameras import CameraInfo
 from hw.errors import DeviceError
@@ -14,47 +14,78 @@ from scanner.ui import Terminal
 _PREFERRED_FORMATS = ("Mono8", "BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8")
 
 
+@dataclass(frozen=True)
+class _Device:
+    """How a device is called, what it can do, and the lines of a configuration that choose it."""
+
+    name: str
+    abilities: str
+    rig: tuple[str, ...]
+    size: str
+
+
 def run(args: Namespace) -> None:
     """Show what is there. Raises DeviceError if neither cameras nor screens can be looked for."""
     terminal = Terminal(quiet=args.quiet)
-    problems = []
-    for heading, lines in (("Cameras", _cameras), ("Screens", _screens)):
+    problems: list[str] = []
+    found: dict[str, Sequence[_Device]] = {}
+    look_for: dict[str, Callable[[], Sequence[_Device]]] = {"Cameras": _cameras, "Screens": _screens}
+    for heading, look in look_for.items():
         try:
             with terminal.step(f"Looking for {heading.lower()}"):
-                found = lines()
+                found[heading] = look()
+            lines = [line for device in found[heading] for line in (device.name, device.abilities) if line]
         except DeviceError as error:
             problems.append(str(error))
-            found = [f"  {error}"]
-        terminal.show(escape("\n".join([heading, *(found or ["  none found"])])))
+            lines = [str(error)]
+        terminal.show("\n  ".join([heading, *(lines or ["none found"])]))
     if len(problems) == 2:
         raise DeviceError("neither cameras nor screens can be listed: " + "; ".join(problems))
+    cameras = [camera for camera in found.get("Cameras", ()) if camera.rig]
+    # The desktop begins on the first screen; a projector is mostly the last.
+    if lines := list(_to_paste(cameras, found.get("Screens", ())[::-1])):
+        terminal.show("\nTo paste into a configuration:\n", "\n".join(lines))
 
 
-def _cameras() -> list[str]:
-    cameras: list[CameraInfo] = import_aravis().list_cameras()
-    return [line for camera in cameras for line in _camera_lines(camera)]
+def _to_paste(cameras: Sequence[_Device], screens: Sequence[_Device]) -> Iterator[str]:
+    """YAML that chooses the first of each; the others stand behind it as comments."""
+    if not cameras and not screens:
+        return
+    yield "rig:"
+    yield "  backend: aravis"
+    for devices in (cameras, screens):
+        for number, device in enumerate(devices):
+            yield from (f"  {'# ' if number else ''}{line}" for line in device.rig)
+    for devices in (cameras, screens):
+        for number, device in enumerate(devices):
+            yield f"{'# ' if number else ''}{device.size}"
 
 
-def _camera_lines(camera: CameraInfo) -> list[str]:
-    lines = [f"  {camera}"]
+def _cameras() -> list[_Device]:
+    found: list[CameraInfo] = import_aravis().list_cameras()
+    return [_camera(camera) for camera in found]
+
+
+def _camera(camera: CameraInfo) -> _Device:
     if camera.sensor_size is None:
-        return [*lines, "    in use by another program, or out of reach: its abilities are not known"]
+        unknown = "  in use by another program, or out of reach: its abilities are not known"
+        return _Device(str(camera), unknown, (), "")
     width, height = camera.sensor_size
-    lines += [f"    sensor {width} × {height}, formats {', '.join(camera.pixel_formats)}"]
     preferred = [name for name in _PREFERRED_FORMATS if name in camera.pixel_formats]
     pixel_format = (preferred or list(camera.pixel_formats) or ["Mono8"])[0]
-    lines += [f'    rig: {{backend: aravis, camera: "{camera.device_id}", pixel_format: {pixel_format}}}']
-    return [*lines, f"    camera: {{width: {width}, height: {height}}}"]
+    return _Device(
+        str(camera),
+        f"  sensor {width} × {height}, formats {', '.join(camera.pixel_formats)}",
+        (f'camera: "{camera.device_id}"', f"pixel_format: {pixel_format}"),
+        f"camera: {{width: {width}, height: {height}}}",
+    )
 
 
-def _screens() -> list[str]:
-    return [line for screen in list_screens() for line in _screen_lines(screen)]
+def _screens() -> list[_Device]:
+    return [_screen(screen) for screen in list_screens()]
 
 
-def _screen_lines(screen: Screen) -> list[str]:
-    rate = "" if screen.refresh_hz else ", refresh_hz: 60"
-    return [
-        f"  {screen}",
-        f'    rig: {{backend: aravis, screen: "{screen.geometry}"{rate}}}',
-        f"    projector: {{width: {screen.width}, height: {screen.height}}}",
-    ]
+def _screen(screen: Screen) -> _Device:
+    rate = () if screen.refresh_hz else ("refresh_hz: 60",)
+    rig = (f'screen: "{screen.geometry}"', *rate)
+    return _Device(str(screen), "", rig, f"projector: {{width: {screen.width}, height: {screen.height}}}")

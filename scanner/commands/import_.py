@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from functools import cache
 
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 
 from scanner.errors import InputError
@@ -22,6 +23,7 @@ from scanner.importing import (
     write_capture,
 )
 from scanner.results import OutputFolder
+from scanner.shown_text import harmless
 from scanner.ui import Terminal
 
 _NAMED = {layout.name: layout for layout in LAYOUTS}
@@ -87,7 +89,7 @@ def _table(chosen: Recognised, found: Sequence[Recognised], rejected: Sequence[R
         whys[each.layout.name] = ("yes" if same else "less", f"{_shown(each.projector_size)}, {each.how}")
     for layout in LAYOUTS:
         if layout.name in whys:
-            table.add_row(layout.name, *whys[layout.name])
+            table.add_row(layout.name, *(escape(harmless(words)) for words in whys[layout.name]))
     return table
 
 

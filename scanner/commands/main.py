@@ -9,6 +9,7 @@ from typing import NoReturn
 
 from scanner.commands.arguments import MAIN, NAMED, Command
 from scanner.errors import InputError
+from scanner.interruption import finishing, handlers_restored, interrupt, on_ending
 
 # The matrices here are small and many: handing each to a pool of threads costs several times what it gains. What is
 # worth several cores is cut into pieces where it is computed. This has to be said before NumPy is loaded.
@@ -26,16 +27,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that has no × or ± is no reason to fail
-    try:
-        name, rest = _choose(sys.argv[1:] if arguments is None else list(arguments))
-        _command(name).run(parser_of(name).parse_args(rest))
-    except (Exception, KeyboardInterrupt) as error:
-        from scanner.ui import failure_of  # with what it takes to show progress, which help does without
-
-        failure = failure_of(error)
-        print(f"scan: {failure.message}", file=sys.stderr)
-        return failure.exit_code
+    with handlers_restored():
+        try:
+            name, rest = _choose(sys.argv[1:] if arguments is None else list(arguments))
+            args = parser_of(name).parse_args(rest)
+            run = _command(name).load()
+            on_ending(interrupt)
+            run(args)
+        except (Exception, KeyboardInterrupt) as error:
+            with finishing(ending=True):
+                return _told(error)
     return 0
+
+
+def _told(error: BaseException) -> int:
+    """Say what it was; the exit code that goes with it."""
+    from scanner.ui import failure_of, for_screen  # with what it takes to show progress, which help does without
+
+    failure = failure_of(error)
+    print(for_screen(f"scan: {failure.message}", sys.stderr), file=sys.stderr)
+    return failure.exit_code
 
 
 def parser_of(name: str) -> ArgumentParser:

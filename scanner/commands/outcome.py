@@ -1,23 +1,37 @@
 """What a successful command tells: the calibration, how true it is, and where the files are."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from scanner.quantities import calibration_table, truth_line
-from scanner.results import CALIBRATION_FILE, CLOUD_FILE, MERGED_FILE, REPORT_FILE, Scan, read_verdict, titles_of
+from scanner.results import (
+    CALIBRATION_FILE,
+    CLOUD_FILE,
+    MERGED_FILE,
+    REPORT_FILE,
+    Scan,
+    Verdict,
+    read_verdict,
+    titles_of,
+)
 from scanner.ui import Terminal
 
+# The verdict begins with how well lengths are known, and what its grade rests on.
+_DECISIVE = 2
 
-def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
-    """Print the summary of a result that was published at `out`."""
+
+def show_outcome(scan: Scan, out: Path, terminal: Terminal, remarks: Sequence[str] = ()) -> None:
+    """Print the summary of a result that was published at `out`, what matters most last.
+
+    `remarks` are the command's own, beside the scan's.
+    """
     calibration, truth = scan.newest.calibration, scan.newest.decoded.facts.truth
     terminal.show(calibration_table(calibration, truth))
     if truth:
         terminal.show(truth_line(calibration, truth))
-    if verdict := read_verdict(out / CALIBRATION_FILE):
-        terminal.show(verdict.reasons[0])
     if only := scan.newest.decoded.only_axis:
         terminal.show(f"Note: only {only} was measured; nothing checks whether the calibration fits.")
-    for remark in scan.remarks:
+    for remark in (*scan.remarks, *remarks):
         terminal.show(f"Note: {remark}")
     titles = titles_of([capture.decoded for capture in scan.captures])
     for title, capture in zip(titles, scan.captures, strict=True):
@@ -28,3 +42,12 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
         terminal.show(f"{name}{matches:,} matches{residual}, {points:,} points in the cloud")
     files = (REPORT_FILE, CLOUD_FILE, *((MERGED_FILE,) if scan.merged else ()), CALIBRATION_FILE)
     terminal.show(f"Result: {out} ({', '.join(files)})")
+    if verdict := read_verdict(out / CALIBRATION_FILE):
+        terminal.show(*_conclusion(verdict, out))
+
+
+def _conclusion(verdict: Verdict, out: Path) -> Iterator[str]:
+    """The grade, what it rests on, and what to do next."""
+    yield f"{verdict.sign} {verdict.headline}"
+    yield from (f"  {reason}" for reason in verdict.reasons[:_DECISIVE])
+    yield f"→ {verdict.advice or f'scan view {out} shows it, scan measure {out} measures in it.'}"

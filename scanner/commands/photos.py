@@ -30,12 +30,15 @@ def run(args: Namespace) -> None:
         dense=args.dense,
     )
     terminal = Terminal(quiet=args.quiet)
-    with new_result(args.out, config, overwrite=args.overwrite) as folder:
+    with new_result(args.out, config, overwrite=args.overwrite, tell=terminal.note) as folder:
         scan = reconstruct_photos(photos, wanted, config, folder, terminal)
-    show_outcome(scan, args.out, terminal)
     focal_px = photos[0].focal_px
     used = "used as a prior" if args.exif_prior else "not used; --exif-prior uses it"
-    terminal.show("EXIF: no focal length" if focal_px is None else f"EXIF: focal length {focal_px:.0f} px ({used})")
+    exif = "EXIF: no focal length" if focal_px is None else f"EXIF: focal length {focal_px:.0f} px ({used})"
+    notes = [exif]
+    if photos[0].reduced > 1:
+        notes.append(f"Photos: reduced {photos[0].reduced} times, to {size} pixels; the results are in these")
+    show_outcome(scan, args.out, terminal, notes)
 
 
 def _given(path: Path, photos: Sequence[Photo]) -> Matches:

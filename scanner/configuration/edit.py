@@ -17,7 +17,7 @@ _MARK = "\ufeff"  # of UTF-8, where a text editor has put one
 
 
 def set_keys(path: Path, values: Mapping[str, object]) -> Path:
-    """Set keys such as 'rig.exposure_us' in a configuration file; returns where the file as it was is kept.
+    """Set keys such as 'rig.exposure_us' in a configuration file; returns where the file as it was at first is kept.
 
     The file is replaced as a whole or not at all. Raises InputError, with nothing changed, if the file cannot be read
     or written, or if the text cannot be changed so that it means the same but for these keys.
@@ -34,7 +34,8 @@ def set_keys(path: Path, values: Mapping[str, object]) -> Path:
     backup = real.with_name(real.name + BACKUP_SUFFIX)
     fresh = real.with_name(f".{real.name}.{os.getpid()}.partial")
     try:
-        shutil.copy2(real, backup)
+        if not backup.exists():
+            shutil.copy2(real, backup)
         shutil.copy2(real, fresh)  # for its permissions
         with fresh.open("w", encoding="utf-8", newline="") as file:
             file.write(mark + changed)

@@ -1,7 +1,8 @@
 """The configuration: YAML and `--set KEY=VALUE` → typed, validated, immutable settings."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,7 +14,7 @@ from calib.refinement import SQUARENESS_DEG
 from calib.self_calibration import PrincipalPoint
 from hw.settings import RigSettings
 from scanner.errors import InputError
-from scanner.io import Flag, Number, Pair, Section, Whole, parse_yaml, read_yaml, validate
+from scanner.io import Flag, Number, Pair, Section, Whole, parse_yaml, read_yaml, refuse_more_pixels, validate
 from scanner.patterns import PRESETS, Code, Pattern, Preset, PresetName, ProjectorResponse
 
 # Of an unknown camera only the image's centre is known; real principal points scatter around it by a few per cent.
@@ -21,6 +22,8 @@ _CENTRE_SIGMA_OF_WIDTH = 0.03
 
 _LARGEST_SIDE_PX = 32768
 _MOST_EARLIER = 64
+# Of a recording's `capture.yaml`.
+CONFIGURATION_KEY = "configuration"
 
 Exposure = Annotated[Number, Field(gt=0, le=1e8)]
 Period = Annotated[Number, Field(ge=4, le=1024)]
@@ -34,6 +37,7 @@ class _DeviceSettings(Section):
     def _both_or_neither(self) -> "_DeviceSettings":
         if (self.width is None) != (self.height is None):
             raise ValueError("give both width and height, or neither")
+        refuse_more_pixels(self.width or 0, self.height or 0)
         return self
 
     @property
@@ -196,6 +200,12 @@ class Config(Section):
     )
 
     @property
+    def recorded(self) -> dict[str, Any]:
+        """What was set, as it is written into a recording, to be read back by `recorded_config`."""
+        data = self.model_dump(mode="json", exclude_unset=True)
+        return data | ({"earlier": [str(path.absolute()) for path in self.earlier]} if self.earlier else {})
+
+    @property
     def required_rig(self) -> RigSettings:
         """The rig. Raises InputError if it is not configured."""
         if self.rig is None:
@@ -254,6 +264,20 @@ def load_config(path: Path | None, overrides: Iterable[str] = ()) -> Config:
     if path is None or not config.earlier:
         return config
     return config.model_copy(update={"earlier": tuple(path.parent / earlier for earlier in config.earlier)})
+
+
+def recorded_config(metadata: Mapping[str, Any], where: str, overrides: Iterable[str] = ()) -> Config:
+    """The configuration that a recording was made with, from its `capture.yaml`, with `KEY=VALUE` overrides over it.
+
+    Raises InputError if it does not say so.
+    """
+    data = metadata.get(CONFIGURATION_KEY)
+    if not isinstance(data, dict):
+        raise InputError(f"{where}: does not say with which configuration it was made: give it with --config FILE")
+    data = deepcopy(data)
+    for override in overrides:
+        _apply(override, data)
+    return validate(Config, data, f"{where}, {CONFIGURATION_KEY}")
 
 
 def _apply(override: str, data: dict[str, Any]) -> None:

@@ -4,6 +4,7 @@ import logging
 
 from scanner.console.page import ConsolePage
 from scanner.console.settings import Settings
+from scanner.interruption import finishing
 from scanner.ui import Terminal
 from scanner.viewing.server import invite, serving, wait
 
@@ -25,6 +26,7 @@ def console(settings: Settings, host: str, port: int | None, terminal: Terminal,
             invite(where, host, terminal, browser=browser)
             wait()
         finally:
-            ended = page.close()
-            if ended.message:
-                terminal.show(ended.message)
+            with finishing(ending=True):
+                ended = page.close()
+                if ended.message:
+                    terminal.show(ended.message)

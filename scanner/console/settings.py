@@ -1,5 +1,6 @@
 """What the operator has set on the page."""
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from scanner.configuration import Config, load_config
 from scanner.patterns import Black, Pattern, Phase, White, draw
+
+_LONGEST_NAME = 80
 
 
 class Picture(StrEnum):
@@ -22,13 +25,17 @@ class Picture(StrEnum):
 
 @dataclass(frozen=True)
 class Settings:
-    """The configuration's file and overrides, and on top of them what was changed on the page; None: left as it is."""
+    """The configuration's file and overrides, and on top of them what was changed on the page; None: left as it is.
+
+    `name`: of the next result; '' for the configuration's.
+    """
 
     config: Path
     overrides: tuple[str, ...] = ()
     exposure_us: float | None = None
     gain: float | None = None
     picture: Picture = Picture.WHITE
+    name: str = ""
 
     def load(self) -> Config:
         """The configuration as it is now, also if the file was edited meanwhile. Raises InputError."""
@@ -38,6 +45,11 @@ class Settings:
         if self.gain is not None:
             changed.append(f"rig.gain={self.gain!r}")
         return load_config(self.config, [*self.overrides, *changed])
+
+
+def plain_name(text: str) -> str:
+    """What an operator typed as the name of a folder: letters, digits, dashes; '' for nothing of these."""
+    return re.sub(r"[^\w.-]+", "-", text).strip("-.")[:_LONGEST_NAME]
 
 
 def drawn(picture: Picture, sequence: Iterable[Pattern], size: tuple[int, int]) -> NDArray[np.uint8]:

@@ -8,12 +8,13 @@ from queue import SimpleQueue
 from threading import Event, Lock, Thread
 from typing import Any, Protocol
 
+from hw.errors import FrameLostError
 from hw.rig import ExposureControl, Frame, Rig
 from scanner.checking.check import check
 from scanner.checking.devices import opened
 from scanner.checking.report import CheckReport, CheckRow
 from scanner.console.progress import CancelledError, Stage, StagedProgress
-from scanner.console.scanning import scan
+from scanner.console.scanning import destination, scan
 from scanner.console.settings import Settings, drawn
 from scanner.ui import failure_of
 
@@ -146,7 +147,12 @@ class Worker:
             case Activity.CHECKING:
                 self._page.on_report(check(self._settings.load(), progress, self._page.on_row))
             case Activity.SCANNING:
-                self._page.on_result(scan(self._settings, progress))
+                out = destination(self._settings)
+                try:
+                    scan(self._settings, out, progress)
+                finally:
+                    if out.is_dir():  # a refused capture is a result, too
+                        self._page.on_result(out)
 
     def _live(self, settings: Settings) -> None:
         """Show what the camera sees, until something else is wanted, or a setting that an open rig cannot change."""
@@ -156,17 +162,22 @@ class Worker:
             self._page.on_camera(rig)
             self._on_stage(Stage("What the camera sees"))
             patterns = config.sequence.patterns(rig.projector.size)
-            picture = None
+            picture, lost = None, 0
             while not self._leave_live.is_set():
                 began_s, wanted = time.monotonic(), self._settings
                 if wanted.gain != settings.gain or not _expose(rig, settings, wanted):
                     return
-                if wanted.picture != picture:
-                    (frame,) = rig.photograph([drawn(wanted.picture, patterns, rig.projector.size)])
+                try:
+                    if wanted.picture != picture:
+                        (frame,) = rig.photograph([drawn(wanted.picture, patterns, rig.projector.size)])
+                    else:
+                        frame = rig.camera.grab()
+                except FrameLostError as error:
+                    lost += 1
+                    self._on_stage(Stage(f"What the camera sees ({lost} frames were lost; the last: {error})"))
                 else:
-                    frame = rig.camera.grab()
-                settings, picture = wanted, wanted.picture
-                self._page.on_frame(frame)
+                    settings, picture = wanted, wanted.picture
+                    self._page.on_frame(frame)
                 self._leave_live.wait(max(0.0, began_s + _FRAME_S - time.monotonic()))
 
     def _on_stage(self, stage: Stage) -> None:

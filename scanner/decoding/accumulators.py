@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Image, compiled
-from scanner.decoding.arrays import Component, Floats32, Words
+from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.fringes.fringe_fold import FringeFold
 from scanner.decoding.light.brightness import Gains
-from scanner.decoding.light.equalise import Correction, PairEqualiser
-from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
+from scanner.decoding.light.equalise import PairEqualiser
+from scanner.decoding.sequence_plan import GrayCode, SequencePlan
+from scanner.decoding.tiles import along_pixels
 
 Planes = NDArray[np.uint8]
 _NO_BIT = np.uint8(0)
@@ -32,7 +34,7 @@ class GrayFold:
 
     `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels; `contrast`
     is None where fringes tell what is lit. Where none do, the `fine` bits have images of their own, by bit, and are not
-    among the `least`: whether the camera resolves them is known in the end.
+    among the `least`: whether the camera resolves them is known in the end. They may then be `optional`.
     """
 
     def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool) -> None:
@@ -40,6 +42,8 @@ class GrayFold:
         self.contrast: Image | None = np.zeros(shape, dtype) if contrast else None
         self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
         self.fine: dict[int, Image] = {}
+        self.optional: dict[int, Image] = {}
+        self._least_of_others = self.least
         self._keeps_fine = contrast and code.base is None
         planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
         self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
@@ -51,10 +55,15 @@ class GrayFold:
         least = self.least
         if self._keeps_fine and 0 < self.code.bits - bit <= _FINE_BITS < self.code.bits:
             least = self.fine.setdefault(bit, np.full_like(self.least, largest))
-        bright, dark = bright.reshape(-1), dark.reshape(-1)
-        _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, least.reshape(-1))
-        if self.contrast is not None:
-            _note_contrast(bright, dark, half, largest, self.contrast.reshape(-1))
+        bright, dark, least = bright.reshape(-1), dark.reshape(-1), least.reshape(-1)
+        contrast = None if self.contrast is None else self.contrast.reshape(-1)
+
+        def note(at: slice) -> None:
+            _note_bit(bright[at], dark[at], np.uint8(1 << position), half, largest, plane[at], least[at])
+            if contrast is not None:
+                _note_contrast(bright[at], dark[at], half, largest, contrast[at])
+
+        along_pixels(len(plane), note)
 
     @cached_property
     def words(self) -> Words:
@@ -66,8 +75,16 @@ class GrayFold:
         words: Words = merged.view("<u2" if len(planes) == 2 else "<u4")[..., 0]
         return self.code.relative_to_base(words)
 
-    def without_finest(self, count: int) -> "GrayFold":
-        """The coarser code that the other bits are, once all frames are in; its `least` is that of all its bits."""
+    @property
+    def least_needed(self) -> Image:
+        """(H, W): the smallest contrast among the bits that no pixel can do without."""
+        return self._least_of_others if self.optional else self.least
+
+    def without_finest(self, count: int, *, optional: bool = False) -> "GrayFold":
+        """The coarser code that the other bits are, once all frames are in; its `least` is that of all its bits.
+
+        `optional`: a pixel may do without some of the fine bits that are left.
+        """
         other = copy(self)
         other.code, other.fine = self.code.without_finest(count), {}
         other.words = self.words >> self.words.dtype.type(count)
@@ -75,45 +92,9 @@ class GrayFold:
         for bit, image in self.fine.items():
             if bit < other.code.bits:
                 np.minimum(other.least, image, out=other.least)
+                if optional:
+                    other.optional = {**other.optional, bit: image}
         return other
-
-
-class FringeFold:
-    """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
-
-    `cosine` and `sine` times `scale` are in grey levels, and then need the `correction` if there is one. Of four equal
-    shifts each is the difference of two frames, in whole numbers, of which the first waits for the second; others are
-    weighted sums.
-    """
-
-    def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
-        self.fringe = fringe
-        weights = fringe.weights[1:]
-        largest = float(np.abs(weights).max())
-        self._signs = np.rint(weights / largest).astype(np.int64)
-        opposite = all(sorted(signs) == [-1, 0, 0, 1] for signs in self._signs.tolist())
-        self._is_plain = opposite and bool(np.allclose(self._signs * largest, weights, atol=1e-9))
-        self._waiting: dict[int, Image] = {}
-        self.scale = largest if self._is_plain else 1.0
-        self.correction: Correction | None = None
-        kept_as = np.dtype(np.float32) if not self._is_plain else np.dtype(np.int16 if dtype == np.uint8 else np.int32)
-        self.cosine: Component = np.zeros(shape, kept_as)
-        self.sine: Component = np.zeros(shape, kept_as)
-
-    def fold(self, step: int, frame: Image, peak: Image) -> None:
-        """Add the frame of one shift, and raise `peak` (H, W) to it: of frames that wait, when they are added."""
-        if not self._is_plain:
-            np.maximum(peak, frame, out=peak)
-            for component, weights in zip((self.cosine, self.sine), self.fringe.weights[1:], strict=True):
-                cv2.addWeighted(component, 1, frame, float(weights[step]), 0, dst=component, dtype=cv2.CV_32F)
-            return
-        number = int(np.flatnonzero(self._signs[:, step])[0])
-        other = self._waiting.pop(number, None)
-        if other is None:
-            self._waiting[number] = frame.copy()
-            return
-        component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
-        _subtract(frame.reshape(-1), other.reshape(-1), sign, component.reshape(-1), peak.reshape(-1))
 
 
 @compiled
@@ -142,14 +123,6 @@ def _note_contrast(bright: Image, dark: Image, half: bool, largest: np.unsignedi
         if half:
             difference = difference + difference if difference <= largest // 2 else largest
         contrast[i] = difference if difference > contrast[i] else contrast[i]
-
-
-@compiled
-def _subtract(frame: Image, other: Image, sign: int, difference: Component, peak: Image) -> None:
-    """A frame less another, or the reverse, and the peaks raised to both; (P,)."""
-    for i in range(len(frame)):
-        difference[i] = sign * (np.int32(frame[i]) - np.int32(other[i]))
-        peak[i] = max(peak[i], max(frame[i], other[i]))
 
 
 class Accumulators:
@@ -238,9 +211,12 @@ class Accumulators:
 
     @cached_property
     def middle(self) -> Image:
-        """(H, W): grey level half-way between lit and unlit, once all frames are in."""
+        """(H, W): grey level half-way between lit and unlit, once all frames are in: that of a pair, without black."""
         black, self._black = self._black, None
-        return self.brightest // 2 if black is None else _mean(self.brightest, black)
+        if black is None and self._threshold is not None:
+            return self._threshold
+        darkest = self._darkest if black is None else black
+        return self.brightest // 2 if darkest is None else _mean(self.brightest, darkest)
 
     def _add_of_pair(self, index: int, grey: Image) -> None:
         normal, inverse = pair = self._pair_of[index]
@@ -254,7 +230,7 @@ class Accumulators:
             bright, dark = gains.equalised(0, bright), gains.equalised(1, dark)
         for fold, bit in self._pairs[pair]:
             fold.fold(bit, bright, dark)
-        if self._alone and self._threshold is None:
+        if self._threshold is None and (self._alone or self.plan.black is None):
             self._threshold = _mean(bright, dark)
 
     def _fold_alone(self) -> None:
@@ -273,8 +249,8 @@ class Accumulators:
 
 
 def _needs_midrange(plan: SequencePlan) -> bool:
-    """Whether nothing but the extremes over all frames tells where a bit's threshold is."""
-    return any(code.unpaired for code in plan.codes) and not plan.complements
+    """Whether nothing but the extremes over all frames tells what is half-way between lit and unlit."""
+    return not plan.complements
 
 
 def _mean(first: Image, second: Image) -> Image:

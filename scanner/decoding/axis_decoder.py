@@ -1,5 +1,6 @@
 """One projector coordinate from what was accumulated: code words, fringe components → coordinate, variance, reason."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi, sqrt
@@ -8,14 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, compiled
-from scanner.decoding.arrays import Floats32, Reasons
+from calib.numerics import Bools, Image, compiled
+from scanner.decoding.arrays import Floats32, Reasons, Words
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.code_voting import let_fringes_decide
 from scanner.decoding.fringes.edge_shift_correction import log_amplitude
 from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
-from scanner.decoding.fringes.systematic_error import add_systematic
+from scanner.decoding.fringes.systematic_error import correct_systematic
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import (
     NOT_LIT,
@@ -29,7 +30,7 @@ from scanner.decoding.mask_reasons import (
     note_turned_over,
     reasons_of,
 )
-from scanner.decoding.sequence_plan import AxisPlan, Fringe
+from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode
 
 # A signal counts from five standard deviations on: an unlit pixel passes by chance once in three million times.
 _SEEN = 5.0
@@ -167,7 +168,7 @@ class AxisDecoder:
             for fringe, variance in zip(self.plan.fringes, variances, strict=True):
                 usable &= variance <= np.float32(largest_variance(fringe))
             periods = [fringe.period for fringe in self.plan.fringes]
-            add_systematic(periods, coordinates, variances, usable, signals.shape)
+            correct_systematic(periods, coordinates, variances, usable, signals.shape)
         value, variance = coordinates[0].copy(), variances[0].copy()
         for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
             _average_in(of_fringe, own_variance, value, variance)
@@ -183,8 +184,13 @@ class AxisDecoder:
         )
 
     def _from_codes(self, signals: Signals) -> Coordinate:
-        interval = interval_of(self.plan, signals.words, len(signals.middle))
         least_certain, least_seen = least_contrasts(self.noise, signals.middle)
+        undecided = {
+            number: _undecided(code, fine, least_certain)
+            for number, (code, fine) in enumerate(zip(self.plan.codes, signals.fine, strict=True))
+            if fine
+        }
+        interval = interval_of(self.plan, signals.words, len(signals.middle), undecided)
         against = np.empty(len(signals.middle), np.uint8)
         note_codes(interval.outside, interval.contradictory, against)
         for least, contrast in zip(signals.least, signals.contrast, strict=True):
@@ -193,6 +199,14 @@ class AxisDecoder:
         variance = np.float32(1 / 12) * (interval.high - interval.low) ** 2
         shape = signals.shape
         return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reasons_of(against).reshape(shape))
+
+
+def _undecided(code: GrayCode, fine: Mapping[int, Image], least_certain: Floats32) -> Words:
+    """The bits (P,) of a code's words whose contrast (P,) is too small to decide by."""
+    words = np.zeros(len(least_certain), np.uint32)
+    for bit, contrast in fine.items():
+        words |= (contrast <= least_certain).astype(np.uint32) << np.uint32(code.bits - 1 - bit)
+    return words
 
 
 def least_contrasts(noise: NoiseModel, middle: NDArray[np.generic]) -> tuple[Floats32, Floats32]:

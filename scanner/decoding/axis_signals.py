@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image, compiled
+from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Component, Floats32, Words
 from scanner.decoding.light.equalise import Correction
@@ -19,16 +19,18 @@ class Signals:
     """One axis at P pixels, which make up an image of `shape` (H, W), row after row.
 
     `words`: per code, (P,). `least` (codes, P) unless fringes contradict wrong bits, and `contrast` (codes, P)
-    without fringes, as in `GrayFold`; else with no codes. `components` of each fringe, longest period first: (H, W)
-    each, which times its `scales` are in grey levels and then need its `corrections`. `brightest`, `middle` (P,): grey
-    level when lit, and half-way between lit and unlit. `peak` (P,): largest among the fringes. `log_exposure` (P,):
-    None if all are alike. `rows` (P,): of the image; empty if nothing depends on them.
+    without fringes, as in `GrayFold`; else with no codes. `fine`: of each code, the contrast (P,) of bits that a pixel
+    may do without, by bit; `least` is then that of the others. `components` of each fringe, longest period first:
+    (H, W) each, which times its `scales` are in grey levels and then need its `corrections`. `brightest`, `middle`
+    (P,): grey level when lit, and half-way between lit and unlit. `peak` (P,): largest among the fringes.
+    `log_exposure` (P,): None if all are alike. `rows` (P,): of the image; empty if nothing depends on them.
     """
 
     shape: tuple[int, int]
     words: list[Words]
     least: Floats32
     contrast: Floats32
+    fine: list[dict[int, Image]]
     components: list[tuple[Component, Component]]
     scales: list[float]
     corrections: list[Correction | None]
@@ -40,11 +42,10 @@ class Signals:
 
     def fringe(self, number: int) -> tuple[Floats32, Floats32]:
         """The components A cos θ and A sin θ of a fringe in grey levels, (P,) each."""
-        cosine, sine = np.empty((2, len(self.middle)), np.float32)
-        for levels, component in zip((cosine, sine), self.components[number], strict=True):
-            # A part of an image is not in one piece, and a loop over what is not takes ten times as long.
-            flat = cast(Component, np.ascontiguousarray(component).reshape(-1))
-            _scale(flat, np.float32(self.scales[number]), levels)
+        levels = np.empty((2, *self.shape), np.float32)
+        for of_component, component in zip(levels, self.components[number], strict=True):
+            np.multiply(component, np.float32(self.scales[number]), out=of_component, dtype=np.float32)
+        cosine, sine = levels.reshape(2, -1)
         correction = self.corrections[number]
         if correction is None:
             return cosine, sine
@@ -68,8 +69,9 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
         return Signals(
             shape,
             [select(fold.words).reshape(-1) for fold in codes],
-            _stack([] if axis.corrects_bits else [select(fold.least) for fold in codes], shape),
+            _stack([] if axis.corrects_bits else [select(fold.least_needed) for fold in codes], shape),
             _stack([select(fold.contrast) for fold in codes if fold.contrast is not None], shape),
+            [{bit: select(image).reshape(-1) for bit, image in fold.optional.items()} for fold in codes],
             [(select(fold.cosine), select(fold.sine)) for fold in fringes],
             [fold.scale for fold in fringes],
             [fold.correction for fold in fringes],
@@ -81,12 +83,6 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
         )
 
     return map(of_axis, accumulators.plan.axes)
-
-
-@compiled
-def _scale(component: Component, scale: np.float32, levels: Floats32) -> None:
-    for i in range(len(levels)):
-        levels[i] = scale * np.float32(component[i])
 
 
 def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:

@@ -2,10 +2,11 @@
 
 A bit is weak where its contrast is a small part of what the coarse bits have at the same pixel. It then follows
 sharpening, crosstalk and stray light rather than the pattern. Weak bits are left out if that decides more pixels than
-their finer cells are worth, or if without them neighbouring cells are neighbours.
+their finer cells are worth, or if without them neighbouring cells are neighbours. Where many pixels lack some bit of
+those that are left, each does with the bits that it has.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +23,17 @@ from scanner.errors import InputError
 _WEAK = 0.25
 _USUAL = 0.9
 _FEWEST_LIT = 100
+# If fewer of the lit pixels have all bits, each does with what it has: near the edge of its stripe a bit is undecided,
+# and if a pixel sees no more than a cell or two, nearly all are near an edge.
+_MOSTLY = 0.85
 
 
 def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
     """Leave out what the frames do not resolve, judged by a sample of pixels (P,); yields a sentence for each code."""
     chosen = []
     for fold in accumulators.codes:
-        count = _count_left_out(accumulators, fold, noise, pixels) if fold.fine else 0
-        chosen.append(fold.without_finest(count) if fold.fine else fold)
+        resolved, count = _resolved(accumulators, fold, noise, pixels) if fold.fine else (fold, 0)
+        chosen.append(resolved)
         if count:
             code = fold.code
             bits = ", ".join(str(bit) for bit in range(code.bits - count, code.bits))
@@ -40,7 +44,11 @@ def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[
     accumulators.decode_as(chosen)
 
 
-def _count_left_out(accumulators: Accumulators, fold: GrayFold, noise: NoiseModel, pixels: NDArray[np.int64]) -> int:
+def _resolved(
+    accumulators: Accumulators, fold: GrayFold, noise: NoiseModel, pixels: NDArray[np.int64]
+) -> tuple[GrayFold, int]:
+    """The code to go on with, and how many bits it is without."""
+
     def at(image: Image) -> Image:
         return image.reshape(-1)[pixels]
 
@@ -48,7 +56,7 @@ def _count_left_out(accumulators: Accumulators, fold: GrayFold, noise: NoiseMode
     certain_from, seen_from = least_contrasts(noise, at(accumulators.middle))
     lit = contrast > seen_from
     if np.count_nonzero(lit) < _FEWEST_LIT:
-        return 0
+        return fold.without_finest(0), 0
     weak = 0
     for bit in sorted(fold.fine, reverse=True):
         if np.quantile(at(fold.fine[bit])[lit] / contrast[lit], _USUAL) >= _WEAK:
@@ -56,11 +64,17 @@ def _count_left_out(accumulators: Accumulators, fold: GrayFold, noise: NoiseMode
         weak += 1
     folds = [fold.without_finest(count) for count in range(weak + 1)]
     # A cell twice as long is worth a quarter, as its variance is four times as large.
-    served = [np.count_nonzero(at(one.least)[lit] > certain_from[lit]) / 4**count for count, one in enumerate(folds)]
-    for count in range(int(np.argmax(served)), weak):
+    decided = [float(np.mean(at(one.least)[lit] > certain_from[lit])) for one in folds]
+    count = _count_left_out(accumulators, folds, noise, int(np.argmax(np.array(decided) / 4.0 ** np.arange(weak + 1))))
+    return fold.without_finest(count, optional=decided[count] < _MOSTLY), count
+
+
+def _count_left_out(accumulators: Accumulators, folds: Sequence[GrayFold], noise: NoiseModel, fewest: int) -> int:
+    """Without how many of its bits, `fewest` at least, cells of a code that differ in one bit are neighbours."""
+    for count in range(fewest, len(folds) - 1):
         try:
             if not check_codes(accumulators.plan, [folds[count]], noise, accumulators.middle):
                 return count
         except InputError:
             continue
-    return weak
+    return len(folds) - 1

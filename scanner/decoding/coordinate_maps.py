@@ -12,7 +12,7 @@ from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.discontinuities import breaks
-from scanner.decoding.fringes.edge_shift_correction import footprint_variance, straighten
+from scanner.decoding.fringes.edge_shift_correction import TYPICAL_PX2, footprint_variance, straighten
 from scanner.decoding.fringes.systematic_error import BLOCK_PX
 from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reasons
 from scanner.decoding.tiles import in_tiles, widened
@@ -27,13 +27,15 @@ _MOST_TILES = 48
 class Maps:
     """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), NaN where one of them is not known; the
     mean `variance` of those that are measured; the `reason` not to use them. `counts` (2, reasons): how many pixels of
-    x and of y by itself have each of the `CONTRADICTIONS`.
+    x and of y by itself have each of the `CONTRADICTIONS`. `footprint_px2`: variance of a camera pixel's footprint, 0
+    if the capture does not show it.
     """
 
     projector_px: Floats32
     variance: Floats32
     reason: Reasons
     counts: Ints
+    footprint_px2: float = 0.0
 
 
 def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Maps:
@@ -53,7 +55,7 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
         for c in found:
-            if c.log_amplitude is not None and footprint_px2:
+            if c.log_amplitude is not None:
                 straighten(c.value, c.variance, c.log_amplitude, kept, footprint_px2)
             np.copyto(c.value, np.float32(np.nan), where=~kept)
         if plan.fringes:
@@ -66,7 +68,7 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         return np.stack([count_reasons(c.reason[own], CONTRADICTIONS) for c in found])
 
     counts = np.sum(in_tiles((height, width), decode), axis=0)
-    return Maps(projector_px, variance, reasons, counts)
+    return Maps(projector_px, variance, reasons, counts, footprint_px2)
 
 
 def _first_reason(coordinates: list[Coordinate]) -> Reasons:
@@ -82,7 +84,7 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     rows, columns = (np.arange(0, size - _TILE_PX + 1, _TILE_PX) for size in (height, width))
     corners = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
     if not accumulators.fringes or not len(corners):
-        return 0.0
+        return TYPICAL_PX2
     middles = tuple((corners + _TILE_PX // 2).T)
     lit = np.ones(len(corners), np.bool_)
     for decoder, at_middles in zip(decoders, signals_of(accumulators, lambda image: image[middles][None]), strict=True):
@@ -91,7 +93,7 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     corners = corners[lit]
     corners = corners[np.linspace(0, len(corners) - 1, min(len(corners), _MOST_TILES)).astype(np.int64)]
     if not len(corners):
-        return 0.0
+        return TYPICAL_PX2
 
     def tiles(image: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([image[row : row + _TILE_PX, column : column + _TILE_PX] for row, column in corners])

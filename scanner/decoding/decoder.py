@@ -4,7 +4,7 @@ Each frame is folded in as it arrives; what is kept of it are a few running imag
 to be chosen: noise, saturation and tolerances are measured from the capture.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -16,15 +16,20 @@ from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.checks.consequences import judge, suspecting
-from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
+from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import coordinate_maps
+from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
 from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
+from scanner.decoding.light.ghost import GhostRemover, ghost_share
 from scanner.decoding.light.noise_model import NoiseModel, needs_neighbours
+from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.memory import refuse_more_than_there_is
 from scanner.decoding.motion import (
     MotionFound,
     TileSample,
@@ -34,7 +39,7 @@ from scanner.decoding.motion import (
 )
 from scanner.decoding.one_axis import one_axis
 from scanner.decoding.pixel_sample import Sample
-from scanner.decoding.sequence_plan import plan_sequence
+from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
 
@@ -52,6 +57,7 @@ class Decoding:
     gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
     `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
     `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
+    `footprint_px2`: variance of what a camera pixel sees, along an axis, in camera pixels; 0 if unknown.
     `warnings`: sentences for the operator; `darkness`: the one on frames that are too dark to decode well, if they are.
     `motion`: of the devices while the fringes were taken; None if unknown. `only_axis`: the only one along which
     patterns varied, so that the other coordinate follows from a calibration, and `sigma_px` is along the epipolar line;
@@ -68,6 +74,7 @@ class Decoding:
     motion: MotionFound | None = None
     only_axis: Axis | None = None
     darkness: str | None = None
+    footprint_px2: float = 0.0
 
 
 class Decoder:
@@ -75,21 +82,30 @@ class Decoder:
 
     Where each pattern follows itself as often as every other, its frames are those of several exposures, white first.
 
-    Given the rig's calibration, patterns along one axis are enough. Raises InputError if the patterns do not determine
-    both coordinates of a projector of (width, height) pixels.
+    Given the rig's calibration, patterns along one axis are enough. `ghost`: the share of the picture before that each
+    frame shows. Raises InputError if the patterns do not determine both coordinates of a projector of (width, height)
+    pixels.
     """
 
     def __init__(
-        self, patterns: Sequence[Pattern], projector_size: tuple[int, int], calibration: Calibration | None = None
+        self,
+        patterns: Sequence[Pattern],
+        projector_size: tuple[int, int],
+        calibration: Calibration | None = None,
+        *,
+        ghost: float = 0.0,
     ) -> None:
         once, repeats = exposures_of(patterns)
         plan = plan_sequence(once, projector_size, calibrated=calibration is not None)
         self._plan = replace(plan, repeats=repeats)
         self._one_axis = one_axis(plan, calibration)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
+        self._ghost, self._remover = ghost, GhostRemover(ghost) if ghost else None
         self._count = 0
+        self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
         self._projector_size = projector_size
         self._held: tuple[Accumulators, Sample, TileSample] | None = None
+        self._lit: EvenlyLit | None = None
         self._texture: Image | None = None
 
     def add(self, image: Image, exposure_us: float | None = None) -> None:
@@ -108,20 +124,37 @@ class Decoder:
 
     def _fold(self, image: Image) -> None:
         grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
+        grey = self._remover.remove(grey) if self._remover else grey
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
+            refuse_more_than_there_is(shape)
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
             accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape))
             self._held = accumulators, sample, TileSample(shape)
+            halves = halves_of(self._plan)
+            self._lit = EvenlyLit(halves, shape) if halves else None
         accumulators, sample, tiles = self._held
-        tiles.add(grey)
         number = self._plan.shown[self._count]
+        if number in self._of_fringes:
+            tiles.add(self._count, grey)
         # A pattern that was shown before is a witness of what has changed since, and nothing else.
         if number not in self._plan.shown[: self._count]:
             sample.add(grey)
             accumulators.add(number, grey)
+            if self._lit is not None:
+                self._lit.add(number, grey)
             self._note_texture(image, number)
         self._count += 1
+
+    def ghost(self) -> float:
+        """The share of the picture before that all frames were found to show, before they are decoded; 0 if none was.
+
+        It takes another decoder, that is told of it, to take it out.
+        """
+        if self._held is None or self._count < len(self._plan.shown) or self._ghost or self._merger is not None:
+            return 0.0
+        accumulators, sample, _ = self._held
+        return ghost_share(self._plan, sample.levels, saturation_level(accumulators.peak))
 
     def finish(self) -> Decoding:
         """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""
@@ -138,13 +171,20 @@ class Decoder:
         seen = look(accumulators, sample, tiles, self._projector_size)
         del tiles
         oddities: list[Oddity] = []
-        with blaming_motion(seen.motion):
+        with blaming_motion(lambda: seen.motion):
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities)
                 del sample
                 maps = coordinate_maps(accumulators, learnt.decoders)
-                if seen.motion is not None and seen.motion.significant and not seen.motion.is_too_large:
-                    seen.motion.shift.take_back(maps.projector_px)
+                leave_out_stray_light(accumulators, maps)
+                motion = seen.motion
+                if self._lit is not None:
+                    motion = motion_between(
+                        self._lit, accumulators.plan, maps.projector_px, self._projector_size, motion
+                    )
+                    self._lit = None
+                if motion is not None and motion.significant and not motion.is_too_large:
+                    motion.shift.take_back(maps.projector_px)
                 # The running images are as large as the matches, and have served.
                 plan, brightest = accumulators.plan, accumulators.brightest
                 del accumulators
@@ -160,12 +200,20 @@ class Decoder:
             reasons,
             seen.noise,
             learnt.modulation,
-            (*odd, *seen.notes, *told, *remarks_on(seen.motion)),
+            (*odd, *self._said_of_ghost(), *seen.notes, *told, *remarks_on(motion)),
             flicker=seen.flicker,
-            motion=seen.motion,
+            motion=motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,
+            footprint_px2=maps.footprint_px2,
         )
+
+    def _said_of_ghost(self) -> Iterator[str]:
+        if self._ghost:
+            yield (
+                f"Each frame shows {self._ghost:.0%} of the picture before it, which was taken out. Let the camera "
+                "wait longer for the projector."
+            )
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.shown):

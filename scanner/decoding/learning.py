@@ -1,18 +1,19 @@
 """What a sample of the frames tells before pixels are decoded: noise, light, motion, tolerances, and what is odd."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
+from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
-from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
 from scanner.decoding.checks.code_checks import check_codes
-from scanner.decoding.checks.frame_checks import Oddity, check_frames
+from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.frame_checks import check_frames
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
 from scanner.decoding.light.equalise import correction, out_of_line, swings_of
@@ -34,27 +35,38 @@ from scanner.errors import InputError
 
 @dataclass(frozen=True)
 class Seen:
-    """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken."""
+    """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken.
 
-    levels: Floats32
+    Motion is measured while other things go on.
+    """
+
+    levels: Image
     noise: NoiseModel
     saturation: float
     flicker: float | None
-    motion: MotionFound | None
+    measuring_motion: Future[MotionFound | None]
     code_shifts: tuple[CodeShift, ...]
     notes: tuple[str, ...]
+
+    @property
+    def motion(self) -> MotionFound | None:
+        """Once it is measured."""
+        return self.measuring_motion.result()
 
 
 def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projector_size: tuple[int, int]) -> Seen:
     """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
     accumulators.finish()
-    levels = sample.levels
+    levels = sample.as_taken
     flicker = _equalise(accumulators, sample, tiles)
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(accumulators.plan, sample, saturation)
     notes = tuple(resolve_bits(accumulators, noise, sample.pixels))
-    motion = measure_motion(accumulators, tiles, noise, saturation, projector_size)
-    return Seen(levels, noise, saturation, flicker, motion, shifts_of_codes(accumulators, tiles, noise), notes)
+    plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
+    aside = ThreadPoolExecutor(1)
+    motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
+    aside.shutdown(wait=False)
+    return Seen(levels, noise, saturation, flicker, motion, shifts_of_codes(plan, (x, y), noise), notes)
 
 
 def _equalise(accumulators: Accumulators, sample: Sample, tiles: TileSample) -> float | None:
@@ -102,7 +114,7 @@ def learn(accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin)
-        oddities += check_frames(plan, seen.levels, sample.levels, seen.noise, seen.saturation)
+        oddities += check_frames(plan, seen.levels.astype(np.float32), sample.levels, seen.noise, seen.saturation)
         odd_codes = check_codes(plan, accumulators.codes, seen.noise, accumulators.middle)
         oddities += _passed_over(plan, odd_codes, oddities)
         decoders = calibrating.result()

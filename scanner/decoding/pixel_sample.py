@@ -39,10 +39,11 @@ class Sample:
     def add(self, grey: Image) -> None:
         """Take the sample of one frame (H, W)."""
         flat = grey.reshape(-1)
-        self._frames.append(flat[self.pixels])
+        places = [(self._frames, self.pixels)]
         if self._margin:
-            self._left.append(flat[self.pixels - _STEP])
-            self._right.append(flat[self.pixels + _STEP])
+            places += [(self._left, self.pixels - _STEP), (self._right, self.pixels + _STEP)]
+        for levels, pixels in places:
+            levels.append(flat.take(pixels, mode="clip"))  # all are inside, which need not be checked
 
     def has(self, *frames: int) -> bool:
         """Whether these frames have come."""
@@ -56,6 +57,11 @@ class Sample:
         """Make a frame that has come darker by so many times, (P,) or (1,), and its neighbours with it."""
         for levels in (self._frames, self._left, self._right)[: 3 if self._margin else 1]:
             levels[frame] = (levels[frame] / by).astype(np.float32)
+
+    @property
+    def as_taken(self) -> Image:
+        """(frames, P) grey levels, once all frames are in and before any is made darker, as the camera gave them."""
+        return np.stack(self._frames)
 
     @property
     def levels(self) -> Floats32:

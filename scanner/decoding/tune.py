@@ -8,7 +8,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools
+from calib.numerics import Bools, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder, Measured, largest_variance
 from scanner.decoding.axis_signals import Signals
@@ -60,7 +60,7 @@ def modulation(decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals
             measured = decoder.measure(part)
             lit = measured.well_lit
             shares.append(np.sqrt(measured.powers[-1][lit]) / np.maximum(part.middle[lit], 1))
-    return float(np.median(np.concatenate(shares))) if sum(map(len, shares)) else None
+    return median(np.concatenate(shares)) if sum(map(len, shares)) else None
 
 
 def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:
@@ -96,7 +96,7 @@ def _ripples(decoders: list[AxisDecoder], signals: tuple[Signals, Signals]) -> d
     """Per fringe, what straightens its phase.
 
     Fringes with the same shifts and period are bent alike on both axes and are measured together. Where the pixels see
-    too few cycles of a period, the next shorter one lends its table.
+    too few cycles of a period, or too unevenly, the next shorter one lends its table.
     """
     groups: dict[tuple[int, float], list[_Phases]] = defaultdict(list)
     for decoder, part in zip(decoders, signals, strict=True):
@@ -109,7 +109,8 @@ def _ripples(decoders: list[AxisDecoder], signals: tuple[Signals, Signals]) -> d
         for period in sorted({seen.fringe.period for seen in group}):
             alike = [seen for seen in group if seen.fringe.period == period]
             if sum(seen.cycles for seen in alike) >= _ENOUGH_CYCLES:
-                table = straightening(alike[0].fringe, [seen.phases for seen in alike])
+                own = straightening(alike[0].fringe, [seen.phases for seen in alike])
+                table = table if own is None else own
             if table is not None:
                 found.update({seen.fringe: table for seen in alike})
     return found

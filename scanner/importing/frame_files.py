@@ -85,7 +85,7 @@ def _images_in(folder: Path, pattern: str) -> list[Path]:
 def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
     """Names by their numbers' values: 2 before 10."""
     parts = re.split(r"(\d+)", path.stem)
-    return [(1, int(part), "") if part.isdigit() else (0, 0, part) for part in parts], path.name
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts], path.name
 
 
 def _shape(numbers: re.Pattern[str], path: Path) -> str | None:

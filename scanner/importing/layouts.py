@@ -3,9 +3,6 @@
 import re
 from pathlib import Path
 
-import cv2
-
-from scanner.errors import InputError
 from scanner.importing.layout import Given, Layout, SequenceOf, Size
 from scanner.importing.orders import bits_of, fringe, gray_bits, pairs, with_ends, x_and_y
 from scanner.io import read_text
@@ -21,11 +18,14 @@ def _moreno_taubin(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
     return (White(), Black(), *codes)
 
 
+_COUNT = re.compile("[0-9]{1,5}")
+
+
 def _projector_info(folder: Path) -> Given:
     """`projector_info.txt`: how many codes there are in x and in y."""
     path = folder / "projector_info.txt"
     words = read_text(path).split() if path.is_file() else []
-    if len(words) < 2 or not (words[0].isdigit() and words[1].isdigit()):
+    if len(words) < 2 or not all(_COUNT.fullmatch(word) for word in words[:2]):
         return Given()
     return Given(codes=(int(words[0]), int(words[1])))
 
@@ -50,11 +50,11 @@ def _phase_shifting_settings(folder: Path) -> Given:
 
 
 def _read_config(path: Path) -> Given:
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-        width, height, step = (int(storage.getNode(key).real()) for key in ("disp_width", "disp_height", "step"))
-    except cv2.error as error:
-        raise InputError(f"{path}: cannot be read as OpenCV's XML: {error.err}") from error
+    text = read_text(path)
+    found = [
+        re.search(rf"<{key}>\s*([0-9]{{1,5}})\.?\s*</{key}>", text) for key in ("disp_width", "disp_height", "step")
+    ]
+    width, height, step = (int(number[1]) if number else 0 for number in found)
     if min(width, height) < 1 or step < 2:
         return Given()  # somebody else's config.xml
     return Given((width, height), step // 2)

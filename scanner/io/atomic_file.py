@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from scanner.errors import InputError
+from scanner.errors import InputError, cannot_write
 
 
 def refuse_existing(path: Path, *, overwrite: bool) -> None:
@@ -20,18 +20,19 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
 def new_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     """A hidden file beside `path` to write into; it becomes `path` when the block ends well, and vanishes if not.
 
-    Folders on the way are made. Raises InputError if `path` exists and may not be replaced, or no file can be there.
+    Folders on the way are made. Raises InputError if `path` exists and may not be replaced, or no file can be there;
+    StorageError if the disk does not take it.
     """
     refuse_existing(path, overwrite=overwrite)
     partial = path.with_name(f".{os.getpid()}.partial.{path.name}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{path.parent}: cannot be made: {error.strerror}") from error
+        raise cannot_write(path.parent, error, "made") from error
     try:
         yield partial
         partial.replace(path)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+        raise cannot_write(path, error) from error
     finally:
         partial.unlink(missing_ok=True)

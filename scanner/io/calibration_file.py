@@ -7,16 +7,24 @@ from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas
 from scanner.errors import InputError
-from scanner.io.validation import Entry, Number, Pair, Whole, validate
+from scanner.io.given_file import LONGEST_SIDE_PX, refuse_more_pixels
+from scanner.io.validation import Entry, Number, Whole, validate
 from scanner.io.yaml_text import flow_yaml, read_yaml
 
-_Positive = Annotated[Number, Field(gt=0)]
-_Vector = tuple[Number, Number, Number]
-_Sigma = Annotated[Number, Field(ge=0)]
+# Far beyond any device and any unit of length, and near enough for the squares and products of them to be numbers.
+_LARGEST, _SMALLEST = 1e9, 1e-9
+_Focal = Annotated[Number, Field(ge=0.1, le=1e7)]
+_Pixel = Annotated[Number, Field(ge=-1e7, le=1e7)]
+_Term = Annotated[Number, Field(ge=-1e4, le=1e4)]
+_Length = Annotated[Number, Field(ge=-_LARGEST, le=_LARGEST)]
+_Cosine = Annotated[Number, Field(ge=-2, le=2)]
+_Sigma = Annotated[Number, Field(ge=0, le=1e12)]
+
+_Row = tuple[_Cosine, _Cosine, _Cosine]
 
 
 def _repeated(count: int) -> BeforeValidator:
@@ -30,11 +38,16 @@ _Terms = Annotated[tuple[_Sigma, ...], Field(max_length=5), _repeated(1)]
 
 
 class _DeviceEntry(Entry):
-    width: Whole = Field(ge=1)
-    height: Whole = Field(ge=1)
-    focal_px: tuple[_Positive, _Positive]
-    principal_point_px: Pair
-    distortion: list[Number] = Field(default=[], max_length=5)
+    width: Whole = Field(ge=1, le=LONGEST_SIDE_PX)
+    height: Whole = Field(ge=1, le=LONGEST_SIDE_PX)
+    focal_px: tuple[_Focal, _Focal]
+    principal_point_px: tuple[_Pixel, _Pixel]
+    distortion: list[_Term] = Field(default=[], max_length=5)
+
+    @model_validator(mode="after")
+    def _has_a_size_that_is_read(self) -> "_DeviceEntry":
+        refuse_more_pixels(self.width, self.height)
+        return self
 
     def intrinsics(self) -> Intrinsics:
         k1, k2, p1, p2, k3 = (*self.distortion, *[0.0] * (5 - len(self.distortion)))
@@ -69,9 +82,9 @@ class _SigmaEntry(Entry):
 class _CalibrationEntry(Entry):
     camera: _DeviceEntry
     projector: _DeviceEntry
-    rotation: tuple[_Vector, _Vector, _Vector]
-    translation: _Vector
-    unit: str = Field(min_length=1, max_length=20)
+    rotation: tuple[_Row, _Row, _Row]
+    translation: tuple[_Length, _Length, _Length]
+    unit: str = Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")  # brackets are markup in a terminal
     sigma: _SigmaEntry = Field(default_factory=_SigmaEntry)
 
     def calibration(self) -> Calibration:
@@ -91,6 +104,8 @@ def read_calibration(path: Path) -> Calibration:
     Raises InputError for a missing file, a missing or wrong key, or a rotation that is none.
     """
     entry = validate(_CalibrationEntry, read_yaml(path), str(path))
+    if math.hypot(*entry.translation) < _SMALLEST:
+        raise InputError(f"{path}: translation must not be zero: camera and projector would be in one place")
     try:
         return entry.calibration()
     except ValueError as error:

@@ -5,32 +5,38 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from calib.geometry import Size
 from calib.numerics import Image
 from scanner.errors import InputError
+from scanner.io.given_file import MOST_IMAGE_BYTES, MOST_IMAGE_FILE_BYTES, megabytes, read_bytes
+from scanner.io.image_header import damage, size_in_header
+from scanner.shown_text import shown
 
 _COMMON = {".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".dib", ".webp", ".gif", ".jp2"}
 _RARE = {".pgm", ".ppm", ".pnm", ".pbm", ".ras", ".sr", ".exr", ".hdr", ".avif"}
+_DEEPEST = 6  # bytes of a pixel in 16-bit colour
+_FEW_BYTES = 100_000_000
 SUFFIXES = frozenset(_COMMON | _RARE)
 
 
-def read_image(path: Path) -> Image:
+def read_image(path: Path, expected: Size | None = None) -> Image:
     """An image file as (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; transparency is dropped, EXIF rotation ignored.
 
-    Raises InputError if the file is missing, truncated, no image, or of another type.
+    Raises InputError if the file is missing, no regular file, truncated, no image, of another type, or would take more
+    than `MOST_IMAGE_BYTES` of memory, or far more than an image of the `expected` size, which is not checked otherwise.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    data = read_bytes(path, MOST_IMAGE_FILE_BYTES)
     if not data:
         raise InputError(f"{path}: the file is empty")
-    if _is_truncated(data):
-        raise InputError(f"{path}: the image is truncated: its end is missing; copy the file again")
+    most = MOST_IMAGE_BYTES if expected is None else max(_FEW_BYTES, _DEEPEST * expected.width * expected.height)
+    _refuse_large(path, data, min(most, MOST_IMAGE_BYTES))
+    if found := damage(data):
+        raise InputError(f"{path}: the image is damaged: {found}; copy the file again")
     # imdecode, because imread fills what is missing of a JPEG with grey and returns it.
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        raise InputError(f"{path}: cannot be decoded as an image: {error.err}") from error
+        raise InputError(f"{path}: cannot be decoded as an image: {shown(error.err)}") from error
     if image is None:
         raise InputError(f"{path}: cannot be decoded as an image: damaged, truncated, or of an unknown format")
     colours = np.ascontiguousarray(image[:, :, :3]) if image.ndim == 3 else image
@@ -41,13 +47,14 @@ def read_image(path: Path) -> Image:
     raise InputError(f"{path}: expected 8 or 16 bit whole numbers per channel, found {image.dtype}")
 
 
-def _is_truncated(data: bytes) -> bool:
-    if data.startswith(b"\x89PNG"):
-        return data.find(b"IEND", data.rfind(b"IDAT")) < 0
-    if data.startswith(b"\xff\xd8"):
-        # After the last start of scan: an end marker before it may be that of an embedded thumbnail.
-        return data.find(b"\xff\xd9", data.rfind(b"\xff\xda")) < 0
-    return False
+def _refuse_large(path: Path, data: bytes, most: int) -> None:
+    """Raise InputError for more pixels than anyone has; of files without a header that is known OpenCV says it."""
+    found = size_in_header(data)
+    if found and found[1] > most:
+        raise InputError(
+            f"{path}: has {found[0]} pixels, which would take {megabytes(found[1])} of memory; "
+            f"expected no more than {megabytes(most)}"
+        )
 
 
 def write_png(path: Path, image: Image) -> None:

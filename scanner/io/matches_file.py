@@ -1,20 +1,47 @@
 """`matches.npz`: camera and projector pixels that belong together, from this program's decoder or from another one."""
 
+import lzma
+import math
+import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from calib.geometry import NO_FACE, Matches
-from calib.numerics import Ints
+from calib.numerics import Floats, Ints
 from scanner.errors import InputError
+from scanner.io.atomic_file import new_file
+from scanner.io.given_file import opened, refuse_bomb
+from scanner.shown_text import harmless, shortened
 
 MATCHES_FILE = "matches.npz"
 
 _MEASURED = "projector_measured"
+
+# Of what zipfile, its decompressors and NumPy's reader of headers, which is Python's own parser, stumble over.
+_UNREADABLE = (
+    *(
+        OSError,
+        EOFError,
+        RuntimeError,
+        ValueError,
+        TypeError,
+        LookupError,
+        ArithmeticError,
+        AttributeError,
+        SyntaxError,
+    ),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError, MemoryError),
+)
+# Decoders know pixels to some thousandths; what is stated beyond these is no number of pixels.
+_LEAST_SIGMA_PX, _MOST_SIGMA_PX = 1e-9, 1e6
+_FARTHEST_PX = 1e6
 
 _REQUIRED = ("camera_px", "projector_px")
 _EXPECTED = {  # what it must be, and numpy's letters for the types that are
@@ -43,7 +70,7 @@ def write_matches(
         arrays["plane"] = plane
     if only_axis is not None:
         arrays[_MEASURED] = np.array([only_axis == "x", only_axis == "y"])
-    with path.open("wb") as file:
+    with new_file(path, overwrite=True) as partial, partial.open("wb") as file:
         np.savez(file, **arrays)
 
 
@@ -54,26 +81,49 @@ def read_matches(path: Path) -> Matches:
     or type.
     """
     file = _file(path)
-    arrays = _load(file)
+    arrays = _arrays_in(file)
     for name in _REQUIRED:
         if name not in arrays:
             raise InputError(f"{file}: the array '{name}' is missing")
-    face = arrays.get("face")
-    if face is not None and face.size and face.min() < NO_FACE:
-        raise InputError(f"{file}: 'face' must hold {NO_FACE} for none and labels from 0, found {face.min()}")
     sigma_px = arrays.get("sigma_px")
     try:
         matches = Matches(
-            arrays["camera_px"].astype(np.float64),
-            arrays["projector_px"].astype(np.float64),
-            None if face is None else face.astype(np.int32),
-            None if sigma_px is None else sigma_px.astype(np.float64),
+            _numbers(arrays["camera_px"]),
+            _numbers(arrays["projector_px"]),
+            _labels(file, "face", arrays.get("face")),
+            None if sigma_px is None else _numbers(sigma_px),
         )
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error
     if len(matches) == 0:
         raise InputError(f"{file}: holds no matches")
+    _refuse_far(file, matches)
     return matches
+
+
+def _numbers(array: NDArray[Any]) -> Floats:
+    with np.errstate(over="ignore"):  # a longer type than ours becomes infinite, and is refused as that
+        return array.astype(np.float64)
+
+
+def _labels(file: Path, name: str, found: NDArray[Any] | None) -> Ints | None:
+    if found is None:
+        return None
+    if found.size and not (found.min() >= NO_FACE and found.max() <= np.iinfo(np.int32).max):
+        span = f"{found.min()} to {found.max()}"
+        raise InputError(f"{file}: '{name}' must hold {NO_FACE} for none and labels from 0, found {span}")
+    return found.astype(np.int32)
+
+
+def _refuse_far(file: Path, matches: Matches) -> None:
+    """Raise InputError for numbers that are no pixels."""
+    for name, pixels in (("camera_px", matches.camera_px), ("projector_px", matches.projector_px)):
+        if np.abs(pixels).max() > _FARTHEST_PX:
+            raise InputError(f"{file}: '{name}' must be pixels of an image, found {np.abs(pixels).max():.3g}")
+    sigma_px = matches.sigma_px
+    if sigma_px is not None and not (sigma_px.min() >= _LEAST_SIGMA_PX and sigma_px.max() <= _MOST_SIGMA_PX):
+        span = f"{sigma_px.min():.3g} to {sigma_px.max():.3g}"
+        raise InputError(f"{file}: 'sigma_px' must be standard deviations in pixels, found {span}")
 
 
 def read_planes(path: Path) -> Ints | None:
@@ -81,11 +131,11 @@ def read_planes(path: Path) -> Ints | None:
 
     Raises InputError if the file is damaged, or says it of another number of matches.
     """
-    arrays = _load(_file(path))
+    arrays = _arrays_in(_file(path))
     plane, count = arrays.get("plane"), len(arrays.get("camera_px", ()))
     if plane is not None and plane.shape != (count,):
         raise InputError(f"{_file(path)}: plane must have the shape ({count},), found {plane.shape}")
-    return None if plane is None else plane.astype(np.int32)
+    return _labels(_file(path), "plane", plane)
 
 
 def refuse_one_axis(path: Path) -> None:
@@ -93,7 +143,7 @@ def refuse_one_axis(path: Path) -> None:
 
     To calibrate from such matches would be to find that calibration again, and to look sure of it.
     """
-    measured = _load(_file(path)).get(_MEASURED)
+    measured = _arrays_in(_file(path)).get(_MEASURED)
     if measured is not None and not measured.all():
         raise InputError(
             f"{_file(path)}: only one of the projector's coordinates was measured, and the other follows from a "
@@ -105,26 +155,36 @@ def _file(path: Path) -> Path:
     return path / MATCHES_FILE if path.is_dir() else path
 
 
-def _load(file: Path) -> dict[str, NDArray[Any]]:
-    arrays = _arrays_in(file)
-    for name, array in arrays.items():
-        expected, kinds = _EXPECTED[name]
-        if array.dtype.kind not in kinds:
-            raise InputError(f"{file}: '{name}' must be {expected}, found {array.dtype}")
-    return arrays
-
-
 def _arrays_in(file: Path) -> dict[str, NDArray[Any]]:
-    if not file.is_file():
-        raise InputError(f"{file}: {'not a file' if file.exists() else 'no such matches file'}")
-    try:
-        if not zipfile.is_zipfile(file):
-            raise InputError(f"{file}: expected an .npz file as numpy.savez writes it, found something else")
-        with np.load(file, allow_pickle=False) as archive:
-            return {name: np.atleast_1d(archive[name]) for name in archive.files if name in _EXPECTED}
-    except ValueError as error:
-        if "allow_pickle" in str(error):
-            raise InputError(f"{file}: holds pickled objects, which are not read: save plain arrays") from error
-        raise InputError(f"{file}: damaged: {error}") from error
-    except (OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{file}: damaged: {error}") from error
+    if not file.exists():
+        raise InputError(f"{file}: no such matches file")
+    with opened(file) as stream:
+        try:
+            if not zipfile.is_zipfile(stream):
+                raise InputError(f"{file}: expected an .npz file as numpy.savez writes it, found something else")
+            with zipfile.ZipFile(stream) as archive:
+                members = {name: member for name in _EXPECTED if (member := _member(archive, name))}
+                refuse_bomb(file, stream, sum(member.file_size for member in members.values()))
+                return {name: _array(file, archive, member, name) for name, member in members.items()}
+        except _UNREADABLE as error:
+            raise InputError(f"{file}: damaged: {shortened(harmless(str(error)))}") from error
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipInfo | None:
+    return archive.NameToInfo.get(f"{name}.npy")
+
+
+def _array(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArray[Any]:
+    """One array, whose header is read first: its shape and type are believed if it has as many bytes."""
+    with archive.open(member) as stream:
+        version = npy.read_magic(stream)
+        shape, _, dtype = (npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0)(stream)
+        expected, kinds = _EXPECTED[name]
+        if dtype.hasobject:
+            raise InputError(f"{file}: holds pickled objects, which are not read: save plain arrays")
+        if dtype.kind not in kinds:
+            raise InputError(f"{file}: '{name}' must be {expected}, found {dtype}")
+        if math.prod(shape) * dtype.itemsize > member.file_size:
+            raise InputError(f"{file}: damaged: '{name}' does not have the numbers that its header promises")
+    with archive.open(member) as stream:
+        return np.atleast_1d(npy.read_array(stream, allow_pickle=False))

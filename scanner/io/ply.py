@@ -1,5 +1,7 @@
 """Point clouds and meshes as binary PLY (Turk 1994), the way MeshLab, CloudCompare and Open3D read it."""
 
+import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -9,6 +11,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats, Ints
 from scanner.errors import InputError
+from scanner.io.given_file import opened, refuse_bomb
 
 
 class _Column(NamedTuple):
@@ -38,6 +41,7 @@ _TYPES = {
 _TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 _PIECE = 1 << 15  # points to be written at once, from the processor's cache
 _LONGEST_HEADER = 1 << 16
+_COUNT = re.compile(r"[0-9]{1,12}")
 _END = b"end_header\n"
 _CAMERA_FRAME = "camera frame: x right, y down, z forward, origin at the camera's centre"
 _CORNER_FRAME = "corner frame: origin at the corner's vertex, axes along its edges, z along the most upright"
@@ -121,28 +125,32 @@ def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triang
 def read_cloud(path: Path) -> CloudPoints:
     """Read a binary little-endian PLY that begins with its vertices, as `write_ply` makes it.
 
-    Raises InputError if the file is missing, truncated, or lacks coordinates, normals or colours.
+    Raises InputError if the file is missing, truncated, or lacks coordinates, normals or colours, or if a coordinate is
+    no finite number.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    end = data.find(_END, 0, _LONGEST_HEADER)
-    if not data.startswith(b"ply\n") or end < 0:
-        raise InputError(f"{path}: expected a PLY file as 'scan' writes it, found something else")
-    count, layout = _vertex_layout(path, data[:end].decode("ascii", errors="replace").splitlines())
-    start = end + len(_END)
-    if len(data) - start < count * layout.itemsize:
+    with opened(path) as file:
+        start = file.read(_LONGEST_HEADER)
+        end = start.find(_END)
+        if not start.startswith(b"ply\n") or end < 0:
+            raise InputError(f"{path}: expected a PLY file as 'scan' writes it, found something else")
+        count, layout = _vertex_layout(path, start[:end].decode("ascii", errors="replace").splitlines())
+        size = count * layout.itemsize
+        refuse_bomb(path, file, size)
+        file.seek(end + len(_END))
+        data = file.read(min(size, os.fstat(file.fileno()).st_size))
+    if len(data) < size:
         raise InputError(f"{path}: truncated: the header promises {count} points; copy the file again")
-    vertices = np.frombuffer(data, layout, count, start)
+    vertices = np.frombuffer(data, layout, count)
     points, normals, colours = (np.stack([vertices[name] for name in column.components], axis=1) for column in _COLUMNS)
-    known = _MATCH.name in (layout.names or ())
-    return CloudPoints(
-        points.astype(np.float64),
-        normals.astype(np.float64),
-        colours.astype(np.uint8),
-        vertices[_MATCH.name].astype(np.int64) if known else None,
-    )
+    if not np.isfinite(points).all():
+        raise InputError(f"{path}: damaged: the coordinates of a point are no finite numbers")
+    match = vertices[_MATCH.name] if _MATCH.name in (layout.names or ()) else None
+    if match is not None and match.dtype.kind not in "iu":
+        raise InputError(f"{path}: expected the numbers of matches to be whole, found {match.dtype}")
+    with np.errstate(invalid="ignore"):  # colours that are none are some colour
+        rgb = colours.astype(np.uint8)
+    whole = None if match is None else match.astype(np.int64)
+    return CloudPoints(points.astype(np.float64), normals.astype(np.float64), rgb, whole)
 
 
 def _vertex_layout(path: Path, header: list[str]) -> tuple[int, np.dtype[np.void]]:
@@ -150,7 +158,7 @@ def _vertex_layout(path: Path, header: list[str]) -> tuple[int, np.dtype[np.void
     words = [line.split() for line in header if line.split()]
     elements = [index for index, line in enumerate(words) if line[0] == "element" and len(line) == 3]
     count = words[elements[0]][2] if elements and words[elements[0]][1] == "vertex" else ""
-    if ["format", "binary_little_endian", "1.0"] not in words or not count.isdecimal():
+    if ["format", "binary_little_endian", "1.0"] not in words or not _COUNT.fullmatch(count):
         raise InputError(f"{path}: expected a binary little-endian PLY that begins with its vertices")
     properties = words[elements[0] : elements[1] if len(elements) > 1 else None]
     fields = [(line[2], _TYPES.get(line[1], "")) for line in properties if line[0] == "property" and len(line) >= 3]

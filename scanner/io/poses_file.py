@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -11,13 +12,15 @@ from scanner.errors import InputError
 from scanner.io.validation import Entry, Number, validate
 from scanner.io.yaml_text import flow_yaml, read_yaml
 
-_Row = tuple[Number, Number, Number]
+_Cosine = Annotated[Number, Field(ge=-2, le=2)]
+_Row = tuple[_Cosine, _Cosine, _Cosine]
+_Length = Annotated[Number, Field(ge=-1e12, le=1e12)]
 _ROUNDED = 1e-6  # of a rotation that someone has written with few digits
 
 
 class _PoseEntry(Entry):
     rotation: tuple[_Row, _Row, _Row]
-    position: _Row
+    position: tuple[_Length, _Length, _Length]
 
 
 class _PosesEntry(Entry):

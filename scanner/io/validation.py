@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from scanner.errors import InputError
+from scanner.shown_text import harmless, shortened, shown
 
 # Strict, or else `true` would pass for 1 and '5' for 5.
 Whole = Annotated[int, Field(strict=True)]
@@ -17,6 +18,8 @@ Pair = tuple[Number, Number]
 
 Model = TypeVar("Model", bound=BaseModel)
 _SIMILAR = 0.6
+_MOST_LINES = 12  # fit a screen
+_LONGEST_KEY = 80
 
 
 class Section(BaseModel):
@@ -36,7 +39,10 @@ def validate(model: type[Model], data: object, where: str) -> Model:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        lines = [_explain(details, data, model) for details in error.errors(include_url=False)]
+        found = error.errors(include_url=False)
+        lines = [_explain(details, data, model) for details in found[:_MOST_LINES]]
+        if len(found) > _MOST_LINES:
+            lines.append(f"and {len(found) - _MOST_LINES:,} more of the kind")
         raise InputError("\n".join(f"{where}: {line}" for line in dict.fromkeys(lines))) from error
 
 
@@ -51,14 +57,16 @@ def _explain(details: ErrorDetails, data: object, model: type[BaseModel]) -> str
         case "union_tag_not_found":
             return f"'{key}.{_tag_key(context)}' is missing"
         case "union_tag_invalid":
-            return f"'{key}.{_tag_key(context)}' must be one of {context['expected_tags']}, found {context['tag']!r}"
+            return (
+                f"'{key}.{_tag_key(context)}' must be one of {context['expected_tags']}, found {shown(context['tag'])}"
+            )
         case "model_type" | "model_attributes_type" | "dict_type":
-            return f"'{key}' must be a section of 'key: value' lines, found {_shown(found)}"
+            return f"'{key}' must be a section of 'key: value' lines, found {shown(found)}"
         case "value_error" | "assertion_error":
             message = str(context["error"])
             return f"'{key}': {message}" if key else message
         case _:
-            return f"'{key}' {_requirement(details['msg'])}, found {_shown(found)}"
+            return f"'{key}' {_requirement(details['msg'])}, found {shown(found)}"
 
 
 def _tag_key(context: dict[str, Any]) -> str:
@@ -73,16 +81,11 @@ def _requirement(message: str) -> str:
     return f"is wrong ({message})"
 
 
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "…"
-
-
 def _dotted(location: Sequence[int | str]) -> str:
     text = ""
     for item in location:
         text += f"[{item}]" if isinstance(item, int) else f".{item}"
-    return text.removeprefix(".")
+    return shortened(harmless(text.removeprefix(".")), _LONGEST_KEY)
 
 
 def _keys_in_file(location: Sequence[int | str], data: object, *, missing: bool) -> list[int | str]:

@@ -7,12 +7,58 @@ from typing import Any
 import yaml
 
 from scanner.errors import InputError
+from scanner.io.given_file import read_bytes
+from scanner.shown_text import harmless, shortened
 
-_LARGEST_FILE_BYTES = 4_000_000
+_MOST_TEXT_BYTES = 1_000_000
+_MOST_VALUES = 30_000
+_LONG_TEXT = 1000  # characters, which count as a value
+_INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+_NUMBERS = {  # no longer than 64 bits, or than anyone would write
+    _INT: re.compile(r"[-+]?(0|[1-9][0-9_]{0,18}|0x[0-9a-fA-F_]{1,15}|0o?[0-7_]{1,20}|0b[01_]{1,60})$"),
+    _FLOAT: re.compile(
+        r"[-+]?(\d[\d_]{0,400}\.[\d_]{0,400}([eE][-+]?\d{1,9})?|\.\d[\d_]{0,400}([eE][-+]?\d{1,9})?"
+        r"|\d{1,400}[eE][-+]?\d{1,9}|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$"
+    ),
+}
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML in which a repeated key is an error and 1e3 is a number, as in YAML 1.2."""
+    """Safe YAML in which a repeated key is an error and numbers are those of YAML 1.2: 1e3 is one, 1:30 is none.
+
+    What aliases stand for is counted as often as they stand there, or ten lines of them are billions of values. Whole
+    numbers beyond 64 bits are left as text, as are control characters replaced: no reader has a use for them.
+    """
+
+    yaml_implicit_resolvers = {  # noqa: RUF012
+        first: [(tag, pattern) for tag, pattern in resolvers if tag not in _NUMBERS]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._values = 0
+        self._values_in: dict[int, int] = {}
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        is_alias, before = self.check_event(yaml.AliasEvent), self._values
+        place = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+        node = super().compose_node(parent, index)
+        if is_alias:
+            if id(node) not in self._values_in:
+                raise yaml.composer.ComposerError(None, None, "a value that contains itself", place)
+            self._values += self._values_in[id(node)]
+        else:
+            self._values += 1 + (len(node.value) // _LONG_TEXT if isinstance(node, yaml.ScalarNode) else 0)
+            self._values_in[id(node)] = self._values - before
+        if self._values > _MOST_VALUES:
+            problem = f"more than {_MOST_VALUES:,} values, counting those that aliases stand for"
+            raise yaml.composer.ComposerError(None, None, problem, place)
+        return node
+
+    def construct_scalar(self, node: Any) -> Any:
+        value = super().construct_scalar(node)
+        return harmless(value) if isinstance(value, str) else value
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -20,15 +66,23 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, yaml.ScalarNode):
                 continue
             if key.value in seen:
-                problem = f"the key '{key.value}' is given twice"
+                problem = f"the key '{shortened(key.value)}' is given twice"
                 raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
+    def construct_number(self, node: yaml.ScalarNode) -> float:
+        if _NUMBERS[_INT].match(node.value):
+            whole = int(self.construct_yaml_int(node))
+            return whole if node.tag == _INT else float(whole)
+        if not _NUMBERS[node.tag].match(node.value):
+            raise yaml.constructor.ConstructorError(None, None, "a number is expected here", node.start_mark)
+        return float(self.construct_yaml_float(node))
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-)
+
+for _tag, _pattern in _NUMBERS.items():
+    _Loader.add_implicit_resolver(_tag, _pattern, list("-+.0123456789"))
+    _Loader.add_constructor(_tag, _Loader.construct_number)
 
 
 def parse_yaml(text: str, where: str) -> Any:
@@ -38,17 +92,24 @@ def parse_yaml(text: str, where: str) -> Any:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark else where
-        raise InputError(f"{place}: not valid YAML: {error.problem or error.context}") from error
+        raise InputError(f"{place}: not valid YAML: {_words(error.problem or error.context)}") from error
+    except (LookupError, AttributeError, TypeError, ArithmeticError) as error:  # as of '!!bool perhaps'
+        raise InputError(f"{where}: not valid YAML: a value is not of the type that its tag says") from error
     except (yaml.YAMLError, ValueError) as error:
-        raise InputError(f"{where}: not valid YAML: {' '.join(str(error).split())}") from error
+        raise InputError(f"{where}: not valid YAML: {_words(str(error))}") from error
     except RecursionError as error:
         raise InputError(f"{where}: not usable YAML: brackets are nested too deeply") from error
+
+
+def _words(problem: str | None) -> str:
+    """What the parser says, which may quote the file."""
+    return shortened(harmless(" ".join(str(problem).split())), 200)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file, empty for an empty file.
 
-    Raises InputError if the file is missing, unreadable, not UTF-8, larger than a few megabytes, or holds no mapping.
+    Raises InputError if the file is missing, unreadable, not UTF-8, larger than a megabyte, or holds no mapping.
     """
     value = parse_yaml(read_text(path), str(path))
     if value is None:
@@ -60,15 +121,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def read_text(path: Path) -> str:
     """The text of a small UTF-8 file. Raises InputError."""
-    if not path.is_file():
-        raise InputError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
     try:
-        size = path.stat().st_size
-        if size > _LARGEST_FILE_BYTES:
-            raise InputError(f"{path}: expected a small text file, found {size / 1e6:.0f} MB")
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        return read_bytes(path, _MOST_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text file: byte {error.start} is not UTF-8") from error
 

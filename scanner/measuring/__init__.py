@@ -14,4 +14,5 @@ from scanner.measuring.figure import FIGURE_FILE, write_figure
 from scanner.measuring.measure import measure, read_scene
 from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, Scene
 from scanner.measuring.planes import measure_scene
+from scanner.measuring.points import angle_at, distance_between
 from scanner.measuring.table import angle_cells, shares_table, tables

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from rich.table import Table
 
 from scanner.measuring.acceptance import (
@@ -18,6 +17,7 @@ from scanner.measuring.acceptance import (
 )
 from scanner.measuring.table import empty_table
 from scanner.quantities import ShownUnit, percent, shown_unit
+from scanner.rendering import environment
 
 ACCEPTANCE_FILE, ACCEPTANCE_PAGE = "acceptance.json", "acceptance.html"
 _FORMAT = 1
@@ -102,20 +102,17 @@ def write_acceptance(path: Path, acceptance: Acceptance) -> None:
 
 def write_acceptance_page(path: Path, acceptance: Acceptance) -> None:
     """The page; it needs no network and no other file. Raises OSError."""
-    environment = Environment(
-        loader=PackageLoader("scanner"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     unit = shown_unit(acceptance.unit)
-    page = environment.get_template("acceptance.html").render(
-        summary=list(summary(acceptance)),
-        kinds=[(f"{quantity}: {name}", list(rows(acceptance, quantity))) for quantity, (name, _) in NAMES.items()],
-        remarks=list(remarks(acceptance)),
-        sentences=list(dict.fromkeys(acceptance.sentences)),
-        diameters=[unit.length(diameter) for diameter in acceptance.ball_bar.diameters],
-        length=unit.length(acceptance.ball_bar.length),
+    page = (
+        environment()
+        .get_template("acceptance.html")
+        .render(
+            summary=list(summary(acceptance)),
+            kinds=[(f"{quantity}: {name}", list(rows(acceptance, quantity))) for quantity, (name, _) in NAMES.items()],
+            remarks=list(remarks(acceptance)),
+            sentences=list(dict.fromkeys(acceptance.sentences)),
+            diameters=[unit.length(diameter) for diameter in acceptance.ball_bar.diameters],
+            length=unit.length(acceptance.ball_bar.length),
+        )
     )
     path.write_text(page, encoding="utf-8")

@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnostics import Budget, spread_of_points
 from calib.geometry import Calibration
-from calib.numerics import Floats
 from scanner.errors import InputError
 from scanner.io import read_matches
 from scanner.measuring.measurements import DistanceMeasurement, Measurements, Scene
 from scanner.measuring.planes import measure_scene
+from scanner.measuring.points import distance_between
 from scanner.measuring.spheres import centre_distances, measure_spheres
 from scanner.results import CALIBRATION_FILE, FinishedScan, read_uncertainty
 
@@ -36,19 +35,10 @@ def measure(
 
 
 def _pixel_distance(scan: FinishedScan, scene: Scene, pair: PixelPair) -> DistanceMeasurement:
-    ends = [_point_at(scan, pair[:2]), _point_at(scan, pair[2:])]
-    points = scan.points[ends]
-    apart = points[1] - points[0]
-    distance = float(np.linalg.norm(apart))
-    if distance == 0:
+    ends = (_point_at(scan, pair[:2]), _point_at(scan, pair[2:]))
+    if ends[0] == ends[1]:
         raise InputError("--distance: both pixels are the same")
-    names = (_pixel_name(scan, ends[0]), _pixel_name(scan, ends[1]))
-    return DistanceMeasurement(names, points, distance, _budget_along(scan, scene, ends, apart / distance))
-
-
-def _pixel_name(scan: FinishedScan, point: int) -> str:
-    column, row = scan.pixel[point]
-    return f"pixel ({column}, {row})"
+    return distance_between(scan, scene, ends)
 
 
 def _point_at(scan: FinishedScan, at: tuple[float, ...]) -> int:
@@ -69,12 +59,3 @@ def _point_at(scan: FinishedScan, at: tuple[float, ...]) -> int:
             f"({column}, {row})"
         )
     return nearest
-
-
-def _budget_along(scan: FinishedScan, scene: Scene, ends: list[int], direction: Floats) -> Budget | None:
-    """What makes the distance between two points err; None where the matches' noise is not known."""
-    matches = scan.matches[np.array(ends)]
-    if matches.sigma_px is None:
-        return None
-    spread = spread_of_points(matches, scene.errors, matches.sigma_px)
-    return spread.through(np.concatenate([-direction, direction])[None]).budget()

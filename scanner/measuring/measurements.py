@@ -96,6 +96,15 @@ class AngleMeasurement:
 
 
 @dataclass(frozen=True)
+class PointAngle:
+    """At the second of three `points` (3, 3), between the lines to the others; `budget` None where unknown."""
+
+    points: Floats
+    angle_deg: float
+    budget: Budget | None
+
+
+@dataclass(frozen=True)
 class DistanceMeasurement:
     """Between the points at two camera pixels, or between the centres of two spheres; `budget` None where unknown.
 

@@ -6,7 +6,7 @@ from rich import box
 from rich.table import Table
 
 from calib.diagnostics import Budget
-from scanner.measuring.measurements import AngleMeasurement, Measurements, SphereMeasurement
+from scanner.measuring.measurements import AngleMeasurement, Measurements, PointAngle, SphereMeasurement
 from scanner.quantities import Quantity, ShownUnit, shown_unit
 
 _SHARES = ("scatter", "smooth", "calibration", "scale")
@@ -38,10 +38,11 @@ def tables(measured: Measurements) -> Iterator[Table]:
         yield table
 
 
-def angle_cells(angle: AngleMeasurement) -> tuple[str, str]:
-    """The angle and its sigma, with two digits of the latter."""
-    quantity = Quantity("", angle.angle_deg, "°", angle.budget.sigma)
-    return f"{quantity.shown(angle.angle_deg)}°", f"± {quantity.shown(angle.budget.sigma)}°"
+def angle_cells(angle: AngleMeasurement | PointAngle) -> tuple[str, str]:
+    """The angle and its sigma, with two digits of the latter; '' for a sigma that is not known."""
+    sigma = angle.budget.sigma if angle.budget else None
+    quantity = Quantity("", angle.angle_deg, "°", sigma)
+    return f"{quantity.shown(angle.angle_deg)}°", "" if sigma is None else f"± {quantity.shown(sigma)}°"
 
 
 def shares_table(measured: Measurements) -> Table:

@@ -21,6 +21,7 @@ from scanner.patterns.sequence_file import (
     SEQUENCE_FILE,
     PatternEntry,
     frame_line,
+    pattern_to_dict,
     size_to_dict,
     write_sequence,
 )

@@ -71,7 +71,7 @@ class _PhaseEntry(_Shown):
     kind: Literal["phase"]
     axis: Axis
     period: Number = Field(ge=2, le=1e6)
-    shift: Number
+    shift: Number = Field(ge=-1e6, le=1e6)
 
 
 PatternEntry = Annotated[_PlainEntry | _GrayEntry | _XorEntry | _PhaseEntry, Field(discriminator="kind")]

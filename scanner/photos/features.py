@@ -13,6 +13,8 @@ from calib.refusal import RefusalError
 
 _MOST_FEATURES = 8_000
 _CHUNK = 1000
+# SIFT keeps a dozen copies of four times as many numbers: of 200 megapixels 40 GB. Lenses resolve a fraction of them.
+_MOST_SEARCHED_PX = 25_000_000
 _RATIO = 0.8  # Lowe 2004, section 7.1
 _ROOT_EPSILON = 1e-7
 _LIMIT_OF_WIDTH = 0.0015
@@ -37,19 +39,24 @@ class Features:
 def find_features(photo: Pixels) -> Features:
     """SIFT features (Lowe 2004), at most one at a place, described by RootSIFT (Arandjelović & Zisserman 2012)."""
     grey = photo if photo.ndim == 2 else cv2.cvtColor(photo, cv2.COLOR_BGR2GRAY)
+    full_width, scale = grey.shape[1], max(1.0, float(np.sqrt(grey.size / _MOST_SEARCHED_PX)))
+    if scale > 1:
+        grey = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
     # Without precise upscaling, features of different sizes are off by different fractions of a pixel.
     detector = cv2.SIFT.create(nfeatures=_MOST_FEATURES, contrastThreshold=0.02, enable_precise_upscale=True)
     keypoints, descriptors = detector.detectAndCompute(grey, None)
     if not keypoints:
-        return Features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32), grey.shape[1])
-    pixels = np.array([keypoint.pt for keypoint in keypoints], np.float64)
+        return Features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32), full_width)
+    # Of the whole photo again; in x and y by what the rounded sizes of the reduced one are to it.
+    steps = np.array([full_width / grey.shape[1], photo.shape[0] / grey.shape[0]])
+    pixels = (np.array([keypoint.pt for keypoint in keypoints], np.float64) + 0.5) * steps - 0.5
     # A place with several orientations has several features; counted once, or its error would count twice.
     _, first = np.unique(np.round(pixels, 2), axis=0, return_index=True)
     first.sort()
     chosen = descriptors[first]
     root = np.sqrt(chosen / (chosen.sum(axis=1, keepdims=True) + _ROOT_EPSILON))
-    size = np.array([keypoint.size for keypoint in keypoints], np.float64)
-    return Features(pixels[first], size[first], root.astype(np.float32), grey.shape[1])
+    size = np.array([keypoint.size for keypoint in keypoints], np.float64) * scale
+    return Features(pixels[first], size[first], root.astype(np.float32), full_width)
 
 
 def match_features(first: Features, second: Features) -> Matches:

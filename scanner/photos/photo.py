@@ -1,19 +1,23 @@
 """Photo files: turned upright, and what their EXIF data say of the lens."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags, Image
 
 from calib.geometry import Size
 from calib.numerics import Image as Pixels
 from scanner.errors import InputError
-from scanner.io import read_image
+from scanner.io import UNREADABLE, read_image
 
 _FULL_FRAME_DIAGONAL_MM = 43.2666  # of 36 × 24 mm, to which the 35 mm equivalent refers (CIPA DCG-001)
 _LONGEST_MM = 10_000
+# A result takes some 130 bytes a pixel. Lenses resolve no more, and sensors that have more bin them for most pictures.
+_MOST_PX = 65_000_000
 _UPRIGHT = 1
 # EXIF orientation → how the stored array is turned upright.
 _TURNS = {
@@ -29,11 +33,15 @@ _TURNS = {
 
 @dataclass(frozen=True)
 class Photo:
-    """A photo: `pixels` (H, W) or (H, W, 3) BGR as it is meant to be seen; `focal_px` by its EXIF data, or None."""
+    """A photo: `pixels` (H, W) or (H, W, 3) BGR as it is meant to be seen; `focal_px` by its EXIF data, or None.
+
+    `reduced`: so many pixels of the file, squared, are one of these.
+    """
 
     path: Path
     pixels: Pixels
     focal_px: float | None
+    reduced: int = 1
 
     @property
     def size(self) -> Size:
@@ -47,20 +55,22 @@ class _Stored:
     pixels: Pixels
     orientation: int
     focal_mm: float | None
+    reduced: int
 
     def turned(self, orientation: int) -> Photo:
         turn = _TURNS.get(orientation)
         pixels = np.ascontiguousarray(turn(self.pixels)) if turn else self.pixels
         diagonal_px = float(np.hypot(*pixels.shape[:2]))
         focal = None if self.focal_mm is None else self.focal_mm * diagonal_px / _FULL_FRAME_DIAGONAL_MM
-        return Photo(self.path, pixels, focal)
+        return Photo(self.path, pixels, focal, self.reduced)
 
 
 def read_photos(paths: Sequence[Path]) -> list[Photo]:
     """Photos of one camera, of one size, as their EXIF orientation says.
 
     A camera that was held upright for one photo and sideways for another has one sensor all the same: where the sizes
-    agree only as the files hold them, all are turned like the first, so that one principal point is true of all.
+    agree only as the files hold them, all are turned like the first, so that one principal point is true of all. Photos
+    of more than 65 megapixels are reduced by a whole factor.
 
     Raises InputError for a file that cannot be read, one given twice, or photos whose sizes differ.
     """
@@ -84,8 +94,18 @@ def _read(path: Path) -> _Stored:
     pixels = read_image(path)
     if pixels.dtype != np.uint8:
         pixels = (pixels >> 8).astype(np.uint8)
+    reduced = math.ceil(math.sqrt(pixels.shape[0] * pixels.shape[1] / _MOST_PX))
     orientation, focal_mm = _exif(path)
-    return _Stored(path, pixels, orientation, focal_mm)
+    return _Stored(path, _binned(pixels, reduced), orientation, focal_mm, reduced)
+
+
+def _binned(pixels: Pixels, count: int) -> Pixels:
+    """The means of `count` × `count` 8-bit pixels; a rim that does not fill one is left out."""
+    if count == 1:
+        return pixels
+    height, width = (length // count for length in pixels.shape[:2])
+    whole = pixels[: height * count, : width * count]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _exif(path: Path) -> tuple[int, float | None]:
@@ -93,10 +113,11 @@ def _exif(path: Path) -> tuple[int, float | None]:
     try:
         with Image.open(path) as image:
             exif, is_tiff = image.getexif(), image.format == "TIFF"
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
+            focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+            stated = exif.get(ExifTags.Base.Orientation, _UPRIGHT)
+    except UNREADABLE:
         return _UPRIGHT, None  # OpenCV reads formats, and damaged EXIF data, that Pillow does not
     # OpenCV itself turns TIFF files upright, and no others where they are read unchanged.
-    orientation = _UPRIGHT if is_tiff else exif.get(ExifTags.Base.Orientation, _UPRIGHT)
-    focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+    orientation = stated if isinstance(stated, int) and stated in _TURNS and not is_tiff else _UPRIGHT
     focal_mm = float(focal) if isinstance(focal, int | float) and 0 < focal < _LONGEST_MM else None  # 0 is unknown
-    return orientation if orientation in _TURNS else _UPRIGHT, focal_mm
+    return orientation, focal_mm

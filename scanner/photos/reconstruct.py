@@ -47,7 +47,7 @@ def reconstruct_photos(
     """Two or more photos of one camera → a result. Raises RefusalError, InputError."""
     focal_px = _exif_prior(photos[0]) if options.exif_prior else None
     pairs = _pairs(photos, options.matches or Matches(np.zeros((0, 2)), np.zeros((0, 2))))
-    with refusal_saved(pairs, folder) as reached:
+    with refusal_saved(pairs, folder, config) as reached:
         if options.matches is None:
             with terminal.step("Matching"):
                 pairs = _match(pairs, photos, reached)
@@ -63,7 +63,7 @@ def reconstruct_photos(
             cloud = dense_cloud(photos[0], photos[1], newest.calibration, newest.decoded.matches)
             write_ply(folder / DENSE_FILE, cloud)
     with terminal.step("Writing the result"):
-        save(scan, folder)
+        save(scan, folder, config)
     return scan
 
 

@@ -57,9 +57,10 @@ class Quantity:
 
 
 def plain(value: float, decimals: int, *, signed: bool = False) -> str:
-    """A number for reading: no negative zero, and a minus sign as long as the plus."""
-    shown = f"{value:+z.{decimals}f}" if signed else f"{value:z.{decimals}f}"
-    return shown.replace("-", "−")
+    """A number for reading: a minus sign as long as the plus, and none of them before what is shown as zero."""
+    shown = f"{value:z.{decimals}f}"
+    sign = "+" if signed and value > 0 and float(shown) else ""
+    return f"{sign}{shown}".replace("-", "−")
 
 
 def percent(share: float) -> str:

@@ -11,6 +11,7 @@ from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration, self_calibrate, self_calibrate_jointly
 from scanner.configuration import Config
 from scanner.errors import InputError
+from scanner.reconstruction.face_margins import without_margins
 from scanner.reconstruction.face_masks import label_by_masks
 from scanner.reconstruction.metric_scale import scaled
 from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_doubt
@@ -53,7 +54,10 @@ def _label(capture: Decoded, masks: Bools | None) -> Decoded:
     if capture.matches.face is not None:
         return capture
     faces = find_faces(capture.matches, capture.facts.camera_size, capture.facts.projector_size)
-    return capture.with_matches(faces.matches, faces.plane)
+    found = faces.matches
+    if capture.decoding is not None:
+        found = without_margins(found, capture.facts.camera_size, capture.decoding.footprint_px2)
+    return capture.with_matches(found, faces.plane)
 
 
 def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrated]:
@@ -66,7 +70,9 @@ def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrate
     refuse_costly(labelled, newest)
     calibration = scaled(newest.calibration, newest.corner, config.scale)
     return [
-        SelfCalibrated(capture.with_matches(solution.matches, capture.plane), with_doubt(solution), calibration)
+        SelfCalibrated(
+            capture.with_matches(solution.matches, capture.plane), with_doubt(labelled, solution), calibration
+        )
         for capture, solution in zip(labelled, solutions, strict=True)
     ]
 

@@ -34,7 +34,7 @@ def read_masks(folder: Path, camera_size: Size) -> Bools:
 
 
 def _read_mask(path: Path, camera_size: Size) -> Bools:
-    image = read_image(path)
+    image = read_image(path, camera_size)
     if Size.of(image) != camera_size:
         raise InputError(f"{path}: expected the camera's size, {camera_size}, found {Size.of(image)}")
     mask: Bools = (image if image.ndim == 2 else image.max(axis=2)) > 0

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from calib.refinement import Shifts
 from calib.self_calibration import SelfCalibration
-from scanner.decoding import SUSPECTED_PX, moved
+from scanner.decoding import SUSPECTED_PX, UNSEEN_MOTION, moved
 from scanner.results import Decoded
 
 # What is left of a motion may cost the intrinsics so much, one standard deviation.
@@ -32,13 +32,14 @@ def shifts_of(capture: Decoded) -> Shifts:
     return Shifts() if motion is None else motion.shifts
 
 
-def with_doubt(solution: SelfCalibration) -> SelfCalibration:
+def with_doubt(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:
     """The same with a note on what nobody can have seen, where there is such a thing."""
-    if not solution.possible_percent:
+    motions = [capture.decoding.motion for capture in captures if capture.decoding]
+    if not any(motion is not None and motion.blind for motion in motions):
         return solution
     note = (
-        "All patterns along one axis came before those along the other, so a motion between them cannot be excluded: "
-        f"{SUSPECTED_PX:g} px would cost {solution.possible_percent:.2g} % of the intrinsics. Show a fringe of the "
-        "first axis again at the end to exclude it."
+        f"{UNSEEN_MOTION}: {SUSPECTED_PX:g} px would cost {solution.possible_percent:.2g} % of the intrinsics, "
+        "which is part of their sigmas; more would cost more. Keep the border of the projector's picture in view, or "
+        "show a fringe of the first axis again at the end."
     )
     return replace(solution, notes=(*solution.notes, note))

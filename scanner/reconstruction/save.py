@@ -10,6 +10,7 @@ from pathlib import Path
 from calib.geometry import Calibration
 from calib.pointcloud import MergedCloud
 from calib.refusal import RefusalError
+from scanner.configuration import Config
 from scanner.io import MATCHES_FILE, write_calibration, write_matches, write_merged_ply, write_ply, write_poses
 from scanner.reporting import CaptureRow, Company, ReportInput, verdict, write_report
 from scanner.results import (
@@ -18,8 +19,10 @@ from scanner.results import (
     CLOUD_FILE,
     MERGED_FILE,
     POSES_FILE,
+    REFUSAL_FILE,
     REPORT_FILE,
     Decoded,
+    Provenance,
     Reconstructed,
     Refused,
     Scan,
@@ -27,9 +30,12 @@ from scanner.results import (
     confidence_entries,
     decoded_of,
     folder_of,
+    provenance,
     remarks_on,
     solution_of,
     titles_of,
+    verdict_entries,
+    write_refusal,
 )
 
 log = logging.getLogger(__name__)
@@ -52,7 +58,7 @@ def set_aside(captures: Sequence[Decoded], folder: Path) -> None:
 
 
 @contextmanager
-def refusal_saved(captures: Sequence[Decoded], folder: Path) -> Iterator[list[Stage]]:
+def refusal_saved(captures: Sequence[Decoded], folder: Path, config: Config) -> Iterator[list[Stage]]:
     """Gives a list in which the block notes the stage that each capture has reached.
 
     After a RefusalError in the block what was reached is written into a result's folder, without calibration or cloud.
@@ -63,7 +69,7 @@ def refusal_saved(captures: Sequence[Decoded], folder: Path) -> Iterator[list[St
     except RefusalError as refusal:
         named = _for_want_of_light(refusal, [decoded_of(stage) for stage in reached])
         _log(remarks_on(reached[-1]))
-        _save([Refused(stage, named) for stage in reached], folder, None, ())
+        _save([Refused(stage, named) for stage in reached], folder, provenance(folder, config))
         if named is refusal:
             raise
         raise named from refusal
@@ -79,10 +85,10 @@ def _for_want_of_light(refusal: RefusalError, captures: Sequence[Decoded]) -> Re
     return refusal
 
 
-def save(scan: Scan, folder: Path) -> None:
+def save(scan: Scan, folder: Path, config: Config) -> None:
     """Write every capture's files into its folder of a result. Raises OSError."""
     _log(scan.remarks)
-    _save(scan.captures, folder, scan.merged, scan.remarks_on_merging)
+    _save(scan.captures, folder, provenance(folder, config), scan.merged, scan.remarks_on_merging)
 
 
 def _log(remarks: tuple[str, ...]) -> None:
@@ -91,7 +97,11 @@ def _log(remarks: tuple[str, ...]) -> None:
 
 
 def _save(
-    captures: Sequence[Reconstructed | Refused], folder: Path, merged: MergedCloud | None, remarks: tuple[str, ...]
+    captures: Sequence[Reconstructed | Refused],
+    folder: Path,
+    made: Provenance,
+    merged: MergedCloud | None = None,
+    remarks: tuple[str, ...] = (),
 ) -> None:
     """Write what each capture came to; `merged` and `remarks` are on the newest one's page."""
     count, truth = len(captures), captures[-1].decoded.facts.truth
@@ -111,22 +121,29 @@ def _save(
             write_poses(folder / POSES_FILE, merged.from_cameras)
         # The files are still being written while the reports that list them are made.
         for place, capture in zip(places[:-1], captures[:-1], strict=True):
-            _write_report(place, capture, Company(count, remarks=(_ONE_OF_SEVERAL,)), truth)
+            _write_report(place, capture, Company(count, remarks=(_ONE_OF_SEVERAL,)), truth, made)
         rows = _rows(captures) if count > 1 else ()
-        _write_report(folder, captures[-1], Company(count, rows, merged, remarks), truth)
+        _write_report(folder, captures[-1], Company(count, rows, merged, remarks), truth, made)
         for each in written:
             each.result()
 
 
-def _write_report(folder: Path, capture: Reconstructed | Refused, company: Company, truth: Calibration | None) -> None:
+def _write_report(
+    folder: Path, capture: Reconstructed | Refused, company: Company, truth: Calibration | None, made: Provenance
+) -> None:
     """A capture's report, and its calibration, which says what the report concludes."""
     files = {MATCHES_FILE, *(path.name for path in folder.iterdir())}
+    if isinstance(capture, Refused):
+        files.add(REFUSAL_FILE)
     if isinstance(capture, Reconstructed):
         files |= {CALIBRATION_FILE, CLOUD_FILE, *((MERGED_FILE, POSES_FILE) if company.merged is not None else ())}
-    report = ReportInput(capture, truth, tuple(sorted(files - {REPORT_FILE})), company)
+    report = ReportInput(capture, truth, tuple(sorted(files - {REPORT_FILE})), company, made)
+    entries = made.entries(capture.decoded.facts.identity)
     if isinstance(capture, Reconstructed):
-        more = confidence_entries(verdict(report), capture.uncertainty)
+        more = entries | confidence_entries(verdict(report), capture.uncertainty)
         write_calibration(folder / CALIBRATION_FILE, capture.calibration, more)
+    else:
+        write_refusal(folder / REFUSAL_FILE, entries | verdict_entries(verdict(report)))
     write_report(folder / REPORT_FILE, report)
 
 

@@ -30,6 +30,7 @@ from scanner.rendering.downsampling import (
     one_in_cells,
     places_within,
 )
-from scanner.rendering.photographs import LONGEST_SIDE, jpeg_uri, photograph, png_uri, reduced_size
+from scanner.rendering.photographs import LONGEST_SIDE, encode_jpeg, jpeg_uri, photograph, png_uri, reduced_size
 from scanner.rendering.png import IndexedPicture, Pixels
+from scanner.rendering.templates import environment, script, script_hash
 from scanner.rendering.ticks import even_ticks, tick_text

@@ -19,8 +19,13 @@ def png_uri(picture: Pixels | IndexedPicture) -> str:
 
 def jpeg_uri(pixels: Pixels) -> str:
     """RGB (H, W, 3) as a data URI, for photographs."""
+    return _data_uri("jpeg", encode_jpeg(pixels))
+
+
+def encode_jpeg(pixels: Pixels) -> bytes:
+    """RGB (H, W, 3) as the content of a JPEG file."""
     _, encoded = cv2.imencode(".jpeg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85])
-    return _data_uri("jpeg", encoded.tobytes())
+    return bytes(encoded.tobytes())
 
 
 def _data_uri(kind: str, encoded: bytes) -> str:

@@ -12,7 +12,7 @@ from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureFacts
 from scanner.measuring import Scene, measure_scene
 from scanner.rendering import cells_over, one_in_cells, places_within
-from scanner.results import Reconstructed, Refused
+from scanner.results import Provenance, Reconstructed, Refused
 
 _MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
 
@@ -49,13 +49,15 @@ class Company:
 class ReportInput:
     """Everything that a report may tell of a capture: what became of it, and among which others.
 
-    `truth` belongs to a simulated rig. `files` are the names in the result folder.
+    `truth` belongs to a simulated rig. `files` are the names in the result folder. `provenance`: None where nothing is
+    published.
     """
 
     outcome: Reconstructed | Refused
     truth: Calibration | None = None
     files: tuple[str, ...] = ()
     company: Company = Company()
+    provenance: Provenance | None = None
 
     @property
     def facts(self) -> CaptureFacts:

@@ -1,17 +1,14 @@
 """report.html: one self-contained page that says whether a result can be trusted, and shows why."""
 
-import base64
-import hashlib
 from collections.abc import Callable
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-from markupsafe import Markup
+from jinja2 import Template
 
 from calib.numerics import in_parallel
 from scanner.quantities import plain
+from scanner.rendering import environment, script, script_hash
 from scanner.reporting import sections
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.flatness import flatness
@@ -21,9 +18,12 @@ from scanner.reporting.residuals import face_residuals, misses
 from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
+from scanner.ui import unbroken
 
+_VIEWER = "viewer.js"
 _FILES = {
     "calibration.yaml": "intrinsics of both devices, and the motion between them",
+    "refused.yaml": "the same for programs: why nothing was calibrated",
     "truth.yaml": "the same for the simulated rig, as it really is",
     "cloud.ply": "the point cloud with normals and colours, for MeshLab, CloudCompare or Open3D",
     "matches.npz": "camera and projector pixels of every match, and its face",
@@ -64,6 +64,8 @@ def write_report(path: Path, report: ReportInput) -> None:
     page = _template().render(
         **parts,
         subtitle=sections.subtitle(report.facts),
+        provenance=report.provenance,
+        configuration=sections.configuration(report.provenance),
         verdict=verdict(report),
         warnings=decoding.warnings if decoding else (),
         notes=(
@@ -78,8 +80,8 @@ def write_report(path: Path, report: ReportInput) -> None:
         photos=report.facts.photos,
         captures=joint_rows(report),
         capture=sections.capture_rows(report),
-        script=_script(),
-        script_hash=_hash(_script()),
+        script=script(_VIEWER),
+        script_hash=script_hash(script(_VIEWER)),
         files=[(name, _FILES.get(name, "")) for name in report.files],
         unit=found.calibration.unit if found else "",
     )
@@ -88,23 +90,6 @@ def write_report(path: Path, report: ReportInput) -> None:
 
 @cache
 def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("scanner"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html")
-
-
-@cache
-def _script() -> Markup:
-    """The viewer of the cloud: ours, so it may stand in the page as it is."""
-    return Markup(files("scanner").joinpath("templates/viewer.js").read_text(encoding="utf-8"))
-
-
-def _hash(script: str) -> str:
-    """What the page's security policy calls this script: a browser runs no other, and loads nothing."""
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    return f"'sha256-{digest}'"
+    made = environment()
+    made.filters["unbroken"] = unbroken
+    return made.get_template("report.html")

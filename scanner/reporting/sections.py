@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import yaml
 
 from calib.numerics import Floats
 from calib.pointcloud import Cloud
@@ -36,6 +37,7 @@ from scanner.rendering import (
 )
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
+from scanner.results import Provenance
 
 _VIEW_SIZES = {"oblique": (960, 640), "top": (560, 400), "front": (560, 400)}
 _STEP = 8  # of rows and columns, which tell as well as all how bright an image is
@@ -235,6 +237,13 @@ def mask(decoding: Decoding | None) -> Mask | None:
             for reason in present
         ),
     )
+
+
+def configuration(provenance: Provenance | None) -> str:
+    """What the configuration sets, as YAML; '' where nothing is known of it."""
+    if provenance is None or not provenance.configuration:
+        return ""
+    return yaml.safe_dump({**provenance.configuration}, default_flow_style=None, allow_unicode=True, sort_keys=False)
 
 
 def subtitle(capture: CaptureFacts) -> str:

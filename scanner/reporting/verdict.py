@@ -8,6 +8,7 @@ import numpy as np
 from calib.diagnostics import FROM_ONE_PLACE
 from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
+from scanner.decoding import UNSEEN_MOTION
 from scanner.patterns import Axis
 from scanner.quantities import intrinsic_errors_percent, percent
 from scanner.reporting.contents import ReportInput
@@ -49,6 +50,10 @@ _CHECK_THE_CENTRE = (
     "Were the images cropped, or is camera.principal_point.known that of another image size? Otherwise capture the "
     "corner again from another place."
 )
+# What a motion that is too small to be seen may have cost the intrinsics, one standard deviation.
+_MOST_BY_MOTION_PERCENT = 0.5
+_IF_NOTHING_MOVED = "Calibrated, if nothing moved between the axes"
+_WITNESS = "Capture again with the patterns of 'scan patterns': they are in an order that shows what moves."
 _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and that nothing has moved since it was made."
 
 
@@ -123,6 +128,9 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
         headline = "Calibrated, as well as the principal point that was given"
         return Verdict("fair", headline, (*price.sentences, *reasons[: -len(price.sentences)]), _FREE_THE_CENTRE)
     reasons += [note for note in calibrated.solution.notes if note.startswith(FROM_ONE_PLACE)]
+    unseen = [note for note in calibrated.solution.notes if note.startswith(UNSEEN_MOTION)]
+    if unseen or calibrated.solution.possible_percent > _MOST_BY_MOTION_PERCENT:
+        return Verdict("fair", _IF_NOTHING_MOVED, (*unseen, *reasons), _WITNESS)
     if worst is not None and worst <= _MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
     advice = _ONE_MORE if report.company.count > 1 else _THREE_CAPTURES

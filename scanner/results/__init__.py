@@ -1,8 +1,8 @@
 """A result: its folder, its verdict, what it states about itself."""
 
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
-from scanner.results.older_results import place_camera
-from scanner.results.result_folder import (
+from scanner.results.leftovers import settle
+from scanner.results.names import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
@@ -11,15 +11,18 @@ from scanner.results.result_folder import (
     LOG_FILE,
     MERGED_FILE,
     POSES_FILE,
+    REFUSAL_FILE,
     REPORT_FILE,
     TRUTH_FILE,
-    OutputFolder,
     beside,
     default_out,
     folder_of,
-    new_result,
     refuse_occupied,
+    unused,
 )
+from scanner.results.older_results import place_camera
+from scanner.results.provenance import Provenance, provenance
+from scanner.results.result_folder import OutputFolder, new_result
 from scanner.results.stages import (
     Calibrated,
     Decoded,
@@ -36,5 +39,11 @@ from scanner.results.stages import (
     solution_of,
     titles_of,
 )
-from scanner.results.stated_uncertainty import confidence_entries, read_uncertainty, read_verdict
-from scanner.results.verdict import Verdict
+from scanner.results.stated_uncertainty import (
+    confidence_entries,
+    read_uncertainty,
+    read_verdict,
+    verdict_entries,
+    write_refusal,
+)
+from scanner.results.verdict import SIGNS, Verdict

@@ -11,8 +11,8 @@ from calib.numerics import Floats, Ints
 from calib.pointcloud import index_grid
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_cloud, read_matches
+from scanner.results.names import CALIBRATION_FILE, CLOUD_FILE
 from scanner.results.older_results import find_matches, same_points
-from scanner.results.result_folder import CALIBRATION_FILE, CLOUD_FILE
 
 # Of a cloud, so many points tell whether it comes from these matches.
 _SAMPLE = 1000
@@ -91,9 +91,7 @@ def _has_own_pixels(pixel: Ints, calibration: Calibration) -> bool:
     size = calibration.camera.size
     if np.any((pixel < 0) | (pixel >= size)):
         return False
-    taken = np.zeros(size[::-1], np.bool_)
-    taken[pixel[:, 1], pixel[:, 0]] = True
-    return int(np.count_nonzero(taken)) == len(pixel)
+    return len(np.unique(pixel[:, 1] * size.width + pixel[:, 0])) == len(pixel)
 
 
 def _is_where_rays_meet(points: Floats, matched: Matches, calibration: Calibration) -> bool:

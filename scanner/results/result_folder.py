@@ -1,9 +1,8 @@
 """The result folder: it appears whole or not at all, and never over something that is not a result."""
 
 import logging
-import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -12,169 +11,151 @@ from typing import Self
 
 from calib.refusal import RefusalError
 from scanner.configuration import Config
-from scanner.errors import InputError
-from scanner.io import MATCHES_FILE
+from scanner.errors import DISK_TROUBLE, InputError, StorageError, cannot_write
+from scanner.interruption import finishing
+from scanner.io import MATCHES_FILE, sync_tree
+from scanner.results.leftovers import frames_in, keep_recording, kept_words, settle
+from scanner.results.names import LOG_FILE, is_occupied, refuse_to_lose, unused
+from scanner.results.unfinished import STATE, Claim, HeldError, State, partial_of, publish
 from scanner.ui import LogFile
-
-CALIBRATION_FILE = "calibration.yaml"
-TRUTH_FILE = "truth.yaml"
-CLOUD_FILE = "cloud.ply"
-REPORT_FILE = "report.html"
-CAPTURE_FOLDER = "capture"
-CAPTURES_FOLDER = "captures"
-MERGED_FILE = "merged.ply"
-POSES_FILE = "poses.yaml"
-DENSE_FILE = "dense.ply"
-LOG_FILE = "scan.log"
 
 log = logging.getLogger(__name__)
 
-_OURS = {
-    CALIBRATION_FILE,
-    TRUTH_FILE,
-    CLOUD_FILE,
-    MERGED_FILE,
-    POSES_FILE,
-    DENSE_FILE,
-    REPORT_FILE,
-    CAPTURE_FOLDER,
-    CAPTURES_FOLDER,
-    LOG_FILE,
-    MATCHES_FILE,
-}
-
-
-def folder_of(result: Path, index: int, count: int) -> Path:
-    """Where a result has its capture number `index` of `count`: the newest, which is the last, at the top."""
-    return result if index == count - 1 else result / CAPTURES_FOLDER / str(index + 1)
-
-
-def default_out(stem: str, *, overwrite: bool) -> Path:
-    """`scans/<stem>`, with -2, -3 … added if it exists and may not be overwritten."""
-    out = Path("scans") / stem
-    return out if overwrite else _unused(out)
-
-
-def beside(result: Path, ending: str) -> Path:
-    """A name beside a result, made of its own: a result folder itself stays as the scan left it."""
-    folder = result.resolve()
-    name = f"{folder.name}{ending}"
-    return folder.parent / name if result.name in ("", ".", "..") else result.parent / name
-
-
-def _unused(path: Path) -> Path:
-    candidate, number = path, 1
-    while candidate.exists():
-        number += 1
-        candidate = path.with_name(f"{path.name}-{number}")
-    return candidate
+# Two that begin at the same moment may be in each other's way for as long.
+_ATTEMPTS = 5
 
 
 @contextmanager
-def new_result(out: Path, config: Config, *, overwrite: bool, keep_capture: bool = False) -> Iterator[Path]:
+def new_result(
+    out: Path,
+    config: Config,
+    *,
+    overwrite: bool,
+    keep_capture: bool = False,
+    tell: Callable[[str], None] = log.warning,
+) -> Iterator[Path]:
     """The folder to write a result into, with a log in it; it becomes `out` as described at `OutputFolder`."""
-    with OutputFolder(out, overwrite=overwrite, keep_capture=keep_capture) as output, LogFile(output.folder / LOG_FILE):
+    output = OutputFolder(out, overwrite=overwrite, keep_capture=keep_capture, tell=tell)
+    with output, LogFile(output.folder / LOG_FILE):
+        for sentence in output.settled:
+            log.info(sentence)
         log.info("scan %s with the configuration %s", version("roomscan"), config.model_dump_json(exclude_unset=True))
         yield output.folder
 
 
 class OutputFolder:
-    """A hidden folder beside `out` that takes its place when the `with` block ends well.
+    """A hidden folder beside `out` that takes its place, in one step, when the `with` block ends well.
 
     It ends well without an error, or with RefusalError: that a capture cannot be calibrated is a result too. Any other
-    error discards the folder, except that a live capture (`keep_capture`) is moved to `<out>-incomplete`: it may not
-    be possible to repeat. What became of it is added to the error as a note.
+    error discards the folder, except that of a live capture (`keep_capture`) the frames are moved to
+    `<out>-incomplete`: it may not be possible to repeat. What became of it is added to the error as a note. An OSError
+    of the disk becomes a StorageError.
 
-    Raises InputError if `out` exists, unless it is an empty folder, or a result of ours and `overwrite` is set.
+    While it is made, nobody else can make `out`. What programs have left there that were killed is settled first, and
+    `tell` is given a sentence on each.
+
+    Raises InputError if `out` exists, unless it is an empty folder, or a result of ours and `overwrite` is set, or if
+    it is being made.
     """
 
-    def __init__(self, out: Path, *, overwrite: bool = False, keep_capture: bool = False) -> None:
+    def __init__(
+        self,
+        out: Path,
+        *,
+        overwrite: bool = False,
+        keep_capture: bool = False,
+        tell: Callable[[str], None] = log.warning,
+    ) -> None:
         self.out = out.absolute()
         self._shown = out
         self._overwrite = overwrite
         self._keep_capture = keep_capture
-        if _is_occupied(self.out):
-            _refuse_to_lose(out, overwrite=overwrite)
-        self.folder = self.out.with_name(f".{self.out.name}.{os.getpid()}.partial")
+        self.settled = settle(out)
+        for sentence in self.settled:
+            tell(sentence)
+        if is_occupied(self.out):
+            refuse_to_lose(out, overwrite=overwrite)
+        self.folder = partial_of(self.out)
 
     def __enter__(self) -> Self:
         self._new_parents = [parent for parent in self.out.parents if not parent.exists()]
         try:
-            self.folder.mkdir(parents=True)
+            self._claim = self._claimed()
+            self._claim.say(State.LIVE if self._keep_capture else State.MADE)
+        except HeldError as error:
+            raise InputError(f"{self._shown}: {error}") from error
         except OSError as error:
-            raise InputError(f"{self._shown}: cannot be made: {error.strerror}") from error
+            raise cannot_write(self._shown, error, "made") from error
         return self
+
+    def _claimed(self) -> Claim:
+        """The folder, made and locked. Raises HeldError, OSError."""
+        for _ in range(_ATTEMPTS):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with suppress(FileNotFoundError):
+                claim = Claim(self.folder / STATE, make=True)
+                if claim.is_current and claim.state is None:
+                    return claim
+                claim.release()
+            settle(self.out)
+        raise HeldError("another scan is beginning there now; choose another --out")
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        try:
+            with finishing(ending=error is not None):
+                try:
+                    self._end(error)
+                finally:
+                    self._claim.release()
+        except KeyboardInterrupt as late:
+            late.add_note(f"The result is in {self._shown}.")
+            raise
+        if isinstance(error, OSError) and error.errno in DISK_TROUBLE:
+            told = cannot_write(self._shown, error)
+            for note in getattr(error, "__notes__", []):
+                told.add_note(note)
+            raise told from error
+
+    def _end(self, error: BaseException | None) -> None:
         if error is None:
             self._publish()
         elif isinstance(error, RefusalError):
             self._publish()
             kept = "matches and a report are" if (self.out / MATCHES_FILE).exists() else "recording is"
             error.add_note(f"The {kept} in {self._shown}.")
-        elif self._keep_capture and _frames_in(self.folder):
+        elif self._keep_capture and frames_in(self.folder):
             error.add_note(self._keep())
         else:
             self._discard()
 
     def _publish(self) -> None:
-        replaced = self.folder.with_suffix(".replaced")
         try:
-            if _is_occupied(self.out):
-                _refuse_to_lose(self.out, overwrite=self._overwrite)
-                self.out.rename(replaced)
-            self.folder.rename(self.out)
-        except (OSError, InputError) as error:
-            if replaced.exists():
-                replaced.rename(self.out)
-            raise InputError(f"{error}; the result is in {self.folder}") from error
-        shutil.rmtree(replaced, ignore_errors=True)
+            sync_tree(self.folder)
+            place, trouble = self.out, None
+            replacing = is_occupied(place)
+            if replacing:
+                try:
+                    refuse_to_lose(place, overwrite=self._overwrite)
+                except InputError as error:  # somebody was faster
+                    place, trouble, replacing = unused(place), error, False
+            self._claim.say(State.REPLACING if replacing else State.WHOLE)
+            publish(self.folder, place)
+        except OSError as error:
+            raise StorageError(f"{cannot_write(self._shown, error)}; the result is in {self.folder}") from error
+        if trouble is not None:
+            raise InputError(f"{trouble}; the result is in {self._shown.with_name(place.name)}") from trouble
 
     def _keep(self) -> str:
-        kept = _unused(self.out.with_name(f"{self.out.name}-incomplete"))
-        self.folder.rename(kept)
-        shown = self._shown.with_name(kept.name)
-        if (kept / CAPTURES_FOLDER).exists():
-            finished = len(list((kept / CAPTURES_FOLDER).iterdir()))
-            return (
-                f"What was captured so far is kept: {finished} whole capture{'s' if finished > 1 else ''} in "
-                f"{shown / CAPTURES_FOLDER}, which scan calibrate takes, and {_frames_in(kept / CAPTURE_FOLDER)} "
-                f"frames in {shown / CAPTURE_FOLDER}."
-            )
-        return f"The {_frames_in(kept)} frames captured so far are in {shown / CAPTURE_FOLDER}."
+        try:
+            kept = keep_recording(self.folder, self.out)
+        except OSError as error:
+            return f"The frames captured so far are in {self.folder} ({cannot_write(self.folder, error)})."
+        return kept_words(self._shown.with_name(kept.name))
 
     def _discard(self) -> None:
-        shutil.rmtree(self.folder)
+        shutil.rmtree(self.folder, ignore_errors=True)  # what is left of it is settled by the next
         for parent in self._new_parents:
             with suppress(OSError):  # someone else has put something there since
                 parent.rmdir()
-
-
-def refuse_occupied(out: Path) -> None:
-    """Raise InputError if there is something at `out` already, other than an empty folder."""
-    if _is_occupied(out):
-        _refuse_to_lose(out, overwrite=False)
-
-
-def _is_occupied(path: Path) -> bool:
-    """An empty folder is as good as none: nothing can be lost, and a rename replaces it."""
-    if path.is_dir() and not path.is_symlink():
-        return any(path.iterdir())
-    return path.exists() or path.is_symlink()
-
-
-def _refuse_to_lose(out: Path, *, overwrite: bool) -> None:
-    if not overwrite:
-        raise InputError(f"{out}: already exists; choose another --out, or replace an earlier result with --overwrite")
-    if out.is_symlink() or not out.is_dir() or not (out / LOG_FILE).is_file():
-        raise InputError(f"{out}: exists and is no result of an earlier scan, so it is not overwritten")
-    foreign = sorted(path.name for path in out.iterdir() if path.name not in _OURS)
-    if foreign:
-        raise InputError(f"{out}: is not overwritten, because it holds what no scan has written: {', '.join(foreign)}")
-
-
-def _frames_in(folder: Path) -> int:
-    """How many frames were recorded anywhere in a folder."""
-    return len(list(folder.glob("**/frames/*.png")))

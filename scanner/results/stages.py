@@ -59,6 +59,12 @@ class Decoded:
         """The only axis along which the projector's coordinate was measured, if so."""
         return self.origin.only_axis if isinstance(self.origin, Decoding) else None
 
+    def noting(self, *sentences: str) -> "Decoded":
+        """The same capture, of which a person should know this before all that decoding has found."""
+        if self.decoding is None or not sentences:
+            return self
+        return replace(self, origin=replace(self.decoding, warnings=(*sentences, *self.decoding.warnings)))
+
     def with_matches(self, matches: Matches, plane: Ints | None) -> "Decoded":
         """The same capture, of whose matches more is known."""
         return replace(self, matches=matches, plane=plane)

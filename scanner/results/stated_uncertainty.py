@@ -1,9 +1,12 @@
 """What calibration.yaml says beside the calibration: how far a result can be trusted, and its covariance."""
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import yaml
 from pydantic import Field
 
 from calib.diagnostics import NOWHERE, Along, Uncertainty
@@ -20,6 +23,11 @@ COLUMNS = (
     *(f"rotation_{axis}_rad" for axis in "xyz"),
     *(f"translation_{axis}" for axis in "xyz"),
 )
+
+
+_LOG_FOCALS = [index for index, column in enumerate(COLUMNS) if column.endswith("log_focal")]
+_MOST_LOG_SIGMA, _MOST_SIGMA = 5.0, 1e7  # a factor of 150 in a focal length; in pixels more than any image has
+_ROUNDED, _NOTHING = 1e-6, 1e-9
 
 
 class _VerdictEntry(Entry):
@@ -48,14 +56,9 @@ class _ConfidenceEntry(Entry):
 
 def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dict[str, Any]:
     """Keys for a calibration file; `uncertainty` None where a method knows none."""
-    told = {
-        "grade": verdict.grade,
-        "headline": verdict.headline,
-        "reasons": [*verdict.reasons],
-        "advice": verdict.advice,
-    }
+    told = verdict_entries(verdict)
     if uncertainty is None:
-        return {"verdict": told}
+        return told
     to_file = _columns_of_file(uncertainty.state.translation)
     covariance = {
         "columns": [*COLUMNS],
@@ -66,11 +69,31 @@ def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dic
     if len(along.probability):
         steps = (along.steps @ to_file.T).tolist()
         covariance["along"] = {"probability": along.probability.tolist(), "steps": steps}
-    return {"verdict": told, "covariance": covariance}
+    return {**told, "covariance": covariance}
+
+
+def verdict_entries(verdict: Verdict) -> dict[str, Any]:
+    """A key for a calibration file, or for what stands in its place after a refusal."""
+    told = {
+        "grade": verdict.grade,
+        "headline": verdict.headline,
+        "reasons": [*verdict.reasons],
+        "advice": verdict.advice,
+    }
+    return {"verdict": told}
+
+
+def write_refusal(path: Path, entries: Mapping[str, Any]) -> None:
+    """Write why a capture was refused, for programs: the page says it to people. Raises OSError."""
+    text = yaml.safe_dump(dict(entries), default_flow_style=None, allow_unicode=True, sort_keys=False, width=math.inf)
+    path.write_text(text, encoding="utf-8")
 
 
 def read_verdict(path: Path) -> Verdict | None:
-    """The verdict in a result's calibration file. None where it says none, as older ones. Raises InputError."""
+    """The verdict in a result's calibration file, or in that of a refusal.
+
+    None where it says none, as older ones. Raises InputError.
+    """
     entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).verdict
     return Verdict(entry.grade, entry.headline, tuple(entry.reasons), entry.advice) if entry else None
 
@@ -84,6 +107,11 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
         raise InputError(f"{path}: 'covariance.columns' must be {', '.join(COLUMNS)}, found {', '.join(entry.columns)}")
     if len(entry.values) != len(COLUMNS) or any(len(row) != len(COLUMNS) for row in entry.values):
         raise InputError(f"{path}: 'covariance.values' must be {len(COLUMNS)} rows of as many numbers")
+    values = np.array(entry.values)
+    if not _is_covariance(values):
+        raise InputError(
+            f"{path}: 'covariance.values' are no covariance: not symmetric, negative, or beyond any device"
+        )
     camera, projector = (
         np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
         for device in (calibration.camera, calibration.projector)
@@ -92,8 +120,20 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
     state = State(camera, projector, calibration.rotation, direction, np.zeros((0, 3)), ())
     to_file = _columns_of_file(direction)
     # The columns of `to_file` are orthonormal.
-    covariance = to_file.T @ np.array(entry.values) @ to_file
+    covariance = to_file.T @ values @ to_file
     return Uncertainty(state, covariance, None, entry.match_px, _along(path, entry.along, to_file))
+
+
+def _is_covariance(values: Floats) -> bool:
+    """Whether a matrix (n, n) in the file's columns can be one, but for rounding."""
+    sigma = np.sqrt(np.clip(np.diag(values), 0.0, None))
+    if np.any(np.diag(values) < 0) or sigma.max() > _MOST_SIGMA or sigma[_LOG_FOCALS].max() > _MOST_LOG_SIGMA:
+        return False
+    scale = np.where(sigma > _NOTHING * sigma.max(), sigma, 1.0)  # of what is held fixed, rounding is all there is
+    correlation = values / np.outer(scale, scale)
+    if not np.allclose(correlation, correlation.T, atol=_ROUNDED):
+        return False
+    return bool(np.linalg.eigvalsh(correlation)[0] > -len(values) * _ROUNDED)
 
 
 def _along(path: Path, entry: _AlongEntry | None, to_file: Floats) -> Along:
@@ -104,7 +144,10 @@ def _along(path: Path, entry: _AlongEntry | None, to_file: Floats) -> Along:
         raise InputError(
             f"{path}: 'covariance.along' must have a row of {len(COLUMNS)} steps for each of its probabilities"
         )
-    return Along(np.array(entry.steps).reshape(-1, len(COLUMNS)) @ to_file, np.array(entry.probability))
+    steps = np.array(entry.steps).reshape(-1, len(COLUMNS))
+    if len(steps) and (np.abs(steps).max() > _MOST_SIGMA or np.abs(steps[:, _LOG_FOCALS]).max() > _MOST_LOG_SIGMA):
+        raise InputError(f"{path}: 'covariance.along.steps' are beyond any device")
+    return Along(steps @ to_file, np.array(entry.probability))
 
 
 def _columns_of_file(direction: Floats) -> Floats:

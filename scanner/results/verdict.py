@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Grade = Literal["good", "fair", "refused"]
+SIGNS: dict[str, str] = {"good": "✓", "fair": "◐", "refused": "✕"}
 
 
 @dataclass(frozen=True)
@@ -14,3 +15,8 @@ class Verdict:
     headline: str
     reasons: tuple[str, ...]
     advice: str = ""
+
+    @property
+    def sign(self) -> str:
+        """The grade in one character."""
+        return SIGNS[self.grade]

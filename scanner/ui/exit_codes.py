@@ -6,13 +6,16 @@ from dataclasses import dataclass
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from scanner.errors import InputError
+from scanner.errors import DISK_TROUBLE, InputError, StorageError
+from scanner.interruption import EXIT_INTERRUPTED
+from scanner.shown_text import harmless, shortened
+
+_MOST_LINES, _LONGEST_LINE = 100, 1000
 
 EXIT_INPUT = 2
 EXIT_DEVICE = 3
 EXIT_REFUSED = 4
 EXIT_BUG = 70  # EX_SOFTWARE of sysexits.h
-EXIT_INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
@@ -26,9 +29,13 @@ class Failure:
 def failure_of(error: BaseException) -> Failure:
     """What an error that ended a command means. A bug's traceback is written to a file, which the message names."""
     match error:
+        case OSError() if error.errno in DISK_TROUBLE:
+            return _failure(EXIT_DEVICE, error)
         case InputError() | OSError():
             return _failure(EXIT_INPUT, error)
-        case DeviceError():
+        case MemoryError():
+            return _failure(EXIT_INPUT, error, "there is not enough memory for an input of this size: ")
+        case DeviceError() | StorageError():
             return _failure(EXIT_DEVICE, error)
         case RefusalError():
             return _failure(EXIT_REFUSED, error, f"no trustworthy {error.refused}: ")
@@ -39,7 +46,15 @@ def failure_of(error: BaseException) -> Failure:
 
 def _failure(code: int, error: BaseException, introduction: str = "", *more: str) -> Failure:
     notes = getattr(error, "__notes__", [])
-    return Failure(code, "\n".join([f"{introduction}{error}", *notes, *more]))
+    return Failure(code, _on_a_screen(harmless("\n".join([f"{introduction}{error}", *notes])), *more))
+
+
+def _on_a_screen(message: str, *more: str) -> str:
+    """The message, and less of it where it is longer than a screen: what it quotes may be of any length."""
+    lines = [shortened(line, _LONGEST_LINE) for line in message.splitlines()]
+    if len(lines) > _MOST_LINES:
+        lines[_MOST_LINES - 1 :] = [f"(and {len(lines) - _MOST_LINES + 1} lines more)"]
+    return "\n".join([*lines, *more])
 
 
 def _written_traceback(error: BaseException) -> str:

@@ -1,6 +1,7 @@
 """The program's log: one file in each result."""
 
 import logging
+import sys
 from pathlib import Path
 
 _LOGGERS = ("scanner", "hw", "calib", "py.warnings")
@@ -12,6 +13,30 @@ def keep_off_the_terminal() -> None:
         logging.getLogger(name).addHandler(logging.NullHandler())
 
 
+class _Handler(logging.FileHandler):
+    """Says once that a disk does not take the log: what is being done may work all the same, or will say so itself."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, encoding="utf-8")
+        self._failed = False
+
+    def handleError(self, _: logging.LogRecord) -> None:  # noqa: N802
+        """Called in the place of an error that ends `emit`."""
+        self._tell(sys.exc_info()[1])
+
+    def close(self) -> None:
+        """What could not be written is still in the buffer, and fails again."""
+        try:
+            super().close()
+        except OSError as error:
+            self._tell(error)
+
+    def _tell(self, error: BaseException | None) -> None:
+        if not self._failed:
+            print(f"scan: {self.baseFilename}: the log cannot be written: {error}", file=sys.stderr)
+        self._failed = True
+
+
 class LogFile:
     """What the program logs while the `with` block runs, Python's warnings, and the error that ends it, in a file."""
 
@@ -19,7 +44,7 @@ class LogFile:
         self._path = path
 
     def __enter__(self) -> None:
-        self._handler = logging.FileHandler(self._path, encoding="utf-8")
+        self._handler = _Handler(self._path)
         self._handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
         logging.captureWarnings(True)
         for name in _LOGGERS:

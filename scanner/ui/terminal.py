@@ -8,6 +8,10 @@ from typing import TypeVar
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from scanner.shown_text import harmless
+from scanner.ui.fitting import fitted, for_screen
 
 T = TypeVar("T")
 
@@ -42,9 +46,19 @@ class Terminal:
 
     def show(self, *parts: RenderableType) -> None:
         """Print what a successful command has to say."""
+        if self._quiet:
+            return
+        for part in parts:
+            shown = fitted(part, self._out) if isinstance(part, Table) else part
+            if isinstance(shown, str):
+                self._out.print(for_screen(harmless(shown), sys.stdout), soft_wrap=True, markup=False)
+            else:
+                self._out.print(shown)
+
+    def note(self, text: str) -> None:
+        """Say what is to be known whether or not the command succeeds."""
         if not self._quiet:
-            for part in parts:
-                self._out.print(part, soft_wrap=isinstance(part, str))
+            self._err.print(text, soft_wrap=True, markup=False, highlight=False)
 
     @property
     def can_ask(self) -> bool:

@@ -11,8 +11,8 @@ LOCAL = "127.0.0.1"
 DEFAULT_PORT = 8080
 
 MISSING_VISER = (
-    "the page in the browser needs viser, which is not installed: pip install 'roomscan[console]' (in this folder: "
-    ".venv/bin/pip install '.[console]')"
+    "the page in the browser needs viser, which is not installed: .venv/bin/pip install '.[console]' in the program's "
+    "folder, or 'make console' there"
 )
 
 

@@ -15,6 +15,7 @@ from calib.pointcloud import point_covariances
 from scanner.capture import open_capture
 from scanner.errors import InputError
 from scanner.io import read_calibration, read_cloud, read_image, read_poses
+from scanner.measuring import Scene as MeasuredScene
 from scanner.measuring import read_scene
 from scanner.patterns import White
 from scanner.rendering import photograph
@@ -81,11 +82,25 @@ class ViewedCloud:
 
 @dataclass(frozen=True, eq=False)
 class CaptureCloud(ViewedCloud):
-    """The cloud of one capture, of whose points the matches are known; `uncertainty` is the calibration's, or None."""
+    """The cloud of one capture, with the scan that it is of, and what that has measured."""
 
-    matches: Matches
-    calibration: Calibration
-    uncertainty: Uncertainty | None
+    scan: FinishedScan
+    scene: MeasuredScene
+
+    @property
+    def matches(self) -> Matches:
+        """Of the points, row by row."""
+        return self.scan.matches
+
+    @property
+    def calibration(self) -> Calibration:
+        """Of the rig that saw them."""
+        return self.scan.calibration
+
+    @property
+    def uncertainty(self) -> Uncertainty | None:
+        """The calibration's; None where it is not known."""
+        return self.scene.errors.uncertainty
 
     @property
     def has_sigma(self) -> bool:
@@ -153,9 +168,8 @@ class ViewedResult:
             corner,
             _up(corner),
             scan.unit,
-            scan.matches,
-            scan.calibration,
-            scene.errors.uncertainty,
+            scan,
+            scene,
         )
 
     def _merged(self) -> ViewedCloud:

@@ -1,5 +1,6 @@
 """A cloud in the browser: its points, the rigs that saw it, the faces, their vertex, and a ruler."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,8 +33,9 @@ _FACE_OPACITY = 0.15
 _INK = (40, 40, 40)
 _LINE_PX = 2.0
 _POINT_OF_SIZE = 0.9
+_BALL_OF_SIZE = 0.006
 
-CLOUD, RIGS, FACES, LABELS = "/cloud", "/rigs", "/faces", "/labels"
+CLOUD, RIGS, FACES, LABELS, PICKED = "/cloud", "/rigs", "/faces", "/labels", "/picked"
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Scene:
 
     def clear(self) -> None:
         """Show nothing."""
-        for name in (CLOUD, RIGS, FACES, LABELS):
+        for name in (CLOUD, RIGS, FACES, LABELS, PICKED):
             self._scene.remove_by_name(name)
         self._cloud = None
 
@@ -106,6 +108,24 @@ class Scene:
             precision="float32",
         )
         return Shown(len(chosen), told.legend)
+
+    def on_click(self, picked: Callable[[Floats, Floats], None]) -> None:
+        """Call `picked` with the origin and the direction of each click's ray in the cloud's frame, (3,) each."""
+
+        def clicked(event: viser.SceneClickEvent) -> None:
+            picked(np.array(event.ray_origin) / self._factor, np.array(event.ray_direction))
+
+        self._scene.on_click()(clicked)
+
+    def draw_picked(self, places: Floats) -> None:
+        """Mark points (n, 3) that were clicked on, joined by a line in their order, in place of the last ones."""
+        self._scene.remove_by_name(PICKED)
+        self._scene.add_frame(PICKED, show_axes=False)
+        for number, place in enumerate(places):
+            ball = f"{PICKED}/{number}"
+            self._scene.add_icosphere(ball, _BALL_OF_SIZE * _DRAWN_SIZE, color=VERMILION, position=self._drawn(place))
+        if len(places) > 1:
+            self._lines(f"{PICKED}/line", np.stack([places[:-1], places[1:]], axis=1), VERMILION)
 
     def set_visible(self, part: str, visible: bool) -> None:
         """Show or hide `CLOUD`, `RIGS`, `FACES` or `LABELS`."""

@@ -8,8 +8,6 @@ from scanner.quantities import Quantity, device_quantities, pose_quantities, sho
 from scanner.results import Verdict
 from scanner.viewing.corner import MeasuredCorner
 
-_SIGNS = {"good": "✓", "fair": "◐", "refused": "✕"}
-
 
 def escaped(text: str) -> str:
     """Text from a file or a message as Markdown that shows it and nothing else."""
@@ -20,7 +18,7 @@ def verdict_text(verdict: Verdict | None) -> str:
     """The verdict with its reasons, or where to look for it."""
     if verdict is None:
         return "This result does not say how far it can be trusted. Its report.html does."
-    lines = [f"**{_SIGNS[verdict.grade]} {escaped(verdict.headline)}**", ""]
+    lines = [f"**{verdict.sign} {escaped(verdict.headline)}**", ""]
     lines += [f"- {escaped(reason)}" for reason in verdict.reasons]
     if verdict.advice:
         lines += ["", escaped(verdict.advice)]

@@ -34,14 +34,14 @@ def no_pyglet(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_aravis")
 def test_missing_aravis_is_named_with_its_packages() -> None:
-    with pytest.raises(DeviceError, match=r"gir1\.2-aravis-0\.8 .*roomscan\[rig\]"):
+    with pytest.raises(DeviceError, match=r"gir1\.2-aravis-0\.8 .*\.\[rig\]"):
         import_aravis()
 
 
 @pytest.mark.usefixtures("no_pyglet")
 def test_missing_pyglet_is_named() -> None:
     for ask in (list_screens, lambda: ScreenProjector(None, (854, 480))):
-        with pytest.raises(DeviceError, match=r"pyglet, which is not installed: pip install 'roomscan\[rig\]'"):
+        with pytest.raises(DeviceError, match=r"pyglet, which is not installed: pip install '\.\[rig\]'"):
             ask()
 
 
@@ -50,7 +50,7 @@ def test_devices_say_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None
     assert main(["devices"]) == 3
     output = capsys.readouterr()
     assert "gir1.2-aravis-0.8" in output.out
-    assert "roomscan[rig]" in output.out
+    assert "pip install '.[rig]'" in output.out
     assert output.err.startswith("scan: neither cameras nor screens can be listed")
 
 

@@ -22,6 +22,7 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 NEED_DEVICES = "needs a camera and a projector"
 NOT_RUN = {
     "scan devices": NEED_DEVICES,
+    "scan --resume": "needs a scan that was broken off",
     "scan --config configs/room.yaml": NEED_DEVICES,
     "scan --config my-room.yaml": NEED_DEVICES,
     "scan check --config configs/room.yaml": NEED_DEVICES,
@@ -31,12 +32,13 @@ NOT_RUN = {
     "scan accept": "needs scans of a ball bar",
     "scan board my-captures": "needs captures of a board",
     "scan board --config configs/room.yaml": NEED_DEVICES,
+    "scan batch": "starts workers; its own tests do",
     "make": "installs packages, or runs for minutes",
     "python": "runs for minutes, or changes files of this repository",
     "pytest": "is what runs this test",
 }
 # These are for other programs: nothing of ours is in them.
-FOREIGN = ("git clone", "cd", "source", "xdg-open", "apt-get", "sudo apt-get", "pip install", "python -m pip")
+FOREIGN = ("git clone", "cd", "source", "xdg-open", "apt-get", "sudo apt-get", "pip install", "python -m pip", "dask")
 
 
 @dataclass(frozen=True)

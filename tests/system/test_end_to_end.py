@@ -2,6 +2,8 @@
 
 import shutil
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +15,11 @@ from calib.geometry.matches import NO_FACE
 from calib.pointcloud.pixel_index import NONE
 from scanner.capture.recording import open_capture
 from scanner.commands.main import main
+from scanner.configuration.schema import load_config
 from scanner.io.calibration_file import read_calibration
 from scanner.io.image_file import write_png
 from scanner.io.matches_file import read_matches, write_matches
+from scanner.io.yaml_text import read_yaml
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.results.finished_scan import read_finished_scan
 from tests.support.small_capture import read_listing, write_listing
@@ -64,6 +68,18 @@ def test_a_scan_is_whole_and_true(scanned: Scanned) -> None:
     assert found.unit == "baseline"
     assert truth.unit == "m"
     assert names(scanned.result.parent) == {"room.yaml", "result"}
+
+
+def test_a_result_says_where_it_comes_from(scanned: Scanned) -> None:
+    made = read_yaml(scanned.result / "calibration.yaml")["made"]
+    assert made["name"] == "result"
+    assert made["program"] == f"roomscan {version('roomscan')}"
+    assert made["configuration"] == load_config(scanned.config).model_dump(mode="json", exclude_unset=True)
+    assert made["capture"]["backend"] == "simulated"
+    assert timedelta(0) < datetime.now(UTC) - datetime.fromisoformat(made["date"]) < timedelta(hours=1)
+    report = (scanned.result / "report.html").read_text(encoding="utf-8")
+    for words in ("<h1>result</h1>", f"roomscan {version('roomscan')}", '<a href="cloud.ply">', "backend: simulated"):
+        assert words in report
 
 
 def test_a_replay_finds_the_same(scanned: Scanned, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -211,7 +227,7 @@ def test_a_refused_capture_keeps_its_matches(
         write_png(masks / f"{label}.png", mask)
     out = tmp_path / "refused"
     assert run("replay", scanned.result / "capture", "--masks", masks, "--out", out) == 4
-    assert names(out) == {"matches.npz", "report.html", "scan.log", "capture"}
+    assert names(out) == {"matches.npz", "refused.yaml", "report.html", "scan.log", "capture"}
     assert len(read_matches(out)) == len(read_matches(scanned.result))
     output = capsys.readouterr()
     assert output.out == ""

@@ -40,7 +40,13 @@ def test_a_scene_without_a_corner_is_refused_and_its_matches_kept(
     out = tmp_path / name
     assert main(["replay", str(DATA / name), "--out", str(out), "--quiet"]) == 4
     assert "perpendicular" in capsys.readouterr().err
-    assert {path.name for path in out.iterdir()} == {"capture", "matches.npz", "report.html", "scan.log"}
+    assert {path.name for path in out.iterdir()} == {
+        "capture",
+        "matches.npz",
+        "refused.yaml",
+        "report.html",
+        "scan.log",
+    }
     with np.load(out / "matches.npz") as matches:
         assert 1_250_000 < len(matches["camera_px"]) < 1_600_000
 

@@ -183,8 +183,8 @@ def test_the_capture_that_is_wrong_is_named(
         assert word in output.err
     assert out.exists() == (code == 4)
     if code == 4:
-        assert names(out) == {"matches.npz", "report.html", "scan.log", "captures"}
-        assert names(out / "captures/1") == {"matches.npz", "report.html"}
+        assert names(out) == {"matches.npz", "refused.yaml", "report.html", "scan.log", "captures"}
+        assert names(out / "captures/1") == {"matches.npz", "refused.yaml", "report.html"}
 
 
 def test_the_same_capture_twice_is_refused(given: Given, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

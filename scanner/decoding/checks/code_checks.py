@@ -14,7 +14,7 @@ import numpy as np
 from calib.numerics import Bools, Image, Ints, compiled
 from scanner.decoding.accumulators import GrayFold
 from scanner.decoding.arrays import Words
-from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.lines import lines_of

@@ -14,7 +14,7 @@ import numpy as np
 from calib.geometry import Matches
 from calib.numerics import Floats
 from scanner.decoding.arrays import Reasons
-from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.mask_reasons import MaskReason, count_reasons
 from scanner.errors import InputError
 
@@ -23,7 +23,7 @@ from scanner.errors import InputError
 _MOST_BROKEN = 0.35
 _BROKEN = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE, MaskReason.ISOLATED)
 # Distance from the epipolar line in projector pixels that a lens without a model, or a poor sigma, may explain.
-_EPIPOLAR_PX, _EPIPOLAR_SIGMAS = 3.0, 5.0
+EPIPOLAR_PX, _EPIPOLAR_SIGMAS = 3.0, 5.0
 _MOST_OFF = 0.15
 _FEWEST_MATCHES, _MOST_MATCHES = 100, 4000
 _SEED = 5
@@ -61,7 +61,7 @@ def judge(oddities: Sequence[Oddity], reasons: Reasons, matches: Matches, *, one
     distance, off = _epipolar(matches)
     if off > _MOST_OFF:
         raise InputError(
-            f"{_said(oddities)}; and {off:.0%} of the matches are more than {_EPIPOLAR_PX:g} projector pixels from the "
+            f"{_said(oddities)}; and {off:.0%} of the matches are more than {EPIPOLAR_PX:g} projector pixels from the "
             "epipolar geometry of the others"
         )
     return (
@@ -82,12 +82,26 @@ def _epipolar(matches: Matches) -> tuple[float, float]:
     count = len(matches)
     chosen = np.random.default_rng(_SEED).choice(count, min(count, _MOST_MATCHES), replace=False)
     camera, projector = (np.asarray(px[chosen], np.float64) for px in (matches.camera_px, matches.projector_px))
-    matrix, _ = cv2.findFundamentalMat(camera, projector, cv2.USAC_MAGSAC, _EPIPOLAR_PX, 0.999, 2000)
-    if matrix is None or matrix.shape != (3, 3):
+    some = Matches(camera, projector)
+    matrix = epipolar_matrix(some)
+    if matrix is None:
         return 0.0, 1.0
-    lines: Floats = np.column_stack([camera, np.ones(len(camera))]) @ matrix.T
-    distance = np.abs(np.sum(lines[:, :2] * projector, axis=1) + lines[:, 2])
-    distance /= np.hypot(lines[:, 0], lines[:, 1]) + 1e-12
+    distance = from_epipolar_lines(some, matrix)
     sigma = np.zeros(len(chosen)) if matches.sigma_px is None else matches.sigma_px[chosen]
-    off = np.mean(distance > np.maximum(_EPIPOLAR_PX, _EPIPOLAR_SIGMAS * sigma))
+    off = np.mean(distance > np.maximum(EPIPOLAR_PX, _EPIPOLAR_SIGMAS * sigma))
     return float(np.median(distance)), float(off)
+
+
+def epipolar_matrix(matches: Matches) -> Floats | None:
+    """The fundamental matrix (3, 3) that most of the matches obey; None if there is none."""
+    matrix, _ = cv2.findFundamentalMat(
+        matches.camera_px, matches.projector_px, cv2.USAC_MAGSAC, EPIPOLAR_PX, 0.999, 2000
+    )
+    return None if matrix is None or matrix.shape != (3, 3) else np.asarray(matrix, np.float64)
+
+
+def from_epipolar_lines(matches: Matches, matrix: Floats) -> Floats:
+    """Distances (N,) of the projector pixels from the lines of the camera's, in projector pixels."""
+    lines: Floats = np.column_stack([matches.camera_px, np.ones(len(matches))]) @ matrix.T
+    distance: Floats = np.abs(np.sum(lines[:, :2] * matches.projector_px, axis=1) + lines[:, 2])
+    return distance / (np.hypot(lines[:, 0], lines[:, 1]) + 1e-12)

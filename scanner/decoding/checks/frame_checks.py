@@ -7,17 +7,18 @@ who walk through the picture, and devices with habits of their own. An exchange 
 and a double by its twin. What is not proven is only odd: the coordinates decide what comes of it.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from calib.numerics import Bools
+from calib.numerics import Bools, median
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.checks.contradictions import Oddity, Shown, contradictions
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.light_switch import light_switch
-from scanner.decoding.medians import medians, robust_sigmas
-from scanner.decoding.sequence_plan import Fringe, SequencePlan
+from scanner.decoding.medians import medians
+from scanner.decoding.sequence_plan import SequencePlan
 from scanner.errors import InputError
 
 # The swing of a lit pixel between all frames: in standard deviations of a difference of two, and in grey levels.
@@ -27,65 +28,17 @@ _LEAST_SWING = 2.0
 _FEWEST_LIT = 20
 _ENOUGH_LIT = 500
 _MOST_LIT = 4000
-# An exchanged frame is wrong by the whole swing wherever its pattern differs; a bent camera curve by less than half.
-_WRONG = 0.5
-_WRONG_SHARE = 0.05
-# N times the spread of a fringe's mean over N shifts, in amplitudes: about 1 if one of the N frames is another pattern;
-# 0.1 to 0.2 from harmonics.
-_WRONG_MEAN = 0.5
-# How far the amplitude and shift of a frame may be from its pattern's, as a distance between phasors of length 1.
-_WRONG_SHIFT = 0.4
-# In a view of less than a third of a cycle shifts cannot be told from amplitudes: ratio of the singular values.
-_MOST_UNEVEN = 2.0
-# The power of a fringe that its fit leaves over: a gamma of 2.2 makes 0.05, exchanged opposite or next shifts 0.5.
-_UNEXPLAINED = 0.25
-# Spread of a fringe's frames in standard deviations of the noise; a fringe that is just seen has 3.
-_BLURRED_AWAY = 2.0
 # Each frame in a wrong place adds the square of its difference from the right one to the contradictions, twice that if
 # only one other frame contradicts it; undoing an exchange takes away at least this part of it.
 _REPAIRED = 0.5
+# What an exchange leaves of the contradictions, next to others of either frame: of black in brighter light, say, any
+# dark frame in its place leaves as much.
+_MOST_LEFT = 0.5
 _DIFFERENT = 0.02
 _FEWEST_COMPARED = 400
 # Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
 _SAME_SIGMAS = 4.0
 _SAME_SHARE = 0.98
-
-
-@dataclass(frozen=True)
-class _Shown:
-    """The pixels of the sample that are lit: `levels` (frames, P), `swing` and noise `sigma` (P,)."""
-
-    levels: Floats32
-    swing: Floats32
-    sigma: Floats32
-
-
-@dataclass(frozen=True)
-class _ShownFringe:
-    """At those pixels, the `levels` (shifts, P) of a fringe, its least-squares fit `offset`, `cosine`, `sine` (P,), and
-    whether it is more than noise.
-    """
-
-    fringe: Fringe
-    levels: Floats32
-    offset: Floats32
-    cosine: Floats32
-    sine: Floats32
-    is_seen: bool
-
-    @property
-    def amplitude(self) -> Floats32:
-        """(P,)."""
-        amplitude: Floats32 = np.hypot(self.cosine, self.sine)
-        return amplitude
-
-
-@dataclass(frozen=True)
-class Oddity:
-    """A contradiction, `said` in a few words, and the `frames` that are suspected."""
-
-    said: str
-    frames: tuple[int, ...]
 
 
 def check_frames(
@@ -100,47 +53,42 @@ def check_frames(
     sigma = noise.sigma((high + low) / 2)
     lit = np.flatnonzero(_well_lit(swing, sigma, high >= saturation))
     lit = lit[:: max(1, len(lit) // _MOST_LIT)]
-    shown = _Shown(levels[:, lit], swing[lit], sigma[lit])
-    found = _contradictions(plan, shown)
+    shown = Shown(levels[:, lit], swing[lit], sigma[lit])
+    found = contradictions(plan, shown)
     if not found:
         return found
     made_alike = replace(shown, levels=alike[:, lit])
-    made_alike, switched = _in_one_light(plan, made_alike) if _contradictions(plan, made_alike) else (made_alike, [])
+    made_alike, switched = _in_one_light(plan, made_alike) if contradictions(plan, made_alike) else (made_alike, [])
     proof = _exchange(plan, shown, made_alike, found) or _double(plan, shown, found)
     if proof:
         said = "; ".join([*(oddity.said for oddity in found), proof])
         raise InputError(f"the frames do not show what the capture says: {said}")
-    return [*switched, *_contradictions(plan, made_alike)]
+    return [*switched, *contradictions(plan, made_alike)]
 
 
-def _in_one_light(plan: SequencePlan, shown: _Shown) -> tuple[_Shown, list[Oddity]]:
+def _in_one_light(plan: SequencePlan, shown: Shown) -> tuple[Shown, list[Oddity]]:
     """The same without light that was switched on or off, and that it was."""
     switch = light_switch(plan, shown.levels, shown.swing, lambda levels: _contradiction(plan, levels, shown.swing))
     if switch is None:
         return shown, []
-    share = float(np.median(switch.light / shown.swing))
+    share = median(switch.light / shown.swing)
     went = "on" if share > 0 else "off"
     said = f"light of {abs(share):.0%} of the pattern's was switched {went} before {plan.name(switch.frame)}"
     return replace(shown, levels=switch.undone(shown.levels)), [Oddity(said, (switch.frame,))]
 
 
-def _contradictions(plan: SequencePlan, shown: _Shown) -> list[Oddity]:
-    # One that the lenses have blurred away shows nothing, right or wrong.
-    seen = [fringe for fringe in (_shown_fringe(fringe, shown) for fringe in plan.fringes) if fringe.is_seen]
-    return [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown, seen), *_shifts(plan, seen)]
-
-
-def _exchange(plan: SequencePlan, shown: _Shown, alike: _Shown, found: Sequence[Oddity]) -> str:
+def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Oddity]) -> str:
     """Says which two frames, exchanged back, make the sample more consistent by what they differ; '' if none do.
 
     If they were not exchanged, that makes it less consistent by as much. Nor were they if the sample is as consistent
-    once frames are made alike in brightness.
+    once frames are made alike in brightness, or if another exchange of one of them does nearly as well.
     """
     few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for oddity in found for frame in oddity.frames})
     before, best, pair = _contradiction(plan, levels, swing), _REPAIRED, (0, 0)
     otherwise = _contradiction(plan, alike.levels[:, few], swing)
+    tried: dict[tuple[int, int], float] = {}
     for first in suspects:
         for second in range(len(levels)):
             differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
@@ -148,10 +96,13 @@ def _exchange(plan: SequencePlan, shown: _Shown, alike: _Shown, found: Sequence[
                 continue
             order = np.arange(len(levels))
             order[[first, second]] = second, first
-            left = _contradiction(plan, levels[order], swing)
+            left = tried[first, second] = _contradiction(plan, levels[order], swing)
             if (before - left) / differ > best and left < otherwise:
                 best, pair = (before - left) / differ, (first, second)
-    return f"with {plan.names(pair)} exchanged they do" if pair[0] != pair[1] else ""
+    others = [left for exchange, left in tried.items() if len({*exchange, *pair}) == 3]  # one frame in common
+    if pair not in tried or tried[pair] > _MOST_LEFT * min(others, default=before):
+        return ""
+    return f"with {plan.names(pair)} exchanged they do"
 
 
 def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
@@ -177,15 +128,14 @@ def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> flo
     return total / len(swing)
 
 
-def _double(plan: SequencePlan, shown: _Shown, found: Sequence[Oddity]) -> str:
+def _double(plan: SequencePlan, shown: Shown, found: Sequence[Oddity]) -> str:
     """Says which of the suspected frames is the same as another one; '' if none is."""
     for frame in sorted({frame for oddity in found for frame in oddity.frames}):
         alike = np.abs(shown.levels - shown.levels[frame]) < _SAME_SIGMAS * np.sqrt(2) * shown.sigma
         share = np.mean(alike, axis=1)
-        share[frame] = 0
-        twin = int(np.argmax(share))
-        if share[twin] > _SAME_SHARE:
-            return f"{plan.names((frame, twin))} show the same"
+        for twin in np.flatnonzero(share > _SAME_SHARE).tolist():
+            if not plan.shows_the_same(frame, twin):
+                return f"{plan.names((frame, twin))} show the same"
     return ""
 
 
@@ -204,81 +154,3 @@ def _well_lit(swing: Floats32, sigma: Floats32, saturated: Bools) -> Bools:
         raise InputError("the frames are overexposed: all lit pixels reach the largest value; shorten the exposure")
     well_lit = lit & (sigmas > _WELL_SEEN)
     return well_lit if np.count_nonzero(well_lit) >= _ENOUGH_LIT else lit
-
-
-def _extremes(plan: SequencePlan, shown: _Shown) -> Iterator[Oddity]:
-    for frame, side, word in ((plan.white, 1, "darker"), (plan.black, -1, "brighter")):
-        if frame is None:
-            continue
-        excess = shown.levels - shown.levels[frame]
-        beyond = excess > _WRONG * shown.swing if side > 0 else excess < -_WRONG * shown.swing
-        wrong = np.mean(beyond.any(axis=0))
-        if wrong > _WRONG_SHARE:
-            suspect = int(np.argmax(np.count_nonzero(beyond, axis=1)))
-            yield Oddity(
-                f"{plan.name(frame)} is {word} than others at {wrong:.0%} of the lit pixels, above all than "
-                f"{plan.name(suspect)}",
-                (frame, suspect),
-            )
-
-
-def _complements(plan: SequencePlan, shown: _Shown) -> Iterator[Oddity]:
-    pairs = plan.complements
-    if len(pairs) < 2:
-        return
-    sums = np.stack([shown.levels[a] + shown.levels[b] for a, b in pairs])
-    wrong = np.mean(np.abs(sums - medians(sums, axis=0)) > _WRONG * shown.swing, axis=1)
-    if wrong.max() > _WRONG_SHARE:
-        suspects = [frame for pair, share in zip(pairs, wrong, strict=True) for frame in pair if share > _WRONG_SHARE]
-        yield Oddity(
-            f"pattern and inverse do not complement each other at {wrong.max():.0%} of the lit pixels, in "
-            f"{plan.names(suspects)}",
-            tuple(suspects),
-        )
-
-
-def _means(plan: SequencePlan, shown: _Shown, seen: Sequence[_ShownFringe]) -> Iterator[Oddity]:
-    even = [one for one in seen if one.fringe.equal_steps]
-    if not even:
-        return
-    means = np.stack([np.mean(one.levels, axis=0) for one in even])
-    reference = medians(means, axis=0) if len(even) > 1 else shown.levels.min(axis=0)
-    relative_noise = float(np.median(shown.sigma / shown.swing))
-    spreads = robust_sigmas((means - reference) / shown.swing)
-    amplitudes = medians(np.stack([one.amplitude for one in even]) / shown.swing, axis=1)
-    for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):
-        steps = len(one.fringe.shifts)
-        if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG_MEAN * amplitude:
-            yield Oddity(
-                f"the mean of {plan.names(one.fringe.frames)} is no even grey, as it is for a fringe in equal steps",
-                one.fringe.frames,
-            )
-
-
-def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[Oddity]:
-    """Measure amplitude and shift of each frame against the fringe that all of them make together."""
-    for one in seen:
-        fringe, swings = one.fringe, one.levels - one.offset
-        angles = 2 * np.pi * np.array(fringe.shifts)
-        phasors = np.stack([np.cos(angles), -np.sin(angles)])
-        components = np.stack([one.cosine, one.sine])
-        unexplained = swings - phasors.T.astype(np.float32) @ components
-        if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):
-            yield Oddity(f"{plan.names(fringe.frames)} make no fringe together", fringe.frames)
-            continue
-        components = components.astype(np.float64)
-        gram = components @ components.T
-        if np.linalg.cond(gram) > _MOST_UNEVEN**2:
-            continue
-        wrong = np.linalg.norm(np.linalg.solve(gram, components @ swings.T) - phasors, axis=0) > _WRONG_SHIFT
-        if wrong.any():
-            suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
-            said = f"{plan.names(suspects)} have another shift or period than their patterns"
-            yield Oddity(said, tuple(suspects))
-
-
-def _shown_fringe(fringe: Fringe, shown: _Shown) -> _ShownFringe:
-    levels = shown.levels[list(fringe.frames)]
-    offset, cosine, sine = np.tensordot(fringe.weights.astype(np.float32), levels, axes=1)
-    spread = medians(np.std(levels, axis=0, ddof=1) / shown.sigma, axis=0)
-    return _ShownFringe(fringe, levels, offset, cosine, sine, bool(spread > _BLURRED_AWAY))

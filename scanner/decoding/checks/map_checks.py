@@ -15,7 +15,7 @@ from calib.numerics import Bools, Ints, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import Signals
-from scanner.decoding.checks.frame_checks import Oddity
+from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tolerances
 from scanner.decoding.lines import lines_of

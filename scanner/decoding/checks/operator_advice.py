@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from scanner.decoding.arrays import Floats32, Reasons
+from calib.numerics import Image
+from scanner.decoding.arrays import Reasons
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason, count_reasons
 
@@ -21,7 +22,7 @@ _FEW_MATCHED = 0.02
 MUCH_FLICKER = 0.01
 
 
-def too_dark(levels: Floats32, noise: NoiseModel) -> str | None:
+def too_dark(levels: Image, noise: NoiseModel) -> str | None:
     """A sentence if the patterns change pixels hardly more than noise does, else None.
 
     `levels` (frames, P): of pixels that were drawn from all of the image.

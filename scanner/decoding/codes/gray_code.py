@@ -1,6 +1,6 @@
 """Gray code words → the interval of the projector axis that they leave."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,14 +35,22 @@ class Interval:
         return ~(self.outside | self.contradictory)
 
 
-def interval_of(plan: AxisPlan, words: Sequence[Words], pixels: int) -> Interval:
-    """The interval common to all Gray codes of an axis, given the words (P,) of each; without codes the whole axis."""
+def interval_of(
+    plan: AxisPlan, words: Sequence[Words], pixels: int, undecided: Mapping[int, Words] | None = None
+) -> Interval:
+    """The interval common to all Gray codes of an axis, given the words (P,) of each; without codes the whole axis.
+
+    `undecided`: for codes by number, the bits (P,) that are set where a pixel does without them.
+    """
     first, last = np.float32(-0.5), np.float32(plan.length - 0.5)
     low, high = np.full(pixels, first), np.full(pixels, last)
     outside, contradictory = np.empty(pixels, np.bool_), np.empty(pixels, np.bool_)
-    for code, of_code in zip(plan.codes, words, strict=True):
+    for number, (code, of_code) in enumerate(zip(plan.codes, words, strict=True)):
         numbers: Floats32 = cell_numbers(of_code).astype(np.float32)
-        _narrow(numbers, np.float32(code.cell), np.float32(code.offset + 0.5), low, high)
+        cell, before, ends = np.float32(code.cell), np.float32(code.offset + 0.5), numbers + 1
+        if undecided and number in undecided:
+            _widen(of_code, undecided[number], numbers, ends)
+        _narrow(numbers, ends, cell, before, low, high)
     # Codes whose edges are a little blurred may miss each other by as little.
     _settle(first, last, np.float32(plan.cell / 2), low, high, outside, contradictory)
     return Interval(low, high, outside, contradictory)
@@ -58,13 +66,30 @@ def cell_numbers(words: Words) -> Words:
     return numbers
 
 
+def _widen(words: Words, undecided: Words, numbers: Floats32, ends: Floats32) -> None:
+    """Add the cells that a pixel may be in as well, if bits of its word are undecided; all (P,), in place.
+
+    A bit is undecided along the edge between two cells that differ in it: it is in one or the other. Else, and where
+    finer ones are undecided too, the stripes of the bit are too fine: all that the coarser bits leave is possible.
+    """
+    where = np.flatnonzero(undecided)
+    word, bits, number = words[where].astype(np.uint32), undecided[where].astype(np.uint32), numbers[where]
+    other = cell_numbers(word ^ bits).astype(np.float32)
+    is_edge = (bits & (bits - np.uint32(1)) == 0) & (np.abs(other - number) == 1)
+    size = np.exp2(np.floor(np.log2(bits)) + 1).astype(np.float32)
+    start = np.where(is_edge, np.minimum(number, other), np.floor(number / size) * size)
+    numbers[where], ends[where] = start, start + np.where(is_edge, np.float32(2), size)
+
+
 @compiled
-def _narrow(numbers: Floats32, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
-    """What the cell numbers of one code, which begins so far before the first pixel, leave of the intervals."""
+def _narrow(
+    numbers: Floats32, ends: Floats32, cell: np.float32, before: np.float32, low: Floats32, high: Floats32
+) -> None:
+    """What the cells of one code, from a number to an end, leave of the intervals; it begins so far before pixel 0."""
     for i in range(len(numbers)):
-        start, first, last = numbers[i] * cell - before, low[i], high[i]
+        start, end, first, last = numbers[i] * cell - before, ends[i] * cell - before, low[i], high[i]
         low[i] = max(first, start)
-        high[i] = min(last, start + cell)
+        high[i] = min(last, end)
 
 
 @compiled

@@ -3,8 +3,9 @@
 A camera pixel sees the fringes of its footprint, weighted by how bright each part is, so its coordinate is that of the
 brighter side: x is too large by v ∇x · ∇ ln A, with A the fringe's amplitude and v the footprint's variance along an
 axis. (For a Gaussian footprint this is exact: it is Tweedie's formula, Efron, JASA 106, 2011.) At the edge of a poster,
-of a floorboard or of a shadow it is tenths of a pixel, always to the same side. The variance is the same all over the
-image, and is measured where the capture has such edges.
+of a floorboard or of a shadow it is tenths of a pixel, always to the same side; where light falls off evenly over a
+wall it is thousandths, all over the wall. The variance is the same all over the image, and is measured where the
+capture has such edges.
 """
 
 from collections.abc import Sequence
@@ -28,6 +29,9 @@ _FEWEST_TILES = 4
 _MEDIAN_SIGMA = 1.2533 * SIGMA_PER_MEDIAN
 _SIGNIFICANT = 5.0
 _LARGEST_PX2 = 9.0
+# Where a capture does not show it: a pixel's own area (1/12) behind a lens that blurs by a third of a pixel. Of a plain
+# wall a variance of none is further off, whatever the lens.
+TYPICAL_PX2 = 0.2
 
 
 def log_amplitude(power: Floats32) -> Floats32:
@@ -82,7 +86,7 @@ def _take_out(shift: Floats32, footprint_px2: np.float32, value: Floats32, varia
 def footprint_variance(
     shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, usable: Bools, tile_px: int
 ) -> float:
-    """The footprint's variance along an axis, in square camera pixels; 0 if the capture does not show it.
+    """The footprint's variance along an axis, in square camera pixels; a typical one if the capture does not show it.
 
     `shaded`: of one or both axes, the coordinate and the logarithm of its amplitude; `log_lit`: that of the grey level
     in full light; in square tiles of `tile_px` one above the other, (T · tile, tile).
@@ -98,9 +102,9 @@ def footprint_variance(
         weight += _sums(instrument * _band(shift_per_variance(value, log_amplitude, usable)), inner, tile_px)
     telling = weight > 0
     if np.count_nonzero(telling) < _FEWEST_TILES:
-        return 0.0
+        return TYPICAL_PX2
     variance, scatter = _weighted_median(found[telling] / weight[telling], weight[telling])
-    return min(variance, _LARGEST_PX2) if variance > _SIGNIFICANT * scatter else 0.0
+    return min(variance, _LARGEST_PX2) if variance > _SIGNIFICANT * scatter else TYPICAL_PX2
 
 
 def _weighted_median(values: Floats, weights: Floats) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, compiled
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, compiled, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.codes.gray_code import Interval
 from scanner.decoding.sequence_plan import AxisPlan
@@ -98,13 +98,13 @@ def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats3
     outside = found.outside_px[found.outside_px > 0]
     if plan.codes and len(outside) >= _FEWEST:
         floor = max(0.1, 0.005 * plan.cell)
-        interval = min(interval, max(floor, SIGMA_PER_MEDIAN * float(np.median(outside))))
+        interval = min(interval, max(floor, SIGMA_PER_MEDIAN * median(outside)))
     between = []
-    noises = [np.median(a + b) if len(a) else 0.0 for a, b in pairwise(variances)]
+    noises = [median(a + b) if len(a) else 0.0 for a, b in pairwise(variances)]
     for most, distance, noise in zip(widest.fringe_px, found.between_px, noises, strict=True):
         sigma = most
         if len(distance) >= _FEWEST:
-            total = SIGMA_PER_MEDIAN * float(np.median(distance))
+            total = SIGMA_PER_MEDIAN * median(distance)
             sigma = min(most, sqrt(max(total**2 - float(noise), 0.1 * total**2)))
         between.append(max(sigma, 1e-3))
     return Tolerances(interval, tuple(between))
@@ -118,35 +118,37 @@ def unwrap(plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tol
     others = int(2 * reach / plan.fringes[0].period)
     # If no more than one order is within reach, it is the nearest.
     search = np.float32(reach if others else plan.fringes[0].period / 2)
-    coordinates, order = np.empty_like(positions), np.empty_like(positions[0])
-    _first_order(positions[0], periods[0], search, interval.low, interval.high, order)
-    best = coordinates[0]
-    best[:] = order
-    best_cost = _followed(order, interval, wrapped, periods, tolerances)
-    second_cost = np.full_like(best_cost, np.inf)
+    coordinates = np.empty_like(positions)
+    _first_order(positions[0], periods[0], search, interval.low, interval.high, coordinates[0])
+    best_cost = _followed(coordinates, interval, wrapped, periods, tolerances)
+    if not others:
+        return Orders(coordinates, best_cost < _INFINITE, np.ones(len(best_cost), np.bool_))
+    best, second_cost, trial = coordinates[0], np.full_like(best_cost, np.inf), coordinates.copy()
     for _ in range(others):
-        order += periods[0]
-        cost = _followed(order, interval, wrapped, periods, tolerances)
-        _choose(order, cost, best, best_cost, second_cost)
+        trial[0] += periods[0]
+        cost = _followed(trial, interval, wrapped, periods, tolerances)
+        _choose(trial[0], cost, best, best_cost, second_cost)
     for longer, shorter, position, period in zip(
         coordinates, coordinates[1:], positions[1:], periods[1:], strict=False
     ):
         _nearest_order(position, period, longer, shorter)
-    agree, unique = np.empty((2, len(best)), np.bool_)
-    _judge(best_cost, second_cost, agree, unique)
-    return Orders(coordinates, agree, unique)
+    return Orders(coordinates, best_cost < _INFINITE, second_cost >= best_cost + _CLEAR_MARGIN)
 
 
 def _followed(
-    order: Floats32, interval: Interval, wrapped: Wrapped, periods: Sequence[np.float32], tolerances: Tolerances
+    coordinates: Floats32, interval: Interval, wrapped: Wrapped, periods: Sequence[np.float32], tolerances: Tolerances
 ) -> Floats32:
-    """What it costs to follow orders of the longest fringe to the shortest: infinite where that contradicts."""
+    """Follow the longest fringe, the first of the `coordinates` (fringes, P), to the others, which are filled in.
+
+    Returns what that costs (P,): infinite where it contradicts.
+    """
     positions, variances = wrapped.positions, wrapped.variances
-    cost, coordinate = np.empty_like(order), order.copy()
-    _cost_outside(order, interval.low, interval.high, variances[0], np.float32(tolerances.interval_px**2), cost)
+    cost: Floats32 = np.empty_like(coordinates[0])
+    tolerance_px2 = np.float32(tolerances.interval_px**2)
+    _cost_outside(coordinates[0], interval.low, interval.high, variances[0], tolerance_px2, cost)
     for k, tolerance in enumerate(tolerances.fringe_px, start=1):
-        tolerance_px2 = np.float32(tolerance**2)
-        _follow(positions[k], variances[k - 1], variances[k], periods[k], tolerance_px2, coordinate, cost)
+        of_pair = variances[k - 1], variances[k], periods[k], np.float32(tolerance**2)
+        _follow(positions[k], *of_pair, coordinates[k - 1], coordinates[k], cost)
     return cost
 
 
@@ -185,16 +187,17 @@ def _follow(
     variance: Floats32,
     period: np.float32,
     tolerance_px2: np.float32,
-    coordinate: Floats32,
+    longer: Floats32,
+    shorter: Floats32,
     cost: Floats32,
 ) -> None:
     """From the coordinate of one fringe to that of the next shorter; add what their distance costs."""
     for i in range(len(position)):
-        shorter = position[i] + np.rint((coordinate[i] - position[i]) / period) * period
-        distance = shorter - coordinate[i]
+        nearest = position[i] + np.rint((longer[i] - position[i]) / period) * period
+        distance = nearest - longer[i]
         square = distance * distance / (longer_variance[i] + variance[i] + tolerance_px2)
         cost[i] += square if square <= _LIMIT2 else _INFINITE
-        coordinate[i] = shorter
+        shorter[i] = nearest
 
 
 @compiled
@@ -205,10 +208,3 @@ def _choose(order: Floats32, cost: Floats32, best: Floats32, best_cost: Floats32
     for i in range(len(order)):
         best[i] = order[i] if cost[i] < best_cost[i] else best[i]
         best_cost[i] = min(cost[i], best_cost[i])
-
-
-@compiled
-def _judge(best_cost: Floats32, second_cost: Floats32, agree: Bools, unique: Bools) -> None:
-    for i in range(len(best_cost)):
-        agree[i] = best_cost[i] < _INFINITE
-        unique[i] = second_cost[i] >= best_cost[i] + _CLEAR_MARGIN

@@ -15,7 +15,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.sequence_plan import Fringe
 
@@ -170,7 +170,7 @@ def _weights(
     is the same for all rows, and is given even if the pixels do not tell.
     """
     count = len(levels)
-    scale = 1 / np.maximum(common, np.float32(_FAINT * float(np.median(common)) + 1e-3))
+    scale = 1 / np.maximum(common, np.float32(_FAINT * median(common) + 1e-3))
     mean = levels.mean(axis=0)
     design: Floats = (np.concatenate([common[None], levels - mean]) * scale).T.astype(np.float64)
     target: Floats = (mean * scale).astype(np.float64)
@@ -184,7 +184,7 @@ def _weights(
     for _ in range(2):
         terms = _least_squares(design[chosen], target[chosen])
         away = np.abs(target - design @ terms)
-        chosen &= away <= _OUTLYING * SIGMA_PER_MEDIAN * np.median(away[chosen]) + 1e-6
+        chosen &= away <= _OUTLYING * SIGMA_PER_MEDIAN * median(away[chosen]) + 1e-6
     design, target, rows = design[chosen], target[chosen], places.rows[chosen]
     left = _without(harmonic.T[chosen], target - design @ terms)
     noise = float(np.mean(left**2)) + 1e-12
@@ -192,7 +192,9 @@ def _weights(
     if is_pair and noise > _UNEXPLAINED * np.mean((target - of_common) ** 2):
         return np.ones((count, 1)), inf
     # Noise in what explains draws its weights together: a share of them as large as it is next to what it explains.
-    spread = np.linalg.eigvalsh(design.T @ design / len(left))[1]
+    spread = float(np.linalg.eigvalsh(design.T @ design / len(left))[1])
+    if spread <= 0:  # frames without light, all alike
+        return np.ones((count, 1)), inf
     error = count * _SIGNIFICANT * sqrt(noise / (spread * len(left))) + 2 * noise / spread
     bands = None if is_guess else _bands(design, left, noise)
     if bands is None:

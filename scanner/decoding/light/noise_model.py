@@ -107,5 +107,6 @@ def _fit(where: list[float], variances: list[float]) -> NoiseModel:
     if gain < 0:
         return NoiseModel(float(np.median(variance)), 0.0)
     if at_black < _QUANTISATION:
-        at_black, gain = _QUANTISATION, max(0.0, float(np.median((variance - _QUANTISATION) / level)))
+        lit = level > 0
+        at_black, gain = _QUANTISATION, max(0.0, float(np.median((variance - _QUANTISATION)[lit] / level[lit])))
     return NoiseModel(float(at_black), float(gain))

@@ -1,20 +1,26 @@
 """Motion during a capture: of the camera, of the projector, of something in the scene."""
 
-from scanner.decoding.motion.blame import blaming_motion, blaming_shifts, moved, remarks_on
+from scanner.decoding.motion.blame import UNSEEN_MOTION, blaming_motion, blaming_shifts, moved, remarks_on
 from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
-from scanner.decoding.motion.found import SUSPECTED_PX, MotionFound
+from scanner.decoding.motion.found import SUSPECTED_PX, MotionFound, who_moved
 from scanner.decoding.motion.measure import measure_motion
+from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.tile_sample import TileSample
 
 __all__ = [
     "SUSPECTED_PX",
+    "UNSEEN_MOTION",
     "CodeShift",
+    "Fit",
     "MotionFound",
     "TileSample",
     "blaming_motion",
     "blaming_shifts",
+    "fit_motion",
     "measure_motion",
     "moved",
     "remarks_on",
+    "shifts_by_motion",
     "shifts_of_codes",
+    "who_moved",
 ]

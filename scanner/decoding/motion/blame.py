@@ -1,6 +1,6 @@
 """What is said of captures during which something moved."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from calib.refusal import RefusalError
@@ -10,19 +10,24 @@ from scanner.decoding.sequence_plan import SequencePlan
 from scanner.errors import InputError
 
 ADVICE = "Fasten what moved, let a projector warm up, keep away from the rig while it captures, and capture again."
+UNSEEN_MOTION = (
+    "All patterns along one axis came before those along the other, and nothing in the frames tells whether a device "
+    "turned in between"
+)
 # Frames that were exchanged contradict each other in ways that hardly any motion explains.
 _EXPLAINED = 0.75
 
 
 @contextmanager
-def blaming_motion(motion: MotionFound | None) -> Iterator[None]:
-    """Frames that contradict each other in the block do so because something moved, if that explains it.
+def blaming_motion(found: Callable[[], MotionFound | None]) -> Iterator[None]:
+    """Frames that contradict each other in the block do so because of the motion that was found, if that explains it.
 
     Raises RefusalError in the place of InputError.
     """
     try:
         yield
     except InputError as error:
+        motion = found()
         if motion is not None and motion.significant and motion.explained > _EXPLAINED:
             raise moved(motion) from error
         raise

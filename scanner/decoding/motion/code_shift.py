@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scanner.decoding.accumulators import Accumulators
-from scanner.decoding.axis_signals import Signals, signals_of
+from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.tile_sample import TileSample
-from scanner.decoding.sequence_plan import AxisPlan
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
 _SEEN = 5.0
 _FEWEST = 300
@@ -30,12 +28,9 @@ class CodeShift:
     px: float
 
 
-def shifts_of_codes(accumulators: Accumulators, tiles: TileSample, noise: NoiseModel) -> tuple[CodeShift, ...]:
-    """Those that are more than nothing."""
-    if not tiles.count:
-        return ()
-    both = signals_of(accumulators, lambda image: tiles.of(image)[None])
-    found = (_shift(axis, signals, noise) for axis, signals in zip(accumulators.plan.axes, both, strict=True))
+def shifts_of_codes(plan: SequencePlan, signals: tuple[Signals, Signals], noise: NoiseModel) -> tuple[CodeShift, ...]:
+    """Those that are more than nothing, given the signals of some pixels."""
+    found = (_shift(axis, of_axis, noise) for axis, of_axis in zip(plan.axes, signals, strict=True))
     return tuple(shift for shift in found if shift is not None)
 
 

@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints
-from scanner.decoding.motion.fringe_fit import Follows, FringeFit
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
+from scanner.decoding.motion.fringe_fit import FringeFit
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.sequence_plan import SequencePlan
@@ -53,14 +55,13 @@ Showings = tuple[tuple[Showing, ...], tuple[Showing, ...]]
 
 @dataclass(frozen=True)
 class Seen:
-    """What pixels say of a motion: `motion_px`, its `precision` (M,), which `pixel` (M,) says it, and along which
-    `axis` (M,).
+    """What pixels say of a motion: `motion_px` with its `precision` (M,), and which says it: its `row` (M,) among the P
+    pixels for x, then the same for y.
     """
 
     motion_px: Floats
     precision: Floats
-    pixel: Ints
-    axis: Ints
+    row: Ints
 
 
 def showings_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> Showings:
@@ -81,38 +82,64 @@ def showings_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> Showin
     return x, y
 
 
-def told(showings: Showings, showings_moved: Showings, pixels: Pixels, course: Course) -> Seen:
-    """What the fringes say of a motion of this course, beyond that of which they were told."""
-    parts = []
-    every = np.arange(len(pixels))
-    for axis, of_axis in enumerate(showings_moved):
-        follows = [one.fit.follow(course.at(one.times)) for one in of_axis]
-        found = [(one.motion_px, one.precision) for one in follows]
-        coordinate = _nearest(showings[axis][0].fit, pixels.projector_px[:, axis])
-        for longer, shorter, before, after in zip(of_axis, of_axis[1:], follows, follows[1:], strict=False):
-            nearest = _nearest(shorter.fit, coordinate)
-            if longer.fit.period <= _COMPARABLE * shorter.fit.period:
-                found.append(_between(nearest - coordinate, longer.fit, shorter.fit, before, after, pixels.tile))
-            coordinate = nearest
-        parts += [(*part, every, np.full(len(every), axis)) for part in found]
-    motion_px, precision, pixel, axes = (np.concatenate(column) for column in zip(*parts, strict=True))
-    says = precision > 0
-    return Seen(motion_px[says], precision[says], pixel[says], axes[says])
+@dataclass(frozen=True)
+class Witnesses:
+    """The fringes `at_rest`, and the same `moved`: told of a motion, if only of none. What is left they tell."""
+
+    at_rest: Showings
+    moved: Showings
+    pixels: Pixels
+
+    def tell(self, course: Course) -> Seen:
+        """What they say of a motion of this course, beyond that of which they were told."""
+        parts = []
+        every = np.arange(len(self.pixels))
+        for axis, (of_axis, apart) in enumerate(zip(self.moved, self._apart, strict=True)):
+            follows = [one.fit.follow(course.at(one.times)) for one in of_axis]
+            found = [(one.motion_px, one.precision) for one in follows]
+            for (before, after), known in zip(pairwise(follows), apart, strict=True):
+                if known is not None:
+                    found.append(_between(*known, after.response - before.response))
+            parts += [(*part, every + axis * len(every)) for part in found]
+        motion_px, precision, row = (np.concatenate(column) for column in zip(*parts, strict=True))
+        says = precision > 0
+        return Seen(motion_px[says], precision[says], row[says])
+
+    @cached_property
+    def _apart(self) -> tuple[list[tuple[Floats, Floats] | None], ...]:
+        """Of x and y, per two successive fringes: how far their positions are apart (P,), and the variance of that.
+
+        Beside noise, they are apart by what interreflection and bent brightness curves do to each, which varies in a
+        tile. None where one period is longer by far.
+        """
+        found = []
+        for axis, (before, of_axis) in enumerate(zip(self.at_rest, self.moved, strict=True)):
+            of_pairs: list[tuple[Floats, Floats] | None] = []
+            coordinate = _nearest(before[0].fit, self.pixels.projector_px[:, axis])
+            for longer, shorter in pairwise(one.fit for one in of_axis):
+                nearest = _nearest(shorter, coordinate)
+                of_pairs.append(
+                    _with_variance(nearest - coordinate, longer.variance + shorter.variance, self.pixels.tile)
+                    if longer.period <= _COMPARABLE * shorter.period
+                    else None
+                )
+                coordinate = nearest
+            found.append(of_pairs)
+        return tuple(found)
 
 
-def _between(
-    apart_px: Floats, longer: FringeFit, shorter: FringeFit, before: Follows, after: Follows, tile: Ints
-) -> tuple[Floats, Floats]:
+def _with_variance(apart_px: Floats, noise: Floats, tile: Ints) -> tuple[Floats, Floats]:
+    within = apart_px - _median_of_group(apart_px, tile)
+    spread = median(np.abs(within)) * SIGMA_PER_MEDIAN
+    return apart_px, noise + max(spread**2 - median(noise), 0.0)
+
+
+def _between(apart_px: Floats, variance: Floats, response: Floats) -> tuple[Floats, Floats]:
     """What two fringes say by how far their positions are apart (P,): the motion, and its precision (P,).
 
-    Beside noise, they are apart by what interreflection and bent brightness curves do to each, which varies in a tile.
+    `response` (P,): by how much the second follows a motion more than the first.
     """
-    noise = longer.variance + shorter.variance
-    within = apart_px - _median_of_group(apart_px, tile)
-    spread = float(np.median(np.abs(within))) * SIGMA_PER_MEDIAN
-    response = after.response - before.response
     says = np.abs(response) > _APART
-    variance = noise + max(spread**2 - float(np.median(noise)), 0.0)
     return np.where(says, apart_px / np.where(says, response, 1.0), 0.0), np.where(says, response**2 / variance, 0.0)
 
 

@@ -17,7 +17,7 @@ _LARGEST_DRIFT_PX = 3.0
 _BOTH = 0.5
 # What is taken back is known to this share of itself.
 _REMAINDER = 0.1
-# What a motion between the axes would cost is told for one of this size.
+# Between the axes, a motion of which nothing tells is taken to be of this size, one standard deviation.
 SUSPECTED_PX = 0.3
 _ROWS = 64
 
@@ -69,7 +69,8 @@ class MotionFound:
     `significant`: it is more than what is found at rest. `slow`: even, all the time; else at once, between the frames
     `first` and `last`. `size_px`: how far it moved the coordinates. `explained`: the share that it explains of what
     contradicts rest. `shift`: by what it shifted x and y against each other; `others`: the same of courses that explain
-    it about as well. `witnessed`: a motion between the axes would have been seen.
+    it about as well. `unseen`: shifts of one standard deviation each that may have been beside it; `blind`: nothing
+    in the frames tells whether one of the devices turned between the axes.
     """
 
     motion: Floats
@@ -81,7 +82,8 @@ class MotionFound:
     explained: float
     shift: Disturbance
     others: tuple[Disturbance, ...]
-    witnessed: bool
+    unseen: tuple[Disturbance, ...] = ()
+    blind: bool = False
 
     @property
     def is_too_large(self) -> bool:
@@ -95,24 +97,20 @@ class MotionFound:
         if self.significant:
             likely = [each.less(self.shift).times(1 / sqrt(len(self.others))) for each in self.others]
             likely.append(self.shift.times(_REMAINDER))
-        possible = () if self.witnessed else unwitnessed(self.shift.camera_size, self.shift.projector_size)
-        return Shifts(tuple(each.shifts for each in likely), tuple(each.shifts for each in possible))
+        return Shifts(tuple(each.shifts for each in likely), tuple(each.shifts for each in self.unseen))
 
     def __str__(self) -> str:
         """In words, as in: the projector moved by 1.2 px between frames 18 and 24."""
-        projector, camera = (float(np.hypot(*part[:2])) for part in np.split(self.motion, [PER_DEVICE]))
-        moved = [
-            f"the {device} moved by {px:.2g} px"
-            for device, px, other in (("projector", projector, camera), ("camera", camera, projector))
-            if px >= _BOTH * other
-        ]
         when = "slowly, from frame {} to {}" if self.slow else "between frames {} and {}"
-        return f"{' and '.join(moved)} {when.format(self.first, self.last)}"
+        return f"{who_moved(self.motion)} {when.format(self.first, self.last)}"
 
 
-def unwitnessed(camera_size: tuple[int, int], projector_size: tuple[int, int]) -> tuple[Disturbance, ...]:
-    """What pans and tilts of either device do to the coordinates, if they come after x and before y."""
-    return tuple(
-        Disturbance(np.outer([0.0, SUSPECTED_PX], np.eye(2 * PER_DEVICE)[column]), camera_size, projector_size)
-        for column in (0, 1, PER_DEVICE, PER_DEVICE + 1)
-    )
+def who_moved(motion: Floats) -> str:
+    """In words, as in: the projector moved by 1.2 px; `motion` (8,) as in `rigid`."""
+    projector, camera = (float(np.hypot(*part[:2])) for part in np.split(motion, [PER_DEVICE]))
+    moved = [
+        f"the {device} moved by {px:.2g} px"
+        for device, px, other in (("projector", projector, camera), ("camera", camera, projector))
+        if px >= _BOTH * other
+    ]
+    return " and ".join(moved)

@@ -6,6 +6,7 @@ motion of the course g does to the position (the part that the fringe cannot tel
 frames on also u itself, from what no position explains.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
@@ -90,12 +91,6 @@ class FringeFit:
         return np.maximum(cosine**2 + sine**2, _LEAST_POWER)
 
     @cached_property
-    def _slope(self) -> Floats:
-        """(N, P): of the grey levels by the coordinate."""
-        cosine, sine, _ = self._found
-        return -(2 * pi / self.period) * (cosine * np.sin(self._angles) + sine * np.cos(self._angles))
-
-    @cached_property
     def _unexplained(self) -> Floats:
         """The residuals (N, P) without the second harmonic, which a bent brightness curve leaves in four frames.
 
@@ -112,15 +107,31 @@ class FringeFit:
         return rest
 
     def follow(self, course: Floats) -> Follows:
-        """What a motion that has come so far (N,) in the frames does to the fit, and what is seen of it."""
+        """What a motion that has come so far (N,) in the frames does to the fit, and what is seen of it.
+
+        The grey levels' slope along the coordinate is A cos θ times one wave plus A sin θ times another, and so is
+        everything that is linear in it: only the waves are fitted, which are the same for all pixels at rest.
+        """
         cosine, sine, _ = self._found
-        by_motion = self._slope * course[:, None]
-        (_, by_cosine, by_sine), beside = self._explained(by_motion)
-        seen = np.sum(beside**2, axis=0)
-        told = seen > _LEAST_SEEN * np.sum(self._slope**2, axis=0)
+        waves = [-2 * pi / self.period * wave for wave in (np.sin(self._angles), np.cos(self._angles))]
+        fits = [self._explained(wave * course[:, None]) for wave in waves]
+        by_cosine, by_sine = (cosine * fits[0][0][part] + sine * fits[1][0][part] for part in (1, 2))
+        beside = [wave for _, wave in fits]
+        seen = _power_of(cosine, sine, beside)
+        told = seen > _LEAST_SEEN * _power_of(cosine, sine, waves)
         safe = np.where(told, seen, 1.0)
+        along = [np.sum(self._unexplained * wave, axis=0) for wave in beside]
         return Follows(
             self.period / (2 * pi) * (cosine * by_sine - sine * by_cosine) / self._power,
-            np.where(told, np.sum(self._unexplained * beside, axis=0) / safe, 0.0),
+            np.where(told, (cosine * along[0] + sine * along[1]) / safe, 0.0),
             np.where(told, seen / self.noise, 0.0),
         )
+
+
+def _power_of(cosine: Floats, sine: Floats, waves: Sequence[Floats]) -> Floats:
+    """Σ_n (C a_n + S b_n)² of two waves (N, P) or (N, 1), at components C, S (P,)."""
+    first, both, second = (
+        np.sum(one * other, axis=0) for one, other in ((waves[0], waves[0]), (waves[0], waves[1]), (waves[1], waves[1]))
+    )
+    power: Floats = cosine**2 * first + 2 * cosine * sine * both + sine**2 * second
+    return power

@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.numerics import Floats
-from scanner.decoding.accumulators import Accumulators
+from calib.numerics import Floats, median
+from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.courses import Course, Showing, Showings, showings_of, told
+from scanner.decoding.motion.courses import Course, Showing, Witnesses, showings_of
 from scanner.decoding.motion.found import Disturbance, MotionFound
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
@@ -34,28 +34,10 @@ _NEARLY = 0.8
 
 @dataclass(frozen=True)
 class _Tried:
-    """A course with the motion that fits best; `moved_px`, `variance` (P, 2): of the pixels' coordinates.
-
-    `shares` (2,): of the motion that x and y have taken part in, averaged over their fringes, less what they have in
-    common, which is as if the rig had stood there.
-    """
+    """A course with the motion that fits best."""
 
     course: Course
     fit: Fit
-    moved_px: Floats
-    variance: Floats
-    shares: Floats
-
-    @property
-    def size_px(self) -> float:
-        """How far the coordinates surely moved: root mean square."""
-        sure = np.maximum(self.moved_px**2 - _SURE**2 * self.variance, 0.0)
-        return float(np.sqrt(np.mean(np.sum(sure, axis=1))))
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether it is more than what is measured at rest."""
-        return self.fit.significance > _SIGNIFICANT and self.size_px > _LEAST_PX
 
 
 class MotionMeter:
@@ -71,7 +53,11 @@ class MotionMeter:
         self._pixels, self._repeats = pixels, plan.repeats
         self._sizes = (tiles.shape[1], tiles.shape[0]), projector_size
         self._showings = showings_of(plan, tiles, pixels)
-        self._design = shifts_by_motion(pixels.camera_px, pixels.projector_px, pixels.gradient, *self._sizes)
+        self._witnesses = Witnesses(self._showings, self._showings, pixels)
+        by_motion = shifts_by_motion(pixels.camera_px, pixels.projector_px, pixels.gradient, *self._sizes)
+        # Of all pixels the shifts of x, then of all those of y.
+        self._design = np.concatenate([by_motion[:, 0], by_motion[:, 1]])
+        self._tile = np.tile(pixels.tile, 2)
         self._times = sorted({int(time) for axis in self._showings for one in axis for time in one.times})
 
     def measure(self) -> MotionFound:
@@ -80,25 +66,25 @@ class MotionMeter:
         bumps = [Course(first, last) for first, last in pairwise(self._times)]
         tried = [self._try(course) for course in [slow, *bumps[::_STRIDE]]]
         best = max(tried, key=lambda one: one.fit.gained)
-        if best.is_significant:
+        if self._is_significant(best):
             tried += [self._try(course) for course in bumps[1::_STRIDE]]
             best = max(tried, key=lambda one: one.fit.gained)
         likely = [one for one in tried if one.fit.gained >= _NEARLY * best.fit.gained]
-        refined = self._refined(best) if best.is_significant else best
-        explained = self._explained(refined)
-        shift, *others = (Disturbance(np.outer(one.shares, one.fit.motion), *self._sizes) for one in (refined, *likely))
+        is_significant = self._is_significant(best)
+        refined = self._refined(best) if is_significant else best
+        explained = self._explained(refined) if is_significant else 0.0
+        shift, *others = (self._disturbance(one) for one in (refined, *likely))
         first, last = min(one.course.first for one in likely), max(one.course.last for one in likely)
         return MotionFound(
             motion=refined.fit.motion,
-            significant=self._is_overdetermined and best.is_significant and explained > _LEAST_EXPLAINED,
+            significant=self._is_overdetermined and is_significant and explained > _LEAST_EXPLAINED,
             slow=best.course.slow,
             first=self._repeats * (best.course.first if best.course.slow else first),
             last=self._repeats * (best.course.last if best.course.slow else last),
-            size_px=refined.size_px,
+            size_px=self._size_px(refined.fit),
             explained=explained,
             shift=shift,
             others=tuple(others),
-            witnessed=self._is_witnessed,
         )
 
     @property
@@ -106,70 +92,73 @@ class MotionMeter:
         """Whether a frame that does not belong to its fringe shows; with three, a bent curve is in the phase."""
         return all(len(one.times) > _PARAMETERS for axis in self._showings for one in axis)
 
-    @property
-    def _is_witnessed(self) -> bool:
-        """Whether what moves between the axes shows: each was measured before and after the other, or in part."""
-        x, y = (np.concatenate([one.times for one in axis]) for axis in self._showings)
-        return bool(x.min() < y.max() and y.min() < x.max())
-
     def _try(self, course: Course) -> _Tried:
-        return self._tried(course, self._fit(self._showings, course))
+        return _Tried(course, self._fit(self._witnesses, course))
 
-    def _fit(self, showings: Showings, course: Course) -> Fit:
-        seen = told(self._showings, showings, self._pixels, course)
-        design = self._design[seen.pixel, seen.axis]
-        return fit_motion(design, seen.motion_px, seen.precision, self._pixels.tile[seen.pixel])
+    def _fit(self, witnesses: Witnesses, course: Course) -> Fit:
+        seen = witnesses.tell(course)
+        return fit_motion(self._design, seen.motion_px, seen.precision, seen.row, self._tile)
 
-    def _tried(self, course: Course, fit: Fit) -> _Tried:
-        moved_px = self._design @ fit.motion
-        shares = np.array([_share(axis, course) for axis in self._showings])
-        squares = np.mean(moved_px**2, axis=0)
+    def _is_significant(self, tried: _Tried) -> bool:
+        """Whether it is more than what is measured at rest."""
+        return tried.fit.significance > _SIGNIFICANT and self._size_px(tried.fit) > _LEAST_PX
+
+    def _size_px(self, fit: Fit) -> float:
+        """How far the coordinates surely moved: root mean square."""
+        variance = np.einsum("rc,rc->r", self._design @ fit.covariance, self._design)
+        sure = np.maximum((self._design @ fit.motion) ** 2 - _SURE**2 * variance, 0.0)
+        return float(np.sqrt(2 * np.mean(sure)))
+
+    def _disturbance(self, tried: _Tried) -> Disturbance:
+        """What x and y have taken part in, averaged over their fringes, less what they have in common, which is as if
+        the rig had stood there.
+        """
+        shares = np.array([_share(axis, tried.course) for axis in self._showings])
+        squares = np.array([np.mean(moved_px**2) for moved_px in self._moved_px(tried.fit)])
         common = float(shares @ squares / max(float(squares.sum()), 1e-12))
-        variance = np.einsum("pac,cd,pad->pa", self._design, fit.covariance, self._design)
-        return _Tried(course, fit, moved_px, variance, shares - common)
+        return Disturbance(np.outer(shares - common, tried.fit.motion), *self._sizes)
 
-    def _moved(self, tried: _Tried) -> Showings:
+    def _moved_px(self, fit: Fit) -> list[Floats]:
+        """Of x and of y, how far the coordinates of the pixels (P,) moved."""
+        return np.split(self._design @ fit.motion, 2)
+
+    def _told(self, tried: _Tried) -> Witnesses:
         x, y = (
-            tuple(one.moved(tried.course, tried.moved_px[:, axis]) for one in self._showings[axis]) for axis in (0, 1)
+            tuple(one.moved(tried.course, moved_px) for one in axis)
+            for axis, moved_px in zip(self._showings, self._moved_px(tried.fit), strict=True)
         )
-        return x, y
+        return Witnesses(self._showings, (x, y), self._pixels)
 
     def _refined(self, tried: _Tried) -> _Tried:
         """The same where it is too far for first order (Gauss–Newton)."""
         for _ in range(_ROUNDS):
-            more = self._fit(self._moved(tried), tried.course)
-            fit = Fit(tried.fit.motion + more.motion, more.covariance, tried.fit.gained)
-            tried = self._tried(tried.course, fit)
+            more = self._fit(self._told(tried), tried.course)
+            tried = _Tried(tried.course, Fit(tried.fit.motion + more.motion, more.covariance, tried.fit.gained))
         return tried
 
     def _explained(self, tried: _Tried) -> float:
         """The share of what the fringes show of the course that the motion explains, of a typical pixel."""
-        before, after = (
-            told(self._showings, showings, self._pixels, tried.course)
-            for showings in (self._showings, self._moved(tried))
-        )
-        if not len(before.pixel):
+        before, after = (witnesses.tell(tried.course) for witnesses in (self._witnesses, self._told(tried)))
+        if not len(before.row):
             return 0.0
-        left, all_of_it = (float(np.median(seen.precision * seen.motion_px**2)) for seen in (after, before))
+        left, all_of_it = (median(seen.precision * seen.motion_px**2) for seen in (after, before))
         return 1.0 - left / max(all_of_it, 1e-12)
 
 
 def _share(fringes: Sequence[Showing], course: Course) -> float:
-    """The share of the motion in the mean coordinate, each fringe by the inverse of its variance."""
-    weights = np.array([1 / np.median(one.fit.variance) for one in fringes])
-    responses = np.array([np.mean(one.fit.follow(course.at(one.times)).response) for one in fringes])
-    return float(weights @ responses / weights.sum())
+    """The share of the motion in the coordinate: that in the most certain fringe, to whose mean others are brought."""
+    surest = min(fringes, key=lambda one: median(one.fit.variance))
+    return float(np.mean(surest.fit.follow(course.at(surest.times)).response))
 
 
 def measure_motion(
-    accumulators: Accumulators,
+    plan: SequencePlan,
     tiles: TileSample,
+    signals: tuple[Signals, Signals],
     noise: NoiseModel,
     saturation: float,
     projector_size: tuple[int, int],
 ) -> MotionFound | None:
-    """The motion during a capture; None where too little of it is fringes on smooth surfaces."""
-    pixels = choose_pixels(accumulators, tiles, noise, saturation)
-    if pixels is None:
-        return None
-    return MotionMeter(accumulators.plan, tiles, pixels, projector_size).measure()
+    """The motion during a capture, given the signals of its tiles; None where too few fringes are on smooth places."""
+    pixels = choose_pixels(plan, tiles, signals, noise, saturation)
+    return None if pixels is None else MotionMeter(plan, tiles, pixels, projector_size).measure()

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Bools, Floats, Ints
-from scanner.decoding.accumulators import Accumulators
-from scanner.decoding.axis_signals import Signals, signals_of
+from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
-from scanner.decoding.sequence_plan import AxisPlan
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
 _MOST_PIXELS = 4_000
 _FEWEST_PIXELS = 300
@@ -41,14 +40,15 @@ class Pixels:
         return len(self.number)
 
 
-def choose_pixels(accumulators: Accumulators, tiles: TileSample, noise: NoiseModel, saturation: float) -> Pixels | None:
+def choose_pixels(
+    plan: SequencePlan, tiles: TileSample, signals: tuple[Signals, Signals], noise: NoiseModel, saturation: float
+) -> Pixels | None:
     """Some pixels of the tiles; None where too few are fit for it, or a coordinate is not known without the others."""
-    if not tiles.count or not all(axis.fringes for axis in accumulators.plan.axes):
+    if not tiles.count or not all(axis.fringes for axis in plan.axes):
         return None
-    signals = tuple(signals_of(accumulators, lambda image: tiles.of(image)[None]))
     usable = np.asarray(signals[0].peak < saturation)
     coordinates = []
-    for axis, of_axis in zip(accumulators.plan.axes, signals, strict=True):
+    for axis, of_axis in zip(plan.axes, signals, strict=True):
         coordinate, seen = _rough_coordinate(axis, of_axis, noise)
         if coordinate is None:
             return None
@@ -102,9 +102,9 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     for _ in range(_TRIMS + 1):
         weighted = terms.T * fit[:, None, :]
         planes: Floats = np.linalg.solve(weighted @ terms + 1e-9 * np.eye(3), weighted @ seen)
-        off = np.linalg.norm(seen - terms @ planes, axis=2)
+        off2 = np.sum((seen - terms @ planes) ** 2, axis=2)
         count = np.maximum(np.count_nonzero(fit, axis=1), 1)
-        rough = np.sqrt(np.sum(fit * off**2, axis=1) / count)
-        fit = on & (off <= np.maximum(_MOST_OFF_SIGMAS * rough, 1e-3)[:, None])
+        rough = np.sqrt(np.sum(fit * off2, axis=1) / count)
+        fit = on & (off2 <= np.maximum(_MOST_OFF_SIGMAS * rough, 1e-3)[:, None] ** 2)
     smooth = (rough < _MOST_ROUGH_PX) & (count >= _FEWEST_IN_TILE)
     return planes, (fit & smooth[:, None]).reshape(-1)

@@ -5,7 +5,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 
 # Of each device: shifts of its picture to the right and down, a roll and a change of scale.
 PER_DEVICE = 4
@@ -59,26 +59,31 @@ def _of_picture(px: Floats, size: tuple[int, int]) -> Floats:
     return np.stack([horizontal, vertical], axis=1)
 
 
-def fit_motion(design: Floats, seen_px: Floats, precision: Floats, group: Ints) -> Fit:
-    """Robust least squares of the motion in `seen_px` (M,) = `design` (M, 8) · motion, each with a `precision` (M,).
+def fit_motion(design: Floats, seen_px: Floats, precision: Floats, row: Ints, group: Ints) -> Fit:
+    """Robust least squares of the motion in `seen_px` (M,) = `design` (R, 8)[`row` (M,)] · motion, each with a
+    `precision` (M,).
 
-    What the pixels of a `group` (M,) have in common that is no motion shows in the covariance.
+    What the rows of a `group` (R,) have in common that is no motion shows in the covariance.
     """
     prior = np.eye(COLUMNS) / _PRIOR_PX**2
     if not len(seen_px):
         return Fit(np.zeros(COLUMNS), _PRIOR_PX**2 * np.eye(COLUMNS), 0.0)
+
+    def of_rows(values: Floats) -> Floats:
+        sums: Floats = np.bincount(row, values, minlength=len(design)).astype(np.float64, copy=False)
+        return sums
+
+    columns = np.ascontiguousarray(design.T)
     weight: Floats = precision
-    motion: Floats = np.zeros(COLUMNS)
-    scale = 1.0
+    root = np.sqrt(precision)
     for _ in range(_ROUNDS):
-        information = design.T @ (design * weight[:, None]) + prior
-        motion = np.linalg.solve(information, design.T @ (weight * seen_px)).astype(np.float64)
-        normalised = (seen_px - design @ motion) * np.sqrt(precision)
-        scale = max(SIGMA_PER_MEDIAN * float(np.median(np.abs(normalised))), 1e-3)
-        weight = precision * np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(normalised), 1e-9))
-    residual = seen_px - design @ motion
-    scores = design * (weight * residual)[:, None]
-    sums = np.stack([np.bincount(group, column) for column in scores.T], axis=1)
+        information = (columns * of_rows(weight)) @ design + prior
+        motion = np.linalg.solve(information, columns @ of_rows(weight * seen_px)).astype(np.float64)
+        residual = seen_px - (design @ motion)[row]
+        off = np.abs(residual) * root
+        scale = max(SIGMA_PER_MEDIAN * median(off), 1e-3)
+        weight = precision * np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-9))
+    sums = np.stack([np.bincount(group, score) for score in columns * of_rows(weight * residual)], axis=1)
     inverse = np.linalg.inv(information)
     covariance = inverse @ (sums.T @ sums) @ inverse + inverse * scale**2
     gained = float(np.sum(weight * (seen_px**2 - residual**2))) / scale**2

@@ -17,14 +17,17 @@ _MOST_ALONG = 24
 
 @dataclass
 class TileSample:
-    """Square tiles on a regular grid over images of `shape` (H, W), from each frame as it arrives."""
+    """Square tiles on a regular grid over images of `shape` (H, W), from those frames that are of fringes.
+
+    Frames are numbered as they arrive.
+    """
 
     shape: tuple[int, int]
-    _frames: list[Image] = field(default_factory=list)
+    _frames: dict[int, Image] = field(default_factory=dict)
 
-    def add(self, grey: Image) -> None:
-        """Take the tiles of one frame (H, W)."""
-        self._frames.append(cast(Image, self.of(grey)))
+    def add(self, number: int, grey: Image) -> None:
+        """Take the tiles of a frame (H, W)."""
+        self._frames[number] = cast(Image, self.of(grey))
 
     def of(self, image: NDArray[np.generic]) -> NDArray[np.generic]:
         """The tiles of an image (H, W), one after the other, (P,)."""
@@ -57,8 +60,9 @@ class TileSample:
         return self.camera_px[:, 1].astype(np.int64)
 
     def divide(self, frame: int, by: Floats) -> None:
-        """Make a frame that has come darker by so many times, (P,)."""
-        self._frames[frame] = cast(Image, (self._frames[frame] / by).astype(np.float32))
+        """Make a frame darker by so many times, (P,), if it is one of a fringe."""
+        if frame in self._frames:
+            self._frames[frame] = cast(Image, (self._frames[frame] / by).astype(np.float32))
 
     def levels(self, frames: list[int], pixels: Ints) -> Floats32:
         """(frames, pixels): grey levels."""

@@ -1,5 +1,7 @@
 """What a check says of a simulated rig, against what is true of it."""
 
+import re
+import time
 from types import SimpleNamespace
 from typing import cast
 
@@ -16,10 +18,13 @@ from scanner.checking import view
 from scanner.checking.check import check_rig
 from scanner.checking.exposure import exposure_row, look, propose_exposure
 from scanner.checking.fringes import FringeMeter
-from scanner.checking.light import Light, ambient_share, flicker_of, light_rows, photograph_light
+from scanner.checking.light import Light, ambient_share, flicker_of, ghost_of, light_rows, photograph_light
+from scanner.checking.pixels import pixel_row
 from scanner.checking.report import CheckReport, CheckRow, State
 from scanner.checking.response import measure_ramp, ramp_of, response_row
+from scanner.checking.steadiness import Before, patterns, row_of, steadiness_row
 from scanner.decoding.decoder import Decoding
+from scanner.decoding.motion import Fit
 from scanner.patterns.presets import PRESETS
 from scanner.patterns.projector_response import ProjectorResponse
 from scanner.pipeline import decode
@@ -30,7 +35,8 @@ from tests.support.check_bench import PERIOD_US, PROJECTOR, changed, config, rig
 QUIET = Terminal(quiet=True)
 WHITE = np.full(PROJECTOR[::-1], 255, np.uint8)
 NAMES = [
-    *("camera", "projector", "latency", "exposure", "ambient light", "flicker", "response", "coverage", "focus", "view")
+    *("camera", "projector", "latency", "exposure", "ambient light", "flicker", "ghost", "response", "pixels"),
+    *("coverage", "focus", "steadiness", "view"),
 ]
 
 
@@ -114,6 +120,63 @@ def test_light_that_pulsates_flickers_unless_the_exposure_is_of_whole_periods(ro
     advised = exposure_row(propose_exposure(rig_in(pulsating)), 60.0, bracketed=False)
     assert advised.state == State.POOR
     assert "differ by" in advised.finding
+
+
+@pytest.mark.parametrize("ghost", [0.0, 0.1])
+def test_the_ghost_of_the_last_picture(room: SimulatedRoom, ghost: float) -> None:
+    light = photograph_light(rig_in(changed(room, ghost=ghost)), 6, 4)
+    assert ghost_of(light) == pytest.approx(ghost, abs=0.002)
+    found = {row.name: row for row in light_rows(light)}["ghost"]
+    assert found.state == (State.POOR if ghost else State.OK)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said", "least", "most"),
+    [
+        ({}, "", 0.98, 1.02),
+        ({"projector_blur_px": 2.0, "camera_blur_px": 2.0}, "", 0.98, 1.02),
+        ({"panel": {"keystone": 0.1}}, "keystone", 0.3, 0.65),
+        ({"panel": {"squeeze": 0.75}}, "aspect", 0.3, 0.65),
+        ({"sharpening": 0.5}, "sharpness", 1.4, 1.6),
+    ],
+)
+def test_what_becomes_of_single_pixels(
+    room: SimulatedRoom, settings: dict[str, object], said: str, least: float, most: float
+) -> None:
+    rig = rig_in(changed(room, **settings))
+    light = photograph_light(rig, 6, 4)
+    ramp = measure_ramp(rig, light)
+    assert ramp is not None
+    found = pixel_row(rig, light, ramp)
+    assert found is not None
+    percent, *_ = re.findall(r"(\d+) %", found.finding)
+    assert 100 * least < float(percent) < 100 * most
+    assert said in found.advice
+    assert found.state == (State.POOR if said else State.OK)
+
+
+@pytest.mark.parametrize(("device", "px"), [("projector", 0.0), ("projector", 0.3), ("camera", 0.3)])
+def test_what_moves_meanwhile_is_told(room: SimulatedRoom, device: str, px: float) -> None:
+    rig = rig_in(room)
+    quick = view._take(rig, config(), PRESETS["quick"].patterns(PROJECTOR), FringeMeter(), QUIET, "")
+    assert quick.decoding is not None
+    light = photograph_light(rig, 3, 2)
+    before = Before(time.monotonic(), light, view.projector_map(quick.decoding))
+    later = rig_in(changed(room, bump={"device": device, "px": px}))
+    found = steadiness_row(later, before, capture(later, patterns()).frames, light.well_lit)
+    assert found is not None
+    assert found.state == (State.POOR if px else State.OK)
+    moved = re.search(r"the (\w+) moved by ([0-9.]+) px", found.finding)
+    assert (moved is not None) == (px > 0)
+    if moved:
+        assert moved[1] == device
+        assert 0.8 * px < float(moved[2]) < 1.2 * px
+
+
+def test_a_lamp_that_is_not_warm_yet() -> None:
+    still = Fit(np.zeros(8), np.eye(8), 0.0)
+    assert row_of(still, -0.2, 60).state == State.OK
+    assert "warm" in row_of(still, -0.8, 60).advice
 
 
 def test_lamps_that_flicker_are_told_from_the_projector() -> None:

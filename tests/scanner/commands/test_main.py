@@ -199,7 +199,7 @@ def fail_after_two_frames(error: BaseException) -> Callable[..., object]:
     [
         (DeviceError("the camera was unplugged"), 3, ("the camera was unplugged", "2 frames captured so far")),
         (KeyboardInterrupt(), 130, ("interrupted", "2 frames captured so far")),
-        (OSError(28, "No space left on device"), 2, ("No space left", "2 frames captured so far")),
+        (OSError(28, "No space left on device"), 3, ("room: cannot", "No space left", "2 frames captured so far")),
         (
             RefusalError("No corner.", "Find one."),
             4,

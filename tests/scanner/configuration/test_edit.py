@@ -121,6 +121,8 @@ def test_the_file_is_changed_and_kept_as_it_was(path: Path) -> None:
     assert config.projector.known_response.gamma > 1
     assert path.stat().st_mode & 0o777 == 0o640
     assert sorted(file.name for file in path.parent.iterdir()) == ["room.yaml", "room.yaml.bak"]
+    assert set_keys(path, {"rig.exposure_us": 16666.7}) == backup
+    assert backup.read_text() == CONFIG
 
 
 def test_a_link_stays_a_link(path: Path, tmp_path: Path) -> None:

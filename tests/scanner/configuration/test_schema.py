@@ -192,12 +192,12 @@ def test_all_wrong_keys_are_named_at_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["missing.yaml", "."])
 def test_a_file_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match=r"no such file|not a file"):
+    with pytest.raises(InputError, match=r"no such file|is a folder"):
         load_config(tmp_path / name)
 
 
 def test_a_huge_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="expected a small text file, found 5 MB"):
+    with pytest.raises(InputError, match="too large: expected no more than 1 MB, found 5 MB"):
         load(tmp_path, "#" * 5_000_000)
 
 

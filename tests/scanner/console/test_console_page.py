@@ -10,6 +10,7 @@ from playwright.sync_api import Browser, expect
 
 from scanner.capture.recording import open_capture
 from scanner.commands.main import main
+from scanner.configuration.schema import load_config
 from scanner.io.calibration_file import read_calibration
 from tests.support.browsing import PATIENCE_MS, Served, Visit, visiting
 
@@ -114,12 +115,34 @@ def test_the_check_tells_what_it_finds(console: Console) -> None:
     visit.wait_for("Use the exposure that it proposes")
     for row in ("camera, ok", "exposure, ", "coverage, "):
         visit.wait_for(row)
+    visit.press("Write it into the configuration")
+    visit.wait_for("Written into room.yaml")
+    exposure_us = load_config(console.config).required_rig.exposure_us
+    assert exposure_us is not None
+    assert 1_000 < exposure_us < 1e6
+    assert console.config.read_text() == CONFIG.replace("ambient: 0}", f"ambient: 0, exposure_us: {exposure_us}}}")
+
+
+def test_a_refused_capture_made_elsewhere_appears_and_says_why(console: Console) -> None:
+    visit, folder = console.visit, console.folder / "scans" / "from-elsewhere"
+    assert (
+        main(["--config", str(console.config), "--out", str(folder), "--set", "rig.exposure_us=1000", "--quiet"]) == 4
+    )
+    visit.page.wait_for_timeout(3000)
+    visit.choose("Result", "scans/from-elsewhere")
+    visit.press("Open")
+    visit.wait_for("Not calibrated")
+    with visit.page.expect_download() as download:
+        visit.press("Download report.html")
+    assert download.value.suggested_filename == "from-elsewhere-report.html"
+    assert Path(download.value.path()).read_bytes() == (folder / "report.html").read_bytes()
 
 
 def test_an_earlier_result_is_opened_by_keyboard(console: Console) -> None:
     visit = console.visit
+    visit.choose("Result", "scans/room")
     visit.page.get_by_role("button", name="Scan", exact=True).focus()
-    for _ in range(40):
+    for _ in range(60):
         visit.page.keyboard.press("Tab")
         if visit.page.evaluate("document.activeElement.innerText") == "Open":
             break

@@ -1,5 +1,6 @@
 """`scan view` in a real browser, on a result in which everything is known."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -71,6 +72,25 @@ def test_points_are_thinned_and_coloured(visit: Visit) -> None:
     percent.fill("25")
     percent.press("Enter")
     visit.wait_for("Showing 1 in 4 of")
+
+
+def test_two_clicks_measure_a_distance(visit: Visit) -> None:
+    visit.wait_for("Click on a point of the cloud")
+    visit.press("Back to the first view")
+    visit.page.wait_for_timeout(1000)
+    box = visit.page.locator("canvas").first.bounding_box()
+    assert box
+    points = [(x, y) for y in (0.5, 0.55, 0.6, 0.65, 0.7) for x in (0.4, 0.45, 0.5, 0.55, 0.6)]
+    told = visit.page.get_by_text("Distance:")
+    for x, y in points:  # until two of them were on the cloud
+        visit.page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        visit.page.wait_for_timeout(300)
+        if told.count():
+            break
+    visit.wait_for("Distance:")
+    assert re.search(r"Distance: [\d.]+ ± [\d.]+ mm", told.first.inner_text())
+    visit.press("Forget the points")
+    visit.wait_for("Click on a point of the cloud")
 
 
 def test_it_is_readable_and_keeps_to_itself(visit: Visit) -> None:

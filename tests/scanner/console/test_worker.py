@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hw.errors import DeviceError
+from hw.errors import DeviceError, FrameLostError
 from hw.open_rig import OpenedRig
 from hw.rig import Frame, Rig
 from scanner import pipeline
 from scanner.console import worker as worker_module
 from scanner.console.progress import CancelledError, Stage, StagedProgress
-from scanner.console.settings import Picture, Settings
+from scanner.console.settings import Picture, Settings, plain_name
 from scanner.console.worker import Activity, Status, Worker
+from scanner.results.stated_uncertainty import read_verdict
 from tests.support.notebook import Notebook, until
 
 SIZE = (32, 24)
@@ -35,6 +36,7 @@ class Wall:
         self.taken = 0
         self.fails_after = 10**9
         self.image = np.zeros(SIZE[::-1], np.uint8)
+        self.loses = 0
         self.open = 0
         self.opened = 0
 
@@ -46,6 +48,9 @@ class Wall:
         return exposure_us
 
     def grab(self) -> Frame:
+        if self.loses:
+            self.loses -= 1
+            raise FrameLostError("incomplete: size mismatch")
         if self.taken >= self.fails_after:
             raise DeviceError("camera: it went away. Check the cable.")
         self.taken += 1
@@ -155,7 +160,33 @@ def test_a_refused_scan_says_why_and_where_the_matches_are(worker: Worker, page:
     assert worker.status.message.startswith("no trustworthy calibration: ")
     assert "The matches and a report are in scans/wall." in worker.status.message
     assert (tmp_path / "scans/wall/report.html").is_file()
-    assert page.results == []
+    assert page.results == [Path("scans/wall")]
+    told = read_verdict(tmp_path / "scans/wall/refused.yaml")
+    assert told is not None
+    assert told.grade == "refused"
+    assert told.reasons[0] in worker.status.message
+
+
+def test_lost_frames_are_skipped_and_counted(worker: Worker, page: Notebook, wall: Wall) -> None:
+    worker.request(Activity.LIVE)
+    until(lambda: page.frames)
+    wall.loses = 3
+    until(lambda: wall.loses == 0)
+    shown = len(page.frames)
+    until(lambda: len(page.frames) > shown)
+    told = [status.stage.what for status in page.statuses if status.stage]
+    assert "What the camera sees (3 frames were lost; the last: incomplete: size mismatch)" in told
+    assert worker.status.activity is Activity.LIVE
+    assert wall.opened == 1
+
+
+def test_a_scan_has_the_name_that_was_typed(worker: Worker, page: Notebook, tmp_path: Path) -> None:
+    worker.change(name=plain_name(" north wall/../2 "))
+    for number, expected in enumerate(("north-wall-..-2", "north-wall-..-2-2"), start=1):
+        until(lambda: worker.request(Activity.SCANNING))
+        while len(page.results) < number:
+            time.sleep(0.01)
+        assert page.results[-1] == Path("scans", expected)
 
 
 def test_a_bug_is_a_message_with_a_file(worker: Worker, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

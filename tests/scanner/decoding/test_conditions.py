@@ -8,6 +8,7 @@ import pytest
 
 from calib.numerics.array_types import Image
 from scanner.decoding.mask_reasons import MaskReason
+from scanner.errors import InputError
 from scanner.patterns.pattern import White, sequence_for
 from scanner.patterns.presets import PRESETS, PresetName
 from tests.support.synthetic_capture import Scene, decode, dimmed
@@ -181,3 +182,12 @@ def test_frames_that_are_too_dark_are_called_so() -> None:
     assert dark is not None
     assert dark.startswith("The frames are too dark")
     assert "Expose longer" in dark
+
+
+@pytest.mark.parametrize("share", [0.01, 0.003, 0.0])
+@pytest.mark.parametrize("preset", PRESETS)
+def test_hardly_any_light_is_no_accident(preset: PresetName, share: float) -> None:
+    """Frames that are all alike to the last level: whatever divides by their differences must not."""
+    scene = replace(SCENE, exposure=share * SCENE.exposure, ambient=0.0, read_noise=0.2)
+    with pytest.raises(InputError, match=r"no pixel changes clearly .* is the projector on"):
+        scene.decode(PRESETS[preset].patterns(SCENE.projector))

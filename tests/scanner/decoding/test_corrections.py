@@ -5,8 +5,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scanner.decoding.fringes.edge_shift_correction import footprint_variance, log_amplitude, shift_per_variance
-from scanner.decoding.fringes.systematic_error import add_systematic
+from scanner.decoding.fringes.edge_shift_correction import (
+    TYPICAL_PX2,
+    footprint_variance,
+    log_amplitude,
+    shift_per_variance,
+)
+from scanner.decoding.fringes.systematic_error import correct_systematic
 
 TILE = 48
 OVERSAMPLED = 8
@@ -51,13 +56,13 @@ def test_the_footprint_is_measured(sigma_px: float) -> None:
     assert 0.8 * sigma_px**2 < found < 1.3 * sigma_px**2
 
 
-def test_a_plain_wall_shows_no_footprint() -> None:
+def test_of_a_plain_wall_the_footprint_is_a_typical_one() -> None:
     rng = np.random.default_rng(0)
     shape = (8 * TILE, TILE)
     value = np.broadcast_to(0.7 * np.arange(TILE), shape) + rng.normal(0, 0.02, shape)
     log_a, log_lit = (rng.normal(0, 0.01, shape).astype(np.float32) for _ in range(2))
     found = footprint_variance([(value.astype(np.float32), log_a)], log_lit, np.ones(shape, np.bool_), TILE)
-    assert found == 0
+    assert found == TYPICAL_PX2
 
 
 def test_nothing_is_corrected_beside_unusable_pixels() -> None:
@@ -81,12 +86,33 @@ def test_what_two_periods_disagree_by_is_found() -> None:
     assert np.all(short[:, 56:] < long[:, 56:])
 
 
+def test_longer_fringes_are_brought_to_the_mean_of_the_shortest() -> None:
+    """Interreflection shifts them by the cube of their periods; they still take away noise."""
+    rng = np.random.default_rng(0)
+    periods, shape = (16.0, 9.0, 6.7), (96, 97)
+    true = np.linspace(0.0, 0.02, shape[1]) * np.ones(shape)
+    sigmas = (0.03, 0.02, 0.02)
+    seen = [
+        (true * period**3 / 6.7**3 + rng.normal(0, sigma, shape)).astype(np.float32).ravel()
+        for period, sigma in zip(periods, sigmas, strict=True)
+    ]
+    coordinates, usable = np.stack(seen), rng.uniform(size=true.size) > 0.1
+    variances = np.stack([np.full(true.size, sigma**2, np.float32) for sigma in sigmas])
+    weights = 1 / variances
+    correct_systematic(periods, coordinates, variances, usable, shape)
+    mean = np.sum(weights * coordinates, axis=0) / weights.sum(axis=0)
+    error, of_shortest = ((value - true.ravel()).reshape(shape) for value in (mean, seen[2]))
+    assert np.abs(np.mean(error - of_shortest, axis=0)[4:-4]).max() < 0.01
+    assert abs(np.mean(error)) < 2 * 0.02 / np.sqrt(true.size) + 2e-4
+    assert 0.5 < np.std(error) / np.std(of_shortest) < 0.85
+
+
 def added(periods: tuple[float, ...], coordinates: list[Floats], noise: list[Floats]) -> Floats:
     """What is added to the variances (fringes, H, W) of the noise where all pixels are usable."""
     count, shape = len(periods), noise[0].shape
     variances = np.stack(noise)
     flat = variances.reshape(count, -1)
-    add_systematic(periods, np.stack(coordinates).reshape(count, -1), flat, np.ones(flat.shape[1], np.bool_), shape)
+    correct_systematic(periods, np.stack(coordinates).reshape(count, -1), flat, np.ones(flat.shape[1], np.bool_), shape)
     return variances - np.stack(noise)
 
 

@@ -13,7 +13,8 @@ from hw.rig import Frame, Rig
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture.recording import open_capture, record
+from scanner.capture.recorder import record
+from scanner.capture.recording import open_capture
 from scanner.capture.stream import capture
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.mask_reasons import MaskReason

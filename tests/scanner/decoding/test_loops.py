@@ -15,7 +15,7 @@ from scanner.decoding.checks.map_checks import _count_jumps
 from scanner.decoding.fringes.edge_shift_correction import shift_per_variance
 from scanner.decoding.fringes.phase_unwrapping import Disagreements, measured_tolerances, widest_tolerances
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.sequence_plan import plan_sequence
+from scanner.decoding.planning import plan_sequence
 from scanner.patterns.pattern import Pattern, gray_sequence, phase_sequence
 
 SHAPE = (3, 4)

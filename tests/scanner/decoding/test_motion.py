@@ -1,8 +1,9 @@
 """Motion during a capture of the made-up scene: the projector's picture moves by a known number of pixels."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -53,7 +54,7 @@ def found(decoding: Decoding) -> MotionFound:
 def test_rest_is_no_motion(preset: PresetName) -> None:
     motion = found(SCENE.decode(PRESETS[preset].patterns(SCENE.projector)))
     assert not motion.significant
-    assert motion.witnessed
+    assert motion.unseen == ()
     assert motion.shifts.likely == ()
 
 
@@ -101,16 +102,64 @@ def test_a_bump_before_the_fringes_changes_nothing() -> None:
     assert y == pytest.approx(0.0, abs=0.02)
 
 
-def test_axes_apart_leave_motion_unwitnessed_until_the_first_is_shown_again() -> None:
-    at = next(number for number, pattern in enumerate(APART) if getattr(pattern, "axis", "") == "y")
-    unseen = found(bumped(APART, at, 0.3))
-    assert not unseen.significant
-    assert not unseen.witnessed
-    assert len(unseen.shifts.possible) == 4
+FIRST_OF_Y = next(number for number, pattern in enumerate(APART) if getattr(pattern, "axis", "") == "y")
+
+
+@dataclass(frozen=True)
+class Turned(Scene):
+    """The scene after the camera has turned, so that all of it has moved in its picture."""
+
+    right_px: float = 0.0
+    down_px: float = 0.0
+
+    def frame(self, pattern: Pattern, number: int) -> Image:
+        still = super().frame(pattern, number)
+        shift = np.array([[1.0, 0.0, self.right_px], [0.0, 1.0, self.down_px]])
+        moved = cv2.warpAffine(still, shift, self.camera, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        return moved.astype(np.uint8)
+
+
+@pytest.mark.parametrize("patterns", [APART, tuple(p for p in APART if not isinstance(p, Phase))])
+def test_axes_apart_at_rest(patterns: tuple[Pattern, ...]) -> None:
+    inside, whole = (found(replace(SCENE, zoom=zoom).decode(patterns)) for zoom in (0.5, 1.6))
+    assert not inside.significant
+    assert not whole.significant
+    assert inside.blind  # the camera does not see the border of the picture
+    assert not whole.blind
+    largest = [max(float(np.abs(each.motions).max()) for each in motion.unseen) for motion in (inside, whole)]
+    assert 0.2 < largest[0] < 0.4
+    assert 0.005 < largest[1] < 0.05
+
+
+@pytest.mark.parametrize(("right_px", "down_px"), [(0.05, 0.1), (0.15, -0.2), (2.0, 1.0)])
+def test_a_camera_that_turned_between_the_axes(right_px: float, down_px: float) -> None:
+    after = Turned(SCENE.camera, SCENE.projector, right_px=right_px, down_px=down_px)
+    frames = [(after if number >= FIRST_OF_Y else SCENE).frame(pattern, number) for number, pattern in enumerate(APART)]
+    decoding = decode(APART, frames, SCENE.projector)
+    motion = found(decoding)
+    assert motion.significant
+    assert motion.motion[4:6] == pytest.approx((right_px, down_px), abs=0.02 + 0.1 * abs(down_px))
+    assert "the camera moved by" in str(motion)
+    assert motion.first < FIRST_OF_Y <= motion.last
+    if not motion.is_too_large:
+        assert np.abs(np.median(SCENE.errors(decoding), axis=0)).max() < 0.03  # taken back
+
+
+def test_a_projector_that_turned_between_the_axes_shows_by_the_border_of_its_picture() -> None:
+    whole = replace(Moved(SCENE.camera, SCENE.projector), zoom=1.6)
+    after = replace(whole, right_px=0.1, down_px=0.25)
+    frames = [(after if number >= FIRST_OF_Y else whole).frame(pattern, number) for number, pattern in enumerate(APART)]
+    motion = found(decode(APART, frames, SCENE.projector))
+    assert motion.significant
+    assert motion.motion[:2] == pytest.approx((0.1, 0.25), abs=0.04)
+    assert "the projector moved by" in str(motion)
+
+
+def test_the_first_axis_again_is_a_witness() -> None:
     again = (*APART, *tuple(phase_sequence("x", 6.7, 4))[:2])
     assert found(SCENE.decode(again)).significant is False
-    motion = found(bumped(again, at, 0.3))
+    motion = found(bumped(again, FIRST_OF_Y, 0.3))
     assert motion.significant
-    assert motion.witnessed
-    assert motion.first < at <= motion.last
+    assert motion.unseen == ()
+    assert motion.first < FIRST_OF_Y <= motion.last
     assert 0.2 < motion.size_px < 0.4

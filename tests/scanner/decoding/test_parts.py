@@ -15,7 +15,8 @@ from scanner.decoding.connected_components import SMALLEST_PATCH, small_patches
 from scanner.decoding.fringes.gamma_ripple import TABLE_LENGTH, straightening
 from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
 from scanner.decoding.light.saturation_level import saturation_level
-from scanner.decoding.sequence_plan import AxisPlan, Fringe, plan_sequence, repeat_length
+from scanner.decoding.planning import plan_sequence, repeat_length
+from scanner.decoding.sequence_plan import AxisPlan, Fringe
 from scanner.patterns.pattern import Gray, Pattern, gray_sequence, phase_sequence
 
 

@@ -11,7 +11,7 @@ from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.fringes.code_voting import let_fringes_decide
 from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.sequence_plan import plan_sequence
+from scanner.decoding.planning import plan_sequence
 from scanner.patterns.pattern import Code, Xor, gray_sequence, phase_sequence, xor_sequence
 from scanner.patterns.presets import PRESETS
 from tests.support.synthetic_capture import Scene

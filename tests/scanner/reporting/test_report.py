@@ -1,6 +1,7 @@
 import base64
 import re
 from dataclasses import replace
+from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from scanner.reporting.contents import CaptureRow, Company, ReportInput
 from scanner.reporting.page import write_report
 from scanner.reporting.sections import describe_patterns, faces, mask
 from scanner.reporting.verdict import verdict
+from scanner.results.provenance import Provenance
 from scanner.results.stages import Decoded, GivenCalibration, GivenMatches, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import Scene, room
 from tests.support.reports import SIZES, calibrated_report, decoding_of, refused_report
@@ -50,7 +52,7 @@ class Page(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         if self.open and self.open[-1] not in ("style", "script"):
-            self.text += data
+            self.text += data.replace("\N{NO-BREAK SPACE}", " ")
 
     def ids(self) -> list[str]:
         return [value for _, name, value in self.attributes if name == "id"]
@@ -210,9 +212,11 @@ def test_hostile_strings_stay_text(calibrated: ReportInput, scene: Scene, tmp_pa
         replace(cloud, unit=hostile),
     )
     company = Company(2, (CaptureRow(hostile, "", 1, None, None),))
-    spoiled = ReportInput(outcome, files=(hostile,), company=company)
+    made = Provenance(hostile, datetime(2026, 1, 2, 3, 4, tzinfo=UTC), hostile, {"method": hostile})
+    spoiled = ReportInput(outcome, files=(hostile,), company=company, provenance=made)
     html, page = page_of(spoiled, tmp_path)
-    assert page.text.count(hostile) >= 6
+    assert page.text.count(hostile) >= 8
+    assert "2026-01-02, 03:04 UTC" in page.text
     assert "<script>alert" not in html
     assert ("img", "src", "x") not in page.attributes
 
@@ -305,7 +309,7 @@ def test_rays_that_miss_in_a_pattern_are_pointed_out(calibrated: ReportInput) ->
         (Quantity("f", 895.4321, "px", 0.0123, 895.4), "895.432", "+0.032"),
         (Quantity("f", 895.4321, "px", 160.0, 900.0), "895", "−5"),
         (Quantity("f", 1234.5678, "px", None, None), "1234.6", ""),
-        (Quantity("k", -0.00001, "", 0.001, 0.0), "0.0000", "+0.0000"),
+        (Quantity("k", -0.00001, "", 0.001, 0.0), "0.0000", "0.0000"),
         (Quantity("k", -0.05, "", None, None), "−0.05000", ""),
     ],
 )

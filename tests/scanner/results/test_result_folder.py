@@ -8,7 +8,8 @@ from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from scanner.configuration.schema import load_config
 from scanner.errors import InputError
-from scanner.results.result_folder import OutputFolder, default_out, new_result
+from scanner.results.names import default_out
+from scanner.results.result_folder import OutputFolder, new_result
 
 CONFIG = load_config(None)
 
@@ -140,8 +141,9 @@ def test_a_folder_that_appears_meanwhile_is_kept_and_so_is_the_result(tmp_path: 
     with pytest.raises(InputError, match="already exists") as caught:
         two_at_once()
     assert out.read_text() == "theirs"
-    assert f"the result is in {output.folder}" in str(caught.value)
-    assert (output.folder / "report.html").read_text() == "mine"
+    assert f"the result is in {tmp_path / 'room-2'}" in str(caught.value)
+    assert (tmp_path / "room-2" / "report.html").read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["room", "room-2"]
 
 
 def test_a_place_where_nothing_can_be_made_is_refused(tmp_path: Path) -> None:

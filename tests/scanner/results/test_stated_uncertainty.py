@@ -133,3 +133,23 @@ def test_what_is_malformed_is_refused(scene: Scene, tmp_path: Path, entry: str, 
     path.write_text(entry, encoding="utf-8")
     with pytest.raises(InputError, match=message):
         read_uncertainty(path, scene.calibration)
+
+
+@pytest.mark.parametrize("name", ["asymmetric", "negative", "indefinite", "beyond any device"])
+def test_what_is_no_covariance_is_refused(scene: Scene, tmp_path: Path, name: str) -> None:
+    count = len(COLUMNS)
+    values = 1e-6 * np.eye(count)
+    match name:
+        case "asymmetric":
+            values[0, 1] = 5e-7
+        case "negative":
+            values[2, 2] = -1e-6
+        case "indefinite":
+            values[0, 1] = values[1, 0] = 2e-6
+        case _:
+            values[0, 0] = 1e4
+    path = tmp_path / "calibration.yaml"
+    given = {"columns": [*COLUMNS], "match_px": 0.1, "values": values.tolist()}
+    write_calibration(path, scene.calibration, {"covariance": given})
+    with pytest.raises(InputError, match="are no covariance"):
+        read_uncertainty(path, scene.calibration)

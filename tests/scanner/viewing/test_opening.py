@@ -17,11 +17,11 @@ def test_without_viser_it_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(InputError, match=r"pip install 'roomscan\[console\]'"):
+    with pytest.raises(InputError, match=r"pip install '\.\[console\]'"):
         require_viser()
     for command in (["view", str(tmp_path)], ["console", "--config", "room.yaml"]):
         assert main(command) == 2
-        assert "pip install 'roomscan[console]'" in capsys.readouterr().err
+        assert "pip install '.[console]'" in capsys.readouterr().err
 
 
 def test_a_port_that_is_taken() -> None:

@@ -20,8 +20,11 @@ from hw.open_rig import import_aravis, open_rig
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.recording import open_capture
 from scanner.capture.stream import capture
+from scanner.commands.main import main
 from scanner.configuration.schema import load_config
+from scanner.io.image_file import read_image, write_png
 from scanner.patterns.pattern import Black, White
+from scanner.results.leftovers import settle
 from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Keeper, Loopback, after_frames, check_frames, scan
 
 pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
@@ -182,3 +185,31 @@ def resources() -> tuple[float, int, int]:
         sum(1 for _ in Path("/proc/self/fd").iterdir()),
         threading.active_count(),
     )
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_what_is_missing_is_taken(
+    config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str], moved: bool
+) -> None:
+    command = [sys.executable, "-m", "scanner", "--config", str(config), "--out", str(config.with_name("result"))]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    after_frames(5, config, process.kill)
+    process.communicate(timeout=60)
+    assert process.returncode == -signal.SIGKILL
+    left, out = config.with_name("result-incomplete"), config.with_name("whole")
+    before = len(open_capture(config.with_name(".result.partial") / "capture").patterns)
+    assert before >= 5
+    for sentence in settle(out):  # as any start does
+        assert str(left) in sentence
+    if moved:  # white was half as bright when it was shown first
+        frame = left / "capture" / "frames" / "000.png"
+        write_png(frame, read_image(frame) // 2)
+    code = main(["--resume", str(left), "--out", str(out), "--quiet"])
+    if moved:
+        assert code == 2
+        assert "frame 0 (frames/000.png) was shown again, and it is" in capsys.readouterr().err
+        assert not out.exists()
+        return
+    assert code == 0
+    assert check_frames(out / "capture", room) > FRAMES
+    assert open_capture(out / "capture").metadata["resumed"]["after_frames"] == before

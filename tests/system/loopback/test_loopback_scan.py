@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hw.open_rig import open_rig
+from hw.settings import AravisRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.recording import open_capture
 from scanner.capture.stream import capture
@@ -76,11 +77,15 @@ def test_other_settings_act(
     assert np.percentile(black, 99.5) < 0.2 * full
 
 
-def test_devices_are_listed_with_lines_to_paste(rig: Loopback, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.usefixtures("rig")
+def test_devices_are_listed_with_lines_to_paste(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["devices"]) == 0
     text = capsys.readouterr().out
     assert "Aravis Fake loopback at 127.0.0.1" in text
-    assert 'rig: {backend: aravis, camera: "Aravis-Fake-loopback", pixel_format: Mono8}' in text
-    assert f"camera: {{width: {CAMERA[0]}, height: {CAMERA[1]}}}" in text
-    assert 'rig: {backend: aravis, screen: "320x180+0+0", refresh_hz: 60}' in text
-    assert f"projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}" in text
+    pasted = tmp_path / "pasted.yaml"
+    pasted.write_text(text.partition("To paste into a configuration:")[2])
+    found = load_config(pasted)
+    assert (found.camera_size, found.projector_size) == (CAMERA, PROJECTOR)
+    assert isinstance(found.rig, AravisRigSettings)
+    assert (found.rig.camera, found.rig.pixel_format) == ("Aravis-Fake-loopback", "Mono8")
+    assert (found.rig.screen, found.rig.refresh_hz) == ("320x180+0+0", 60)

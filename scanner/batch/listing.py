@@ -1,0 +1,120 @@
+"""Which captures a batch consists of, and what is asked of each."""
+
+import csv
+import hashlib
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from scanner.batch.place import Place
+from scanner.capture import CAPTURE_FILE
+from scanner.configuration import Config, load_config
+from scanner.errors import InputError
+from scanner.results import CAPTURE_FOLDER
+
+_COLUMNS = {"capture", "name", "config", "calibration", "set"}
+
+
+@dataclass(frozen=True)
+class Job:
+    """A capture to reconstruct with a configuration, and with a calibration (the file's text) if that is known."""
+
+    name: str
+    capture: str
+    config: Config
+    calibration: str | None = None
+
+    @property
+    def asked(self) -> str:
+        """Identifies what is asked: if it changes, an earlier result is none of this."""
+        text = f"{self.capture}\n{self.config.model_dump_json(exclude_unset=True)}\n{self.calibration}"
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the command line asks of every capture that a list says nothing else of."""
+
+    config: Path | None = None
+    overrides: tuple[str, ...] = ()
+    calibration: Path | None = None
+
+    def job(self, name: str, capture: str) -> Job:
+        """Raises InputError."""
+        known = None if self.calibration is None else Place(str(self.calibration)).read().decode("utf-8", "replace")
+        return Job(name, capture, load_config(self.config, self.overrides), known)
+
+
+def list_jobs(sources: Sequence[str], asked: Asked) -> tuple[Job, ...]:
+    """A job for each capture below folders, in names with * in them, or in lists (.csv), sorted by name.
+
+    A list has a column `capture` and may have `name`, `config`, `calibration` and `set` (overrides, with ; between
+    them); its paths are relative to it. Raises InputError if nothing is found, or a list is malformed.
+    """
+    jobs: dict[str, Job] = {}
+    for source in sources:
+        found = list(_from_list(Place(source), asked) if source.endswith(".csv") else _from_folders(source, asked))
+        if not found:
+            raise InputError(f"{source}: expected captures, folders with a {CAPTURE_FILE}; found none")
+        for job in found:
+            name, number = job.name, 1
+            while name in jobs and jobs[name].capture != job.capture:
+                number += 1
+                name = f"{job.name}-{number}"
+            jobs[name] = replace(job, name=name)
+    return tuple(jobs[name] for name in sorted(jobs))
+
+
+def _from_folders(source: str, asked: Asked) -> Iterator[Job]:
+    template = asked.job("", "")
+    for root in Place(source).glob() if "*" in source else [Place(source)]:
+        if not root.exists:
+            raise InputError(f"{root.url}: there is no such folder")
+        for folder in _captures_below(root):
+            yield replace(template, name=_name(folder.url, root.url), capture=folder.url)
+
+
+def _captures_below(root: Place) -> Iterator[Place]:
+    for folder, folders, files in root.walk():
+        folders.sort() if isinstance(folders, list) else None
+        if CAPTURE_FILE in files:
+            folders.clear()  # frames are in there, and nothing else
+            yield folder
+
+
+def _name(capture: str, root: str) -> str:
+    """A capture's path below the root; the recording of a result is called `capture`: the result's name says more."""
+    whole, start = Place(capture).parts, len(Place(root).parts)
+    if whole[-1] == CAPTURE_FOLDER and len(whole) > 1:
+        whole = whole[:-1]
+    return "/".join(whole[start:] or whole[-1:])
+
+
+def _from_list(file: Place, asked: Asked) -> Iterator[Job]:
+    rows = csv.DictReader(io.StringIO(file.read().decode("utf-8-sig", "replace")))
+    columns = set(rows.fieldnames or ())
+    if "capture" not in columns or columns - _COLUMNS:
+        raise InputError(
+            f"{file.url}: expected the columns {', '.join(sorted(_COLUMNS))} ('capture' at least), found "
+            f"{', '.join(sorted(columns)) or 'none'}"
+        )
+    folder = file.url.rpartition("/")[0]
+    for number, row in enumerate(rows, start=2):
+        if not row["capture"]:
+            raise InputError(f"{file.url}, line {number}: no capture is named")
+        capture = _beside(folder, row["capture"])
+        own = Asked(
+            Path(_beside(folder, row["config"])) if row.get("config") else asked.config,
+            (*asked.overrides, *(part.strip() for part in (row.get("set") or "").split(";") if part.strip())),
+            Path(_beside(folder, row["calibration"])) if row.get("calibration") else asked.calibration,
+        )
+        name = row.get("name") or _name(capture, capture)
+        if name.startswith("/") or ".." in name.split("/"):
+            raise InputError(f"{file.url}, line {number}: expected a name below the results, found '{name}'")
+        yield own.job(name, capture)
+
+
+def _beside(folder: str, path: str) -> str:
+    absolute = "://" in path or Path(path).is_absolute() or not folder
+    return path if absolute else f"{folder}/{path}"

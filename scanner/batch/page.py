@@ -1,0 +1,69 @@
+"""A batch on one page: a picture and a line for each capture, to be filtered."""
+
+from collections import Counter
+from collections.abc import Sequence
+from urllib.parse import quote
+
+from scanner.batch.place import Place
+from scanner.batch.rows import Row
+from scanner.batch.work import RESULTS, THUMBNAILS
+from scanner.quantities import Quantity
+from scanner.rendering import environment, script, script_hash
+from scanner.results import REPORT_FILE, SIGNS
+
+_SCRIPT = "batch.js"
+# A browser shows no more at once; the table has all.
+_MOST_ROWS = 5_000
+_WORDS = {0: "calibrated", 2: "unusable input", 4: "refused", 70: "crashed"}
+
+
+def write_page(place: Place, rows: Sequence[Row]) -> None:
+    """Write it. It needs no network, and of other files those of the results. Raises OSError."""
+    counts = Counter(_state(row) for row in rows)
+    page = (
+        environment()
+        .get_template("batch.html")
+        .render(
+            lines=[_line(row) for row in rows[:_MOST_ROWS]],
+            total=len(rows),
+            left_out=max(0, len(rows) - _MOST_ROWS),
+            counts=sorted(counts.items()),
+            script=script(_SCRIPT),
+            script_hash=script_hash(script(_SCRIPT)),
+        )
+    )
+    place.write(page.encode())
+
+
+def _line(row: Row) -> dict[str, object]:
+    name = quote(row.name)
+    return {
+        "name": row.name,
+        "state": _state(row),
+        "grade": row.grade or "refused",
+        "headline": _headline(row),
+        "reason": row.reason or "",
+        "report": f"{RESULTS}/{name}/{REPORT_FILE}" if row.grade else None,
+        "picture": f"{THUMBNAILS}/{name}.jpg" if row.exit_code != 70 else None,
+        "camera": _with_sigma(row.camera_focal_px, row.camera_focal_sigma_px),
+        "projector": _with_sigma(row.projector_focal_px, row.projector_focal_sigma_px),
+        "residual": "" if row.residual_px is None else f"{row.residual_px:.3f}",
+        "seconds": f"{row.seconds:.1f}",
+    }
+
+
+def _headline(row: Row) -> str:
+    if row.headline is None:
+        return _state(row).capitalize()
+    return f"{SIGNS[row.grade or 'refused']} {row.headline}"
+
+
+def _state(row: Row) -> str:
+    return _WORDS.get(row.exit_code, f"exit code {row.exit_code}")
+
+
+def _with_sigma(value: float | None, sigma: float | None) -> str:
+    if value is None:
+        return ""
+    quantity = Quantity("", value, "px", sigma)
+    return quantity.shown(value) + (f" ± {quantity.shown(sigma)}" if sigma else "")

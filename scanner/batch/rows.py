@@ -1,0 +1,60 @@
+"""What a batch's table says of a capture."""
+
+import json
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from scanner.errors import InputError
+
+ENDING = ".json"
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of a capture. `exit_code` as of a command of its own; what is not known is None.
+
+    `asked` identifies what was asked of it, configuration and calibration included. `seconds` of work on `worker`,
+    from `started` (UTC) on.
+    """
+
+    name: str
+    capture: str
+    result: str
+    exit_code: int
+    grade: str | None = None
+    headline: str | None = None
+    reason: str | None = None
+    matches: int | None = None
+    points: int | None = None
+    residual_px: float | None = None
+    camera_focal_px: float | None = None
+    camera_focal_sigma_px: float | None = None
+    projector_focal_px: float | None = None
+    projector_focal_sigma_px: float | None = None
+    projector_principal_point_x_px: float | None = None
+    projector_principal_point_y_px: float | None = None
+    projector_principal_point_sigma_px: float | None = None
+    baseline: float | None = None
+    unit: str | None = None
+    asked: str = ""
+    started: str = ""
+    seconds: float = 0.0
+    worker: str = ""
+
+    def to_json(self) -> bytes:
+        """For a file."""
+        return json.dumps(asdict(self), ensure_ascii=False, indent=1).encode()
+
+    @staticmethod
+    def from_json(data: bytes, where: str) -> "Row":
+        """From a file. Raises InputError if it is none."""
+        try:
+            found: Any = json.loads(data)
+            known = {field.name for field in fields(Row)}
+            return Row(**{key: value for key, value in found.items() if key in known})
+        except (ValueError, TypeError, AttributeError) as error:
+            raise InputError(f"{where}: expected a row of a batch, found something else; remove it: {error}") from error
+
+
+# What differs between two runs of the same batch.
+OF_THE_RUN = ("started", "seconds", "worker")

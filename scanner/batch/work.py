@@ -1,0 +1,158 @@
+"""One capture of a batch, on whatever worker it comes to: a result, a picture, a row."""
+
+import socket
+import time
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numba
+import numpy as np
+
+from calib.geometry import Calibration
+from calib.numerics import use_processors
+from scanner import jobs
+from scanner.batch.listing import Job
+from scanner.batch.place import Place
+from scanner.batch.rows import ENDING, Row
+from scanner.capture import open_capture
+from scanner.errors import InputError
+from scanner.io import read_image
+from scanner.rendering import encode_jpeg, photograph
+from scanner.results import CALIBRATION_FILE, LOG_FILE, REFUSAL_FILE, Scan, read_verdict
+from scanner.ui import failure_of
+
+RESULTS, ROWS, THUMBNAILS = "results", "rows", "thumbnails"
+_THUMBNAIL_PX = 240
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """Where a batch goes: folders of results, rows and pictures, each by the capture's name."""
+
+    out: str
+
+    def result(self, name: str) -> Place:
+        """A result folder; not there for input that is no capture."""
+        return Place(self.out) / RESULTS / name
+
+    def row(self, name: str) -> Place:
+        """A row of the table, which is written last: where it is, all else is."""
+        return Place(self.out) / ROWS / f"{name}{ENDING}"
+
+    def thumbnail(self, name: str) -> Place:
+        """A small picture of what the camera saw; not there if nothing can be read."""
+        return Place(self.out) / THUMBNAILS / f"{name}.jpg"
+
+
+def work(job: Job, delivery: Delivery) -> Row:
+    """Reconstruct a capture and deliver what came of it, the row last. Whatever the capture is, there is a row.
+
+    Raises OSError if nothing can be delivered.
+    """
+    _use_one_processor()
+    started, began_s = datetime.now(UTC), time.monotonic()
+    row = _reconstruct(job, delivery)
+    row = replace(
+        row,
+        asked=job.asked,
+        started=started.isoformat(timespec="seconds"),
+        seconds=round(time.monotonic() - began_s, 3),
+        worker=socket.gethostname(),
+    )
+    delivery.row(job.name).write(row.to_json())
+    return row
+
+
+def _reconstruct(job: Job, delivery: Delivery) -> Row:
+    place = delivery.result(job.name)
+    row = Row(job.name, job.capture, place.url, 0)
+    try:
+        with Place(job.capture).fetched() as capture:
+            _deliver_thumbnail(capture, delivery.thumbnail(job.name))
+            if place.local is None:
+                _make_room(place)
+            with place.delivered() as out:
+                try:
+                    scan = _replay(job, capture, out)
+                finally:
+                    row = _with_verdict(row, out)
+                return _of_scan(row, scan)
+    except Exception as error:
+        failure = failure_of(error)
+        return replace(row, exit_code=failure.exit_code, reason=row.reason or failure.message)
+
+
+def _replay(job: Job, capture: Path, out: Path) -> Scan:
+    with TemporaryDirectory(prefix="roomscan-") as scratch:
+        known = None
+        if job.calibration is not None:
+            known = Path(scratch) / CALIBRATION_FILE
+            known.write_text(job.calibration, encoding="utf-8")
+        return jobs.replay(capture, out, config=job.config, calibration=known, overwrite=True, keep_recording=False)
+
+
+def _make_room(place: Place) -> None:
+    """Far away nothing replaces a folder at once: what is there was asked otherwise, or was not finished, and goes."""
+    if not place.exists:
+        return
+    if not (place / LOG_FILE).exists:
+        raise InputError(f"{place.url}: exists and is no result of an earlier batch, so it is not overwritten")
+    place.remove()
+
+
+def _with_verdict(row: Row, out: Path) -> Row:
+    path = next((out / name for name in (CALIBRATION_FILE, REFUSAL_FILE) if (out / name).is_file()), None)
+    verdict = read_verdict(path) if path else None
+    if verdict is None:
+        return row
+    reason = " ".join(part for part in (verdict.reasons[0], verdict.advice) if part)
+    return replace(row, grade=verdict.grade, headline=verdict.headline, reason=reason)
+
+
+def _of_scan(row: Row, scan: Scan) -> Row:
+    newest = scan.newest
+    row = _of_calibration(row, newest.calibration)
+    return replace(
+        row,
+        matches=len(newest.decoded.matches),
+        points=newest.cloud.statistics.kept,
+        residual_px=newest.solution.residual_px if newest.solution else None,
+    )
+
+
+def _of_calibration(row: Row, calibration: Calibration) -> Row:
+    camera, projector, sigma = calibration.camera, calibration.projector, calibration.sigma
+    return replace(
+        row,
+        camera_focal_px=camera.focal_px[0],
+        camera_focal_sigma_px=sigma.camera.focal_px[0] if sigma.camera.focal_px else None,
+        projector_focal_px=projector.focal_px[0],
+        projector_focal_sigma_px=sigma.projector.focal_px[0] if sigma.projector.focal_px else None,
+        projector_principal_point_x_px=projector.principal_point_px[0],
+        projector_principal_point_y_px=projector.principal_point_px[1],
+        projector_principal_point_sigma_px=max(sigma.projector.principal_point_px or (0.0,)) or None,
+        baseline=calibration.baseline,
+        unit=calibration.unit,
+    )
+
+
+def _deliver_thumbnail(capture: Path, place: Place) -> None:
+    """Of the first frame, which is mostly white. A frame that cannot be read is for the decoder to name."""
+    try:
+        recording = open_capture(capture)
+        picture = photograph(read_image(recording.folder / recording.files[0]))
+    except (InputError, IndexError):
+        return
+    scale = _THUMBNAIL_PX / max(picture.shape[:2])
+    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    place.write(encode_jpeg(np.asarray(small, np.uint8)))
+
+
+def _use_one_processor() -> None:
+    """Side by side with other workers, threads of one are in the way of another's."""
+    use_processors(1)
+    numba.set_num_threads(1)
+    cv2.setNumThreads(1)

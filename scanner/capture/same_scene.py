@@ -1,0 +1,144 @@
+"""Whether two frames of one pattern show the same: as bright, nothing moved, nothing else in the picture."""
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image
+from scanner.errors import InputError
+
+# What a lamp or an exposure that is no whole number of refresh periods does from frame to frame is less.
+_MOST_BRIGHTER = 1.25
+_MOST_LIGHT_ADDED = 0.2
+# Motion that shifts what was taken before against what comes after by less, in projector pixels, is taken back, or does
+# no harm; and less than so many camera pixels may be noise.
+_MOST_MOVED_PX = 0.3
+_NOISE_PX = 0.1
+# Of the tiles that show something, so many may differ: noise at edges, somebody's shadow.
+_MOST_CHANGED = 0.1
+_CHANGED_OF_CONTRAST = 0.25
+_TILE_PX = 16
+_FEWEST_TILES = 4
+_SMOOTHING_PX = 1.0
+_ROUNDS = 10
+_BLACK_OF_ALL = 0.02
+_LEAST_GAIN = 1e-3
+_MOST_PIXELS = 200_000
+# A tile tells of motion if noise moves it by less than this.
+_SURE_PX = 0.1
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """`gain` and `offset` (in contrasts) make the first frame as bright as the second; `moved_px`: by how much stripes
+    and edges lie elsewhere, across them, in the median, None where there are none; `changed`: the share of tiles that
+    differ all the same.
+    """
+
+    gain: float
+    offset: float
+    moved_px: float | None
+    changed: float
+
+
+def refuse_another_scene(shown: str, before: Image, now: Image, scale: float = 1.0) -> None:
+    """Raise InputError, naming what is not as it was, if two frames (H, W[, 3]) of what was `shown` differ.
+
+    `scale`: about how many camera pixels wide a projector pixel is.
+    """
+    found = compare(before, now)
+    if found.moved_px is not None and found.moved_px > max(_MOST_MOVED_PX * scale, _NOISE_PX):
+        said = f"it lies {found.moved_px:.2g} camera px elsewhere: camera, projector or scene have moved"
+    elif found.changed > _MOST_CHANGED:
+        said = (
+            f"{found.changed:.0%} of the picture show something else: something was moved by far, added or taken away"
+        )
+    elif not 1 / _MOST_BRIGHTER < found.gain < _MOST_BRIGHTER:
+        said = f"it is {found.gain:.2f} times as bright: exposure, aperture, lamp or the projector's mode were changed"
+    elif abs(found.offset) > _MOST_LIGHT_ADDED:
+        said = "the light in the room, beside the projector's, is not as it was"
+    else:
+        return
+    raise InputError(
+        f"the capture cannot be taken up: {shown} was shown again, and {said}. Put it back as it was and try again, or "
+        "capture anew"
+    )
+
+
+def compare(before: Image, now: Image) -> Comparison:
+    """Least squares in small tiles: what of the difference is motion, what is left."""
+    one, other = _grey(before), _grey(now)
+    low, high = np.percentile(one, [2, 98])
+    contrast = max(float(high - low), 1e-6)
+    gain, offset = _brightness(one, other)
+    smooth = cv2.GaussianBlur(one, (0, 0), _SMOOTHING_PX)
+    difference = cv2.GaussianBlur((other - offset) / gain, (0, 0), _SMOOTHING_PX) - smooth
+    by_x, by_y = (_tiles(cv2.Sobel(smooth, cv2.CV_64F, *order, ksize=1, scale=0.5)) for order in ((1, 0), (0, 1)))
+    off = _tiles(difference)
+    across, along = _motion(by_x, by_y, off)
+    noise = float(np.median(np.abs(off))) * SIGMA_PER_MEDIAN
+    strength = np.sum(across[1] ** 2, axis=1)
+    tells = np.sqrt(strength) * _SURE_PX > max(noise, 1e-9)
+    left = np.sqrt(np.mean((off - along) ** 2, axis=1))
+    sees = np.ptp(_tiles(smooth), axis=1) > 0.1 * contrast
+    sees |= left > _CHANGED_OF_CONTRAST * contrast
+    changed = float(np.mean(left[sees] > _CHANGED_OF_CONTRAST * contrast)) if np.count_nonzero(sees) else 0.0
+    moved = float(np.median(np.abs(across[0][tells]))) if np.count_nonzero(tells) >= _FEWEST_TILES else None
+    return Comparison(gain, offset / contrast, moved, changed)
+
+
+def scale_of(brightest: Image, projector_size: tuple[int, int]) -> float:
+    """About how many camera pixels wide a projector pixel is, by the pixels that white (H, W[, 3]) lights."""
+    grey = _grey(brightest)
+    lit = np.count_nonzero(grey > np.mean(np.percentile(grey, [2, 99.9])))
+    return float(np.sqrt(lit / (projector_size[0] * projector_size[1])))
+
+
+def _grey(image: Image) -> Floats:
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    return cast(Floats, grey.astype(np.float64))
+
+
+def _brightness(one: Floats, other: Floats) -> tuple[float, float]:
+    """Gain and offset by which most pixels of one become those of the other, robustly.
+
+    Black stays black, with little weight: so a picture without contrast tells of a gain, and not of an offset.
+    """
+    step = max(1, one.size // _MOST_PIXELS)
+    x, y = np.append(one.reshape(-1)[::step], 0.0), np.append(other.reshape(-1)[::step], 0.0)
+    certain = np.append(np.ones(len(x) - 1), _BLACK_OF_ALL * len(x))
+    weight: Floats = certain
+    gain, offset = 1.0, 0.0
+    for _ in range(_ROUNDS):
+        mean_x, mean_y = np.average(x, weights=weight), np.average(y, weights=weight)
+        spread = np.average((x - mean_x) ** 2, weights=weight)
+        gain = float(np.average((x - mean_x) * (y - mean_y), weights=weight) / max(spread, 1e-9))
+        gain = gain if gain > _LEAST_GAIN else 1.0
+        offset = float(mean_y - gain * mean_x)
+        off = np.abs(y - gain * x - offset)
+        scale = max(SIGMA_PER_MEDIAN * float(np.median(off)), 1e-6)
+        weight = certain * np.minimum(1.0, scale / np.maximum(off, 1e-9))
+    return gain, offset
+
+
+def _tiles(image: NDArray[Any]) -> Floats:
+    """(tiles, pixels) of an image (H, W)."""
+    side = min(_TILE_PX, *image.shape)
+    rows, columns = image.shape[0] // side, image.shape[1] // side
+    part = image[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    return np.ascontiguousarray(part.swapaxes(1, 2)).reshape(rows * columns, side * side)
+
+
+def _motion(by_x: Floats, by_y: Floats, off: Floats) -> tuple[tuple[Floats, Floats], Floats]:
+    """Across the stripes of each tile, motion (T,) and slope (T, P); and what it makes of the difference (T, P).
+
+    A picture that moves by u differs by −u times its slope.
+    """
+    xx, yy, xy = (np.sum(a * b, axis=1) for a, b in ((by_x, by_x), (by_y, by_y), (by_x, by_y)))
+    angle = 0.5 * np.arctan2(2 * xy, xx - yy)
+    slope = by_x * np.cos(angle)[:, None] + by_y * np.sin(angle)[:, None]
+    moved = -np.sum(slope * off, axis=1) / np.maximum(np.sum(slope**2, axis=1), 1e-9)
+    return (moved, slope), -moved[:, None] * slope

@@ -1,0 +1,73 @@
+"""What is left of a frame that was being written when its recording was broken off."""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from scanner.capture.recorder import frame_file
+from scanner.errors import InputError
+from scanner.io import Entry, parse_yaml, read_image, read_text, validate
+from scanner.patterns import Pattern, PatternEntry
+
+# Of our own listings: beginnings of a line without a bracket yet, and lines that are whole when the last one is closed.
+_BEGUN = re.compile(r" *-? ?|\w[\w ]*")
+_BRACKETED = re.compile(r"( *- |\w[\w ]*: )\{.*")
+
+
+class _PlanEntry(Entry):
+    sequence: list[PatternEntry]
+
+
+def read_listing(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The mapping in a `capture.yaml`, without a last line that is torn, and a sentence on that. Raises InputError."""
+    text = read_text(path)
+    whole, newline, last = text.rpartition("\n")
+    torn = _is_torn(last)
+    if torn:
+        text = whole + newline
+    value = parse_yaml(text, str(path)) or {}
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: expected 'key: value' lines, found a {type(value).__name__}")
+    if "sequence" in value and not value.get("frames"):
+        raise InputError(f"{path}: no frame was recorded before the capture was broken off: capture again")
+    return value, ((f"The last line of {path.name} is torn, and left out.",) if torn else ())
+
+
+def _is_torn(last: str) -> bool:
+    """Whether a last line without an end is the beginning of one that we write."""
+    if _BRACKETED.fullmatch(last):
+        return last.count("{") != last.count("}")
+    return bool(last) and _BEGUN.fullmatch(last) is not None
+
+
+def torn_image(folder: Path, file: str) -> str:
+    """A sentence on the last frame's image if it is missing or damaged; nothing if it is whole, or no file in there."""
+    path = folder / file
+    if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file or path.is_symlink():
+        return ""
+    try:
+        if path.exists() and not path.is_file():
+            return ""
+        read_image(path)
+    except OSError:
+        return ""
+    except InputError as error:
+        return f"The last frame, {file}, is left out ({str(error).removeprefix(f'{path}: ')})."
+    return ""
+
+
+def unlisted(folder: Path, count: int) -> Path | None:
+    """The image that would have been listed next, after `count` frames, if it is there."""
+    path = folder / frame_file(count)
+    return path if path.exists() else None
+
+
+def planned_patterns(metadata: Mapping[str, Any], shown: Sequence[Pattern]) -> tuple[Pattern, ...]:
+    """The patterns that were to be shown, if a recording says so: those `shown` are the first of them."""
+    try:
+        entry = validate(_PlanEntry, {"sequence": metadata.get("sequence")}, "")
+    except InputError:
+        return ()  # another program's key of that name
+    planned = tuple(each.pattern() for each in entry.sequence)
+    return planned if planned[: len(shown)] == tuple(shown) else ()

@@ -1,0 +1,81 @@
+"""Does each pixel of a picture become one of the projector? Lines of one pixel tell, which no scaled picture can show.
+
+Lines of two grey levels a and b, one pixel wide each, send (L(a) + L(b)) / 2 on average if they arrive as they are, L
+being the projector's response. It bends, so that the average falls where they lose contrast (interpolation by scaling
+or keystone correction, neighbours that share light), and rises where sharpening adds to it. The camera only has to see
+how bright it is, not the lines.
+"""
+
+import numpy as np
+
+from calib.numerics import Floats, Image
+from hw.rig import Rig
+from scanner.checking.light import Light, grey
+from scanner.checking.report import CheckRow, State
+from scanner.checking.response import RAMP_STEPS, Ramp
+from scanner.patterns import Axis
+
+_NAME = "pixels"
+# The two grey levels, by the steps of the ramp.
+_DARK, _BRIGHT = 4, 11
+_MOST = 255.0
+# A picture that is scaled by any factor keeps some 55 %; a panel whose pixels share a tenth of their light, 79 %.
+_LEAST_CONTRAST, _MOST_CONTRAST = 0.7, 1.2
+_AXES: tuple[Axis, Axis] = ("x", "y")
+
+
+def pixel_row(rig: Rig, light: Light, ramp: Ramp) -> CheckRow | None:
+    """What is left of the contrast of lines; None where the response does not tell. Raises DeviceError."""
+    if ramp.response is None:
+        return None
+    where = light.well_lit
+    black, white = light.mean_black[where].mean(), light.settled_white[where].mean()
+    # The second frame of each: in the first there may still be something of the picture before.
+    pictures = [_lines(axis, rig.projector.size) for axis in _AXES for _ in range(2)]
+    frames = list(rig.photograph(pictures))[1::2]
+    mean = np.array([(grey(frame.image)[where].mean() - black) / (white - black) for frame in frames])
+    return row_of(_contrast(mean, ramp))
+
+
+def row_of(contrast: Floats) -> CheckRow:
+    """The row for what is left of the contrast of lines along x and y, (2,)."""
+    x, y = (f"{100 * value:.0f} %" for value in contrast)
+    finding = f"lines of one pixel keep {x} of their contrast along x, {y} along y"
+    if contrast.max() > _MOST_CONTRAST:
+        return CheckRow(
+            _NAME,
+            State.POOR,
+            f"{finding}: the projector sharpens, or the camera's response is not linear",
+            "Turn sharpness in the projector's menu to 0 or its neutral value, and detail or edge enhancement off; set "
+            "the camera's gamma to 1.",
+        )
+    if contrast.min() < _LEAST_CONTRAST:
+        return CheckRow(
+            _NAME,
+            State.POOR,
+            f"{finding}: the projector scales the picture, or its pixels share their light",
+            "Send the picture in the projector's own resolution, and turn off keystone correction, digital zoom, "
+            "overscan and aspect correction in its menu; move the projector instead.",
+        )
+    return CheckRow(_NAME, State.OK, finding)
+
+
+def _lines(axis: Axis, size: tuple[int, int]) -> Image:
+    """One pixel dark, one bright, along an axis."""
+    width, height = size
+    number = np.arange(width)[None, :] if axis == "x" else np.arange(height)[:, None]
+    levels = np.where(number % 2, _level(_BRIGHT), _level(_DARK)).astype(np.uint8)
+    return np.ascontiguousarray(np.broadcast_to(levels, (height, width)))
+
+
+def _level(step: int) -> int:
+    return round(_MOST * step / (RAMP_STEPS - 1))
+
+
+def _contrast(mean: Floats, ramp: Ramp) -> Floats:
+    """The contrast, as a factor, at which lines have this mean light (n,)."""
+    levels = np.linspace(0, _MOST, len(ramp.light))
+    middle, half = (_level(_BRIGHT) + _level(_DARK)) / 2, (_level(_BRIGHT) - _level(_DARK)) / 2
+    factor = np.linspace(0.0, middle / half, 200)
+    ends = [np.interp(middle + sign * factor * half, levels, ramp.light) for sign in (-1, 1)]
+    return np.interp(mean, np.mean(ends, axis=0), factor)

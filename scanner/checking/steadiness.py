@@ -1,0 +1,106 @@
+"""Does anything drift while the check goes on? The same fringes and the same white, seen again at its end.
+
+Each pixel's phase tells by how much its projector coordinate has changed since the quick capture; what a turn of the
+projector or of the camera does to all of them is fitted to that. A lamp that is not warm yet changes its brightness.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Bools, Floats, Ints
+from hw.rig import Frame, Rig
+from scanner.checking.light import Light, grey, photograph_light
+from scanner.checking.report import CheckRow, State
+from scanner.decoding.motion import Fit, fit_motion, shifts_by_motion, who_moved
+from scanner.patterns import Axis, Pattern, Phase, phase_sequence
+
+_NAME = "steadiness"
+_STEPS = 4
+_AXES: tuple[Axis, Axis] = ("x", "y")
+# Not so short that what moved could be mistaken by a whole period, nor so long that it is not seen.
+PERIOD_PX = 12.3
+_MOST_PIXELS = 4_000
+_TILE_PX = 16
+# What the decoder takes back without harm, of either device's pixels.
+_MOST_PX = 0.1
+_SURE = 5.0
+# Lamps settle to a few thousandths.
+_MOST_PERCENT = 0.5
+
+
+@dataclass(frozen=True)
+class Before:
+    """What was seen from the time `since_s` on: `light`, and where camera pixels looked, `projector_px` (H, W, 2)."""
+
+    since_s: float
+    light: Light
+    projector_px: Floats
+
+
+def patterns() -> tuple[Pattern, ...]:
+    """The fringes that are shown again."""
+    return tuple(pattern for axis in _AXES for pattern in phase_sequence(axis, PERIOD_PX, _STEPS))
+
+
+def steadiness_row(rig: Rig, before: Before, frames: Iterator[tuple[Pattern, Frame]], usable: Bools) -> CheckRow | None:
+    """What has changed since, by frames of `patterns()`; None if no pixels are `usable` (H, W). Raises DeviceError."""
+    moved = _moved(before.projector_px, frames, usable, rig.projector.size)
+    after = photograph_light(rig, 3, 2)
+    where = before.light.well_lit & after.well_lit
+    seconds = time.monotonic() - before.since_s
+    if moved is None or not where.any():
+        return None
+    percent = 100 * (after.settled_white[where].mean() / before.light.settled_white[where].mean() - 1)
+    return row_of(moved, float(percent), seconds)
+
+
+def row_of(fit: Fit, percent: float, seconds: float) -> CheckRow:
+    """The row for a motion and a change of brightness within some seconds."""
+    px = float(np.hypot(*fit.motion.reshape(2, -1)[:, :2].T).max())
+    sure = fit.significance > _SURE
+    moving = f"{who_moved(fit.motion)}" if sure else "nothing moved by more than noise"
+    finding = f"within {seconds:.0f} s {moving}, and white changed by {percent:+.2f} %"
+    advice = []
+    if sure and px > _MOST_PX:
+        advice.append("Fasten what moves, or let it settle: a capture tolerates a tenth of a pixel.")
+    if abs(percent) > _MOST_PERCENT:
+        advice.append("The projector is not warm yet: give it a quarter of an hour with a picture on, and check again.")
+    return CheckRow(_NAME, State.POOR if advice else State.OK, finding, " ".join(advice))
+
+
+def _moved(
+    projector_px: Floats, frames: Iterator[tuple[Pattern, Frame]], usable: Bools, projector_size: tuple[int, int]
+) -> Fit | None:
+    levels = {
+        (pattern.axis, pattern.shift): grey(frame.image) for pattern, frame in frames if isinstance(pattern, Phase)
+    }
+    by_y, by_x = (np.gradient(projector_px, axis=axis) for axis in (0, 1))
+    known = usable & np.isfinite(np.concatenate([projector_px, by_x, by_y], axis=2)).all(axis=2)
+    row, column = np.nonzero(known)
+    chosen = np.linspace(0, len(row) - 1, min(len(row), _MOST_PIXELS)).astype(np.int64)
+    if not len(chosen):
+        return None
+    place = row[chosen], column[chosen]
+    was, gradient = projector_px[place], np.stack([by_x[place], by_y[place]], axis=2)
+    changed = np.stack([_change(axis, levels, was[:, number], place) for number, axis in enumerate(_AXES)], axis=1)
+    height, width = known.shape
+    camera_px = np.stack([place[1], place[0]], axis=1).astype(np.float64)
+    design = shifts_by_motion(camera_px, was, gradient, (width, height), projector_size)
+    spread = np.maximum(np.median(np.abs(changed - np.median(changed, axis=0)), axis=0), 1e-3)
+    precision = np.broadcast_to(1 / spread**2, changed.shape)
+    _, group = np.unique(place[0] // _TILE_PX * width + place[1] // _TILE_PX, return_inverse=True)
+    rows = np.arange(design.shape[0] * design.shape[1])
+    return fit_motion(
+        design.reshape(len(rows), -1), changed.reshape(-1), precision.reshape(-1), rows, np.repeat(group.reshape(-1), 2)
+    )
+
+
+def _change(axis: Axis, levels: dict[tuple[Axis, float], Floats], was: Floats, place: tuple[Ints, Ints]) -> Floats:
+    """By how much the coordinate of pixels (P,) is another than it `was`."""
+    first, second, third, fourth = (levels[axis, step / _STEPS][place] for step in range(_STEPS))
+    now = np.arctan2(fourth - second, first - third) * PERIOD_PX / (2 * np.pi)
+    change: Floats = now - was
+    return change - PERIOD_PX * np.rint(change / PERIOD_PX)

@@ -1,0 +1,61 @@
+"""The frames of a fringe folded into its two components as they arrive."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from calib.numerics import Image, compiled
+from scanner.decoding.arrays import Component
+from scanner.decoding.light.equalise import Correction
+from scanner.decoding.sequence_plan import Fringe
+from scanner.decoding.tiles import along_pixels
+
+
+class FringeFold:
+    """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
+
+    `cosine` and `sine` times `scale` are in grey levels, and then need the `correction` if there is one. Of four equal
+    shifts each is the difference of two frames, in whole numbers, of which the first waits for the second; others are
+    weighted sums.
+    """
+
+    def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
+        self.fringe = fringe
+        weights = fringe.weights[1:]
+        largest = float(np.abs(weights).max())
+        self._signs = np.rint(weights / largest).astype(np.int64)
+        opposite = all(sorted(signs) == [-1, 0, 0, 1] for signs in self._signs.tolist())
+        self._is_plain = opposite and bool(np.allclose(self._signs * largest, weights, atol=1e-9))
+        self._waiting: dict[int, Image] = {}
+        self.scale = largest if self._is_plain else 1.0
+        self.correction: Correction | None = None
+        # Differences are written, sums begin with nothing.
+        begin = np.empty if self._is_plain else np.zeros
+        kept_as = np.dtype(np.float32) if not self._is_plain else np.dtype(np.int16 if dtype == np.uint8 else np.int32)
+        self.cosine: Component = begin(shape, kept_as)
+        self.sine: Component = begin(shape, kept_as)
+
+    def fold(self, step: int, frame: Image, peak: Image) -> None:
+        """Add the frame of one shift, and raise `peak` (H, W) to it: of frames that wait, when they are added."""
+        if not self._is_plain:
+            np.maximum(peak, frame, out=peak)
+            for component, weights in zip((self.cosine, self.sine), self.fringe.weights[1:], strict=True):
+                cv2.addWeighted(component, 1, frame, float(weights[step]), 0, dst=component, dtype=cv2.CV_32F)
+            return
+        number = int(np.flatnonzero(self._signs[:, step])[0])
+        other = self._waiting.pop(number, None)
+        if other is None:
+            self._waiting[number] = frame.copy()
+            return
+        component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
+        frame, other, component, peak = frame.reshape(-1), other.reshape(-1), component.reshape(-1), peak.reshape(-1)
+        along_pixels(len(frame), lambda at: _subtract(frame[at], other[at], sign, component[at], peak[at]))
+
+
+@compiled
+def _subtract(frame: Image, other: Image, sign: int, difference: Component, peak: Image) -> None:
+    """A frame less another, or the reverse, and the peaks raised to both; (P,)."""
+    for i in range(len(frame)):
+        difference[i] = sign * (np.int32(frame[i]) - np.int32(other[i]))
+        peak[i] = max(peak[i], max(frame[i], other[i]))

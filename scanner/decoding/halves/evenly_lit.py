@@ -1,0 +1,75 @@
+"""The scene evenly lit, once by all patterns along one axis and once by those along the other.
+
+The mean of a fringe over its shifts, and that of a pattern and its inverse, are what half of white shows, whatever the
+pattern: all patterns along x together give one picture of the scene, those along y another. They are compared where all
+of one axis is shown before all of the other, and nothing else tells of a motion in between.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calib.numerics import Image
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+
+
+@dataclass(frozen=True)
+class Half:
+    """The frames that an axis is measured by, in the places `first` to `last` of the capture.
+
+    `weights`: of the frames in the mean picture; empty where no frames of it add up to even light.
+    """
+
+    axis: AxisPlan
+    first: int
+    last: int
+    weights: dict[int, float]
+
+
+def halves_of(plan: SequencePlan) -> tuple[Half, Half] | None:
+    """The two halves of a capture, the earlier one first; None unless all of one axis is measured before the other."""
+    if not all(axis.is_measured for axis in plan.axes):
+        return None
+    first, second = sorted((_half(plan, axis) for axis in plan.axes), key=lambda half: half.first)
+    return (first, second) if first.last < second.first else None
+
+
+def _half(plan: SequencePlan, axis: AxisPlan) -> Half:
+    frames = {frame for fringe in axis.fringes for frame in fringe.frames}
+    # Codes only tell one cycle from the next, if there are fringes.
+    frames = frames or {frame for code in axis.codes for frame in code.frames}
+    places = [place for place, frame in enumerate(plan.shown) if frame in frames]
+    return Half(axis, min(places), max(places), _weights(axis))
+
+
+def _weights(axis: AxisPlan) -> dict[int, float]:
+    weights: dict[int, float] = {}
+    groups = [*_fringe_means(axis)] or [
+        dict.fromkeys(pair, 0.5) for pair in dict.fromkeys(pair for code in axis.codes for pair in code.pairs.values())
+    ]
+    for group in groups:
+        for frame, weight in group.items():
+            weights[frame] = weights.get(frame, 0.0) + weight / len(groups)
+    return weights
+
+
+def _fringe_means(axis: AxisPlan) -> Iterator[dict[int, float]]:
+    for fringe in axis.fringes:
+        yield dict(zip(fringe.frames, fringe.weights[0].tolist(), strict=True))
+
+
+class EvenlyLit:
+    """The two pictures of the scene, (H, W) each, from frames as they arrive."""
+
+    def __init__(self, halves: tuple[Half, Half], shape: tuple[int, int]) -> None:
+        self.halves = halves
+        self.pictures: tuple[Floats32, Floats32] = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+
+    def add(self, number: int, grey: Image) -> None:
+        """Take pattern `number`, (H, W), if it is of a half."""
+        for half, picture in zip(self.halves, self.pictures, strict=True):
+            if weight := half.weights.get(number):
+                cv2.addWeighted(picture, 1, grey, weight, 0, dst=picture, dtype=cv2.CV_32F)

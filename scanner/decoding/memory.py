@@ -1,0 +1,26 @@
+"""Whether there is memory enough to decode frames of a size: asked before it is taken."""
+
+from pathlib import Path
+
+from scanner.errors import InputError
+
+_BYTES_PER_PIXEL = 70  # at its highest, with 16-bit frames and a match at every pixel
+_MEMINFO = Path("/proc/meminfo")
+
+
+def refuse_more_than_there_is(shape: tuple[int, int]) -> None:
+    """Raise InputError if frames (H, W) take more memory than is free, where the system tells."""
+    needed, free = shape[0] * shape[1] * _BYTES_PER_PIXEL, _free_bytes()
+    if free is not None and needed > free:
+        raise InputError(
+            f"frames of {shape[1]} × {shape[0]} pixels take about {needed / 1e9:.1f} GB of memory to decode, and "
+            f"{free / 1e9:.1f} GB are free: close other programs, or reduce the frames and the camera's size with them"
+        )
+
+
+def _free_bytes() -> int | None:
+    try:
+        lines = _MEMINFO.read_text(encoding="ascii").splitlines()
+    except OSError:  # not Linux
+        return None
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), None)

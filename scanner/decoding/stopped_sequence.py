@@ -1,0 +1,190 @@
+"""A sequence that stops early: which of its frames decode all the same, what is missing, and what that costs.
+
+Without its finest bits a Gray code is one of longer cells; a fringe without all of its steps is left out.
+"""
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+from scanner.decoding.light.exposure_fusion import exposures_of
+from scanner.decoding.planning import constant_bits, plan_sequence
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.errors import InputError
+from scanner.patterns import Axis, Gray, Pattern, Phase, Xor
+
+_AXES: tuple[Axis, Axis] = ("x", "y")
+
+
+@dataclass(frozen=True)
+class Usable:
+    """`patterns`: what each frame of the capture is decoded as, None where it is left out. `words`: what is missing and
+    what it costs, in sentences; '' where nothing is.
+    """
+
+    patterns: tuple[Pattern | None, ...]
+    words: str = ""
+
+
+def usable(
+    patterns: Sequence[Pattern],
+    planned: Sequence[Pattern],
+    projector_size: tuple[int, int],
+    *,
+    calibrated: bool = False,
+) -> Usable:
+    """What the frames of a capture determine; `planned` are those that were to be taken, empty where unknown.
+
+    Of a rig that is `calibrated` one of the coordinates is enough. Raises InputError with what is missing if they
+    determine too little.
+    """
+    if len(planned) > len(patterns):
+        return _trimmed(patterns, planned, projector_size, calibrated=calibrated)
+    try:
+        plan_sequence(exposures_of(patterns)[0], projector_size, calibrated=calibrated)
+    except InputError as lacking:
+        try:
+            return _trimmed(patterns, (), projector_size, calibrated=calibrated)
+        except InputError:
+            raise lacking from None
+    return Usable(tuple(patterns))
+
+
+def _trimmed(
+    patterns: Sequence[Pattern], planned: Sequence[Pattern], size: tuple[int, int], *, calibrated: bool
+) -> Usable:
+    count = _exposures(planned or patterns)
+    whole = patterns[: len(patterns) // count * count]
+    once, wanted = tuple(dict.fromkeys(whole)), tuple(dict.fromkeys(planned or patterns))
+    axes = [_decodable(axis, length, once, wanted) for axis, length in zip(_AXES, size, strict=True)]
+    axes = _balanced(axes, wanted, calibrated=calibrated)
+    decoded_as = {p: p for p in once if not isinstance(p, Gray | Xor | Phase)} | axes[0] | axes[1]
+    # Fringes that look alike within the cells that are left decide nothing.
+    decoded_as, plan, trouble = _first_plan((decoded_as, _only_codes(decoded_as)), once, size, calibrated=calibrated)
+    taken = f"{len(patterns)} of its {len(planned)} frames were taken. " if planned else ""
+    missing = f"The capture stops early: {taken}Missing or left out: {_listed(wanted, decoded_as)}"
+    if plan is None:
+        raise InputError(f"{missing}. From what there is nothing can be decoded: {trouble}")
+    kept = (decoded_as.get(pattern) for pattern in patterns[: len(whole)])
+    words = f"{missing}. What it costs: {'; '.join(_cost(axis) for axis in plan.axes)}."
+    return Usable((*kept, *[None] * (len(patterns) - len(whole))), words)
+
+
+def _first_plan(
+    choices: Sequence[dict[Pattern, Pattern]], once: Sequence[Pattern], size: tuple[int, int], *, calibrated: bool
+) -> tuple[dict[Pattern, Pattern], SequencePlan | None, str]:
+    """The first of the choices that determines the coordinates, and its plan; or what the first one lacks."""
+    troubles = []
+    for choice in choices:
+        try:
+            return choice, plan_sequence([choice[p] for p in once if p in choice], size, calibrated=calibrated), ""
+        except InputError as error:
+            troubles.append(str(error))
+    return choices[0], None, troubles[0]
+
+
+def _exposures(patterns: Sequence[Pattern]) -> int:
+    """How many frames in a row show each pattern, though the last ones may be missing."""
+    count = next((n for n, pattern in enumerate(patterns) if pattern != patterns[0]), 1)
+    return count if exposures_of(patterns[: len(patterns) // count * count])[1] == count else 1
+
+
+def _decodable(axis: Axis, length: int, once: Sequence[Pattern], wanted: Sequence[Pattern]) -> dict[Pattern, Pattern]:
+    """What the patterns along an axis are decoded as; those that are no use are not in it."""
+    found: dict[Pattern, Pattern] = {}
+    codes: dict[tuple[int, int, int], list[Gray]] = defaultdict(list)
+    relative: dict[tuple[int, int, int, int], list[Xor]] = defaultdict(list)
+    for pattern in once:
+        if isinstance(pattern, Gray) and pattern.axis == axis:
+            codes[pattern.bits, pattern.cell, pattern.offset].append(pattern)
+        elif isinstance(pattern, Xor) and pattern.axis == axis:
+            relative[pattern.bits, pattern.cell, pattern.offset, pattern.base].append(pattern)
+    for (bits, cell, offset), shown in codes.items():
+        for lost in range(bits):
+            code = bits - lost, cell << lost, offset
+            kept = [pattern for pattern in shown if pattern.bit < code[0]]
+            if kept and _complete(axis, length, code, {pattern.bit for pattern in kept}):
+                found |= {pattern: replace(pattern, bits=code[0], cell=code[1]) for pattern in kept}
+                break
+    for (bits, cell, offset, base), others in relative.items():
+        bases = [pattern for pattern in codes[bits, cell, offset] if pattern.bit == base]
+        if bases and _complete(axis, length, (bits, cell, offset), {base, *(pattern.bit for pattern in others)}):
+            whole: list[Pattern] = [*bases, *others]
+            found |= {pattern: pattern for pattern in whole}
+    return found | {pattern: pattern for pattern in _whole_fringes(axis, once, wanted)}
+
+
+def _complete(axis: Axis, length: int, code: tuple[int, int, int], shown: set[int]) -> bool:
+    try:
+        constant_bits(axis, length, code, shown)
+    except InputError:
+        return False
+    return True
+
+
+def _whole_fringes(axis: Axis, once: Sequence[Pattern], wanted: Sequence[Pattern]) -> list[Phase]:
+    """Those of which all steps that were wanted are there, and as many as any other has."""
+    steps: dict[tuple[Axis, float], set[float]] = defaultdict(set)
+    for pattern in wanted:
+        if isinstance(pattern, Phase):
+            steps[pattern.axis, pattern.period].add(pattern.shift)
+    most = max(map(len, steps.values()), default=0)
+    of_axis = [pattern for pattern in once if isinstance(pattern, Phase) and pattern.axis == axis]
+    return [
+        pattern
+        for pattern in of_axis
+        if len(steps[axis, pattern.period]) == most
+        and {other.shift for other in of_axis if other.period == pattern.period} == steps[axis, pattern.period]
+    ]
+
+
+def _balanced(
+    axes: list[dict[Pattern, Pattern]], wanted: Iterable[Pattern], *, calibrated: bool
+) -> list[dict[Pattern, Pattern]]:
+    """Where one axis is cut short, the other is worth most like it, as cells whose matches are averaged; or alone, if
+    the calibration tells the one better.
+    """
+    codes = [pattern for pattern in wanted if isinstance(pattern, Gray)]
+    fine = [any(isinstance(pattern, Phase) for pattern in found) for found in axes]
+    cut = [any(found.get(p) != p for p in codes if p.axis == axis) for axis, found in zip(_AXES, axes, strict=True)]
+    for one, other in ((0, 1), (1, 0)):
+        if fine[one] or not axes[other]:
+            continue
+        if calibrated and (fine[other] or (cut[one] and not cut[other])):
+            axes[one] = {}
+        elif axes[one] and fine[other]:
+            axes[other] = _only_codes(axes[other])
+    return axes
+
+
+def _only_codes(found: dict[Pattern, Pattern]) -> dict[Pattern, Pattern]:
+    return {shown: kept for shown, kept in found.items() if not isinstance(shown, Phase)}
+
+
+def _listed(wanted: Sequence[Pattern], decoded_as: Collection[Pattern]) -> str:
+    """What does not decode, by axis and kind."""
+    bits: dict[str, set[int]] = defaultdict(set)
+    fringes: dict[Axis, set[float]] = defaultdict(set)
+    for pattern in wanted:
+        if pattern in decoded_as:
+            continue
+        match pattern:
+            case Gray() | Xor():
+                bits[f"{type(pattern).__name__} code along {pattern.axis}"].add(pattern.bit)
+            case Phase():
+                fringes[pattern.axis].add(pattern.period)
+    codes = [f"bits {', '.join(map(str, sorted(numbers)))} of the {code}" for code, numbers in bits.items()]
+    steps = [
+        f"the fringes along {axis} of {' and '.join(f'{period:g}' for period in sorted(periods, reverse=True))} px"
+        for axis, periods in fringes.items()
+    ]
+    return ", ".join([*codes, *steps]) or "the last frames"
+
+
+def _cost(plan: AxisPlan) -> str:
+    if not plan.is_measured:
+        return f"{plan.axis} follows from the calibration"
+    if plan.fringes:
+        return f"{plan.axis} comes from fringes of {' and '.join(f'{each.period:g}' for each in plan.fringes)} px"
+    return f"{plan.axis} is known to cells of {plan.cell:g} projector px (± {plan.cell / sqrt(12):.1f} px)"

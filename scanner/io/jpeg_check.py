@@ -1,0 +1,175 @@
+"""Whether the compressed data of a JPEG decode to exactly its pixels (ITU-T T.81, annexes B and F).
+
+JPEG has no check sums, and decoders make something of anything. But a bit that was flipped shifts the codes after it:
+sooner or later comes one that there is none of, or the data end before the pixels or after them. Sequential Huffman
+coding is followed here, which is what cameras write; of other kinds nothing is said.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Ints, compiled
+
+_SEQUENTIAL = (0xC0, 0xC1)
+_OTHER_FRAMES = (0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF)
+_TABLES, _SIZES, _SCAN, _INTERVAL, _END = 0xC4, _SEQUENTIAL, 0xDA, 0xDD, 0xD9
+_TABLE_COUNT, _AC = 8, 4
+_PROBLEMS = (
+    None,
+    "its compressed data contain a code that does not exist",
+    "its compressed data end before its pixels",
+    "its compressed data go on after its pixels",
+)
+
+
+@dataclass
+class _Read:
+    """What the headers have said so far; `lookup` (8, 65536): length and symbol of the code that 16 bits begin with."""
+
+    size: tuple[int, int] = (0, 0)
+    factors: dict[int, tuple[int, int]] = field(default_factory=dict)
+    lookup: NDArray[np.int32] = field(default_factory=lambda: np.zeros((_TABLE_COUNT, 1 << 16), np.int32))
+    known: set[int] = field(default_factory=set)
+    interval: int = 0
+
+
+def problem_of_jpeg(data: bytes) -> str | None:
+    """What is wrong with the compressed data of a JPEG; None if nothing is, or if they are of another kind."""
+    read, at = _Read(), 2
+    pixels = np.frombuffer(data, np.uint8)
+    while at + 4 <= len(data):
+        if data[at] != 0xFF:
+            return None  # rubbish between segments: the decoder's to judge
+        marker = data[at + 1]
+        if marker in (0xFF, 0x01) or 0xD0 <= marker <= 0xD8:
+            at += 1 if marker == 0xFF else 2
+            continue
+        if marker == _END or marker in _OTHER_FRAMES:
+            return None
+        length = int.from_bytes(data[at + 2 : at + 4], "big")
+        segment, at = data[at + 4 : at + 2 + length], at + 2 + length
+        try:
+            if marker == _SCAN:
+                followed = _follow(read, pixels, segment, at)
+                if followed is None:
+                    return None
+                at, problem = followed
+                if problem:
+                    return _PROBLEMS[problem]
+            else:
+                _note(read, marker, segment)
+        except (LookupError, ValueError, ZeroDivisionError):
+            return None  # a header that makes no sense: the decoder's to judge
+    return None
+
+
+def _note(read: _Read, marker: int, segment: bytes) -> None:
+    if marker in _SEQUENTIAL:
+        read.size = int.from_bytes(segment[3:5], "big"), int.from_bytes(segment[1:3], "big")
+        parts = [segment[6 + 3 * i : 9 + 3 * i] for i in range(segment[5])]
+        read.factors = {part[0]: (part[1] >> 4, part[1] & 15) for part in parts}
+    elif marker == _TABLES:
+        at = 0
+        while at < len(segment):
+            counts = segment[at + 1 : at + 17]
+            table = _AC * (segment[at] >> 4) + (segment[at] & 3)
+            symbols = segment[at + 17 : at + 17 + sum(counts)]
+            read.lookup[table] = _lookup(counts, symbols)
+            read.known.add(table)
+            at += 17 + sum(counts)
+    elif marker == _INTERVAL:
+        read.interval = int.from_bytes(segment[:2], "big")
+
+
+def _lookup(counts: bytes, symbols: bytes) -> NDArray[np.int32]:
+    """For each 16 bits the length of the code at their beginning, times 256, and its symbol; 0 for none."""
+    table, first, number = np.zeros(1 << 16, np.int32), 0, 0
+    for length, count in enumerate(counts, start=1):
+        for _ in range(count):
+            step = 1 << (16 - length)
+            table[first : first + step] = length << 8 | symbols[number]
+            first, number = first + step, number + 1
+    return table
+
+
+def _follow(read: _Read, data: NDArray[np.uint8], segment: bytes, at: int) -> tuple[int, int] | None:
+    """Where the data of a scan end, and what is wrong with them; None where it cannot be told."""
+    parts = [segment[1 + 2 * i : 3 + 2 * i] for i in range(segment[0])]
+    tables = {part[0]: (part[1] >> 4 & 3, _AC + (part[1] & 3)) for part in parts}
+    if not all(table in read.known for pair in tables.values() for table in pair) or min(read.size) < 1:
+        return None
+    across, down = (max(factor[i] for factor in read.factors.values()) for i in (0, 1))
+    (width, height), blocks = read.size, []
+    if len(parts) > 1:
+        units = _fitting(width, 8 * across) * _fitting(height, 8 * down)
+        for name, pair in tables.items():
+            blocks += [pair] * (read.factors[name][0] * read.factors[name][1])
+    else:
+        ((name, pair),) = tables.items()
+        h, v = read.factors[name]
+        units = _fitting(_fitting(width * h, across), 8) * _fitting(_fitting(height * v, down), 8)
+        blocks = [pair]
+    end, problem = _follow_blocks(data, at, np.array(blocks, np.int64), units, read.interval, read.lookup)
+    return int(end), int(problem)
+
+
+def _fitting(length: int, step: int) -> int:
+    """How many steps reach to the end."""
+    return (length + step - 1) // step
+
+
+@compiled
+def _follow_blocks(
+    data: NDArray[np.uint8], at: int, blocks: Ints, units: int, interval: int, lookup: NDArray[np.int32]
+) -> tuple[int, int]:
+    """Where `units` of `blocks` (n, 2: tables of DC and AC) end that begin `at`; 0, or the number of the problem."""
+    held, count, size = 0, 0, len(data)  # bits read and not used, and how many these are
+    for unit in range(units):
+        if interval > 0 and unit > 0 and unit % interval == 0:
+            while at < size - 1 and data[at] == 0xFF and data[at + 1] == 0xFF:
+                at += 1
+            if count >= 8 or at >= size - 1 or data[at] != 0xFF:
+                return at, 3
+            if data[at + 1] != 0xD0 + (unit // interval - 1) % 8:
+                return at, 2
+            at, held, count = at + 2, 0, 0
+        for block in range(len(blocks)):
+            number = 0
+            while number < 64:
+                # A code has 16 bits at most, and as many bits of a coefficient may follow it.
+                while count < 32 and at < size and (data[at] != 0xFF or (at + 1 < size and data[at + 1] == 0)):
+                    held, count = (held << 8 | data[at]) & 0xFFFFFFFFFF, count + 8
+                    at += 2 if data[at] == 0xFF else 1
+                bits = held >> (count - 16) if count >= 16 else (held << (16 - count) | (1 << (16 - count)) - 1)
+                found = lookup[blocks[block, 1 if number else 0], bits & 0xFFFF]
+                if found == 0:
+                    return at, 1 if count >= 16 else 2
+                symbol = found & 255
+                used = (found >> 8) + (symbol & 15)
+                if used > count:
+                    return at, 2
+                count -= used
+                held &= (1 << count) - 1
+                if number == 0:
+                    number = 1
+                elif symbol == 0:
+                    number = 64
+                elif symbol == 0xF0:
+                    number += 16
+                else:
+                    number += (symbol >> 4) + 1
+                    if number > 64:
+                        return at, 1
+    # Whole bytes that are left, but for those with which some fill up to the next marker.
+    while count >= 8:
+        count -= 8
+        rest = held >> count & 255
+        if rest != 0 and rest != 255:
+            return at, 3
+    while at < size - 1 and not (data[at] == 0xFF and data[at + 1] != 0 and data[at + 1] != 0xFF):
+        if data[at] != 0 and data[at] != 0xFF:
+            return at, 3
+        at += 1
+    return at, 0

@@ -1,0 +1,33 @@
+"""Pages from templates: what comes from a file or a device stays text."""
+
+import base64
+import hashlib
+from functools import cache
+from importlib.resources import files
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+
+@cache
+def environment() -> Environment:
+    """Of all templates of this package."""
+    return Environment(
+        loader=PackageLoader("scanner"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+@cache
+def script(name: str) -> Markup:
+    """A script of ours, which may stand in a page as it is."""
+    return Markup(files("scanner").joinpath(f"templates/{name}").read_text(encoding="utf-8"))
+
+
+def script_hash(text: str) -> str:
+    """What a page's security policy calls a script: a browser runs no other, and loads nothing."""
+    digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
+    return f"'sha256-{digest}'"

@@ -1,0 +1,123 @@
+"""What scans that were killed have left: frames are kept, whole results put in their place, the rest is removed."""
+
+import shutil
+from pathlib import Path
+
+from scanner.errors import InputError, cannot_write
+from scanner.io import MATCHES_FILE
+from scanner.results.names import (
+    CAPTURE_FOLDER,
+    CAPTURES_FOLDER,
+    LOG_FILE,
+    TRUTH_FILE,
+    is_occupied,
+    refuse_to_lose,
+    unused,
+)
+from scanner.results.unfinished import STATE, Claim, HeldError, State, finish_publishing, partial_of, publish, target_of
+
+_RECORDED = {CAPTURE_FOLDER, CAPTURES_FOLDER, LOG_FILE, TRUTH_FILE}
+_RECORDED_OF_SEVERAL = {CAPTURE_FOLDER, MATCHES_FILE}
+
+
+def settle(out: Path) -> list[str]:
+    """Settle what was left of `out`, and of whatever else in its folder; sentences on what became of it.
+
+    Raises InputError if a process is making `out` now, or something else is in the way; StorageError.
+    """
+    told = []
+    for partial in sorted({partial_of(out), *out.parent.glob(".*.partial")}):
+        target = target_of(partial)
+        try:
+            told += _settle(partial, target, in_the_way=target == out)
+        except HeldError as error:
+            if target == out:
+                raise InputError(f"{out}: {error}") from error
+        except OSError as error:
+            if target == out:
+                raise cannot_write(partial, error, "tidied up") from error
+    return told
+
+
+def _settle(partial: Path, out: Path, *, in_the_way: bool) -> list[str]:
+    finish_publishing(out)
+    if not partial.is_dir() or partial.is_symlink():
+        return []
+    if not any(partial.iterdir()):
+        partial.rmdir()
+        return []
+    if not (partial / STATE).is_file():
+        if in_the_way:
+            raise InputError(
+                f"{partial}: is in the way, and no scan has left it like that: look into it, and remove it"
+            )
+        return []
+    claim = Claim(partial / STATE)
+    try:
+        if not claim.is_current:
+            return []  # it has just been settled by another
+        return _judged(claim.state, partial, out)
+    finally:
+        claim.release()
+
+
+def _judged(state: State | None, partial: Path, out: Path) -> list[str]:
+    if state in (State.WHOLE, State.REPLACING):
+        place = out if _may_take(out, replacing=state is State.REPLACING) else unused(out)
+        publish(partial, place)
+        return [f"A scan was killed when its result was whole: it is in {place} now."]
+    if state is State.LIVE and frames_in(partial):
+        return [f"A scan was killed. {kept_words(keep_recording(partial, out))}"]
+    shutil.rmtree(partial)
+    return [f"What was left of {out}, of a program that was killed, had no frames of its own and is removed."]
+
+
+def _may_take(out: Path, *, replacing: bool) -> bool:
+    if not is_occupied(out):
+        return True
+    try:
+        refuse_to_lose(out, overwrite=replacing)
+    except InputError:
+        return False
+    return True
+
+
+def keep_recording(partial: Path, out: Path) -> Path:
+    """Give the frames of a scan that came to no end a visible name, which is returned; the rest goes, for nothing in it
+    may be taken for a result. Raises OSError.
+    """
+    for folder, recorded in [(partial, _RECORDED), *((each, _RECORDED_OF_SEVERAL) for each in _whole(partial))]:
+        for path in folder.iterdir():
+            if path.name in recorded or path.name == STATE:
+                continue
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    kept = unused(out.with_name(f"{out.name}-incomplete"))
+    partial.rename(kept)
+    (kept / STATE).unlink()
+    return kept
+
+
+def kept_words(kept: Path) -> str:
+    """Where the frames are, and what can be done with them."""
+    recording, frames = kept / CAPTURE_FOLDER, frames_in(kept / CAPTURE_FOLDER)
+    if not _whole(kept):
+        return (
+            f"The {frames} frames captured so far are in {recording}: scan --resume {kept} takes the missing ones, and "
+            f"scan replay {recording} makes of it what can be made."
+        )
+    finished = len(_whole(kept))
+    return (
+        f"What was captured so far is kept: {finished} whole capture{'s' if finished > 1 else ''} in "
+        f"{kept / CAPTURES_FOLDER}, which scan calibrate takes, and {frames} frames in {recording}, of which scan "
+        f"--resume {kept} takes the missing ones."
+    )
+
+
+def _whole(folder: Path) -> list[Path]:
+    """The captures of several that were over."""
+    return sorted((folder / CAPTURES_FOLDER).glob("*/"))
+
+
+def frames_in(folder: Path) -> int:
+    """How many frames were recorded anywhere in a folder."""
+    return len(list(folder.glob("**/frames/*.png")))

@@ -1,0 +1,85 @@
+"""The names in a result folder, and which names for one are free."""
+
+from pathlib import Path
+
+from scanner.errors import InputError
+from scanner.io import MATCHES_FILE
+from scanner.results.unfinished import is_held
+
+CALIBRATION_FILE = "calibration.yaml"
+TRUTH_FILE = "truth.yaml"
+CLOUD_FILE = "cloud.ply"
+REPORT_FILE = "report.html"
+REFUSAL_FILE = "refused.yaml"
+CAPTURE_FOLDER = "capture"
+CAPTURES_FOLDER = "captures"
+MERGED_FILE = "merged.ply"
+POSES_FILE = "poses.yaml"
+DENSE_FILE = "dense.ply"
+LOG_FILE = "scan.log"
+
+_OURS = {
+    CALIBRATION_FILE,
+    TRUTH_FILE,
+    CLOUD_FILE,
+    MERGED_FILE,
+    POSES_FILE,
+    DENSE_FILE,
+    REPORT_FILE,
+    REFUSAL_FILE,
+    CAPTURE_FOLDER,
+    CAPTURES_FOLDER,
+    LOG_FILE,
+    MATCHES_FILE,
+}
+
+
+def folder_of(result: Path, index: int, count: int) -> Path:
+    """Where a result has its capture number `index` of `count`: the newest, which is the last, at the top."""
+    return result if index == count - 1 else result / CAPTURES_FOLDER / str(index + 1)
+
+
+def default_out(stem: str, *, overwrite: bool) -> Path:
+    """`scans/<stem>`, with -2, -3 … added if it exists and may not be overwritten."""
+    out = Path("scans") / stem
+    return out if overwrite else unused(out)
+
+
+def beside(result: Path, ending: str) -> Path:
+    """A name beside a result, made of its own: a result folder itself stays as the scan left it."""
+    folder = result.resolve()
+    name = f"{folder.name}{ending}"
+    return folder.parent / name if result.name in ("", ".", "..") else result.parent / name
+
+
+def unused(path: Path) -> Path:
+    """The path, or with -2, -3 … added what is neither there nor being made."""
+    candidate, number = path, 1
+    while candidate.exists() or is_held(candidate):
+        number += 1
+        candidate = path.with_name(f"{path.name}-{number}")
+    return candidate
+
+
+def refuse_occupied(out: Path) -> None:
+    """Raise InputError if there is something at `out` already, other than an empty folder."""
+    if is_occupied(out):
+        refuse_to_lose(out, overwrite=False)
+
+
+def is_occupied(path: Path) -> bool:
+    """An empty folder is as good as none: nothing can be lost, and a rename replaces it."""
+    if path.is_dir() and not path.is_symlink():
+        return any(path.iterdir())
+    return path.exists() or path.is_symlink()
+
+
+def refuse_to_lose(out: Path, *, overwrite: bool) -> None:
+    """Raise InputError unless what is at `out` is a result, and may be overwritten."""
+    if not overwrite:
+        raise InputError(f"{out}: already exists; choose another --out, or replace an earlier result with --overwrite")
+    if out.is_symlink() or not out.is_dir() or not (out / LOG_FILE).is_file():
+        raise InputError(f"{out}: exists and is no result of an earlier scan, so it is not overwritten")
+    foreign = sorted(path.name for path in out.iterdir() if path.name not in _OURS)
+    if foreign:
+        raise InputError(f"{out}: is not overwritten, because it holds what no scan has written: {', '.join(foreign)}")

@@ -1,0 +1,143 @@
+"""A folder that is being made: who makes it, how far it has come, and what becomes of it if that is broken off.
+
+`.NAME.partial` beside NAME holds what is written for NAME. The file `STATE` in it says how far that is, and is locked
+by the process that writes; a state that nobody holds was left behind by one that was killed. It is removed last of all,
+so that every moment in between can be told:
+
+    .NAME.partial, state 'live' or 'made'        not whole; of a live capture the frames are worth keeping
+    .NAME.partial, state 'whole' or 'replacing'  whole, and not yet in its place
+    NAME with a state                            in its place; an older result may be left, in .NAME.partial, which is
+                                                 where the exchange puts it, or in .NAME.replaced, on its way out
+"""
+
+import fcntl
+import os
+import shutil
+from contextlib import suppress
+from enum import StrEnum
+from pathlib import Path
+
+from scanner.errors import InputError
+from scanner.io import exchange, sync
+
+STATE = ".scan-unfinished"
+_PARTIAL, _REPLACED = ".partial", ".replaced"
+
+
+class State(StrEnum):
+    """How far it has come; `REPLACING` is whole and takes the place of an older result."""
+
+    LIVE = "live"
+    MADE = "made"
+    WHOLE = "whole"
+    REPLACING = "replacing"
+
+
+class HeldError(InputError):
+    """Another process is making the same."""
+
+
+def partial_of(out: Path) -> Path:
+    """Where `out` is written before it is whole."""
+    return out.with_name(f".{out.name}{_PARTIAL}")
+
+
+def target_of(partial: Path) -> Path:
+    """What a folder of that kind becomes."""
+    return partial.with_name(partial.name[1 : -len(_PARTIAL)])
+
+
+def published_name(folder: Path) -> str:
+    """What a folder will be called that is being made; any other folder's own name."""
+    hidden = folder.name.startswith(".") and folder.name.endswith(_PARTIAL)
+    return target_of(folder).name if hidden else folder.name
+
+
+def is_held(out: Path) -> bool:
+    """Whether a process that is alive is making `out`."""
+    state = partial_of(out) / STATE
+    if not state.is_file():
+        return False
+    try:
+        Claim(state).release()
+    except (HeldError, OSError):
+        return True
+    return False
+
+
+class Claim:
+    """The lock on a state file, held until `release`. Raises HeldError if another process has it, OSError."""
+
+    def __init__(self, path: Path, *, make: bool = False) -> None:
+        self.path = path
+        self._file = os.open(path, os.O_RDWR | (os.O_CREAT if make else 0), 0o644)
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = self._words()[1:]
+            if make and not holder and not isinstance(error, BlockingIOError):
+                return  # a file system without locks, where nobody is at work
+            os.close(self._file)
+            by = f" (process {holder[0]})" if holder else ""
+            raise HeldError(
+                f"another scan is writing there now{by}: wait for it, or choose another --out; if there is none, "
+                f"remove {path.parent}"
+            ) from error
+
+    @property
+    def state(self) -> State | None:
+        """What it says; None where that was not written any more."""
+        words = self._words()
+        return State(words[0]) if words and words[0] in list(State) else None
+
+    def say(self, state: State) -> None:
+        """Write the state, all of it or nothing. Raises OSError."""
+        os.pwrite(self._file, f"{state:<9} {os.getpid():<10}\n".encode(), 0)
+        os.fsync(self._file)
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the file that is locked is still the one of that name."""
+        with suppress(OSError):
+            return self.path.stat().st_ino == os.fstat(self._file).st_ino
+        return False
+
+    def release(self) -> None:
+        """Let others have it."""
+        with suppress(OSError):
+            os.close(self._file)
+
+    def _words(self) -> list[str]:
+        return os.pread(self._file, 64, 0).decode("ascii", "replace").split()
+
+
+def publish(partial: Path, out: Path) -> None:
+    """Let a whole folder take its place, and what is there go. Raises OSError."""
+    if not out.exists() or not exchange(partial, out):
+        if out.exists():
+            out.rename(_older(out))
+        partial.rename(out)
+    _tidy(out)
+
+
+def finish_publishing(out: Path) -> None:
+    """What a killed process had left to do when its result was in its place. Raises HeldError, OSError."""
+    if (out / STATE).is_file() and not out.is_symlink():
+        claim = Claim(out / STATE)
+        try:
+            _tidy(out)
+        finally:
+            claim.release()
+
+
+def _tidy(out: Path) -> None:
+    sync(out.parent)
+    partial = partial_of(out)
+    if partial.exists() and not (partial / STATE).exists():
+        partial.rename(_older(out))
+    shutil.rmtree(_older(out), ignore_errors=True)
+    (out / STATE).unlink()
+
+
+def _older(out: Path) -> Path:
+    return out.with_name(f".{out.name}{_REPLACED}")

@@ -1,0 +1,66 @@
+"""Points that the operator clicks on, and what they measure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Floats
+from scanner.measuring import angle_at, angle_cells, distance_between
+from scanner.quantities import shown_unit
+from scanner.viewing.result import CaptureCloud
+
+# How far beside the ray of a click a point may be, as an angle: about eight pixels of a window.
+_REACH_RAD = 0.008
+# Of two points within reach the nearer one is meant, unless it is as good as beside the other.
+_SAME_DEPTH = 0.02
+_MOST = 3
+
+
+def point_at(points: Floats, origin: Floats, direction: Floats) -> int | None:
+    """The number of the point (N, 3) that a ray from `origin` (3,) meets first; None if it passes all by."""
+    towards = direction / np.linalg.norm(direction)
+    apart = points - origin
+    depth = apart @ towards
+    beside = np.sqrt(np.maximum(np.einsum("ni,ni->n", apart, apart) - depth**2, 0.0))
+    within = np.flatnonzero((depth > 0) & (beside <= _REACH_RAD * depth))
+    if not len(within):
+        return None
+    front = within[depth[within] <= (1 + _SAME_DEPTH) * depth[within].min()]
+    return int(front[np.argmin(beside[front] / depth[front])])
+
+
+@dataclass(frozen=True)
+class Picked:
+    """Points of a cloud in the order of the clicks, by number."""
+
+    cloud: CaptureCloud
+    points: tuple[int, ...] = ()
+
+    def with_point(self, point: int) -> "Picked":
+        """One more; after three, or at one that is there, it begins anew with this one."""
+        begins = len(self.points) == _MOST or point in self.points
+        return Picked(self.cloud, (point,) if begins else (*self.points, point))
+
+    @property
+    def places(self) -> Floats:
+        """Where they are in the cloud's frame, (n, 3)."""
+        return self.cloud.points[[*self.points]].reshape(-1, 3)
+
+    def told(self) -> str:
+        """What they measure, in words (Markdown)."""
+        scan, scene, shown = self.cloud.scan, self.cloud.scene, shown_unit(self.cloud.unit)
+        match self.points:
+            case ():
+                return "Click on a point of the cloud; on two for a distance, on three for the angle at the second."
+            case (one,):
+                x, y, z = (shown.number(value) for value in scan.points[one])
+                column, row = scan.pixel[one]
+                return f"Camera pixel ({column}, {row}): x {x}, y {y}, z {z} {shown.name}"
+            case (first, second):
+                distance = distance_between(scan, scene, (first, second))
+                sigma = distance.budget.sigma if distance.budget else None
+                return f"Distance: **{shown.length(distance.distance, sigma)}**"
+            case (first, second, third):
+                angle, sigma_cell = angle_cells(angle_at(scan, scene, (first, second, third)))
+                return f"Angle: **{angle} {sigma_cell}**"
+        raise ValueError(f"{len(self.points)} points measure nothing")

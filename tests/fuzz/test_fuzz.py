@@ -1,0 +1,44 @@
+"""A few inputs for every reader; `make fuzz` is the same for hours, with an eye on memory and time."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.runner import HANG_S, fuzz
+from tests.fuzz.targets import PLANTED, TARGETS, RejectedError, rng_of
+
+_SLOW = {"calibrating": 4, "results": 6, "capture": 20}
+_INPUTS = 60
+_SEED = 2026
+
+
+@pytest.mark.filterwarnings("ignore")  # as in the program, where they go to the log
+@pytest.mark.parametrize("target", TARGETS)
+def test_whatever_is_read_ends_in_a_result_or_in_one_of_our_errors(target: str, tmp_path: Path) -> None:
+    run, rejected = TARGETS[target](tmp_path), 0
+    inputs = _SLOW.get(target, _INPUTS)
+    for number in range(inputs):
+        try:
+            run(rng_of(_SEED, number))
+        except RejectedError:
+            rejected += 1
+    assert rejected > 0
+
+
+@pytest.mark.parametrize(
+    ("planted", "found"),
+    [("wrong", "KeyError in targets.py"), ("forever", "hang"), ("memory", "memory"), ("death", "died: exit code 3")],
+)
+def test_what_must_not_be_is_found(planted: str, found: str) -> None:
+    assert planted in PLANTED
+    outcome = fuzz(planted, seed=0, inputs=2, seconds=120, hang_s=0.5 if planted == "forever" else HANG_S)
+    assert outcome.inputs == 2
+    assert [finding.what.startswith(found) for finding in outcome.findings] == [True]
+    assert sum(outcome.kinds.values()) == 2
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("target", "seed", "number"), [("calibrating", 3, 548)])  # no answer beside the best one
+def test_what_was_found_once_is_refused(target: str, seed: int, number: int, tmp_path: Path) -> None:
+    with pytest.raises(RejectedError):
+        TARGETS[target](tmp_path)(rng_of(seed, number))

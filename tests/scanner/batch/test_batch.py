@@ -1,0 +1,195 @@
+"""Batches of small captures, on workers of this machine and of a scheduler: what becomes of each, and of all."""
+
+import csv
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+
+from scanner.batch import running as running_module
+from scanner.batch.cluster import ClusterOptions, client_of, described
+from scanner.batch.listing import Asked, list_jobs
+from scanner.batch.rows import OF_THE_RUN
+from scanner.batch.running import CSV, PAGE, TABLE, run_batch
+from scanner.commands.main import main
+from scanner.io.calibration_file import read_calibration
+from scanner.ui.terminal import Terminal
+from tests.support.deadly_work import deadly_work
+from tests.support.places import ROOT
+
+pytestmark = pytest.mark.xdist_group("batch")
+
+CONFIG = """
+rig: {backend: simulated, seed: 0, furniture: false, interreflection: false, ambient: 0}
+camera: {width: 306, height: 256, principal_point: {known: [157.04, 131.79]}}
+projector: {width: 214, height: 120}
+sequence: {preset: quick}
+corner: {squareness_deg: 0}
+"""
+QUIET = Terminal(quiet=True)
+
+
+@pytest.fixture(scope="module")
+def museum(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two captures of a room, a dark one that is refused, one whose frame is missing, and the configuration."""
+    folder = tmp_path_factory.mktemp("museum")
+    (folder / "room.yaml").write_text(CONFIG)
+    scans = folder / "scans"
+    assert main(["--config", str(folder / "room.yaml"), "--out", str(scans / "one"), "--quiet"]) == 0
+    assert (
+        main(
+            [
+                "--config",
+                str(folder / "room.yaml"),
+                "--set",
+                "rig.exposure_us=1000",
+                "--out",
+                str(scans / "dark"),
+                "--quiet",
+            ]
+        )
+        == 4
+    )
+    captures = folder / "captures"
+    for name, source in (("hall/one", "one"), ("hall/two", "one"), ("dark", "dark"), ("broken", "one")):
+        shutil.copytree(scans / source / "capture", captures / name)
+    (captures / "broken" / "frames" / "003.png").unlink()
+    return folder
+
+
+def rows_of(out: Path) -> dict[str, dict[str, str]]:
+    with (out / CSV).open(encoding="utf-8") as file:
+        return {row["name"]: row for row in csv.DictReader(file)}
+
+
+def timeless(out: Path) -> list[tuple[object, ...]]:
+    table = pyarrow.parquet.read_table(out / TABLE).drop_columns([*OF_THE_RUN, "result"])
+    return [tuple(row.items()) for row in table.to_pylist()]
+
+
+def test_a_batch_from_the_command_line(museum: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, captures = tmp_path / "out", str(museum / "captures")
+    command = ["batch", captures, "--config", str(museum / "room.yaml"), "--out", str(out), "--workers", "2"]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    for words in (
+        "2 workers of ",
+        "GiB each; Dask's dashboard: http://127.0.0.1:",
+        "4 captures (0 of them done before)",
+    ):
+        assert words in said
+    assert "2 with exit code 0, 1 with exit code 2, 1 with exit code 4" in said
+    rows = rows_of(out)
+    assert {name: (row["exit_code"], row["grade"]) for name, row in rows.items()} == {
+        "broken": ("2", ""),
+        "dark": ("4", "refused"),
+        "hall/one": ("0", "fair"),
+        "hall/two": ("0", "fair"),
+    }
+    assert "frames/003.png' is missing" in rows["broken"]["reason"]
+    found = read_calibration(out / "results/hall/one/calibration.yaml")
+    assert float(rows["hall/one"]["camera_focal_px"]) == found.camera.focal_px[0]
+    assert not (out / "results/hall/one/capture").exists()
+    assert (out / "results/dark/refused.yaml").is_file()
+    page = (out / PAGE).read_text(encoding="utf-8")
+    for name in ("hall/one", "dark"):
+        assert f'href="results/{name}/report.html"' in page
+        assert (out / "thumbnails" / f"{name}.jpg").stat().st_size > 500
+
+    before = {path: path.stat().st_mtime_ns for path in (out / "results").rglob("*")}
+    assert main(command) == 0
+    assert "4 captures (4 of them done before)" in capsys.readouterr().out
+    assert before == {path: path.stat().st_mtime_ns for path in (out / "results").rglob("*")}
+
+
+def test_what_ends_its_worker_fails_alone(museum: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    captures, out = tmp_path / "captures", tmp_path / "out"
+    for name in ("a", "b-poison", "c-once", "d"):
+        shutil.copytree(museum / "captures" / "hall" / "one", captures / name)
+    out.mkdir()
+    jobs = list_jobs([str(captures)], Asked(museum / "room.yaml"))
+    monkeypatch.setattr(running_module, "work", deadly_work)
+    with client_of(ClusterOptions(workers=2)) as client:
+        found = run_batch(jobs, str(out), lambda: client, QUIET)
+        assert [(row.name, row.exit_code) for row in found.rows] == [
+            ("a", 0),
+            ("b-poison", 70),
+            ("c-once", 0),
+            ("d", 0),
+        ]
+        assert (
+            found.rows[1].reason
+            == "the processes that worked on it were killed: out of memory, or a crash in a library"
+        )
+        # It is not tried again, unless that is asked for.
+        assert run_batch(jobs, str(out), None, QUIET).kept == 4
+        monkeypatch.undo()
+        again = run_batch(jobs, str(out), lambda: client, QUIET, retry=True)
+    assert (again.kept, [row.exit_code for row in again.rows]) == (3, [0, 0, 0, 0])
+
+
+@contextmanager
+def started(*command: str) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen([sys.executable, "-m", *command], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_another_scheduler_comes_to_the_same_table(museum: Path, tmp_path: Path) -> None:
+    jobs = list_jobs([str(museum / "captures")], Asked(museum / "room.yaml"))
+    with client_of(ClusterOptions(workers=1)) as client:
+        run_batch(jobs, str(tmp_path / "here"), lambda: client, QUIET)
+    file = tmp_path / "scheduler.json"
+    scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+    with started(*scheduler, "--no-dashboard"):
+        worker = ("distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-dashboard")
+        with started(*worker) as first, started(*worker) as second:
+            from distributed import Client
+
+            with Client(scheduler_file=str(file), timeout=60) as known:
+                known.wait_for_workers(2, timeout=120)
+                address = known.scheduler.address
+            with client_of(ClusterOptions(address)) as client:
+                assert described(client).startswith("2 workers of ")
+                run_batch(jobs, str(tmp_path / "there"), lambda: client, QUIET)
+            assert first.poll() is second.poll() is None
+    assert timeless(tmp_path / "here") == timeless(tmp_path / "there")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--scheduler", "tcp://127.0.0.1:9"), "no Dask scheduler answers"),
+        (("--scheduler", "tcp://127.0.0.1:9", "--workers", "2"), "give one of them"),
+        (("--workers", "0"), "expected 1 or more"),
+        (("--calibration", "nothing.yaml"), "nothing.yaml: cannot be read"),
+    ],
+)
+def test_mistakes_are_messages(
+    museum: Path,
+    tmp_path: Path,
+    arguments: tuple[str, ...],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("scanner.batch.cluster._REACHED_WITHIN_S", 1)
+    assert main(["batch", str(museum / "captures"), "--out", str(tmp_path / "out"), *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_dask_it_says_what_to_install(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert main(["batch", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+    assert "pip install '.[batch]'" in capsys.readouterr().err

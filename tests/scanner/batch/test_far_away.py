@@ -1,0 +1,78 @@
+"""Batches whose captures and results are elsewhere: in memory, and in a bucket of an S3 server on loopback."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import fsspec
+import pytest
+
+from calib.numerics.parallel import use_processors
+from scanner.batch.listing import Asked, list_jobs
+from scanner.batch.place import Place
+from scanner.batch.running import run_batch
+from scanner.commands.main import main
+from scanner.ui.terminal import Terminal
+from tests.scanner.batch.test_batch import CONFIG
+
+pytestmark = pytest.mark.xdist_group("batch")
+
+QUIET = Terminal(quiet=True)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("far")
+    (folder / "room.yaml").write_text(CONFIG)
+    assert main(["--config", str(folder / "room.yaml"), "--out", str(folder / "one"), "--quiet"]) == 0
+    return folder / "one"
+
+
+@pytest.fixture
+def bucket() -> Iterator[str]:
+    server_of = pytest.importorskip("moto.server", reason="an S3 server for tests")
+    pytest.importorskip("s3fs", reason="s3:// needs s3fs")
+    server = server_of.ThreadedMotoServer(port=0)
+    server.start()
+    host, port = server.get_host_and_port()
+    before = dict(fsspec.config.conf)
+    fsspec.config.conf["s3"] = {"endpoint_url": f"http://{host}:{port}", "key": "test", "secret": "test"}
+    system, _ = fsspec.url_to_fs("s3://museum")
+    system.mkdir("museum")
+    yield "s3://museum"
+    fsspec.config.conf.clear()
+    fsspec.config.conf.update(before)
+    server.stop()
+
+
+@pytest.fixture
+def memory() -> Iterator[str]:
+    yield "memory://museum"
+    fsspec.filesystem("memory").store.clear()
+
+
+@pytest.mark.parametrize("where", ["memory", "bucket"])
+def test_captures_and_results_elsewhere(where: str, result: Path, request: pytest.FixtureRequest) -> None:
+    from distributed import Client
+
+    root = request.getfixturevalue(where)
+    system, path = fsspec.url_to_fs(root)
+    system.put(f"{result / 'capture'}/", f"{path}/captures/hall/one/", recursive=True)
+    system.pipe_file(f"{path}/captures/broken/capture.yaml", b"format: 1")
+    jobs = list_jobs([f"{root}/captures"], Asked(result.parent / "room.yaml"))
+    assert [(job.name, job.capture) for job in jobs] == [
+        ("broken", f"{root.replace('memory://', 'memory:///')}/captures/broken"),
+        ("hall/one", f"{root.replace('memory://', 'memory:///')}/captures/hall/one"),
+    ]
+    # Threads of this process: what is in its memory is in no other.
+    with Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None) as client:
+        found = run_batch(jobs, f"{root}/out", lambda: client, QUIET)
+    use_processors(os.cpu_count() or 1)
+    assert [(row.name, row.exit_code) for row in found.rows] == [("broken", 2), ("hall/one", 0)]
+    for name in ("index.html", "batch.csv", "batch.parquet", "rows/hall/one.json", "thumbnails/hall/one.jpg"):
+        assert len((Place(root) / "out" / name).read()) > 100
+    delivered = Place(root) / "out/results/hall/one"
+    assert {Path(file).name for file in system.find(f"{path}/out/results/hall/one")} >= {"cloud.ply", "report.html"}
+    local = (result / "calibration.yaml").read_text().partition("made:")[0]
+    assert (delivered / "calibration.yaml").read().decode().startswith(local)
+    assert run_batch(jobs, f"{root}/out", None, QUIET).kept == 2

@@ -1,0 +1,115 @@
+"""Which captures a batch consists of."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scanner.batch.listing import Asked, list_jobs
+from scanner.batch.rows import Row
+from scanner.errors import InputError
+
+
+def capture(folder: Path) -> Path:
+    (folder / "frames").mkdir(parents=True)
+    (folder / "capture.yaml").write_text("format: 1")
+    (folder / "frames" / "capture.yaml").write_text("no capture: frames are not looked into")
+    return folder
+
+
+@pytest.fixture
+def museum(tmp_path: Path) -> Path:
+    for name in ("hall/b", "hall/a", "vase/capture", "yard"):
+        capture(tmp_path / "museum" / name)
+    return tmp_path / "museum"
+
+
+def test_every_capture_below_a_folder_by_its_path_in_it(museum: Path) -> None:
+    jobs = list_jobs([str(museum)], Asked())
+    assert [job.name for job in jobs] == ["hall/a", "hall/b", "vase", "yard"]
+    assert [Path(job.capture) for job in jobs] == [
+        museum / name for name in ("hall/a", "hall/b", "vase/capture", "yard")
+    ]
+
+
+def test_a_capture_itself_and_names_with_stars(museum: Path) -> None:
+    assert [job.name for job in list_jobs([str(museum / "yard")], Asked())] == ["yard"]
+    assert [job.name for job in list_jobs([str(museum / "h*" / "*")], Asked())] == ["a", "b"]
+
+
+def test_captures_of_the_same_name_are_told_apart_and_none_is_there_twice(museum: Path) -> None:
+    capture(museum / "other" / "a")
+    jobs = list_jobs([str(museum / "hall"), str(museum / "other"), str(museum / "hall" / "a")], Asked())
+    assert [(job.name, Path(job.capture).parent.name) for job in jobs] == [
+        ("a", "hall"),
+        ("a-2", "other"),
+        ("b", "hall"),
+    ]
+
+
+def test_a_list_says_what_is_asked_of_each(museum: Path) -> None:
+    (museum / "rig.yaml").write_text("corner: {squareness_deg: 0.1}\n")
+    (museum / "known.yaml").write_text("text of a calibration")
+    (museum / "list.csv").write_text(
+        "capture,name,config,calibration,set\n"
+        "hall/a,first,rig.yaml,,\n"
+        f"{museum}/hall/b,,,known.yaml,\n"
+        "yard,,rig.yaml,,corner.squareness_deg=0.2; method=paper\n"
+    )
+    b, first, yard = list_jobs([str(museum / "list.csv")], Asked(overrides=("method=refined",)))
+    assert (first.name, first.config.corner.squareness_deg, first.calibration) == ("first", 0.1, None)
+    assert (b.name, b.config.corner.squareness_deg, b.calibration) == ("b", 0.3, "text of a calibration")
+    assert (yard.name, yard.config.corner.squareness_deg, yard.config.method) == ("yard", 0.2, "paper")
+
+
+def test_what_is_asked_is_recognised_and_changes_with_everything_that_matters(museum: Path) -> None:
+    plain = list_jobs([str(museum)], Asked())
+    assert [job.asked for job in list_jobs([str(museum)], Asked())] == [job.asked for job in plain]
+    (museum / "known.yaml").write_text("text")
+    for other in (Asked(overrides=("method=paper",)), Asked(calibration=museum / "known.yaml")):
+        changed = list_jobs([str(museum)], other)
+        assert not {job.asked for job in changed} & {job.asked for job in plain}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name\nx\n", "'capture' at least"),
+        ("capture,colour\nhall/a,red\n", "found capture, colour"),
+        ("capture,name\n,x\n", "line 2: no capture is named"),
+        ("capture,name\nhall/a,../../outside\n", r"expected a name below the results, found '\.\./\.\./outside'"),
+        ("capture,name\nhall/a,/outside\n", "expected a name below the results"),
+        ("capture\n", "found none"),
+        ("capture,set\nhall/a,cornr.same=1\n", "cornr"),
+    ],
+)
+def test_a_malformed_list_is_refused(museum: Path, text: str, message: str) -> None:
+    (museum / "list.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        list_jobs([str(museum / "list.csv")], Asked())
+
+
+@pytest.mark.parametrize("source", ["nothing-there", "nothing-*", "nothing.csv"])
+def test_nothing_to_do_is_an_error(tmp_path: Path, source: str) -> None:
+    (tmp_path / "empty").mkdir()
+    for wanted in (tmp_path / source, tmp_path / "empty"):
+        with pytest.raises(InputError, match=r"none|no such|cannot be read"):
+            list_jobs([str(wanted)], Asked())
+
+
+_numbers = st.none() | st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(st.text(), st.integers(0, 255), st.none() | st.text(), _numbers, st.none() | st.integers(0))
+def test_a_row_is_read_back_as_it_was(
+    name: str, code: int, reason: str | None, residual: float | None, matches: int | None
+) -> None:
+    row = Row(name, "capture", "result", code, reason=reason, residual_px=residual, matches=matches)
+    assert Row.from_json(row.to_json(), "here") == row
+
+
+@pytest.mark.parametrize("data", [b"", b"[]", b"{", b'{"name": "x"}', b"\xff", b"3"])
+def test_what_is_no_row_is_said_to_be_none(data: bytes) -> None:
+    with pytest.raises(InputError, match="here: expected a row"):
+        Row.from_json(data, "here")

@@ -1,0 +1,117 @@
+"""Sequences that stop early, anywhere: what is left decodes, and what is missing is said."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.geometry.calibration import Calibration
+from calib.geometry.camera import Intrinsics
+from scanner.decoding.decoder import Decoder
+from scanner.decoding.planning import plan_sequence
+from scanner.decoding.stopped_sequence import usable
+from scanner.errors import InputError
+from scanner.patterns.pattern import Gray, Pattern, Phase, draw, sequence_for
+from scanner.patterns.presets import PRESETS, PresetName
+
+SIZE = (214, 120)
+STANDARD = PRESETS["standard"].patterns(SIZE)
+FRINGES = next(n for n, pattern in enumerate(STANDARD) if isinstance(pattern, Phase))
+
+
+def sees_itself(patterns: tuple[Pattern | None, ...], shown: tuple[Pattern, ...]) -> np.ndarray:
+    """How far from the truth a camera decodes that sees what the projector shows; of all its matches, (N, 2)."""
+    kept = tuple(pattern for pattern in patterns if pattern is not None)
+    decoder = Decoder(kept, SIZE)
+    noise = np.random.default_rng(0)
+    for decoded_as, pattern in zip(patterns, shown, strict=False):
+        if decoded_as is not None:
+            level = 20 + 0.6 * draw(pattern, SIZE) + noise.normal(0, 0.7, SIZE[::-1])
+            decoder.add(np.rint(level).astype(np.uint8))
+    matches = decoder.finish().matches
+    return matches.projector_px - matches.camera_px
+
+
+@given(name=st.sampled_from(sorted(PRESETS)), share=st.floats(0, 1), exposures=st.integers(1, 3))
+def test_whatever_is_left_is_a_sequence_or_said_to_be_none(name: PresetName, share: float, exposures: int) -> None:
+    planned = tuple(pattern for pattern in PRESETS[name].patterns(SIZE) for _ in range(exposures))
+    taken = planned[: round(share * len(planned))]
+    found, said = None, ""
+    try:
+        found = usable(taken, planned, SIZE)
+    except InputError as error:
+        said = str(error)
+    if found is None:
+        assert "Missing or left out: bits" in said
+        assert not any(pattern.axis == "y" and pattern.bit > 1 for pattern in taken if isinstance(pattern, Gray))
+        return
+    assert len(found.patterns) == len(taken)
+    kept = [pattern for pattern in found.patterns if pattern is not None]
+    plan = plan_sequence(kept[::exposures], SIZE)
+    assert len(kept) == exposures * len(plan.shown)
+    assert (found.words == "") == (len(taken) == len(planned))
+    finest = max(plan.x.cell, plan.y.cell)
+    assert finest == 8 or f"cells of {finest:g} projector px" in found.words
+
+
+def test_more_frames_are_worth_more() -> None:
+    """From cells, each of them one match at the middle of the pixels that see it, to fringes that each pixel has."""
+    found = []
+    for count in (FRINGES - 4, FRINGES, FRINGES + 4, FRINGES + 8, len(STANDARD)):
+        off = sees_itself(usable(STANDARD[:count], STANDARD, SIZE).patterns, STANDARD)
+        found.append((len(off), float(np.abs(off).max())))
+    (cut_short, _), coded, begun, (one_fringe, error), (whole, least) = found
+    assert 27 * 2 <= cut_short <= 27 * 4  # cells of 32 px along y
+    assert begun == coded
+    assert 27 * 13 < coded[0] <= 27 * 15
+    assert coded[1] < 0.1
+    assert 0.9 < one_fringe / (SIZE[0] * SIZE[1]) <= 1
+    assert 0.9 < whole / one_fringe < 1.1
+    assert 0.01 < least < 1.1 * error < 0.5
+
+
+def test_what_an_incomplete_fringe_leaves_is_told() -> None:
+    words = usable(STANDARD[: FRINGES + 10], STANDARD, SIZE).words
+    assert f"{FRINGES + 10} of its {len(STANDARD)} frames were taken" in words
+    assert "the fringes along x of 6.7 px, the fringes along y of 6.7 px" in words
+    assert "x comes from fringes of 16 px; y comes from fringes of 16 px" in words
+
+
+def test_a_calibration_tells_the_coordinate_that_is_cut_short() -> None:
+    found = usable(STANDARD[: FRINGES - 4], STANDARD, SIZE, calibrated=True)
+    assert "y follows from the calibration" in found.words
+    assert {pattern.axis for pattern in found.patterns if isinstance(pattern, Gray)} == {"x"}
+    # The fringe along y is whole, and that along x is not.
+    found = usable(STANDARD[: FRINGES + 7], STANDARD, SIZE, calibrated=True)
+    assert {pattern.axis for pattern in found.patterns if isinstance(pattern, Phase)} == {"y"}
+    assert "x follows from the calibration" in found.words
+    device = Intrinsics(*SIZE, (200.0, 200.0), (107.0, 60.0))
+    known = Calibration(device, device, np.eye(3), np.array([0.3, 1.0, 0.0]))
+    Decoder([pattern for pattern in found.patterns if pattern is not None], SIZE, known)
+
+
+def test_the_finest_bits_of_another_programs_capture_may_be_missing() -> None:
+    whole = sequence_for(SIZE, cell=1, shifts=0)
+    without = tuple(pattern for pattern in whole if not (isinstance(pattern, Gray) and pattern.bit >= 6))
+    found = usable(without, (), SIZE)
+    assert "bits 6, 7 of the Gray code along x" not in found.words  # nobody has said that there were any
+    assert "x is known to cells of 4 projector px (± 1.2 px); y is known to cells of 2 projector px" in found.words
+    off = sees_itself(found.patterns, without)
+    assert 0.9 < len(off) / (54 * 60) <= 1
+    assert np.abs(off).max() < 0.1
+
+
+@pytest.mark.parametrize(("preset", "fringes"), [("standard", 16), ("quick", 0)])
+def test_a_bit_that_is_missing_in_the_middle_leaves_those_before_it(preset: PresetName, fringes: int) -> None:
+    """Two periods tell within longer cells, too, which of their cycles it is; one period does not."""
+    whole = PRESETS[preset].patterns(SIZE)
+    left = tuple(p for p in whole if not (isinstance(p, Gray) and (p.axis, p.bit) == ("x", 2)))
+    found = usable(left, (), SIZE)
+    assert {p.bits for p in found.patterns if isinstance(p, Gray) and p.axis == "x"} == {2}
+    assert sum(isinstance(pattern, Phase) for pattern in found.patterns) == fringes
+    assert ("x is known to cells of 64 projector px" in found.words) == (fringes == 0)
+
+
+def test_what_nothing_can_be_made_of_is_said_as_ever() -> None:
+    with pytest.raises(InputError, match=r"the Gray code along x \(cell 8, offset 0\) has 5 bits, but no frame shows"):
+        usable(STANDARD[:4], (), SIZE)

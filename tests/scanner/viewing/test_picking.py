@@ -1,0 +1,86 @@
+"""What is clicked on, and what it measures, against the scene that the cloud was made from."""
+
+import numpy as np
+import pytest
+
+from scanner.viewing.picking import Picked, point_at
+from scanner.viewing.result import CaptureCloud, ViewedResult
+from tests.support.result_folder import Written, write_result
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+    return write_result(tmp_path_factory.mktemp("picking") / "room")
+
+
+@pytest.fixture(scope="module")
+def cloud(written: Written) -> CaptureCloud:
+    shown = ViewedResult(written.folder).cloud("The capture")
+    assert isinstance(shown, CaptureCloud)
+    return shown
+
+
+def test_a_ray_through_a_point_finds_it_from_anywhere(cloud: CaptureCloud) -> None:
+    random = np.random.default_rng(0)
+    eye = np.array([0.3, -0.2, -0.5])
+    for number in random.integers(0, len(cloud.points), 50):
+        direction = cloud.points[number] - eye
+        found = point_at(cloud.points, eye, 7.0 * direction)
+        assert found is not None
+        # What is seen from there is this point, or one before it that hides it.
+        depth = np.linalg.norm(cloud.points[found] - eye) / np.linalg.norm(direction)
+        assert found == number or depth < 0.99
+
+
+def test_a_ray_beside_everything_finds_nothing(cloud: CaptureCloud) -> None:
+    assert point_at(cloud.points, np.zeros(3), np.array([0.0, 0.0, -1.0])) is None
+    assert point_at(cloud.points[:0], np.zeros(3), np.array([0.0, 0.0, 1.0])) is None
+
+
+def _true_points(written: Written, cloud: CaptureCloud) -> np.ndarray:
+    grid = np.full((*written.scene.texture.shape[:2], 3), np.nan)
+    column, row = np.rint(written.scene.matches.camera_px).astype(int).T
+    grid[row, column] = written.scene.points
+    return grid[cloud.scan.pixel[:, 1], cloud.scan.pixel[:, 0]]
+
+
+def _some(cloud: CaptureCloud, count: int) -> np.ndarray:
+    """Points of faces, by number, spread widely."""
+    on_faces = np.flatnonzero(np.asarray(cloud.matches.face) >= 0)
+    return np.random.default_rng(1).choice(on_faces, (100, count))
+
+
+def test_angles_err_by_their_sigma(written: Written, cloud: CaptureCloud) -> None:
+    true = _true_points(written, cloud)
+    errors = []
+    for first, second, third in _some(cloud, 3):
+        picked = Picked(cloud).with_point(first).with_point(second).with_point(third)
+        angle, sigma = (
+            float(word.strip("°*").replace("−", "-")) for word in picked.told().split() if word[0] in "*0123456789"
+        )
+        a, b = true[first] - true[second], true[third] - true[second]
+        truth = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+        errors.append((angle - truth) / sigma)
+    assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.25
+
+
+def test_two_points_are_a_distance_with_its_sigma(written: Written, cloud: CaptureCloud) -> None:
+    true = _true_points(written, cloud)
+    errors = []
+    for first, second in _some(cloud, 2):
+        words = Picked(cloud, (first, second)).told().strip("*").split()
+        assert (words[0], words[2], words[4]) == ("Distance:", "±", "mm")
+        truth = 1000 * np.linalg.norm(true[first] - true[second])
+        errors.append((float(words[1].strip("*")) - truth) / float(words[3]))
+    assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.25
+
+
+def test_after_three_points_it_begins_anew(cloud: CaptureCloud) -> None:
+    picked = Picked(cloud)
+    assert picked.told().startswith("Click on a point")
+    assert picked.places.shape == (0, 3)
+    for number, expected in ((5, (5,)), (9, (5, 9)), (70, (5, 9, 70)), (11, (11,)), (12, (11, 12)), (11, (11,))):
+        picked = picked.with_point(number)
+        assert picked.points == expected
+    assert picked.told().startswith("Camera pixel (")
+    assert picked.places.shape == (1, 3)

@@ -1,0 +1,78 @@
+"""Run a command on the loopback rig: start a virtual screen and a camera that sees it, then the command.
+
+    python tools/on_loopback.py scan --config configs/room-loopback.yaml --out scans/room-loopback --overwrite
+    python tools/on_loopback.py scan check --config configs/room-loopback.yaml
+    python tools/on_loopback.py --latency-ms 120 scan console --config configs/room-loopback.yaml
+
+The command is the one that a real rig is used with. After a scan the truth is written into its result.
+"""
+
+import os
+import subprocess
+import sys
+from argparse import REMAINDER, ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from pathlib import Path
+
+from hw.errors import DeviceError
+from hw.loopback.launcher import loopback_rig
+from hw.loopback.settings import Conditions, LoopbackSettings
+from hw.settings import SimulatedRigSettings
+from hw.simulated.simulation import place_room
+from hw.simulated.truth import true_calibration
+from scanner.commands.arguments import NAMED
+from scanner.configuration import load_config
+from scanner.io import read_calibration, write_calibration
+from scanner.quantities import truth_line
+from scanner.results import CALIBRATION_FILE, TRUTH_FILE
+
+
+def main() -> int:
+    """Run the command; returns its exit code."""
+    options = _parser().parse_args()
+    program, *command = options.command or [""]
+    given = _options_of(command)
+    if program != "scan" or given.config is None:
+        print("expected a command such as: scan check --config configs/room-loopback.yaml", file=sys.stderr)
+        return 2
+    config = load_config(given.config)
+    settings = LoopbackSettings(
+        camera_size=config.camera_size,
+        room=SimulatedRigSettings(seed=options.seed),
+        conditions=Conditions(latency_ms=options.latency_ms, lost_packets=options.lost_packets),
+    )
+    try:
+        with loopback_rig(settings, config.projector_size):
+            code = subprocess.run([sys.executable, "-m", "scanner", *command], check=False).returncode
+    except DeviceError as error:
+        print(error, file=sys.stderr)
+        return 3
+    except KeyboardInterrupt:  # the command has had it, too, and said so
+        return 130
+    if code == 0 and given.out and command[0] not in NAMED:
+        truth = true_calibration(place_room(settings.room, config.camera_size, config.projector_size))
+        if truth is not None:
+            write_calibration(given.out / TRUTH_FILE, truth)
+            print(truth_line(read_calibration(given.out / CALIBRATION_FILE), truth))
+    return code
+
+
+def _parser() -> ArgumentParser:
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter, allow_abbrev=False)
+    parser.add_argument("--seed", type=int, default=0, help="of the room (default: 0)")
+    parser.add_argument("--latency-ms", type=float, default=50.0, help="of the projector's light (default: 50)")
+    parser.add_argument("--lost-packets", type=float, default=0.0, help="share of the camera's packets (default: 0)")
+    parser.add_argument("command", nargs=REMAINDER, metavar="scan ...", help="any command with --config FILE")
+    return parser
+
+
+def _options_of(command: list[str]) -> Namespace:
+    """What of the command's own options matters here."""
+    parser = ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config", type=Path)
+    parser.add_argument("--out", type=Path)
+    return parser.parse_known_args(command)[0]
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    sys.exit(main())
