@@ -29,7 +29,7 @@ from calib.refusal import RefusalError
 FEWEST_VIEWS = 3
 _USEFUL_SIGMA = 0.03  # of a focal length
 _HOPELESSLY_PARALLEL_DEG = 5.0  # what is not quite right with a print or a lens then tells more than the perspective
-_USEFUL_RAY = 0.002  # of a picture's longer side, anywhere that both devices see
+_USEFUL_RAY = 0.0025  # of a picture's longer side, anywhere that both devices see
 _CLEARLY_WORSE = 9.0  # in cost
 _WALK_SIGMAS, _NEARLY_PARABOLIC = 2.0, 1.2
 # What a spread must fall below to be named as a reason.

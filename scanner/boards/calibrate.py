@@ -63,11 +63,11 @@ class FromBoards:
 
 def calibrate_captures(recordings: Sequence[Recording], target: Target, progress: Progress) -> FromBoards:
     """Decode, find the board, calibrate. Raises InputError if no capture has the board, RefusalError."""
-    looked = (
-        look(decode(recording.stream(), progress, f"Decoding {name}", name), target, progress)
+    looked = [
+        _look_into(recording, name, target, progress)
         for name, recording in zip(_names(recordings), recordings, strict=True)
-    )
-    return calibrate_seen(list(looked), target, recordings[0].camera_size, recordings[0].projector_size, progress)
+    ]
+    return calibrate_seen(looked, target, recordings[0].camera_size, recordings[0].projector_size, progress)
 
 
 def calibrate_seen(
@@ -95,6 +95,15 @@ def _names(recordings: Sequence[Recording]) -> list[str]:
     longest = max(len(each) for each in parts)
     names = (["/".join(each[-length:]) for each in parts] for length in range(1, longest + 1))
     return next(each for each in names if len(set(each)) == len(each))
+
+
+def _look_into(recording: Recording, name: str, target: Target, progress: Progress) -> Seen | Missing:
+    try:
+        decoded = decode(recording.stream(), progress, f"Decoding {name}", name)
+    except InputError as error:
+        # One bad capture among good ones is left out and named, as one without the board is.
+        return Missing(name, str(error))
+    return look(decoded, target, progress)
 
 
 def look(decoded: Decoded, target: Target, progress: Progress) -> Seen | Missing:

@@ -30,6 +30,8 @@ NOT_RUN = {
     "scan view": "serves until it is stopped",
     "scan photos": "needs two photographs",
     "scan accept": "needs scans of a ball bar",
+    "scan board my-captures": "needs captures of a board",
+    "scan board --config configs/room.yaml": NEED_DEVICES,
     "scan batch": "starts workers; its own tests do",
     "make": "installs packages, or runs for minutes",
     "python": "runs for minutes, or changes files of this repository",
