@@ -32,7 +32,7 @@ def test_a_camera_that_is_coarser_than_the_cells_matches_nearly_all_pixels(scene
 def test_an_undecided_bit_leaves_both_cells_and_a_fine_one_too_coarse_leaves_its_block() -> None:
     plan = plan_sequence((*gray_sequence("x", 64, 1), *gray_sequence("y", 64, 1)), (64, 64))
     numbers = np.array([7, 8, 20, 20], np.uint8)
-    words = numbers ^ numbers >> 1
+    words = (numbers ^ numbers >> 1).astype(np.uint8)
     # 7 and 8 differ in the fourth bit from the end, 20 and 21 in the last one; without two bits 20 … 23 are left.
     undecided = np.array([8, 8, 1, 3], np.uint32)
     interval = interval_of(plan.x, [words], 4, {0: undecided})
