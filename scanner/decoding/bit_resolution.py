@@ -2,8 +2,8 @@
 
 A bit is weak where its contrast is a small part of what the coarse bits have at the same pixel. It then follows
 sharpening, crosstalk and stray light rather than the pattern. Weak bits are left out if that decides more pixels than
-their finer cells are worth, or if without them neighbouring cells are neighbours. Where many pixels lack some bit of
-those that are left, each does with the bits that it has.
+their finer cells are worth, or if without them neighbouring cells are neighbours. Where camera
+pixels are larger than cells, so that most lack some bit of those that are left, each does with the bits that it has.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,6 +15,7 @@ from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators, GrayFold
 from scanner.decoding.axis_decoder import least_contrasts
 from scanner.decoding.checks.code_checks import check_codes
+from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.errors import InputError
 
@@ -23,9 +24,11 @@ from scanner.errors import InputError
 _WEAK = 0.25
 _USUAL = 0.9
 _FEWEST_LIT = 100
-# If fewer of the lit pixels have all bits, each does with what it has: near the edge of its stripe a bit is undecided,
-# and if a pixel sees no more than a cell or two, nearly all are near an edge.
+# If fewer of the lit pixels have all bits, and pixels are larger than cells, each does with what it has: at the edge of
+# its stripe a bit is undecided, and then nearly all are near an edge.
 _MOSTLY = 0.85
+# Cells are counted along so many rows and columns, between pixels so far apart.
+_ROWS, _APART_PX = 128, 16
 
 
 def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
@@ -66,7 +69,24 @@ def _resolved(
     # A cell twice as long is worth a quarter, as its variance is four times as large.
     decided = [float(np.mean(at(one.least)[lit] > certain_from[lit])) for one in folds]
     count = _count_left_out(accumulators, folds, noise, int(np.argmax(np.array(decided) / 4.0 ** np.arange(weak + 1))))
-    return fold.without_finest(count, optional=decided[count] < _MOSTLY), count
+    few = decided[count] < _MOSTLY
+    return fold.without_finest(count, optional=few and _cells_per_pixel(accumulators, fold, noise) > 1), count
+
+
+def _cells_per_pixel(accumulators: Accumulators, fold: GrayFold, noise: NoiseModel) -> float:
+    """How many of the finest cells there are between camera pixels next to each other, in the median."""
+    rows = np.s_[:: max(1, fold.least.shape[0] // _ROWS)]
+    squares = 0.0
+    for image, least, middle in (
+        (fold.words[rows], fold.least[rows], accumulators.middle[rows]),
+        (fold.words.T[rows], fold.least.T[rows], accumulators.middle.T[rows]),
+    ):
+        number = cell_numbers(image).astype(np.float32)
+        certain = least > least_contrasts(noise, middle)[0]
+        both = certain[:, _APART_PX:] & certain[:, :-_APART_PX]
+        apart = np.abs(number[:, _APART_PX:] - number[:, :-_APART_PX])[both]
+        squares += float(np.median(apart)) ** 2 if apart.size else 0.0
+    return float(np.sqrt(squares)) / _APART_PX
 
 
 def _count_left_out(accumulators: Accumulators, folds: Sequence[GrayFold], noise: NoiseModel, fewest: int) -> int:

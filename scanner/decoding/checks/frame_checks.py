@@ -31,9 +31,9 @@ _MOST_LIT = 4000
 # Each frame in a wrong place adds the square of its difference from the right one to the contradictions, twice that if
 # only one other frame contradicts it; undoing an exchange takes away at least this part of it.
 _REPAIRED = 0.5
-# What an exchange leaves of the contradictions, next to others of either frame: of black in brighter light, say, any
-# dark frame in its place leaves as much.
-_MOST_LEFT = 0.5
+# An exchange is none if it leaves so much of the contradictions, and another one of either frame hardly more: of black
+# in brighter light, say, any dark frame in its place takes away as much.
+_MUCH_LEFT, _AS_GOOD = 0.3, 0.9
 _DIFFERENT = 0.02
 _FEWEST_COMPARED = 400
 # Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
@@ -100,7 +100,7 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
             if (before - left) / differ > best and left < otherwise:
                 best, pair = (before - left) / differ, (first, second)
     others = [left for exchange, left in tried.items() if len({*exchange, *pair}) == 3]  # one frame in common
-    if pair not in tried or tried[pair] > _MOST_LEFT * min(others, default=before):
+    if pair not in tried or tried[pair] > max(_MUCH_LEFT * before, _AS_GOOD * min(others, default=before)):
         return ""
     return f"with {plan.names(pair)} exchanged they do"
 

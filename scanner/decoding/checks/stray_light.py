@@ -20,7 +20,7 @@ _FEWEST = 1000
 _MOST_FOR_MATRIX, _MOST_COMPARED = 4000, 20_000
 # Pixels are looked at in so many steps of contrast, from the brightest on, until as many more are off as here.
 _STEPS = 20
-_MOST_OFF = 0.1
+_MOST_OFF = 0.25
 _SEED = 6
 
 
