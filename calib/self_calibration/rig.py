@@ -25,6 +25,7 @@ from calib.refinement import (
     Knowledge,
     Refinement,
     Shifts,
+    covariance_of_smooth_errors,
     family_of,
     into_cells,
     is_anticlockwise,
@@ -284,7 +285,7 @@ def _by_refinement(
 
 
 def _with_shifts(refinement: Refinement, shifts: Sequence[Shifts]) -> tuple[Refinement, float, float]:
-    """The same with the likely shifts in its covariance; what these and the possible ones cost, in per cent."""
+    """The same with likely shifts and smooth errors in its covariance; what likely and possible shifts cost, in %."""
     state = refinement.fit.state
     likely, possible = (
         [
@@ -295,8 +296,13 @@ def _with_shifts(refinement: Refinement, shifts: Sequence[Shifts]) -> tuple[Refi
         for is_likely in (True, False)
     )
     covariance = together(likely, state.size)
+    smooth = (
+        covariance_of_smooth_errors(refinement, of_capture.smooth_px, capture)
+        for capture, of_capture in enumerate(shifts)
+        if of_capture.smooth_px
+    )
     return (
-        replace(refinement, covariance=refinement.covariance + covariance),
+        replace(refinement, covariance=sum(smooth, refinement.covariance + covariance)),
         percent_of_intrinsics(state, np.sqrt(np.diag(covariance))),
         max((percent_of_intrinsics(state, step) for step in possible), default=0.0),
     )

@@ -19,6 +19,7 @@ from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.frame_checks import Oddity
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.coordinate_maps import coordinate_maps
+from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
 from scanner.decoding.light.equalise import PairEqualiser
@@ -55,7 +56,7 @@ class Decoding:
     `warnings`: sentences for the operator; `darkness`: the one on frames that are too dark to decode well, if they are.
     `motion`: of the devices while the fringes were taken; None if unknown. `only_axis`: the only one along which
     patterns varied, so that the other coordinate follows from a calibration, and `sigma_px` is along the epipolar line;
-    None if both were measured.
+    None if both were measured. `smooth_px`: by what the coordinates err smoothly over a surface, as of `Shifts`.
     """
 
     matches: Matches
@@ -68,6 +69,7 @@ class Decoding:
     motion: MotionFound | None = None
     only_axis: Axis | None = None
     darkness: str | None = None
+    smooth_px: float = SMOOTH_PX
 
 
 class Decoder:
@@ -165,6 +167,7 @@ class Decoder:
             motion=seen.motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,
+            smooth_px=smooth_error_px(plan),
         )
 
     def _check_form(self, image: Image) -> None:
