@@ -4,7 +4,8 @@
 
 Synthetic matches of the paper's rig (50,000 a capture, 0.1 px of noise), no images. 'error' is the mean absolute error
 of (f_c, f_p, x_p, y_p) relative to their size. An error/sigma of rms 1 says that the sigma is true, a sigma/bound of 1
-that no unbiased method can do better; the bound is not computed where captures share a corner.
+that no unbiased method can do better; the bound, which knows of lens terms that are zero in truth, is not computed
+where captures share a corner. The line below is error/sigma, rms, of each of the rig's parameters.
 """
 
 import argparse
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from cramer_rao import bound
+from rig_deviation import COLUMNS, deviations, rms_of_columns
 
 from calib.refinement import Knowledge
 from calib.refusal import RefusalError
@@ -27,13 +29,15 @@ PROJECTOR_SIZE = (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height)
 CENTRE = PrincipalPoint(((CAMERA_SIZE[0] - 1) / 2, (CAMERA_SIZE[1] - 1) / 2), 0.03 * CAMERA_SIZE[0])
 KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
 WEAK, STRONG, NONE = (-0.02, -0.01), (-0.06, -0.03), (0.0, 0.0)
+# k1, k2 of camera and projector: the range of ordinary lenses, as of the simulated rig.
+ORDINARY = ((-0.06, -0.005), (-0.01, 0.01)), ((-0.03, 0.01), (-0.01, 0.01))
 NOISE_PX = 0.1
 
 
 @dataclass(frozen=True)
 class Case:
     name: str
-    k1: tuple[float, float] = WEAK
+    k1: tuple[float, float] | None = WEAK  # None: k1 and k2 of ordinary lenses, drawn for each corner
     point: PrincipalPoint = KNOWN
     off_deg: float = 0.0
     captures: int = 1
@@ -46,6 +50,8 @@ CASES = (
     Case("paper's method", method="paper"),
     Case("square, PP known", WEAK),
     Case("square, PP known, no lens terms", NONE),
+    Case("square, PP known, ordinary lenses", None),
+    Case("square, PP unknown, ordinary lenses", None, CENTRE),
     Case("square, PP unknown, strong lens", STRONG, CENTRE),
     Case("2 different square, PP unknown", WEAK, CENTRE, captures=2, same=False),
     Case("2 different square, no lens terms", NONE, CENTRE, captures=2, same=False),
@@ -61,6 +67,7 @@ class Outcome:
     seconds: float
     error: np.ndarray | None = None
     deviation: np.ndarray | None = None
+    of_columns: np.ndarray | None = None
     over_bound: np.ndarray | None = None
     point_error_px: float = np.nan
 
@@ -77,8 +84,10 @@ def calibrated(case: Case, captures: list[SyntheticCapture]) -> SelfCalibration:
 
 def outcome(case: Case, seed: int, number: int) -> Outcome:
     rng = np.random.default_rng([seed, number])
-    camera = replace(PAPER_CAMERA, distortion=(case.k1[0], 0.0, 0.0, 0.0, 0.0))
-    projector = replace(PAPER_PROJECTOR, distortion=(case.k1[1], 0.0, 0.0, 0.0, 0.0))
+    camera, projector = (
+        replace(device, distortion=(*terms, 0.0, 0.0, 0.0))
+        for device, terms in zip((PAPER_CAMERA, PAPER_PROJECTOR), lens_terms(case, rng), strict=True)
+    )
     captures = random_captures(
         rng, case.captures, camera=camera, projector=projector, walls_off_deg=case.off_deg, same=case.same
     )
@@ -103,7 +112,15 @@ def outcome(case: Case, seed: int, number: int) -> Outcome:
     if case.captures == 1 or not case.same:
         knowledge = Knowledge(CAMERA_SIZE, PROJECTOR_SIZE, case.point.px, case.point.sigma_px, case.off_deg)
         over_bound = sigmas / truth / bound(captures, knowledge, NOISE_PX)
-    return Outcome(seconds, error / truth, error / sigmas, over_bound, float(np.abs(point).max()))
+    of_columns = deviations(found, captures[0].calibration)
+    return Outcome(seconds, error / truth, error / sigmas, of_columns, over_bound, float(np.abs(point).max()))
+
+
+def lens_terms(case: Case, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """k1 and k2 of the camera, then of the projector."""
+    if case.k1 is not None:
+        return [(k1, 0.0) for k1 in case.k1]
+    return [(float(rng.uniform(*k1)), float(rng.uniform(*k2))) for k1, k2 in ORDINARY]
 
 
 def line(case: Case, outcomes: list[Outcome]) -> str:
@@ -128,11 +145,16 @@ def main() -> None:
     parser.add_argument("--only", default="", help="cases whose name contains this")
     options = parser.parse_args()
     print(f"{'case':40} {'mean':>9} {'median':>9} {'err/σ':>8}{'σ/bound':>12}{'PP px':>8}  refused     time")
+    print(f"{'':40}  four {' '.join(f'{name:>5}' for name in COLUMNS)}")
     with ProcessPoolExecutor() as pool:
         for case in CASES:
             if options.only in case.name:
                 runs = pool.map(outcome, repeat(case), repeat(options.seed), range(options.corners))
-                print(line(case, list(runs)), flush=True)
+                outcomes = list(runs)
+                print(line(case, outcomes), flush=True)
+                of_columns = [each.of_columns for each in outcomes if each.of_columns is not None]
+                if of_columns:
+                    print(f"{'':40} {rms_of_columns(np.stack(of_columns))}", flush=True)
 
 
 if __name__ == "__main__":

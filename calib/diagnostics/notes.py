@@ -13,7 +13,6 @@ FURTHER_CAPTURE = "A further capture of this corner"
 FROM_ONE_PLACE = "Taken from the same place: captures"
 
 _WORTH_A_CAPTURE = 0.7
-_TERMS = ("no radial term", "one radial term", "two radial terms")
 
 
 def notes_on(refinement: Refinement, knowledge: Knowledge) -> tuple[str, ...]:
@@ -22,7 +21,6 @@ def notes_on(refinement: Refinement, knowledge: Knowledge) -> tuple[str, ...]:
         *_on_squareness(refinement, knowledge),
         *_on_repeats(refinement),
         *(() if knowledge.one_camera else _on_next_view(refinement, knowledge)),
-        *(_on_one_lens(refinement) if knowledge.one_camera else _on_lenses(refinement)),
         *_on_noise(refinement, knowledge),
     )
 
@@ -71,19 +69,6 @@ def _on_next_view(refinement: Refinement, knowledge: Knowledge) -> list[str]:
         f"{FURTHER_CAPTURE}, the rig moved {view.words}, would lower the sigma of the camera's focal "
         f"length from {100 * sigma:.2g} % to about {100 * view.sigma:.2g} %."
     ]
-
-
-def _on_lenses(refinement: Refinement) -> list[str]:
-    camera, projector = refinement.lens_order.terms
-    return [
-        f"Lenses: {_TERMS[camera]} for the camera, {_TERMS[projector]} for the projector (by the evidence; probability "
-        f"{100 * refinement.lens_order.probability:.0f} %)."
-    ]
-
-
-def _on_one_lens(refinement: Refinement) -> list[str]:
-    terms, probability = refinement.lens_order.terms[0], refinement.lens_order.probability
-    return [f"Lens: {_TERMS[terms]} (by the evidence; probability {100 * probability:.0f} %)."]
 
 
 def _on_noise(refinement: Refinement, knowledge: Knowledge) -> list[str]:

@@ -24,4 +24,11 @@ from calib.refinement.photo_starts import photo_family
 from calib.refinement.profile_likelihood import covariance_of, inverse_of
 from calib.refinement.refine import Refinement, explore, refine, settle, thin
 from calib.refinement.shared_corner import is_anticlockwise, oriented, reflected
-from calib.refinement.systematic_shifts import Shift, Shifts, percent_of_intrinsics, response_to_shift, together
+from calib.refinement.systematic_shifts import (
+    Shift,
+    Shifts,
+    covariance_of_smooth_errors,
+    percent_of_intrinsics,
+    response_to_shift,
+    together,
+)

@@ -1,8 +1,8 @@
 """Maximum-likelihood refinement of one rig from one or more captures, started from the paper's one-dimensional family.
 
 At each focal of a sweep the paper's transfer gives a start and everything else converges in a few steps. Every minimum
-of that profile is then refined with the focal free, and all of them are compared. How noisy the matches are, and how
-many terms the lenses have, is measured on the way.
+of that profile is then refined with the focal free, and all of them are compared. How noisy the matches are is measured
+on the way.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,14 +12,13 @@ import numpy as np
 
 from calib.geometry import Corner
 from calib.numerics import Floats
-from calib.refinement.distortion_model_selection import LensOrder, choose_lens_order
 from calib.refinement.focal_sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
 from calib.refinement.further_planes import strained, without
 from calib.refinement.likelihood import Fit, Knowledge, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.noise_model import Noise, noise_of
 from calib.refinement.parameters import SHARED, State, intrinsic_distance
-from calib.refinement.profile_likelihood import Valley, covariance_of, walk
+from calib.refinement.profile_likelihood import Valley, walk
 from calib.refinement.profile_minimiser import minimise
 from calib.refinement.shared_corner import Sameness, oriented, tie
 
@@ -37,9 +36,9 @@ class Refinement:
     """The refined solution and what is known of it.
 
     `captures`: the cells, labelled alike where they show one corner, with the `noise` of each. `prior`: of the final
-    fit, lens terms that are left out being known to be zero. `covariance` (size, size) in the model's columns, zero for
-    fixed ones. `others`: further minima, best first. `valley`: the cost along the camera's focal length. `tension`:
-    what the assumption on the corner's angles costs. `sameness`: whether the captures show one corner.
+    fit. `covariance` (size, size) in the model's columns, zero for fixed ones. `others`: further minima, best first.
+    `valley`: the cost along the camera's focal length. `tension`: what the assumption on the corner's angles costs.
+    `sameness`: whether the captures show one corner.
     """
 
     captures: tuple[Cells, ...]
@@ -48,7 +47,6 @@ class Refinement:
     fit: Fit
     covariance: Floats
     others: tuple[Fit, ...]
-    lens_order: LensOrder
     valley: Valley
     tension: float
     sameness: Sameness | None
@@ -119,12 +117,8 @@ def settle(
         captures, best, prior = _with_planes(captures, best, knowledge, noise, further)
         variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
 
-    lens_order = choose_lens_order(best, covariance_of(best.information, prior.free), prior)
-    for column in lens_order.zero:
-        prior = prior.with_known(column)
-    best = minimise(captures, _without(best.state, lens_order.zero), prior, variances)
     valley = walk(captures, best, prior, variances)
-    covariance = valley.covariance(best, prior.free) + lens_order.spread
+    covariance = valley.covariance(best, prior.free)
     if sameness and sameness.same:
         covariance[:SHARED, :SHARED] += sameness.spread
     return Refinement(
@@ -134,7 +128,6 @@ def settle(
         best,
         _of_all_columns(covariance, best.state),
         tuple(others),
-        lens_order,
         valley,
         tension,
         sameness,
@@ -210,10 +203,3 @@ def _distinct(fits: list[Fit]) -> list[Fit]:
         if all(np.max(intrinsic_distance(fit.state, other.state)) > _SAME_SOLUTION for other in distinct):
             distinct.append(fit)
     return distinct
-
-
-def _without(state: State, zero: tuple[int, ...]) -> State:
-    """A state with some columns set to zero."""
-    step = np.zeros(state.size)
-    step[list(zero)] = -state.additive()[list(zero)]
-    return state.moved(step)

@@ -26,6 +26,7 @@ from calib.refinement import (
     Refinement,
     Shift,
     Shifts,
+    covariance_of_smooth_errors,
     family_of,
     into_cells,
     is_anticlockwise,
@@ -245,6 +246,7 @@ def _by_refinement(
     refinement = refine(cells, families, trials, knowledge, same=same, further=further)
     if refinement is None:
         raise no_corner(cells, RIG)
+    refinement = _with_smooth_errors(refinement, shifts)
     refinement, likely_percent = _with_shifts(refinement, [each.likely for each in shifts])
     refuse_untrustworthy(refinement, knowledge)
     refinement, possible_percent = _with_shifts(refinement, [each.possible for each in shifts])
@@ -294,6 +296,16 @@ def _with_shifts(refinement: Refinement, shifts: Sequence[Sequence[Shift]]) -> t
     covariance = together(responses, state.size)
     percent = percent_of_intrinsics(state, np.sqrt(np.diag(covariance)))
     return replace(refinement, covariance=refinement.covariance + covariance), percent
+
+
+def _with_smooth_errors(refinement: Refinement, shifts: Sequence[Shifts]) -> Refinement:
+    """The same with what the decoder errs by smoothly over each plane in its covariance."""
+    smooth = (
+        covariance_of_smooth_errors(refinement, of_capture.smooth_px, capture)
+        for capture, of_capture in enumerate(shifts)
+        if of_capture.smooth_px
+    )
+    return replace(refinement, covariance=sum(smooth, refinement.covariance))
 
 
 def _renumbered(matches: Matches, *, reflect: bool, shift: int) -> Matches:

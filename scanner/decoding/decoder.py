@@ -21,6 +21,7 @@ from scanner.decoding.checks.cycle_checks import check_cycles
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import coordinate_maps
+from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
@@ -62,7 +63,7 @@ class Decoding:
     `warnings`: sentences for the operator; `darkness`: the one on frames that are too dark to decode well, if they are.
     `motion`: of the devices while the fringes were taken; None if unknown. `only_axis`: the only one along which
     patterns varied, so that the other coordinate follows from a calibration, and `sigma_px` is along the epipolar line;
-    None if both were measured.
+    None if both were measured. `smooth_px`: by what the coordinates err smoothly over a surface, as of `Shifts`.
     """
 
     matches: Matches
@@ -76,6 +77,7 @@ class Decoding:
     only_axis: Axis | None = None
     darkness: str | None = None
     footprint_px2: float = 0.0
+    smooth_px: float = SMOOTH_PX
 
 
 class Decoder:
@@ -209,6 +211,7 @@ class Decoder:
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,
             footprint_px2=maps.footprint_px2,
+            smooth_px=smooth_error_px(plan),
         )
 
     def _said_of_ghost(self) -> Iterator[str]:

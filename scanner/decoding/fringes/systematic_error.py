@@ -17,6 +17,7 @@ import numpy as np
 
 from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.sequence_plan import SequencePlan
 
 # Windows are 3 × 3 blocks.
 BLOCK_PX = 2
@@ -28,6 +29,16 @@ _POWER = 3
 # Both periods are drawn to the same side where the crease is near: their difference shows less than the errors are.
 _HIDDEN = 1.6
 _ZERO = np.float32(0)
+# What stays in every mean: the standard deviation of each of its modes, as of `calib.refinement.Shifts`, for fringes of
+# 6.7 px in simulated rooms (benchmarks/bench_furnished.py). With longer ones it grows as interreflection does.
+SMOOTH_PX, _SMOOTH_PERIOD_PX = 2.5e-4, 6.7
+_SMOOTH_POWER = 2
+
+
+def smooth_error_px(plan: SequencePlan) -> float:
+    """What the coordinates of a sequence err smoothly, as of `calib.refinement.Shifts`, in projector pixels."""
+    shortest = [axis.fringes[-1].period for axis in plan.axes if axis.fringes]
+    return SMOOTH_PX * (max(shortest, default=_SMOOTH_PERIOD_PX) / _SMOOTH_PERIOD_PX) ** _SMOOTH_POWER
 
 
 def correct_systematic(

@@ -74,7 +74,7 @@ def test_refined_reaches_its_own_sigma_with_lens_distortion() -> None:
         error = _errors(found)
         errors.append(np.abs(error).mean())
         deviations.append(error[0] * PAPER_CAMERA.focal_px[0] / sigma.camera.focal_px[0])
-    assert 1e-5 < np.mean(errors) < 0.004
+    assert 1e-5 < np.mean(errors) < 0.006  # one of the views determines the lenses poorly, and says so
     assert 0.3 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 
