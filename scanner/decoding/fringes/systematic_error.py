@@ -52,8 +52,7 @@ def correct_systematic(
     share: Floats32 = np.maximum(_coarse(usable.reshape(shape).astype(np.float32)), _FEWEST)
 
     def mean(values: Floats32) -> Floats32:
-        means: Floats32 = _coarse(values.reshape(shape)) / share
-        return means
+        return cast(Floats32, _coarse(values.reshape(shape)) / share)
 
     excess, distance = np.empty((2, len(usable)), np.float32)
     excesses, distances = [], []
