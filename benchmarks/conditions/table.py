@@ -55,8 +55,9 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
         by_row[outcome.name, outcome.strength].append(outcome)
     lines = [_line(_COLUMNS), _line(["---"] * len(_COLUMNS))]
     lines += [_row(by_row[c.name, c.strength]) for c in conditions() if (c.name, c.strength) in by_row]
-    rooms, sequences = sorted({o.seed for o in outcomes}), list(dict.fromkeys(o.sequence for o in outcomes))
-    measured = f"{len(outcomes)} captures, rooms {', '.join(map(str, rooms))}, sequences {', '.join(sequences)}."
+    rooms, sequences = sorted({o.seed for o in outcomes}), Counter(o.sequence for o in outcomes)
+    counted = ", ".join(f"{sequence} × {count}" for sequence, count in sequences.items())
+    measured = f"{len(outcomes)} captures, rooms {', '.join(map(str, rooms))}, sequences {counted}."
     return "\n".join([*lines, "", measured, "", *_totals(outcomes)])
 
 
