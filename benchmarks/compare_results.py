@@ -110,6 +110,9 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _leaves(inner, f"{name}.{key}".lstrip("."))
+    elif isinstance(value, list) and any(isinstance(each, dict) for each in value):
+        for number, inner in enumerate(value):
+            yield from _leaves(inner, f"{name}.{number}")
     elif isinstance(value, list) and any(isinstance(each, str) for each in value):
         yield name, "\n".join(map(str, value))
     else:

@@ -21,7 +21,6 @@ from scanner.decoding.fringes.fringe_fold import FringeFold
 from scanner.decoding.light.brightness import Gains
 from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
-from scanner.decoding.tiles import along_pixels
 
 Planes = NDArray[np.uint8]
 _NO_BIT = np.uint8(0)
@@ -55,15 +54,10 @@ class GrayFold:
         least = self.least
         if self._keeps_fine and 0 < self.code.bits - bit <= _FINE_BITS < self.code.bits:
             least = self.fine.setdefault(bit, np.full_like(self.least, largest))
-        bright, dark, least = bright.reshape(-1), dark.reshape(-1), least.reshape(-1)
-        contrast = None if self.contrast is None else self.contrast.reshape(-1)
-
-        def note(at: slice) -> None:
-            _note_bit(bright[at], dark[at], np.uint8(1 << position), half, largest, plane[at], least[at])
-            if contrast is not None:
-                _note_contrast(bright[at], dark[at], half, largest, contrast[at])
-
-        along_pixels(len(plane), note)
+        bright, dark = bright.reshape(-1), dark.reshape(-1)
+        _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, least.reshape(-1))
+        if self.contrast is not None:
+            _note_contrast(bright, dark, half, largest, self.contrast.reshape(-1))
 
     @cached_property
     def words(self) -> Words:

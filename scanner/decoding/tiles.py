@@ -7,8 +7,6 @@ from calib.numerics import in_parallel, in_slices
 
 # Larger ones would cost memory, smaller ones time between the loops: the interpreter serves one thread only.
 _TILE_PX = (128, 816)
-# Of loops that only pass over memory; more threads cost more than they save below that.
-_LONG_PX = 1 << 20
 
 Result = TypeVar("Result")
 
@@ -16,11 +14,6 @@ Result = TypeVar("Result")
 def in_strips(height: int, rows: int, work: Callable[[slice], Result]) -> list[Result]:
     """What `work` returns for slices of so many rows that make up an image of `height`; some run at the same time."""
     return in_slices(height, rows, work)
-
-
-def along_pixels(count: int, work: Callable[[slice], Result]) -> list[Result]:
-    """What `work` returns for slices of so many pixels in a row; some run at the same time."""
-    return in_slices(count, _LONG_PX, work)
 
 
 def in_tiles(shape: tuple[int, int], work: Callable[[slice, slice], Result]) -> list[Result]:

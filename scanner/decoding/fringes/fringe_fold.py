@@ -9,7 +9,6 @@ from calib.numerics import Image, compiled
 from scanner.decoding.arrays import Component
 from scanner.decoding.light.equalise import Correction
 from scanner.decoding.sequence_plan import Fringe
-from scanner.decoding.tiles import along_pixels
 
 
 class FringeFold:
@@ -49,8 +48,7 @@ class FringeFold:
             self._waiting[number] = frame.copy()
             return
         component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
-        frame, other, component, peak = frame.reshape(-1), other.reshape(-1), component.reshape(-1), peak.reshape(-1)
-        along_pixels(len(frame), lambda at: _subtract(frame[at], other[at], sign, component[at], peak[at]))
+        _subtract(frame.reshape(-1), other.reshape(-1), sign, component.reshape(-1), peak.reshape(-1))
 
 
 @compiled

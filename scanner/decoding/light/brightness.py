@@ -1,11 +1,11 @@
 """How bright each frame is next to the others, from the light that several frames must show together.
 
 A pattern and its inverse add up to the same light as every other such pair; so do opposite steps of a fringe, or every
-three, or any odd number of steps that divide its cycle evenly. Where lamp, colour wheel, mains or exposure made frames
-brighter or darker, there are weights w with Σ w I = N · M at all pixels, M being the light that the groups have in
-common: a linear least-squares problem of as many unknowns as the group has frames, whatever the frames show. A rolling
-shutter makes them depend on the row. Stripes so fine that they lose light make all weights of a group larger, not their
-ratios, and ratios are all that is used.
+three, or all steps that divide its cycle evenly, which must be tied to a cosine then. Where lamp, colour wheel, mains
+or exposure made frames brighter or darker, there are weights w with Σ w I = N · M at all pixels, M being the light that
+the groups have in common: a linear least-squares problem of as many unknowns as the group has frames, whatever the
+frames show. A rolling shutter makes them depend on the row. Stripes so fine that they lose light make all weights of a
+group larger, not their ratios, and ratios are all that is used.
 """
 
 from collections.abc import Sequence
@@ -92,7 +92,7 @@ class Gains:
 def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
     """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,)."""
     nothing = np.zeros((1, len(common)), np.float32)
-    return _gains([_weights(levels, common, places, nothing, is_pair=True)])
+    return _gains([_weights(levels, common, places, nothing, _ties(len(levels)), is_pair=True)])
 
 
 def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places) -> Gains:
@@ -102,24 +102,36 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     """
     order = np.argsort(np.mod(np.array(fringe.shifts) + 1e-9, 1))
     count = len(order)
-    size = next((steps for steps in range(3, count + 1, 2) if count % steps == 0), 2)
+    size = next((steps for steps in (3, 2) if count % steps == 0), count)
     groups = [order[first :: count // size] for first in range(count // size)]
     back = np.argsort(np.concatenate(groups))
+    ties = _ties(size)
     nothing = np.zeros((1, len(common)), np.float32)
     # Neither phases nor variety of frames that differ are those of the fringe.
     first, alike = Gains(np.ones((count, 1))), levels
     for _ in range(_GUESSES):
-        guesses = [(_weights(alike[group], common, places, nothing, is_guess=True)[0], 0.0) for group in groups]
+        guesses = [(_weights(alike[group], common, places, nothing, ties, is_guess=True)[0], 0.0) for group in groups]
         first = _gains(guesses, before=first)
         alike = (levels / first.of_rows[back]).astype(np.float32)
     cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
     phase = np.arctan2(sine, cosine)
-    mistaken = 2 * _HARMONICS.get(size, 0.0) * _unevenness(phase, size)
+    staying = 2 if len(ties) else size
+    mistaken = 2 * _HARMONICS[staying] * _unevenness(phase, staying)
     if mistaken > np.clip(_MOST_MISTAKEN_OF * np.ptp(np.log(first.of_rows)), *_MOST_MISTAKEN):
         return Gains(np.ones((count, 1)))
     harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
-    found = _gains([_weights(alike[group], common, places, harmonic) for group in groups], mistaken, first)
+    found = _gains([_weights(alike[group], common, places, harmonic, ties) for group in groups], mistaken, first)
     return Gains(found.of_rows[back])
+
+
+def _ties(steps: int) -> Floats:
+    """(ties, steps): of so many even steps of a cycle, in what they add up to nothing, whatever offset and amplitudes.
+
+    Three steps, and two that are opposite, have as many weights as the fringe has unknowns. More need it be said that
+    what they show is a cosine, but for harmonics.
+    """
+    turns = 2 * np.pi * np.outer(np.arange(2, (steps - 1) // 2 + 1), np.arange(steps)) / steps
+    return np.concatenate([np.cos(turns), np.sin(turns)])
 
 
 def lit_by(swing: Floats32) -> NDArray[np.intp]:
@@ -159,6 +171,7 @@ def _weights(
     common: Floats32,
     places: Places,
     harmonic: Floats32,
+    ties: Floats,
     *,
     is_pair: bool = False,
     is_guess: bool = False,
@@ -166,14 +179,16 @@ def _weights(
     """(frames, rows of the image or 1), and how far they may be from the truth: infinitely if the pixels do not tell.
 
     The mean of the frames is explained by the common light and the frames' distances from it. So what else is in the
-    mean, as `harmonic` (terms, P) of a bent brightness curve or lost light, is left over and pulls at nothing. A guess
-    is the same for all rows, and is given even if the pixels do not tell.
+    mean, as `harmonic` (terms, P) of a bent brightness curve or lost light, is left over and pulls at nothing. `ties`
+    (ties, frames): what the frames also add up to nothing in. A guess is the same for all rows, and is given even if
+    the pixels do not tell.
     """
     count = len(levels)
     scale = 1 / np.maximum(common, np.float32(_FAINT * median(common) + 1e-3))
     mean = levels.mean(axis=0)
     design: Floats = (np.concatenate([common[None], levels - mean]) * scale).T.astype(np.float64)
     target: Floats = (mean * scale).astype(np.float64)
+    tied, nothing = _tied((levels * scale).astype(np.float64), ties)
     largest = levels.max(axis=0)
     chosen = largest < _SATURATED * largest.max()
     seen = design[chosen]
@@ -182,7 +197,9 @@ def _weights(
     if not is_guess and _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < _LEAST_VARIETY:
         return np.ones((count, 1)), inf
     for _ in range(2):
-        terms = _least_squares(design[chosen], target[chosen])
+        terms = _least_squares(
+            np.concatenate([design[chosen], *tied[:, chosen]]), np.concatenate([target[chosen], *nothing[:, chosen]])
+        )
         away = np.abs(target - design @ terms)
         chosen &= away <= _OUTLYING * SIGMA_PER_MEDIAN * median(away[chosen]) + 1e-6
     design, target, rows = design[chosen], target[chosen], places.rows[chosen]
@@ -192,7 +209,8 @@ def _weights(
     if is_pair and noise > _UNEXPLAINED * np.mean((target - of_common) ** 2):
         return np.ones((count, 1)), inf
     # Noise in what explains draws its weights together: a share of them as large as it is next to what it explains.
-    spread = float(np.linalg.eigvalsh(design.T @ design / len(left))[1])
+    told = np.concatenate([design, *tied[:, chosen]])
+    spread = float(np.linalg.eigvalsh(told.T @ told / len(left))[1])
     if spread <= 0:  # frames without light, all alike
         return np.ones((count, 1)), inf
     error = count * _SIGNIFICANT * sqrt(noise / (spread * len(left))) + 2 * noise / spread
@@ -203,6 +221,14 @@ def _weights(
     centres = np.add.reduceat(rows, starts) / np.diff(starts, append=len(rows))
     every_row = np.arange(places.height)
     return _weights_from(np.array([np.interp(every_row, centres, term) for term in (terms + bands).T])), error
+
+
+def _tied(levels: Floats, ties: Floats) -> tuple[Floats, Floats]:
+    """Rows of a design (ties, P, 1 + frames), and their targets (ties, P), that say what the frames are tied by."""
+    products = ties[:, :, None] * levels
+    nothing: Floats = products.mean(axis=1)
+    of_frames = np.moveaxis(products - nothing[:, None], 1, 2)
+    return np.concatenate([np.zeros((*nothing.shape, 1)), of_frames], axis=2), nothing
 
 
 def _without(terms: Floats32, values: Floats) -> Floats:

@@ -121,6 +121,20 @@ def test_bits_that_are_not_resolved_are_left_out(scene: Scene) -> None:
     assert 0.2 < np.median(np.abs(ratio)) < 1.0, "evenly spread over cells of two, and averaged over their pixels"
 
 
+@pytest.mark.parametrize("steps", [5, 7])
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_flicker_in_an_odd_number_of_steps_is_found_and_is_no_motion(steps: int, gamma: float) -> None:
+    scene, patterns = replace(SCENE, gamma=gamma), sequence_for(SCENE.projector, shifts=steps)
+    frames = [np.rint(np.clip(frame, 0, 255)).astype(np.uint8) for frame in flickering(scene.frames(patterns))]
+    decoding = decode(patterns, frames, scene.projector)
+    assert decoding.motion is not None
+    assert not decoding.motion.significant
+    # Evenly spread over ±15 %, which is 8.7 % as a standard deviation.
+    assert decoding.flicker is not None
+    assert 0.06 < decoding.flicker < 0.11
+    assert 0.008 < np.median(np.abs(scene.errors(decoding))) < 0.018
+
+
 def test_flicker_is_taken_out_where_the_picture_is_a_small_part_of_the_image() -> None:
     frames = [np.rint(frame).astype(np.uint8) for frame in flickering(SCENE.frames(STANDARD))]
     height, width = frames[0].shape
