@@ -105,4 +105,6 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     log_lit = np.log(np.maximum(tiles(accumulators.brightest), 1).astype(np.float32))
     if accumulators.log_exposure is not None:
         log_lit -= tiles(accumulators.log_exposure)
-    return footprint_variance(shaded, log_lit, usable, _TILE_PX)
+    # Of three steps harmonics ripple the amplitude as they do the phase: what goes with its slope is not shading alone.
+    rippled = any(len(fringe.shifts) == 3 for decoder in decoders for fringe in decoder.plan.fringes)
+    return footprint_variance(shaded, log_lit, usable, _TILE_PX, 0.0 if rippled else TYPICAL_PX2)

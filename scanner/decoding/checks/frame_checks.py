@@ -86,8 +86,8 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
     few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for oddity in found for frame in oddity.frames})
-    before, best, pair = _contradiction(plan, levels, swing), _REPAIRED, (0, 0)
-    otherwise = _contradiction(plan, alike.levels[:, few], swing)
+    before = _contradiction(plan, levels, swing)
+    least, pair = _contradiction(plan, alike.levels[:, few], swing), (0, 0)
     tried: dict[tuple[int, int], float] = {}
     for first in suspects:
         for second in range(len(levels)):
@@ -97,8 +97,8 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
             order = np.arange(len(levels))
             order[[first, second]] = second, first
             left = tried[first, second] = _contradiction(plan, levels[order], swing)
-            if (before - left) / differ > best and left < otherwise:
-                best, pair = (before - left) / differ, (first, second)
+            if before - left > _REPAIRED * differ and left < least:
+                least, pair = left, (first, second)
     others = [left for exchange, left in tried.items() if len({*exchange, *pair}) == 3]  # one frame in common
     if pair not in tried or tried[pair] > max(_MUCH_LEFT * before, _AS_GOOD * min(others, default=before)):
         return ""

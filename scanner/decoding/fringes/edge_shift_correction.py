@@ -84,9 +84,9 @@ def _take_out(shift: Floats32, footprint_px2: np.float32, value: Floats32, varia
 
 
 def footprint_variance(
-    shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, usable: Bools, tile_px: int
+    shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, usable: Bools, tile_px: int, assumed_px2: float
 ) -> float:
-    """The footprint's variance along an axis, in square camera pixels; a typical one if the capture does not show it.
+    """The footprint's variance along an axis, in square camera pixels; `assumed_px2` if the capture does not show it.
 
     `shaded`: of one or both axes, the coordinate and the logarithm of its amplitude; `log_lit`: that of the grey level
     in full light; in square tiles of `tile_px` one above the other, (T · tile, tile).
@@ -102,9 +102,9 @@ def footprint_variance(
         weight += _sums(instrument * _band(shift_per_variance(value, log_amplitude, usable)), inner, tile_px)
     telling = weight > 0
     if np.count_nonzero(telling) < _FEWEST_TILES:
-        return TYPICAL_PX2
+        return assumed_px2
     variance, scatter = _weighted_median(found[telling] / weight[telling], weight[telling])
-    return min(variance, _LARGEST_PX2) if variance > _SIGNIFICANT * scatter else TYPICAL_PX2
+    return min(variance, _LARGEST_PX2) if variance > _SIGNIFICANT * scatter else assumed_px2
 
 
 def _weighted_median(values: Floats, weights: Floats) -> tuple[float, float]:

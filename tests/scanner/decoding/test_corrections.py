@@ -52,7 +52,7 @@ def test_the_footprint_is_measured(sigma_px: float) -> None:
     rng = np.random.default_rng(0)
     noisy = value + rng.normal(0, 0.02, value.shape).astype(np.float32)
     log_lit = log_a + rng.normal(0, 0.01, value.shape).astype(np.float32)
-    found = footprint_variance([(noisy, log_a)], log_lit, usable, TILE)
+    found = footprint_variance([(noisy, log_a)], log_lit, usable, TILE, TYPICAL_PX2)
     assert 0.8 * sigma_px**2 < found < 1.3 * sigma_px**2
 
 
@@ -61,7 +61,9 @@ def test_of_a_plain_wall_the_footprint_is_a_typical_one() -> None:
     shape = (8 * TILE, TILE)
     value = np.broadcast_to(0.7 * np.arange(TILE), shape) + rng.normal(0, 0.02, shape)
     log_a, log_lit = (rng.normal(0, 0.01, shape).astype(np.float32) for _ in range(2))
-    found = footprint_variance([(value.astype(np.float32), log_a)], log_lit, np.ones(shape, np.bool_), TILE)
+    found = footprint_variance(
+        [(value.astype(np.float32), log_a)], log_lit, np.ones(shape, np.bool_), TILE, TYPICAL_PX2
+    )
     assert found == TYPICAL_PX2
 
 
