@@ -57,6 +57,8 @@ def _settle(partial: Path, out: Path, *, in_the_way: bool) -> list[str]:
     try:
         if not claim.is_current:
             return []  # it has just been settled by another
+        if claim.state is None and not in_the_way:
+            return []  # another is just beginning there
         return _judged(claim.state, partial, out)
     finally:
         claim.release()

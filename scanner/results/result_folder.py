@@ -2,6 +2,7 @@
 
 import logging
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
@@ -22,7 +23,7 @@ from scanner.ui import LogFile
 log = logging.getLogger(__name__)
 
 # Two that begin at the same moment may be in each other's way for as long.
-_ATTEMPTS = 5
+_ATTEMPTS, _PAUSE_S = 20, 0.005
 
 
 @contextmanager
@@ -90,15 +91,22 @@ class OutputFolder:
 
     def _claimed(self) -> Claim:
         """The folder, made and locked. Raises HeldError, OSError."""
+        held = HeldError("another scan is beginning there now; choose another --out")
         for _ in range(_ATTEMPTS):
             self.folder.mkdir(parents=True, exist_ok=True)
-            with suppress(FileNotFoundError):
+            try:
                 claim = Claim(self.folder / STATE, make=True)
-                if claim.is_current and claim.state is None:
-                    return claim
-                claim.release()
+            except FileNotFoundError:
+                continue  # taken for an empty folder that a killed program has left
+            except HeldError as error:
+                held = error  # for a moment only, if it is another that looks whether this one was left behind
+                time.sleep(_PAUSE_S)
+                continue
+            if claim.is_current and claim.state is None:
+                return claim
+            claim.release()
             settle(self.out)
-        raise HeldError("another scan is beginning there now; choose another --out")
+        raise held
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None

@@ -1,5 +1,6 @@
 import logging
 import warnings
+from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
@@ -172,3 +173,18 @@ def test_the_log_holds_what_was_logged_and_warned(tmp_path: Path) -> None:
     assert "a step" in text
     assert "divide by zero" in text
     assert "too late" not in text
+
+
+def _make(place: tuple[str, int]) -> tuple[str, list[str]]:
+    folder, number = place
+    with OutputFolder(Path(folder) / str(number)) as output:
+        (output.folder / "report.html").write_text("whole")
+    return (Path(folder) / str(number) / "report.html").read_text(), output.settled
+
+
+def test_results_begun_side_by_side_are_not_in_each_others_way(tmp_path: Path) -> None:
+    """Each looks for what killed programs have left, and meets what others have just begun."""
+    with get_context("fork").Pool(4) as pool:
+        made = pool.map(_make, [(str(tmp_path / "scans"), number) for number in range(500)], chunksize=1)
+    assert made == [("whole", [])] * 500
+    assert len(list((tmp_path / "scans").iterdir())) == 500
