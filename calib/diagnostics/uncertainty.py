@@ -131,7 +131,7 @@ def calibration_of(
 
 
 def sigmas_of(state: State, covariance: Floats) -> Sigmas:
-    """Standard deviations from a covariance of the state's columns; the corner's angles are those of the first, if any."""
+    """Standard deviations from a covariance of the state's columns; corner's angles are those of the first, if any."""
     sigma = np.sqrt(np.diag(covariance))
     rotation, angles = (np.degrees(sigma[columns]) for columns in (ROTATION, state.angle_columns(0)))
     return Sigmas(

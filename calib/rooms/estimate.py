@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Motion, unproject
 from calib.numerics import Bools, Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, Cells, Shifts, State, covariance_of
 from calib.refusal import RefusalError
@@ -84,6 +84,15 @@ class RoomEstimate:
         """(6, 6): turn about the room's axes in radians, translation in baselines; against the first station."""
         columns = self.room.place_columns(station)
         return self.covariance[columns, columns]
+
+    def points(self, patch: int) -> Floats:
+        """Where the rays of a patch's cells meet its plane, (M, 3) in the room's frame."""
+        seen = self.patches[patch]
+        rays, _ = unproject(self.rig.camera, seen.cells.camera_px)
+        _, _, depth = predict_patch(self.room, seen)
+        place = self.places[seen.station]
+        points: Floats = (rays * depth[:, :1]) @ place.rotation.T + place.translation
+        return points
 
     @cached_property
     def stations_of(self) -> tuple[tuple[int, ...], ...]:

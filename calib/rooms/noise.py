@@ -34,7 +34,7 @@ def rough_levels(patches: Sequence[Patch], residuals: Sequence[Floats]) -> Float
     stations = np.array([patch.station for patch in patches])
     levels = np.empty(len(patches))
     for station in np.unique(stations):
-        own = np.flatnonzero(stations == station)
+        own = np.flatnonzero(stations == station).tolist()
         sizes = np.concatenate([np.linalg.norm(residuals[i], axis=1) for i in own])
         levels[own] = max(median(sizes) / MEDIAN_LENGTH, _LEAST_PX) ** 2
     return levels

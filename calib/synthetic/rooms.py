@@ -14,6 +14,8 @@ from calib.geometry import Calibration, Intrinsics, Matches
 from calib.numerics import Bools, Floats, Ints
 from calib.synthetic.captures import inside, jittered_grid, look_at
 
+_CAMERA = Intrinsics(1224, 1024, (1000.0, 1000.0), (628.0, 527.0), (-0.08, 0.02, 0.0, 0.0, 0.0))
+_PROJECTOR = Intrinsics(1280, 800, (1150.0, 1150.0), (650.0, 420.0), (-0.03, 0.0, 0.0, 0.0, 0.0))
 _ATTEMPTS = 500
 _WALLS = 6
 _SHADOW_M = 1e-6
@@ -28,8 +30,8 @@ class RoomOptions:
     `count`: of the projector's pixels that are looked at. A plane is labelled where it has `least` matches.
     """
 
-    camera: Intrinsics = Intrinsics(1224, 1024, (1000.0, 1000.0), (628.0, 527.0), (-0.08, 0.02, 0.0, 0.0, 0.0))
-    projector: Intrinsics = Intrinsics(1280, 800, (1150.0, 1150.0), (650.0, 420.0), (-0.03, 0.0, 0.0, 0.0, 0.0))
+    camera: Intrinsics = _CAMERA
+    projector: Intrinsics = _PROJECTOR
     size: tuple[float, float, float] = (4.5, 3.6, 2.6)
     walls_off_deg: float = 0.3
     boxes: int = 5
