@@ -10,10 +10,11 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.geometry import Motion, unproject
+from calib.geometry import Motion
 from calib.numerics import Bools, Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, Cells, Shifts, State, covariance_of
 from calib.refusal import RefusalError
+from calib.rooms.flatness import covariance_of_waves
 from calib.rooms.likelihood import Fit, RigPrior, RoomPrior, evaluate, minimise, rig_of
 from calib.rooms.noise import Levels, measured, rough_levels
 from calib.rooms.patches import Patch, patches_of, predict_patch
@@ -45,7 +46,9 @@ class Undetermined:
 class RoomEstimate:
     """`covariance` (size, size): of the room's columns; NaN for planes without a cell, 0 for what was held.
 
-    `residual_px` (S,): root mean square of each coordinate of a station's cells, robustly; NaN without cells.
+    `residual_px` (S,): root mean square of each coordinate of a station's cells, robustly; NaN without cells. `reach`:
+    median distance of what was seen from the camera, in baselines. `waves` (P,): by how much each plane is not flat,
+    root mean square, in baselines; 0 where nothing shows it.
     """
 
     fit: Fit
@@ -54,6 +57,8 @@ class RoomEstimate:
     patches: tuple[Patch, ...]
     residual_px: Floats
     undetermined: tuple[Undetermined, ...]
+    reach: float
+    waves: Floats
 
     @property
     def room(self) -> Room:
@@ -84,15 +89,6 @@ class RoomEstimate:
         """(6, 6): turn about the room's axes in radians, translation in baselines; against the first station."""
         columns = self.room.place_columns(station)
         return self.covariance[columns, columns]
-
-    def points(self, patch: int) -> Floats:
-        """Where the rays of a patch's cells meet its plane, (M, 3) in the room's frame."""
-        seen = self.patches[patch]
-        rays, _ = unproject(self.rig.camera, seen.cells.camera_px)
-        _, _, depth = predict_patch(self.room, seen)
-        place = self.places[seen.station]
-        points: Floats = (rays * depth[:, :1]) @ place.rotation.T + place.translation
-        return points
 
     @cached_property
     def stations_of(self) -> tuple[tuple[int, ...], ...]:
@@ -127,18 +123,18 @@ def estimate_room(
         raise ValueError(f"{len(stations)} stations, {len(plane_of)} lists of planes, {len(places)} places")
     room = Room(rig_of(start), tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
-    known = RoomPrior.of(prior, square, squareness_deg, room, _reach(room, patches))
-    free = known.free(np.isin(np.arange(len(planes)), [patch.plane for patch in patches]))
-
-    fit = _roughly(patches, room, known, free)
+    known = RoomPrior.of(prior, square, squareness_deg, room, _reach(room, _in_front(room, patches)))
+    patches, fit = _roughly(patches, room, known)
+    free = known.free(_seen(room, patches))
     for _ in range(_ROUNDS):
-        levels = measured(patches, fit.residuals, int(free.sum()), _repeats(fit.room, known.reach), len(planes))
+        levels = measured(patches, fit, int(free.sum()), _repeats(fit.room, known.reach))
         fit = minimise(patches, fit.room, known, levels.variances(patches), free, tolerance=_ROUGH)
     variances = levels.variances(patches)
     fit = minimise(patches, fit.room, known, variances, free)
 
     covariance = covariance_of(fit.information, free)
-    covariance += covariance_of_shifts(patches, fit, variances, free, levels, shifts)
+    of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
+    covariance += of_waves + covariance_of_shifts(patches, fit, variances, free, levels, shifts)
     for plane in range(len(planes)):
         columns = room.plane_columns(plane)
         if not free[columns].any():
@@ -146,39 +142,50 @@ def estimate_room(
     residual_px = np.full(len(stations), np.nan)
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
-    return RoomEstimate(fit, covariance, levels, patches, residual_px, _undetermined(fit.room, covariance, known.reach))
+    undetermined = _undetermined(fit.room, covariance, known.reach)
+    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, known.reach, waves)
 
 
-def _roughly(patches: Sequence[Patch], room: Room, prior: RoomPrior, free: Bools) -> Fit:
-    """From far off, at noise levels that follow the residuals down."""
+def _roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> tuple[tuple[Patch, ...], Fit]:
+    """From far off, at noise levels that follow the residuals down; without patches that end behind a device."""
 
     def variances(levels: Floats) -> list[Floats]:
         return [np.full(len(patch.cells), level) for patch, level in zip(patches, levels, strict=True)]
 
+    free = prior.free(_seen(room, patches))
     levels = rough_levels(patches, evaluate(patches, room, prior, variances(np.ones(len(patches)))).residuals)
     for _ in range(_ROUGH_ROUNDS):
-        fit = minimise(patches, room, prior, variances(levels), free, tolerance=_ROUGH)
-        before, levels, room = levels, rough_levels(patches, fit.residuals), fit.room
-        if np.all(levels > _SETTLED * before):
+        room = minimise(patches, room, prior, variances(levels), free, tolerance=_ROUGH).room
+        patches, before = _in_front(room, patches), float(np.mean(levels))
+        fit = evaluate(patches, room, prior, variances(np.ones(len(patches))))
+        levels = rough_levels(patches, fit.residuals)
+        if np.mean(levels) > _SETTLED * before:
             break
-    return fit
+    return patches, fit
+
+
+def _seen(room: Room, patches: Sequence[Patch]) -> Bools:
+    """Which planes have a patch, (planes,)."""
+    return np.isin(np.arange(len(room.planes)), [patch.plane for patch in patches])
+
+
+def _in_front(room: Room, patches: Sequence[Patch]) -> tuple[Patch, ...]:
+    """The patches that are before both devices, all but strays. Raises RefusalError if that is less than half."""
+    chosen = tuple(
+        patch for patch in patches if np.mean((predict_patch(room, patch)[2] > 0).all(axis=1)) >= _LEAST_IN_FRONT
+    )
+    if len(chosen) < len(patches) / 2 or not chosen:
+        raise RefusalError(
+            f"{len(patches) - len(chosen)} of {len(patches)} views of a plane are behind the camera or the projector "
+            "where the registration has them.",
+            "Register the stations again; those that do not fit have to be left out.",
+        )
+    return chosen
 
 
 def _reach(room: Room, patches: Sequence[Patch]) -> float:
-    """Median distance of cells from their camera, in baselines. Refuses a start that has cells behind a device."""
-    depths = []
-    for patch in patches:
-        _, _, depth = predict_patch(room, patch)
-        if np.mean((depth > 0).all(axis=1)) < _LEAST_IN_FRONT:
-            raise RefusalError(
-                f"Plane {patch.plane + 1} of the room, as station {patch.station + 1} sees it, is behind the camera or "
-                "the projector where the registration has it.",
-                "Leave the station out, or register it again.",
-            )
-        depths.append(depth[:, 0])
-    if not depths:
-        raise RefusalError("No station has a match on a plane of the room.", "Capture walls, floor and furniture.")
-    return float(np.median(np.concatenate(depths)))
+    """Median distance of cells from their camera, in baselines."""
+    return float(np.median(np.concatenate([predict_patch(room, patch)[2][:, 0] for patch in patches])))
 
 
 def _repeats(room: Room, reach: float) -> list[int]:

@@ -13,6 +13,7 @@ from calib.numerics import Floats
 from calib.refinement import CAMERA, SHARED
 from calib.refinement.further_planes import depths
 from calib.rooms.estimate import RoomEstimate
+from calib.rooms.patches import points_of
 
 _PARALLEL = 1e-4  # sine of an angle too small to have a direction
 
@@ -138,7 +139,7 @@ def sigmas_of_point(estimate: RoomEstimate, point: RoomPoint) -> Floats:
 
 def centre_of(estimate: RoomEstimate, plane: int) -> Floats:
     """The middle (3,) of what the stations saw of a plane, by cells; NaN where none did."""
-    points = [estimate.points(i) for i, patch in enumerate(estimate.patches) if patch.plane == plane]
+    points = [points_of(estimate.room, patch) for patch in estimate.patches if patch.plane == plane]
     centre: Floats = np.concatenate(points).mean(axis=0) if points else np.full(3, np.nan)
     return centre
 

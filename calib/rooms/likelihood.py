@@ -18,6 +18,7 @@ CONVERGED = 1e-4  # in cost: a hundredth of a sigma
 _STEPS = 60
 _DAMPING = Damping(first=1e-6, least=1e-13, most=1e4, growth=10.0, relief=0.05, by_gain=True)
 _EXACTLY_SQUARE = 1e-3  # degrees, for walls that are said to be exactly square
+_BEHIND = 100.0  # the cost of a cell of a patch behind a device, like one ten sigmas off
 _TURN_SIGMA = 1.0  # radians, of a station's place before anything is seen
 
 
@@ -144,9 +145,10 @@ class Fit(Quadratic):
 
 
 def evaluate(patches: Sequence[Patch], room: Room, prior: RoomPrior, variances: Sequence[Floats]) -> Fit:
-    """The cost of a room with its derivatives; infinite where more than strays of a patch fall behind a device.
+    """The cost of a room with its derivatives.
 
-    `variances`: (M,) for each patch, of each coordinate of each cell.
+    `variances`: (M,) for each patch, of each coordinate of each cell. A patch of which more than strays fall behind a
+    device costs the same wherever it is, and pulls at nothing.
     """
     cost, gradient, information = prior.cost(room)
     own_columns, residuals = np.arange(PER_PATCH, dtype=np.int32), []
@@ -154,12 +156,16 @@ def evaluate(patches: Sequence[Patch], room: Room, prior: RoomPrior, variances: 
         predicted, jacobian, depths = predict_patch(room, patch)
         residual, seen = np.empty_like(predicted), np.ascontiguousarray(patch.cells.projector_px)
         slope, curvature = np.zeros(PER_PATCH), np.zeros((PER_PATCH, PER_PATCH))
-        cost += misfit(predicted, seen, jacobian, depths, variance, own_columns, residual, slope, curvature)
+        own = misfit(predicted, seen, jacobian, depths, variance, own_columns, residual, slope, curvature)
+        residuals.append(residual)
+        if not np.isfinite(own):
+            cost += _BEHIND * len(seen)
+            continue
+        cost += own
         columns, by_room = columns_of(room, patch), carried(room, patch)
         gradient[columns] += by_room.T @ slope
         information[np.ix_(columns, columns)] += by_room.T @ curvature @ by_room
-        residuals.append(residual)
-    return Fit(cost if np.isfinite(cost) else np.inf, gradient, information, room, tuple(residuals))
+    return Fit(cost, gradient, information, room, tuple(residuals))
 
 
 def minimise(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import cross, tangent_basis
+from calib.geometry import cross, tangent_basis, unproject
 from calib.numerics import Floats, Ints
 from calib.refinement import SHARED, Cells, Pose, State, predict
 from calib.refinement.parameters import PER_CORNER, PER_POSE, FurtherPlane
@@ -57,6 +57,15 @@ def predict_patch(room: Room, patch: Patch, camera_px: Floats | None = None) -> 
     state = State(rig.camera, rig.projector, rig.rotation, rig.translation, np.zeros((1, PER_CORNER)), (pose,))
     predicted, jacobian, depths = predict(state, pixels, np.full(len(pixels), _FURTHER, np.int32))
     return predicted, np.ascontiguousarray(jacobian[:, :, _OF_PLANE]), depths
+
+
+def points_of(room: Room, patch: Patch) -> Floats:
+    """Where the rays of a patch's cells meet its plane, (M, 3) in the room's frame."""
+    rays, _ = unproject(room.rig.camera, patch.cells.camera_px)
+    _, _, depths = predict_patch(room, patch)
+    place = room.places[patch.station]
+    points: Floats = (rays * depths[:, :1]) @ place.rotation.T + place.translation
+    return points
 
 
 def columns_of(room: Room, patch: Patch) -> Ints:

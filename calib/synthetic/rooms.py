@@ -18,7 +18,7 @@ _CAMERA = Intrinsics(1224, 1024, (1000.0, 1000.0), (628.0, 527.0), (-0.08, 0.02,
 _PROJECTOR = Intrinsics(1280, 800, (1150.0, 1150.0), (650.0, 420.0), (-0.03, 0.0, 0.0, 0.0, 0.0))
 _ATTEMPTS = 500
 _WALLS = 6
-_SHADOW_M = 1e-6
+_WAVES, _WAVELENGTHS = 4, (1.5, 4.0)
 
 
 @dataclass(frozen=True)
@@ -26,20 +26,22 @@ class RoomOptions:
     """What is drawn: lengths in metres, angles in degrees, noise as a standard deviation of each coordinate.
 
     `size`: of the room, x, y, z; each of its six planes is turned by a normal angle of `walls_off_deg` about both
-    directions in it. `boxes`: pieces of furniture on the floor. `stations` stand in a ring and look across the room;
-    `count`: of the projector's pixels that are looked at. A plane is labelled where it has `least` matches.
+    directions in it, and has waves of 1.5 to 4 m with a standard deviation of `wavy`. `boxes`: pieces of furniture on
+    the floor. `stations` stand in a ring and look across the room; `count`: of the projector's pixels that are looked
+    at. A plane is labelled where it has `least_share` of them.
     """
 
     camera: Intrinsics = _CAMERA
     projector: Intrinsics = _PROJECTOR
     size: tuple[float, float, float] = (4.5, 3.6, 2.6)
     walls_off_deg: float = 0.3
-    boxes: int = 5
+    boxes: int = 6
     stations: int = 6
     baseline: float = 0.35
     count: int = 100_000
     noise_px: float = 0.05
-    least: int = 300
+    least_share: float = 0.004
+    wavy: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,8 @@ def random_room(rng: np.random.Generator, options: RoomOptions | None = None, **
     rig = _random_rig(rng, options)
     for _ in range(_ATTEMPTS):
         solids = [_random_walls(rng, options), *(_random_box(rng, options) for _ in range(options.boxes))]
-        stations = [_station(rng, options, rig, solids, k) for k in range(options.stations)]
+        waves = _random_waves(rng, options)
+        stations = [_station(rng, options, rig, solids, waves, k) for k in range(options.stations)]
         if all(station is not None for station in stations):
             normals, offsets = (np.concatenate(parts) for parts in zip(*solids, strict=True))
             return SyntheticRoom(tuple(each for each in stations if each is not None), rig, normals, offsets)
@@ -114,6 +117,7 @@ def _station(
     options: RoomOptions,
     rig: Calibration,
     solids: list[tuple[Floats, Floats]],
+    waves: Floats,
     number: int,
 ) -> SyntheticStation | None:
     width, depth, _ = options.size
@@ -127,18 +131,42 @@ def _station(
     if not (_is_free(eye, solids) and _is_free(projector_eye, solids)):
         return None
     pixels = jittered_grid(rng, rig.projector, options.count)
-    points, plane = _cast(rig.projector.unproject(pixels) @ (rig.rotation @ to_camera), projector_eye, solids)
+    rays = rig.projector.unproject(pixels) @ (rig.rotation @ to_camera)
+    points, plane = _cast(rays, projector_eye, solids)
+    points = _on_waves(points, plane, rays, solids[0][0], waves)
     camera_px = rig.camera.project((points - eye) @ to_camera.T)
     seen = inside(camera_px, rig.camera)
-    again, _ = _cast(points[seen] - eye, eye, solids)
-    seen[seen] = np.linalg.norm(again - points[seen], axis=1) < _SHADOW_M
+    _, again = _cast(points[seen] - eye, eye, solids)
+    seen[seen] = again == plane[seen]
     plane = plane[seen]
-    enough = np.bincount(plane, minlength=_WALLS * len(solids)) >= options.least
+    enough = np.bincount(plane, minlength=_WALLS * len(solids)) >= options.least_share * options.count
     if np.count_nonzero(enough) < 3:
         return None
     label = np.where(enough[plane], plane, -1).astype(np.int32)
     noisy = pixels[seen] + rng.normal(0, options.noise_px, (len(plane), 2))
     return SyntheticStation(Matches(camera_px[seen], noisy, label), to_camera.T, eye)
+
+
+def _random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:
+    """For each of the six planes some waves' vectors (3) in radians per metre, phase and amplitude, (6, waves, 5)."""
+    waves = np.empty((_WALLS, _WAVES, 5))
+    directions = rng.normal(size=(_WALLS, _WAVES, 3))
+    lengths = rng.uniform(*_WAVELENGTHS, (_WALLS, _WAVES, 1))
+    waves[..., :3] = 2 * np.pi / lengths * directions / np.linalg.norm(directions, axis=2, keepdims=True)
+    waves[..., 3] = rng.uniform(0, 2 * np.pi, (_WALLS, _WAVES))
+    waves[..., 4] = options.wavy * np.sqrt(2 / _WAVES)
+    return waves
+
+
+def _on_waves(points: Floats, plane: Ints, rays: Floats, normals: Floats, waves: Floats) -> Floats:
+    """Points (N, 3) moved along the rays (N, 3) to where walls that are not flat are."""
+    moved = points.copy()
+    for wall in np.flatnonzero(waves[:, :, 4].any(axis=1)):
+        on = plane == wall
+        phases = points[on] @ waves[wall, :, :3].T + waves[wall, :, 3]
+        heights = np.sin(phases) @ waves[wall, :, 4]
+        moved[on] += rays[on] * (heights / (rays[on] @ normals[wall]))[:, None]
+    return moved
 
 
 def _is_free(point: Floats, solids: list[tuple[Floats, Floats]]) -> bool:
