@@ -1,0 +1,179 @@
+"""How two stations' surfaces agree, and contradict each other, at a supposed relative pose.
+
+A patch of one station, seen from the other one's camera, lies on the surface that was measured there and slopes like
+it: it agrees. Or it lies well in front of that surface, where the other camera looked through: it contradicts. Or it is
+hidden behind, or out of sight, and says nothing.
+
+What that is worth is counted in nats. Surfaces are described by fewer numbers if they are the same: a plane that need
+not be described again saves about log(size of a room / tolerance), however large it is, and a little more for every
+patch of it, each of which could have been contradicted; a patch of no plane saves little, for it resembles its
+neighbours. The pose has to be described instead. A patch that contradicts needs an excuse each time.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import Motion
+from calib.numerics import Floats, Ints, compiled
+from calib.rooms.surfaces import Surfaces
+
+# Of the depth, beyond three sigmas of noise: by what a calibration is off, and a pose before it is refined.
+FINE, COARSE = 0.012, 0.03
+_FREE = 0.015  # a patch in front of a surface by so much more than that is one the other camera saw through
+NATS_PER_PLANE, _PATCHES_PER_PLANE = 6.0, 10.0
+_NATS_PER_PLANE_PATCH, NATS_PER_PATCH, NATS_PER_CONTRADICTION = 0.008, 0.1, 0.5
+NATS_OF_POSE = 17.0
+_UPRIGHT_SIGMA = np.radians(45.0)
+_LIKE = float(np.cos(np.radians(35.0)))
+_CONTRADICTS, _HIDDEN, _UNLIKE, _FATES = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Of K poses. `matched` (K, P + 1, Q + 1): patches that agree, by the planes in either station they are on, the
+    last for none; `contradicting`, `hidden`, `unlike` (K,): patches. `seen` (2,): patches of either station.
+    """
+
+    matched: Ints
+    contradicting: Ints
+    hidden: Ints
+    unlike: Ints
+
+    @property
+    def agreeing(self) -> Ints:
+        """Patches of both stations that agree, (K,)."""
+        count: Ints = self.matched.sum(axis=(1, 2))
+        return count
+
+    @property
+    def contradiction(self) -> Floats:
+        """Share of contradicting patches among those that say something, (K,)."""
+        share: Floats = self.contradicting / np.maximum(self.agreeing + self.contradicting, 1)
+        return share
+
+    def nats(self, thinned: float = 1.0) -> Floats:
+        """What the overlap is worth, (K,), without the pose; `thinned`: patches that each one compared stands for."""
+        on_planes = thinned * self.matched[:, :-1, :-1]
+        planes = NATS_PER_PLANE * np.sum(1 - np.exp(-on_planes / _PATCHES_PER_PLANE), axis=(1, 2))
+        planes += _NATS_PER_PLANE_PATCH * on_planes.sum(axis=(1, 2))
+        others = NATS_PER_PATCH * thinned * (self.agreeing - self.matched[:, :-1, :-1].sum(axis=(1, 2)))
+        worth: Floats = planes + others - NATS_PER_CONTRADICTION * thinned * self.contradicting
+        return worth
+
+
+def nats_of_tilt(rotations: Floats) -> Floats:
+    """What it costs that cameras are tilted against each other, (K,); `rotations` (K, 3, 3) between them."""
+    angle = np.arccos(np.clip(rotations[:, 1, 1], -1, 1))
+    cost: Floats = 0.5 * (angle / _UPRIGHT_SIGMA) ** 2
+    return cost
+
+
+def compare(
+    first: Surfaces,
+    second: Surfaces,
+    rotations: Floats,
+    translations: Floats,
+    tolerance: float,
+    patches: int | None = None,
+) -> Agreement:
+    """At K poses X_first = R X_second + t; `patches`: how many of each station are compared, None for all."""
+    matched = np.zeros((len(rotations), len(first.planes) + 1, len(second.planes) + 1), np.int64)
+    fates = np.zeros((len(rotations), _FATES), np.int64)
+    _look(second, first, rotations, translations, tolerance, patches, matched.transpose(0, 2, 1), fates)
+    back = np.ascontiguousarray(rotations.transpose(0, 2, 1))
+    _look(first, second, back, -np.einsum("kij,kj->ki", back, translations), tolerance, patches, matched, fates)
+    return Agreement(matched, fates[:, _CONTRADICTS], fates[:, _HIDDEN], fates[:, _UNLIKE])
+
+
+def compare_one(first: Surfaces, second: Surfaces, pose: Motion) -> Agreement:
+    """At one pose, all patches at the fine tolerance."""
+    return compare(first, second, pose.rotation[None], pose.translation[None], FINE)
+
+
+def _look(
+    patches_of: Surfaces,
+    seen_by: Surfaces,
+    rotations: Floats,
+    translations: Floats,
+    tolerance: float,
+    count: int | None,
+    matched: Ints,
+    fates: Ints,
+) -> None:
+    """`matched` (K, planes of the patches + 1, planes of the camera + 1) and `fates` (K, 3) are added to."""
+    _look_through(
+        patches_of.patches[:count],
+        patches_of.patch_normals[:count],
+        patches_of.patch_labels[:count],
+        rotations,
+        translations,
+        seen_by.points,
+        seen_by.normals,
+        seen_by.labels,
+        seen_by.near,
+        seen_by.focal_px,
+        seen_by.centre_px,
+        tolerance,
+        3 * (seen_by.noise + patches_of.noise),
+        matched,
+        fates,
+    )
+
+
+@compiled
+def _look_through(
+    patches: Floats,
+    patch_normals: Floats,
+    patch_labels: Ints,
+    rotations: Floats,
+    translations: Floats,
+    points: Floats,
+    normals: Floats,
+    labels: Ints,
+    near: Floats,
+    focal_px: float,
+    centre_px: tuple[float, float],
+    tolerance: float,
+    noise: float,
+    matched: Ints,
+    fates: Ints,
+) -> None:
+    height, width = labels.shape
+    for k in range(len(rotations)):
+        r, t = rotations[k], translations[k]
+        for m in range(len(patches)):
+            a, b, c = patches[m, 0], patches[m, 1], patches[m, 2]
+            z = r[2, 0] * a + r[2, 1] * b + r[2, 2] * c + t[2]
+            if not z > 1e-9:
+                continue
+            x = r[0, 0] * a + r[0, 1] * b + r[0, 2] * c + t[0]
+            y = r[1, 0] * a + r[1, 1] * b + r[1, 2] * c + t[1]
+            column, row = (
+                np.floor(focal_px * x / z + centre_px[0] + 0.5),
+                np.floor(focal_px * y / z + centre_px[1] + 0.5),
+            )
+            if not (0 <= column < width and 0 <= row < height):
+                continue
+            i, j = int(row), int(column)
+            depth = points[i, j, 2]
+            if not depth > 0:
+                continue
+            within = depth * (tolerance + noise * depth)
+            p, q, s = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
+            off = p * (x - points[i, j, 0]) + q * (y - points[i, j, 1]) + s * (z - depth)
+            a, b, c = patch_normals[m, 0], patch_normals[m, 1], patch_normals[m, 2]
+            like = (
+                p * (r[0, 0] * a + r[0, 1] * b + r[0, 2] * c)
+                + q * (r[1, 0] * a + r[1, 1] * b + r[1, 2] * c)
+                + s * (r[2, 0] * a + r[2, 1] * b + r[2, 2] * c)
+            )
+            if np.abs(off) < within and np.abs(z - depth) < 6 * within:
+                if like > _LIKE:
+                    matched[k, patch_labels[m], labels[i, j]] += 1
+                else:
+                    fates[k, _UNLIKE] += 1
+            elif z < near[i, j] - within - _FREE * depth:
+                fates[k, _CONTRADICTS] += 1
+            elif z > depth:
+                fates[k, _HIDDEN] += 1

@@ -1,0 +1,241 @@
+"""Point-to-plane registration by projection: each patch meets the surface that the other camera saw in its direction.
+
+Chen and Medioni, "Object modelling by registration of multiple range images", 1992; the closest point is looked for
+along the other camera's ray (Blais and Levine 1995), which needs no search tree. Poses move by twists of the room's
+frame: a turn ω and a shift v take X to X + ω × X + v.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import Motion, rotation_about
+from calib.numerics import Floats, Ints, compiled
+from calib.rooms.agreement import FINE
+from calib.rooms.surfaces import Surfaces
+
+_LIKE = float(np.cos(np.radians(35.0)))
+# Directions in which nothing holds a station stay as they are: the damping, relative to what the others hold.
+_DAMPING = 1e-3
+_STEPS = 12
+_CONVERGED = 1e-6
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Of the twist of one station against another: `matrix` (6, 6), `gradient` (6,), sums over `count` patches of
+    squared relative distances, whose weighted sum is `square`; `weight` is the sum of the weights.
+    """
+
+    matrix: Floats
+    gradient: Floats
+    square: float
+    weight: float
+    count: int
+
+
+def composed(second: Motion, first: Motion) -> Motion:
+    """First one motion, then the other."""
+    return Motion(second.rotation @ first.rotation, second.rotation @ first.translation + second.translation)
+
+
+def inverse(motion: Motion) -> Motion:
+    """The way back."""
+    return Motion(motion.rotation.T, -motion.rotation.T @ motion.translation)
+
+
+def twisted(motion: Motion, twist: Floats) -> Motion:
+    """After a twist (6,) of the frame that it leads to."""
+    turn = rotation_about(twist[:3])
+    return Motion(turn @ motion.rotation, turn @ motion.translation + twist[3:])
+
+
+def normal_equations(
+    moving: Surfaces,
+    place: Motion,
+    still: Surfaces,
+    still_place: Motion,
+    tolerance: float,
+    patches: int | None = None,
+    *,
+    unlabelled: bool = False,
+) -> NormalEquations:
+    """For the twist of `moving`, from the patches of both; that of `still` has the same with the gradient turned round.
+
+    `tolerance`: relative to the depth, beyond the noise. `unlabelled`: only patches that are on no plane in either.
+    """
+    sums, scalars = np.zeros((6, 7)), np.zeros(3)
+    for one, at, other, other_at, sign in (
+        (moving, place, still, still_place, 1.0),
+        (still, still_place, moving, place, -1.0),
+    ):
+        part = np.zeros((6, 7))
+        _add_up(
+            one.patches[:patches],
+            one.patch_normals[:patches],
+            one.patch_labels[:patches],
+            at.rotation,
+            at.translation,
+            other.points,
+            other.normals,
+            other.labels,
+            other.focal_px,
+            other.centre_px,
+            other_at.rotation,
+            other_at.translation,
+            tolerance,
+            3 * (one.noise + other.noise),
+            unlabelled,
+            part,
+            scalars,
+        )
+        part[:, 6] *= sign
+        sums += part
+    return NormalEquations(sums[:, :6], sums[:, 6], float(scalars[0]), float(scalars[1]), int(scalars[2]))
+
+
+def settled(
+    moving: Surfaces,
+    place: Motion,
+    others: Sequence[tuple[Surfaces, Motion]],
+    tolerances: Sequence[float],
+    patches: int | None = None,
+) -> Motion:
+    """The place of one station that fits the others, which stay where they are, best: tolerance after tolerance."""
+    for tolerance in tolerances:
+        for _ in range(_STEPS):
+            matrix, gradient = np.zeros((6, 6)), np.zeros(6)
+            for still, still_place in others:
+                each = normal_equations(moving, place, still, still_place, tolerance, patches)
+                matrix += each.matrix
+                gradient += each.gradient
+            twist = _step(matrix, gradient, place.translation)
+            place = twisted(place, twist)
+            if np.abs(twist).max() < _CONVERGED * max(1.0, moving.distance):
+                break
+    return place
+
+
+def settled_together(
+    stations: Mapping[int, Surfaces], places: Mapping[int, Motion], tolerance: float = FINE, steps: int = _STEPS
+) -> dict[int, Motion]:
+    """All places at once; the first station's stays."""
+    now = dict(places)
+    names = list(now)
+    pairs = [(a, b) for n, a in enumerate(names) for b in names[n + 1 :]]
+    for _ in range(steps):
+        size = 6 * len(names)
+        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        kept = []
+        for a, b in pairs:
+            each = normal_equations(stations[a], now[a], stations[b], now[b], tolerance)
+            if each.count == 0:
+                continue
+            kept.append((a, b))
+            i, j = (slice(6 * names.index(k), 6 * names.index(k) + 6) for k in (a, b))
+            matrix[i, i] += each.matrix
+            matrix[j, j] += each.matrix
+            matrix[i, j] -= each.matrix
+            matrix[j, i] -= each.matrix
+            gradient[i] += each.gradient
+            gradient[j] -= each.gradient
+        pairs = kept
+        damping = _DAMPING * np.diag(matrix)[6:] + 1e-12
+        twists = -np.linalg.solve(matrix[6:, 6:] + np.diag(damping), gradient[6:]).reshape(-1, 6).astype(np.float64)
+        for name, twist in zip(names[1:], twists, strict=True):
+            now[name] = twisted(now[name], twist)
+        if np.abs(twists).max(initial=0.0) < _CONVERGED * stations[names[0]].distance:
+            break
+    return now
+
+
+def _step(matrix: Floats, gradient: Floats, centre: Floats) -> Floats:
+    """The damped Gauss–Newton twist, the damping being that of turns about a centre (3,) and of shifts."""
+    if not matrix.any():
+        return np.zeros(6)
+    about = np.eye(6)  # twist about the centre → twist of the frame
+    x, y, z = centre
+    about[3:, :3] = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]) @ np.eye(3)
+    own = about.T @ matrix @ about
+    turns, shifts = np.trace(own[:3, :3]) / 3, np.trace(own[3:, 3:]) / 3
+    damped = own + _DAMPING * np.diag([turns] * 3 + [shifts] * 3) + 1e-12 * np.eye(6)
+    step: Floats = about @ -np.linalg.solve(damped, about.T @ gradient)
+    return step
+
+
+@compiled
+def _add_up(
+    patches: Floats,
+    patch_normals: Floats,
+    patch_labels: Ints,
+    rotation: Floats,
+    translation: Floats,
+    points: Floats,
+    normals: Floats,
+    labels: Ints,
+    focal_px: float,
+    centre_px: tuple[float, float],
+    camera_rotation: Floats,
+    camera_translation: Floats,
+    tolerance: float,
+    noise: float,
+    unlabelled: bool,
+    sums: Floats,
+    scalars: Floats,
+) -> None:
+    """Add to `sums` (6, 7), the normal matrix and the gradient by the patches' twist, with Tukey's weights; and to
+    `scalars` (3,): squares, weights, number.
+    """
+    height, width = labels.shape
+    r = camera_rotation.T @ rotation
+    t = camera_rotation.T @ (translation - camera_translation)
+    j6 = np.empty(6)
+    for m in range(len(patches)):
+        if unlabelled and patch_labels[m] >= 0:
+            continue
+        a, b, c = patches[m, 0], patches[m, 1], patches[m, 2]
+        z = r[2, 0] * a + r[2, 1] * b + r[2, 2] * c + t[2]
+        if not z > 1e-9:
+            continue
+        x = r[0, 0] * a + r[0, 1] * b + r[0, 2] * c + t[0]
+        y = r[1, 0] * a + r[1, 1] * b + r[1, 2] * c + t[1]
+        column, row = np.floor(focal_px * x / z + centre_px[0] + 0.5), np.floor(focal_px * y / z + centre_px[1] + 0.5)
+        if not (0 <= column < width and 0 <= row < height):
+            continue
+        i, j = int(row), int(column)
+        depth = points[i, j, 2]
+        if not depth > 0 or (unlabelled and labels[i, j] >= 0):
+            continue
+        within = depth * (tolerance + noise * depth)
+        p, q, s = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
+        off = p * (x - points[i, j, 0]) + q * (y - points[i, j, 1]) + s * (z - depth)
+        if not (np.abs(off) < within and np.abs(z - depth) < 6 * within):
+            continue
+        a, b, c = patch_normals[m, 0], patch_normals[m, 1], patch_normals[m, 2]
+        like = (
+            p * (r[0, 0] * a + r[0, 1] * b + r[0, 2] * c)
+            + q * (r[1, 0] * a + r[1, 1] * b + r[1, 2] * c)
+            + s * (r[2, 0] * a + r[2, 1] * b + r[2, 2] * c)
+        )
+        if not like > _LIKE:
+            continue
+        # In the room's frame, where the patch is and where the normal points.
+        e = camera_rotation
+        u = e[0, 0] * x + e[0, 1] * y + e[0, 2] * z + camera_translation[0]
+        v = e[1, 0] * x + e[1, 1] * y + e[1, 2] * z + camera_translation[1]
+        w = e[2, 0] * x + e[2, 1] * y + e[2, 2] * z + camera_translation[2]
+        j6[3] = e[0, 0] * p + e[0, 1] * q + e[0, 2] * s
+        j6[4] = e[1, 0] * p + e[1, 1] * q + e[1, 2] * s
+        j6[5] = e[2, 0] * p + e[2, 1] * q + e[2, 2] * s
+        j6[0] = v * j6[5] - w * j6[4]
+        j6[1] = w * j6[3] - u * j6[5]
+        j6[2] = u * j6[4] - v * j6[3]
+        weight = (1 - (off / within) ** 2) ** 2 / (depth * depth)
+        for k in range(6):
+            for n in range(6):
+                sums[k, n] += weight * j6[k] * j6[n]
+            sums[k, 6] += weight * off * j6[k]
+        scalars[0] += weight * off * off
+        scalars[1] += (1 - (off / within) ** 2) ** 2
+        scalars[2] += 1

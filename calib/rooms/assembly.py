@@ -1,0 +1,147 @@
+"""Supposed relative poses of pairs → the places of whole groups of stations: loops decide together.
+
+Groups grow station by station, several of them side by side (beam search). A station is tried wherever a supposed pose
+puts it beside a member, settles against all members, and is then judged by all of them: by what agrees, and by what
+any of them looked through.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import Motion
+from calib.rooms.agreement import COARSE, FINE, NATS_OF_POSE, compare
+from calib.rooms.alignment import composed, inverse, settled, settled_together
+from calib.rooms.hypotheses import Hypothesis, judged
+from calib.rooms.surfaces import Surfaces
+
+_BEAM, _TRIED, _SETTLED = 12, 60, 3
+_PATCHES = 400
+_SAME_TURN, _SAME_PLACE = np.radians(4.0), 0.06
+# A station joins a group if that is so much likelier than that it belongs elsewhere.
+_JOINS_NATS = 3.0
+
+Edges = Mapping[tuple[int, int], Sequence[Hypothesis]]
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """`places` by station, the frame being that of its first one, and what they are worth in nats."""
+
+    places: dict[int, Motion]
+    nats: float
+
+    def like(self, other: "Assembly", size: float) -> bool:
+        """Whether the same stations are at the same places, relative to each other."""
+        if self.places.keys() != other.places.keys():
+            return False
+        first = min(self.places)
+        here, there = (inverse(each.places[first]) for each in (self, other))
+        for k in self.places:
+            off = composed(inverse(composed(here, self.places[k])), composed(there, other.places[k]))
+            angle = np.arccos(np.clip((np.trace(off.rotation) - 1) / 2, -1, 1))
+            if angle > _SAME_TURN or np.linalg.norm(off.translation) > size:
+                return False
+        return True
+
+
+def assemble(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[int]) -> list[Assembly]:
+    """Groups among some stations, the likeliest first; empty if no two of them belong together."""
+    size = _SAME_PLACE * float(np.median([surfaces[k].distance for k in stations]))
+    begun = [
+        Assembly({i: _identity(), j: each.pose}, each.nats - NATS_OF_POSE)
+        for (i, j), some in edges.items()
+        if i in stations and j in stations
+        for each in some
+    ]
+    beam = _distinct(begun, size)
+    finished: list[Assembly] = []
+    while beam:
+        longer: list[Assembly] = []
+        for each in beam:
+            grown = _grown(surfaces, edges, stations, each)
+            longer += grown
+            if each.nats > _JOINS_NATS and not any(more.nats > each.nats + _JOINS_NATS for more in grown):
+                finished.append(each)
+        beam = _distinct(longer, size)
+    return _distinct([_together(surfaces, each) for each in _distinct(finished, size)], size)
+
+
+def _identity() -> Motion:
+    return Motion(np.eye(3), np.zeros(3))
+
+
+def _distinct(assemblies: Sequence[Assembly], size: float) -> list[Assembly]:
+    """The best, each unlike the better ones."""
+    kept: list[Assembly] = []
+    for each in sorted(assemblies, key=lambda each: -each.nats):
+        if len(kept) == _BEAM:
+            break
+        if not any(each.like(better, size) for better in kept):
+            kept.append(each)
+    return kept
+
+
+def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[int], group: Assembly) -> list[Assembly]:
+    """The group with one station more, at its likeliest places."""
+    tried: list[tuple[float, int, Motion]] = []
+    for k in stations:
+        if k in group.places:
+            continue
+        for member, place in group.places.items():
+            pair = (min(member, k), max(member, k))
+            for each in edges.get(pair, ()):
+                relative = each.pose if member < k else inverse(each.pose)
+                tried.append((each.nats, k, composed(place, relative)))
+    tried.sort(key=lambda each: -each[0])
+    worth = [(_coarsely(surfaces, group, k, place), k, place) for _, k, place in tried[:_TRIED]]
+    worth.sort(key=lambda each: -each[0])
+    grown: list[Assembly] = []
+    count: dict[int, int] = {}
+    for _, k, place in worth:
+        if count.get(k, 0) == _SETTLED or any(
+            k in more.places and _near(more.places[k], place, surfaces[k].distance) for more in grown
+        ):
+            continue
+        count[k] = count.get(k, 0) + 1
+        others = [(surfaces[member], at) for member, at in group.places.items()]
+        place = settled(surfaces[k], place, others, (COARSE, FINE), _PATCHES)
+        gain = sum(
+            judged(surfaces[member], surfaces[k], composed(inverse(at), place)).nats
+            for member, at in group.places.items()
+        )
+        grown.append(Assembly({**group.places, k: place}, group.nats + gain - NATS_OF_POSE))
+    return grown
+
+
+def _near(one: Motion, other: Motion, distance: float) -> bool:
+    angle = np.arccos(np.clip((np.trace(one.rotation.T @ other.rotation) - 1) / 2, -1, 1))
+    far = np.linalg.norm(one.translation - other.translation)
+    return bool(angle < _SAME_TURN and far < _SAME_PLACE * distance)
+
+
+def _coarsely(surfaces: Mapping[int, Surfaces], group: Assembly, k: int, place: Motion) -> float:
+    """What a station at a place is worth beside a group, from some of the patches and before it has settled."""
+    worth = 0.0
+    for member, at in group.places.items():
+        pose = composed(inverse(at), place)
+        seen = compare(surfaces[member], surfaces[k], pose.rotation[None], pose.translation[None], COARSE, _PATCHES)
+        worth += float(seen.nats(len(surfaces[k].patches) / _PATCHES)[0])
+    return worth
+
+
+def _together(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:
+    """All stations moved until they fit best together."""
+    members = dict(sorted(group.places.items()))
+    first = inverse(next(iter(members.values())))
+    places = settled_together(
+        {k: surfaces[k] for k in members}, {k: composed(first, place) for k, place in members.items()}
+    )
+    names = list(places)
+    nats = -NATS_OF_POSE * (len(names) - 1) + sum(
+        judged(surfaces[a], surfaces[b], composed(inverse(places[a]), places[b])).nats
+        for n, a in enumerate(names)
+        for b in names[n + 1 :]
+    )
+    return Assembly(places, nats)

@@ -1,0 +1,187 @@
+"""Supposed relative poses of two stations, from their planes.
+
+Two pairs of planes that enclose like angles give a rotation; in a room there are few, for most planes are square to
+each other. Given the rotation, each pair of planes with like normals fixes the translation along its normal: three of
+them fix it, two leave it open along a line, which is then searched in steps. All of these are judged by how the
+stations' surfaces agree and contradict each other (agreement.py), the best are refined and judged again.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from calib.geometry import Motion
+from calib.numerics import Bools, Floats, Ints
+from calib.rooms.agreement import COARSE, FINE, compare, compare_one, nats_of_tilt
+from calib.rooms.alignment import settled
+from calib.rooms.surfaces import Surfaces
+
+_MOST_PLANES = 14
+_LIKE_ANGLES = np.radians(4.0)
+_LIKE_NORMALS = float(np.cos(np.radians(6.0)))
+_LEAST_SINE = 0.4
+_SAME_ROTATION, _SAME_PLACE = np.radians(5.0), 0.04  # radians; of the distance
+_MOST_ROTATIONS, _MOST_PAIRS_OF_PLANES, _MOST_TRIPLES, _MOST_LINES, _LINE_STEPS = 16, 40, 1500, 12, 100
+_COARSE_PATCHES, _SETTLING_PATCHES = 150, 500
+_REFINED, _KEPT = 40, 12
+_LEAST_NATS = 3.0
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """X_first = R X_second + t, what the overlap is then worth in nats, and the share that contradicts."""
+
+    pose: Motion
+    nats: float
+    contradiction: float
+
+
+def hypotheses(first: Surfaces, second: Surfaces, others: tuple[Motion, ...] = ()) -> list[Hypothesis]:
+    """Relative poses of two stations that are worth following up, best first; `others`: from other sources."""
+    rotations, translations = _supposed(first, second)
+    if others:
+        rotations = np.concatenate([rotations, np.stack([pose.rotation for pose in others])])
+        translations = np.concatenate([translations, np.stack([pose.translation for pose in others])])
+    if len(rotations) == 0:
+        return []
+    coarse = compare(first, second, rotations, translations, COARSE, _COARSE_PATCHES)
+    thinned = max(1.0, len(first.patches) / _COARSE_PATCHES)
+    worth = coarse.nats(thinned) - nats_of_tilt(rotations)
+    worth[len(worth) - len(others) :] += 1e6  # they are few, and each is worth a look
+    size = _SAME_PLACE * (first.distance + second.distance) / 2
+    found = []
+    for k in _distinct(rotations, translations, worth, size, _REFINED):
+        pose = Motion(rotations[k], translations[k])
+        found.append(judged(first, second, refined(first, second, pose)))
+    found.sort(key=lambda each: -each.nats)
+    poses = np.stack([each.pose.rotation for each in found]), np.stack([each.pose.translation for each in found])
+    kept = _distinct(*poses, np.array([each.nats for each in found]), size, _KEPT)
+    return [found[k] for k in kept if found[k].nats > _LEAST_NATS]
+
+
+def refined(first: Surfaces, second: Surfaces, pose: Motion) -> Motion:
+    """The pose at which the second station's surfaces fit the first one's."""
+    still = Motion(np.eye(3), np.zeros(3))
+    return settled(second, pose, [(first, still)], (COARSE, FINE), _SETTLING_PATCHES)
+
+
+def judged(first: Surfaces, second: Surfaces, pose: Motion) -> Hypothesis:
+    """What is to be thought of a pose."""
+    seen = compare_one(first, second, pose)
+    nats = float(seen.nats()[0] - nats_of_tilt(pose.rotation[None])[0])
+    return Hypothesis(pose, nats, float(seen.contradiction[0]))
+
+
+def _distinct(rotations: Floats, translations: Floats, worth: Floats, size: float, most: int) -> list[int]:
+    """Indices of the best of K poses, each unlike the better ones."""
+    kept: list[int] = []
+    for k in np.argsort(-worth, kind="stable"):
+        if len(kept) == most:
+            break
+        near = np.linalg.norm(translations[kept] - translations[k], axis=1) < size
+        turned = _angles(rotations[kept], rotations[k]) < _SAME_ROTATION
+        if not np.any(near & turned):
+            kept.append(int(k))
+    return kept
+
+
+def _angles(rotations: Floats, other: Floats) -> Floats:
+    cosine = (np.einsum("kij,ij->k", rotations, other) - 1) / 2
+    angle: Floats = np.arccos(np.clip(cosine, -1, 1))
+    return angle
+
+
+def _supposed(first: Surfaces, second: Surfaces) -> tuple[Floats, Floats]:
+    """Rotations (K, 3, 3) and translations (K, 3) from planes."""
+    largest = [np.argsort(-each.plane_area, kind="stable")[:_MOST_PLANES] for each in (first, second)]
+    a, b = (each.planes[order] for each, order in zip((first, second), largest, strict=True))
+    area = np.minimum(first.plane_area[largest[0]][:, None], second.plane_area[largest[1]][None])
+    rotations, translations = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
+    reach = 1.2 * (first.distance + second.distance)
+    for rotation in _rotations(a[:, :3], b[:, :3], area):
+        alike = (a[:, :3] @ rotation @ b[:, :3].T > _LIKE_NORMALS) & (area > 2)
+        shifts = _translations(a, b, alike, area, reach)
+        translations.append(shifts)
+        rotations.append(np.broadcast_to(rotation, (len(shifts), 3, 3)))
+    return np.concatenate(rotations), np.concatenate(translations)
+
+
+def _rotations(a: Floats, b: Floats, area: Ints) -> list[Floats]:
+    """Rotations that turn normals b (Q, 3) to normals a (P, 3), those that match most surface first."""
+    frames_a, cosine_a = _frames(a, list(combinations(range(len(a)), 2)))
+    frames_b, cosine_b = _frames(b, [(i, j) for i in range(len(b)) for j in range(len(b)) if i != j])
+    if len(frames_a) == 0 or len(frames_b) == 0:
+        return []
+    off = np.arccos(cosine_a)[:, None] - np.arccos(cosine_b)[None]
+    i, j = np.nonzero(np.abs(off) < _LIKE_ANGLES)
+    if len(i) == 0:
+        return []
+    found = np.einsum("kij,klj->kil", frames_a[i], frames_b[j])
+    votes = np.zeros(len(found))
+    for start in range(0, len(found), 4096):
+        some = found[start : start + 4096]
+        alike = np.einsum("pi,kij,qj->kpq", a, some, b, optimize=True) > _LIKE_NORMALS
+        votes[start : start + 4096] = np.sum(np.where(alike, np.sqrt(area), 0.0), axis=(1, 2))
+    worth = votes * np.exp(-nats_of_tilt(found) / 4)
+    kept = _distinct(found, np.zeros((len(found), 3)), worth, 1.0, _MOST_ROTATIONS)
+    return [_fitted(found[k], a, b, area) for k in kept]
+
+
+def _frames(normals: Floats, pairs: list[tuple[int, int]]) -> tuple[Floats, Floats]:
+    """Frames (K, 3, 3), columns, that pairs of normals span, and the cosines between them; parallel ones left out."""
+    if not pairs:
+        return np.zeros((0, 3, 3)), np.zeros(0)
+    one, other = normals[np.array(pairs).T]
+    cosine = np.clip(np.sum(one * other, axis=1), -1, 1)
+    wide = np.sqrt(1 - cosine**2) > _LEAST_SINE
+    one, other, cosine = one[wide], other[wide], cosine[wide]
+    frames = np.stack([one + other, one - other, np.cross(one, other)], axis=-1)
+    return frames / np.linalg.norm(frames, axis=1, keepdims=True), cosine
+
+
+def _fitted(rotation: Floats, a: Floats, b: Floats, area: Ints) -> Floats:
+    """The rotation nearest to one that turns matching normals into each other, large planes first (Kabsch 1976)."""
+    weight = np.where(a @ rotation @ b.T > _LIKE_NORMALS, np.sqrt(area), 0.0)
+    u, _, vt = np.linalg.svd(a.T @ weight @ b)
+    turned: Floats = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return turned
+
+
+def _translations(a: Floats, b: Floats, alike: Bools, area: Ints, reach: float) -> Floats:
+    """Translations (K, 3) by which planes b (Q, 4), turned already, come to lie on planes a (P, 4)."""
+    p, q = np.nonzero(alike)
+    order = np.argsort(-area[p, q], kind="stable")[:_MOST_PAIRS_OF_PLANES]
+    p, q = p[order], q[order]
+    normal, shift, weight = a[p, :3], a[p, 3] - b[q, 3], np.sqrt(area[p, q].astype(np.float64))
+    found = [_meeting(normal, shift, weight, reach), _along_lines(normal, shift, weight, reach)]
+    return np.concatenate(found)
+
+
+def _meeting(normal: Floats, shift: Floats, weight: Floats, reach: float) -> Floats:
+    """Where three planes normal · t = shift meet."""
+    triples = np.array(list(combinations(range(len(normal)), 3)), np.int64).reshape(-1, 3)
+    volume = np.abs(np.linalg.det(normal[triples])) if len(triples) else np.zeros(0)
+    triples = triples[volume > _LEAST_SINE**2]
+    triples = triples[np.argsort(-np.prod(weight[triples], axis=1), kind="stable")[:_MOST_TRIPLES]]
+    if len(triples) == 0:
+        return np.zeros((0, 3))
+    met: Floats = np.linalg.solve(normal[triples], shift[triples][..., None])[..., 0]
+    within: Floats = met[np.linalg.norm(met, axis=1) < reach]
+    return within
+
+
+def _along_lines(normal: Floats, shift: Floats, weight: Floats, reach: float) -> Floats:
+    """Steps along the lines in which two of them meet."""
+    pairs = np.array(list(combinations(range(len(normal)), 2)), np.int64).reshape(-1, 2)
+    along = np.cross(normal[pairs[:, 0]], normal[pairs[:, 1]]) if len(pairs) else np.zeros((0, 3))
+    length = np.linalg.norm(along, axis=1)
+    good = length > _LEAST_SINE
+    pairs, along = pairs[good], along[good] / length[good, None]
+    chosen = np.argsort(-np.prod(weight[pairs], axis=1), kind="stable")[:_MOST_LINES]
+    steps = np.linspace(-reach, reach, _LINE_STEPS)
+    found = [np.zeros((0, 3))]
+    for k in chosen:
+        foot = np.linalg.lstsq(normal[pairs[k]], shift[pairs[k]], rcond=None)[0]
+        found.append(foot + steps[:, None] * along[k])
+    return np.concatenate(found)

@@ -1,0 +1,173 @@
+"""Registration of stations without a guess: from what each saw alone to where all of them stood."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from calib.geometry import Motion
+from calib.rooms.agreement import NATS_OF_POSE, compare_one
+from calib.rooms.alignment import composed, inverse, normal_equations
+from calib.rooms.assembly import Assembly, Edges, assemble
+from calib.rooms.hypotheses import hypotheses, judged, refined
+from calib.rooms.planes import RoomPlane
+from calib.rooms.shared_planes import shared_planes
+from calib.rooms.station import StationView
+from calib.rooms.surfaces import Surfaces, surfaces_of
+
+# One answer has to be 1000 times as likely as the next.
+DECIDED_NATS = float(np.log(1000.0))
+_MOST_ALTERNATIVES = 4
+_LEAST_OVERLAP = 0.01
+_MOST_CONTRADICTION = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Other places of a group's stations that are not ruled out, and by how many nats they are behind."""
+
+    places: tuple[Motion, ...]
+    behind_nats: float
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Stations of one room.
+
+    `places` by station, X_room = R X_camera + t, the room's frame being that of the group's first station. `planes` in
+    the room's frame; `plane_of`: for each station, of each of its labels the index of the plane, −1 for none.
+    `alternatives`: other answers that are as likely; with any, the group is ambiguous. `ahead_nats`: by how much the
+    answer is likelier than the next one that was looked at, infinite where there is none.
+    """
+
+    stations: tuple[int, ...]
+    places: tuple[Motion, ...]
+    planes: tuple[RoomPlane, ...]
+    plane_of: tuple[tuple[int, ...], ...]
+    alternatives: tuple[Alternative, ...]
+    ahead_nats: float
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether the stations could as well be elsewhere."""
+        return len(self.alternatives) > 0
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two stations of one group, `first` < `second`, that overlap.
+
+    `overlap`: share of their surfaces that both saw. `pose`: X_first = R X_second + t, with all stations taken
+    together. `nats`: what the overlap is worth as evidence. `contradiction`: share of what one could see of the other
+    that it looked through. `residual`: root mean square distance of the surfaces, of their depth. `closure`: by how
+    far the second station would move if only the first one held it, in the unit of the points; large where the two
+    share too little to hold each other.
+    """
+
+    first: int
+    second: int
+    overlap: float
+    pose: Motion
+    nats: float
+    contradiction: float
+    residual: float
+    closure: float
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A station that belongs to no group, and why, as a sentence."""
+
+    station: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """`groups`, the largest first: two are two rooms, or two parts of one that no station connects."""
+
+    groups: tuple[Group, ...]
+    pairs: tuple[Pair, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def register(stations: Sequence[StationView]) -> Registration:
+    """Where stations of one rig stood, their lengths being in one unit; in any order."""
+    surfaces = {k: surfaces_of(view) for k, view in enumerate(stations) if np.isfinite(view.points[..., 2]).any()}
+    edges = {(i, j): hypotheses(surfaces[i], surfaces[j]) for i, j in combinations(surfaces, 2)}
+    groups: list[Group] = []
+    left = list(surfaces)
+    while len(left) > 1:
+        assemblies = assemble(surfaces, edges, left)
+        if not assemblies:
+            break
+        groups.append(_group(surfaces, assemblies))
+        left = [k for k in left if k not in groups[-1].stations]
+    pairs = [pair for group in groups for pair in _pairs(surfaces, group)]
+    alone = [k for k in range(len(stations)) if not any(k in group.stations for group in groups)]
+    return Registration(tuple(groups), tuple(pairs), tuple(LeftOut(k, _reason(surfaces, edges, k)) for k in alone))
+
+
+def _group(surfaces: Mapping[int, Surfaces], assemblies: Sequence[Assembly]) -> Group:
+    best = max(assemblies, key=lambda each: (each.nats, len(each.places)))
+    names = tuple(best.places)
+    rivals = [each for each in assemblies if each is not best and each.places.keys() == best.places.keys()]
+    behind = [best.nats - each.nats for each in rivals]
+    alternatives = [
+        Alternative(tuple(each.places[k] for k in names), nats)
+        for each, nats in zip(rivals, behind, strict=True)
+        if nats < DECIDED_NATS
+    ]
+    planes = shared_planes(surfaces, best.places)
+    return Group(
+        names,
+        tuple(best.places[k] for k in names),
+        planes.planes,
+        tuple(planes.plane_of[k] for k in names),
+        tuple(alternatives[:_MOST_ALTERNATIVES]),
+        min(behind, default=np.inf),
+    )
+
+
+def _pairs(surfaces: Mapping[int, Surfaces], group: Group) -> list[Pair]:
+    found = []
+    for (i, at), (j, there) in combinations(zip(group.stations, group.places, strict=True), 2):
+        pose = composed(inverse(at), there)
+        seen = compare_one(surfaces[i], surfaces[j], pose)
+        overlap = float(seen.agreeing[0]) / (len(surfaces[i].patches) + len(surfaces[j].patches))
+        if overlap < _LEAST_OVERLAP:
+            continue
+        still = Motion(np.eye(3), np.zeros(3))
+        fit = normal_equations(surfaces[j], pose, surfaces[i], still, 0.01)
+        alone = refined(surfaces[i], surfaces[j], pose)
+        found.append(
+            Pair(
+                i,
+                j,
+                overlap,
+                pose,
+                judged(surfaces[i], surfaces[j], pose).nats,
+                float(seen.contradiction[0]),
+                float(np.sqrt(fit.square / max(fit.weight, 1e-9))),
+                float(np.linalg.norm(alone.translation - pose.translation)),
+            )
+        )
+    return found
+
+
+def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> str:
+    """Why a station belongs to no group."""
+    best = max(
+        (each for pair, some in edges.items() if k in pair for each in some), key=lambda each: each.nats, default=None
+    )
+    if k not in surfaces:
+        return "it has no points"
+    if best is None or best.nats < NATS_OF_POSE / 2:
+        return "it shows nothing that any other station shows, too"
+    if best.contradiction > _MOST_CONTRADICTION:
+        return (
+            f"wherever its surfaces would fit, {best.contradiction:.0%} of what it saw is where others looked through: "
+            "another room, something was moved, or the rig was changed"
+        )
+    return "it shares too little with the other stations to say where it stood, or it is of another room"

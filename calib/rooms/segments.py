@@ -1,0 +1,189 @@
+"""Plane segments of an organised cloud: floor, walls, and what furniture has of planes.
+
+A cloud is taken apart in two steps. Small square cells of the image, each with a plane of its own, are gathered into
+planes, the one that explains most surface first; then every pixel goes to the plane that it is nearest to. A room's
+planes bend by what the calibration is off, by some thousandths of the distance: the tolerance allows for that.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Bools, Floats, Ints, robust_sigma
+from calib.rooms.planes import RoomPlane
+
+NO_PLANE = -1
+# How far a point may be off its plane: of its depth, by an error of the calibration, and in sigmas of its noise.
+_BENT, _SIGMAS = 0.006, 3.0
+_LIKE_CELL, _LIKE_PIXEL = np.cos(np.radians(12.0)), np.cos(np.radians(30.0))
+_CELLS_ACROSS = 100
+_SEEDS, _ROUNDS = 40, 5
+_MOST_PLANES = 24
+# A plane has at least this share of a picture's cells, and a piece of it this share of the picture's pixels.
+_LEAST_SHARE, _LEAST_PIECE = 0.003, 0.0005
+_FITTED = 4000
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """`centre`, `normal` (N, 3), `tolerance` (N,) and the surface's `area` (N,) of cells of one plane each."""
+
+    centre: Floats
+    normal: Floats
+    tolerance: Floats
+    area: Floats
+
+    def on(self, normal: Floats, offset: float) -> Bools:
+        """Which cells (N,) lie on a plane and slope like it."""
+        off: Bools = np.abs(self.centre @ normal - offset) < self.tolerance
+        like: Bools = off & (self.normal @ normal > _LIKE_CELL)
+        return like
+
+
+def relative_noise(points: NDArray[np.float32], normals: NDArray[np.float32]) -> float:
+    """Standard deviation of a point along its ray over its depth squared, from how neighbours (H, W, 3) differ."""
+    middle, left, right = points[:, 1:-1], points[:, :-2], points[:, 2:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slant = np.sum(normals[:, 1:-1] * middle, axis=2)
+        inverse = [np.float32(1.0) / each[..., 2] for each in (left, middle, right)]
+        # Inverse depth is linear across a plane; of the second difference of three equal noises the variance is 6.
+        bend = (inverse[0] - 2 * inverse[1] + inverse[2])[slant < 0]
+    bend = bend[np.isfinite(bend)]
+    return robust_sigma(bend[:: max(1, len(bend) // 100_000)].astype(np.float64)) / float(np.sqrt(6.0))
+
+
+def find_segments(
+    points: NDArray[np.float32], normals: NDArray[np.float32], noise: float
+) -> tuple[NDArray[np.int32], tuple[RoomPlane, ...]]:
+    """The plane of each pixel (H, W), NO_PLANE for none, and the planes, the one with most surface first.
+
+    `points`, `normals` (H, W, 3) in the camera's frame, normals towards the camera; `noise` as of `relative_noise`.
+    """
+    cells = _cells(points, normals, noise)
+    found = _planes_of(cells)
+    labels = _assigned(points, normals, noise, found)
+    fitted = []
+    for label in range(len(found)):
+        own = np.flatnonzero(labels.ravel() == label)
+        some = points.reshape(-1, 3)[own[:: max(1, len(own) // _FITTED)]].astype(np.float64)
+        fitted.append(_plane_through(some, 1 / (noise * some[:, 2] ** 2 + _BENT / _SIGMAS * some[:, 2]) ** 2))
+    return labels, tuple(RoomPlane(normal, offset) for normal, offset in fitted)
+
+
+def _tolerance(depth: Floats, noise: float) -> Floats:
+    return _BENT * depth + _SIGMAS * noise * depth * depth
+
+
+def _cells(points: NDArray[np.float32], normals: NDArray[np.float32], noise: float) -> _Cells:
+    """Cells whose points and normals agree."""
+    height, width = points.shape[:2]
+    side = max(2, round(width / _CELLS_ACROSS))
+    rows, columns = height // side, width // side
+
+    def tiled(values: NDArray[np.float32]) -> Floats:
+        cut = values[: rows * side, : columns * side].astype(np.float64)
+        in_cells = cut.reshape(rows, side, columns, side, 3).swapaxes(1, 2)
+        flat: Floats = in_cells.reshape(rows * columns, side * side, 3)
+        return flat
+
+    at, towards = tiled(points), tiled(normals)
+    there = np.isfinite(at[..., 2]) & np.isfinite(towards[..., 2])
+    full = np.count_nonzero(there, axis=1) > side * side / 2
+    at, towards, there = at[full], towards[full], there[full]
+    count = np.count_nonzero(there, axis=1)[:, None]
+    at, towards = np.where(there[..., None], at, 0.0), np.where(there[..., None], towards, 0.0)
+    centre, normal = at.sum(axis=1) / count, towards.sum(axis=1) / count
+    straight = np.linalg.norm(normal, axis=1)
+    normal = normal / np.maximum(straight, 1e-12)[:, None]
+    off = np.einsum("nki,ni->nk", at - centre[:, None], normal)
+    rms = np.sqrt(np.sum(np.where(there, off, 0.0) ** 2, axis=1) / count[:, 0])
+    tolerance = _tolerance(centre[:, 2], noise)
+    slant = -np.sum(normal * centre, axis=1) / np.linalg.norm(centre, axis=1)
+    good = (straight > _LIKE_CELL) & (rms < tolerance) & (slant > 0.05)
+    area = count[:, 0] * centre[:, 2] ** 2 / np.maximum(slant, 0.05)
+    return _Cells(centre[good], normal[good], tolerance[good], area[good])
+
+
+def _planes_of(cells: _Cells) -> list[tuple[Floats, float]]:
+    """Planes as (normal, offset), the one with most cells first."""
+    rng = np.random.default_rng(0)
+    free = np.ones(len(cells.area), np.bool_)
+    fewest = max(8, _LEAST_SHARE * len(free))
+    found: list[tuple[Floats, float]] = []
+    failures = 0
+    while len(found) < _MOST_PLANES and failures < 3 and np.count_nonzero(free) >= fewest:
+        best, most = None, 0
+        pool = np.flatnonzero(free)
+        for seed in rng.choice(pool, min(_SEEDS, len(pool)), replace=False):
+            grown = _grown(cells, free, int(seed))
+            count = int(np.count_nonzero(grown))
+            if count > most:
+                best, most = grown, count
+        if best is None or most < fewest:
+            failures += 1
+            continue
+        found.append(_plane_through(cells.centre[best], 1 / cells.tolerance[best] ** 2))
+        free &= ~cells.on(*found[-1])
+        free &= ~best
+    return found
+
+
+def _grown(cells: _Cells, free: Bools, seed: int) -> Bools:
+    """Free cells (N,) on the plane that grows from a seed."""
+    normal = cells.normal[seed]
+    offset = float(normal @ cells.centre[seed])
+    # The first step reaches no farther than a single cell's normal can be trusted.
+    near = np.linalg.norm(cells.centre - cells.centre[seed], axis=1) < 12 * cells.tolerance[seed]
+    inlier: Bools = free & near & cells.on(normal, offset)
+    for _ in range(_ROUNDS):
+        if np.count_nonzero(inlier) < 4:
+            break
+        normal, offset = _plane_through(cells.centre[inlier], 1 / cells.tolerance[inlier] ** 2)
+        again: Bools = free & cells.on(normal, offset)
+        if np.array_equal(again, inlier):
+            break
+        inlier = again
+    return inlier
+
+
+def _plane_through(points: Floats, weight: Floats) -> tuple[Floats, float]:
+    """Normal towards the origin, and offset, of the plane through points (N, 3) of `weight` (N,)."""
+    centre = np.average(points, axis=0, weights=weight)
+    off = points - centre
+    normal = np.linalg.eigh((weight[:, None] * off).T @ off)[1][:, 0]
+    offset = float(normal @ centre)
+    return (normal, offset) if offset < 0 else (-normal, -offset)
+
+
+def _assigned(
+    points: NDArray[np.float32], normals: NDArray[np.float32], noise: float, planes: list[tuple[Floats, float]]
+) -> NDArray[np.int32]:
+    """The plane that each pixel (H, W) is nearest to, without pieces that are too small to be one."""
+    height, width = points.shape[:2]
+    depth = points[..., 2]
+    least = (_BENT * depth + np.float32(_SIGMAS * noise) * depth * depth).astype(np.float32)
+    labels = np.full((height, width), NO_PLANE, np.int32)
+    with np.errstate(invalid="ignore"):
+        for label, (normal, offset) in enumerate(planes):
+            off = np.abs(points @ normal.astype(np.float32) - np.float32(offset))
+            nearer = (off < least) & (normals @ normal.astype(np.float32) > _LIKE_PIXEL)
+            labels[nearer] = label
+            least[nearer] = off[nearer]
+    for label in range(len(planes)):
+        mask = (labels == label).astype(np.uint8)
+        _, piece, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+        small = stats[:, cv2.CC_STAT_AREA] < _LEAST_PIECE * height * width
+        labels[(mask > 0) & small[piece]] = NO_PLANE
+    return _by_size(labels, planes)
+
+
+def _by_size(labels: NDArray[np.int32], planes: list[tuple[Floats, float]]) -> NDArray[np.int32]:
+    """Planes numbered again, largest first, those that kept no pixels left out; `planes` in place."""
+    count: Ints = np.bincount(labels[labels >= 0], minlength=len(planes))
+    order = [int(i) for i in np.argsort(-count, kind="stable") if count[i] > 0]
+    rank = np.full(len(planes) + 1, NO_PLANE, np.int32)
+    rank[order] = np.arange(len(order))
+    planes[:] = [planes[i] for i in order]
+    return rank[labels]

@@ -1,0 +1,39 @@
+"""What one station saw of a room."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Intrinsics
+from calib.rooms.planes import RoomPlane
+from calib.rooms.segments import find_segments, relative_noise
+
+
+@dataclass(frozen=True, eq=False)
+class StationView:
+    """An organised cloud in its camera's frame, with the planes in it.
+
+    `points`, `normals` (H, W, 3), NaN where there is none; `labels` (H, W): the plane of each pixel as an index of
+    `planes`, −1 for none. `noise`: standard deviation of a point along its ray at depth z is `noise` · z².
+    """
+
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    labels: NDArray[np.int32]
+    planes: tuple[RoomPlane, ...]
+    camera: Intrinsics
+    noise: float
+
+
+def station_view(points: NDArray[np.float32], normals: NDArray[np.float32], camera: Intrinsics) -> StationView:
+    """With planes found and noise measured; arguments as of `StationView`.
+
+    Raises ValueError if the arrays do not have the size of the camera's image.
+    """
+    shape = (camera.height, camera.width, 3)
+    if points.shape != shape or normals.shape != shape:
+        raise ValueError(f"points and normals must have the shape {shape}, found {points.shape} and {normals.shape}")
+    noise = relative_noise(points, normals)
+    labels, planes = find_segments(points, normals, noise)
+    return StationView(points, normals, labels, planes, camera, noise)

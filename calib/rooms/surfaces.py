@@ -1,0 +1,109 @@
+"""A station as registration sees it: a small picture of depths by an ideal camera, and patches of its surfaces.
+
+The picture has neither lens distortion nor more pixels than are needed; its points are those that were measured. A
+patch is one point for each so much of surface, near and far alike.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calib.geometry import Intrinsics
+from calib.numerics import Floats, Ints
+from calib.rooms.station import StationView
+
+_COLUMNS = 306
+_PATCHES = 1500
+_STEEPEST = 0.1  # cosine of the slant beyond which a patch's area means little
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """`points`, `normals` (h, w, 3), `labels` (h, w) as in the view, on the grid of a pinhole camera with `focal_px`
+    and `centre_px`; `near`, `far` (h, w): least and greatest depth around each pixel. All NaN where nothing was
+    measured. `patches`, `patch_normals` (M, 3), `patch_labels` (M,), in random order. `planes` (P, 4): normals and
+    offsets, `plane_area` (P,): patches on each. `distance`: median depth.
+    """
+
+    points: Floats
+    normals: Floats
+    labels: Ints
+    near: Floats
+    far: Floats
+    focal_px: float
+    centre_px: tuple[float, float]
+    patches: Floats
+    patch_normals: Floats
+    patch_labels: Ints
+    planes: Floats
+    plane_area: Ints
+    noise: float
+    distance: float
+
+
+def surfaces_of(view: StationView) -> Surfaces:
+    """Raises ValueError for a view without points."""
+    if not np.isfinite(view.points[..., 2]).any():
+        raise ValueError("a station needs points, found none")
+    focal_px, centre_px, row, column = _pinhole_grid(view.camera)
+    points = view.points[row, column].astype(np.float64)
+    normals = view.normals[row, column].astype(np.float64)
+    missing = ~np.isfinite(points[..., 2]) | ~np.isfinite(normals[..., 2]) | (row < 0)
+    points[missing] = np.nan
+    normals[missing] = np.nan
+    labels = np.where(missing, -1, view.labels[row, column]).astype(np.int32)
+    depth = points[..., 2]
+    near = cv2.erode(np.where(missing, np.inf, depth), np.ones((3, 3), np.uint8))
+    far = cv2.dilate(np.where(missing, -np.inf, depth), np.ones((3, 3), np.uint8))
+    chosen = _spread(points, normals)
+    flat = points.reshape(-1, 3)
+    patch_labels = labels.ravel()[chosen]
+    planes = np.array([[*plane.normal, plane.offset] for plane in view.planes]).reshape(-1, 4)
+    return Surfaces(
+        points,
+        normals,
+        labels,
+        np.where(missing, np.nan, near),
+        np.where(missing, np.nan, far),
+        focal_px,
+        centre_px,
+        flat[chosen],
+        normals.reshape(-1, 3)[chosen],
+        patch_labels,
+        planes,
+        np.bincount(patch_labels[patch_labels >= 0], minlength=len(planes)),
+        view.noise,
+        float(np.nanmedian(depth)),
+    )
+
+
+def _pinhole_grid(camera: Intrinsics) -> tuple[float, tuple[float, float], Ints, Ints]:
+    """An ideal camera that sees what this one sees, on fewer pixels: focal length, centre, and for each of its pixels
+    the row and column (h, w) of the nearest pixel in the camera's image; −1 where there is none.
+    """
+    x, y = np.meshgrid(np.linspace(0, camera.width - 1, 33), np.linspace(0, camera.height - 1, 33))
+    border = camera.unproject(np.stack([x, y], axis=-1))[..., :2].reshape(-1, 2)
+    border = border[np.isfinite(border[:, 0])]
+    low, high = border.min(axis=0), border.max(axis=0)
+    focal_px = float(min(_COLUMNS, camera.width) / (high[0] - low[0]))
+    width, height = (int(np.ceil(extent * focal_px)) + 1 for extent in high - low)
+    u, v = np.meshgrid(np.arange(width) / focal_px + low[0], np.arange(height) / focal_px + low[1])
+    pixels = camera.project(np.stack([u, v, np.ones_like(u)], axis=-1))
+    with np.errstate(invalid="ignore"):
+        inside = np.all((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5), axis=-1)
+    column, row = np.rint(np.where(inside[..., None], pixels, -1)).astype(np.int64).transpose(2, 0, 1)
+    return focal_px, (float(-low[0] * focal_px), float(-low[1] * focal_px)), row, column
+
+
+def _spread(points: Floats, normals: Floats) -> Ints:
+    """Pixels, as flat indices in random order, drawn evenly over the surfaces."""
+    flat, towards = points.reshape(-1, 3), normals.reshape(-1, 3)
+    there = np.flatnonzero(np.isfinite(flat[:, 2]))
+    distance = np.linalg.norm(flat[there], axis=1)
+    slant = np.abs(np.sum(flat[there] * towards[there], axis=1)) / distance
+    area = np.cumsum(flat[there, 2] ** 2 / np.maximum(slant, _STEEPEST))
+    rng = np.random.default_rng(0)
+    places = (np.arange(_PATCHES) + rng.random(_PATCHES)) / _PATCHES * area[-1]
+    chosen: Ints = there[np.unique(np.minimum(np.searchsorted(area, places), len(there) - 1))]
+    return rng.permutation(chosen)

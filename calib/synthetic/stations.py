@@ -1,0 +1,165 @@
+"""Made-up whole rooms, and what a rig sees of them from several places: organised clouds with everything known.
+
+World: x and y along the walls, z up, lengths in metres; the floor is at z = 0.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Intrinsics, Motion
+from calib.numerics import Bools, Floats
+from calib.synthetic.captures import look_at
+
+_UP = np.array([0.0, 0.0, 1.0])
+CAMERA = Intrinsics(612, 512, (450.0, 450.0), (309.0, 251.0), (-0.06, 0.01, 0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Furniture:
+    """A box: `centre`, `size` (3,), turned by `yaw` (radians) about the vertical."""
+
+    centre: Floats
+    size: Floats
+    yaw: float
+
+    def entered(self, origin: Floats, directions: Floats) -> tuple[Floats, Floats]:
+        """How far along rays (N, 3) the box is hit, (N,), inf where it is not; and how far it is left."""
+        axes = Rotation.from_euler("z", self.yaw).as_matrix()
+        o, d = (origin - self.centre) @ axes, directions @ axes
+        with np.errstate(divide="ignore", invalid="ignore"):
+            one, two = (-self.size / 2 - o) / d, (self.size / 2 - o) / d
+        enter, leave = np.minimum(one, two).max(axis=1), np.maximum(one, two).min(axis=1)
+        return np.where((enter < leave) & (enter > 0), enter, np.inf), leave
+
+    def around(self, point: Floats, margin: float) -> bool:
+        """Whether a point (3,) is within the box or less than a margin beside it."""
+        axes = Rotation.from_euler("z", self.yaw).as_matrix()
+        return bool(np.all(np.abs((point - self.centre) @ axes) < self.size / 2 + margin))
+
+
+@dataclass(frozen=True)
+class Room:
+    """Six walls n · X = height with the room on the side that n (6, 3) points to, and furniture."""
+
+    normals: Floats
+    heights: Floats
+    furniture: tuple[Furniture, ...]
+    size: Floats
+
+    def distance(self, origin: Floats, directions: Floats) -> Floats:
+        """How far along rays (N, 3) from inside something is hit, (N,)."""
+        with np.errstate(divide="ignore"):
+            lengths = (self.heights - self.normals @ origin) / (directions @ self.normals.T)
+        lengths[~(lengths > 0)] = np.inf
+        nearest: Floats = lengths.min(axis=1)
+        for box in self.furniture:
+            nearest = np.minimum(nearest, box.entered(origin, directions)[0])
+        return nearest
+
+
+@dataclass(frozen=True)
+class Station:
+    """`points` (H, W, 3) in the camera's frame, as measured, NaN where there is none; `place`: X_world = R X + t."""
+
+    points: NDArray[np.float32]
+    place: Motion
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What a measured cloud is off: `noise_m` along the ray at 3 m, growing with the distance squared; `shape`: of a
+    wrong calibration, relative, the same for all stations; `ray_px`: nothing is seen beyond so steep a slant.
+    """
+
+    noise_m: float = 0.003
+    shape: float = 0.003
+    steepest_deg: float = 82.0
+
+
+def random_room(
+    rng: np.random.Generator,
+    pieces: int = 8,
+    walls_off_deg: float = 0.3,
+    size: tuple[float, float, float] | None = None,
+) -> Room:
+    """A room with so many pieces of furniture, most of them along the walls, and walls that are a little off square."""
+    sides = np.array(size or (rng.uniform(3.8, 5.2), rng.uniform(3.2, 4.4), rng.uniform(2.4, 2.9)))
+    normals = np.concatenate([np.eye(3), -np.eye(3)])
+    normals += np.radians(walls_off_deg) * rng.normal(size=(6, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    on = np.concatenate([np.tile(sides / 2, (3, 1)) * (1 - np.eye(3)), np.tile(sides / 2, (3, 1)) * (1 + np.eye(3))])
+    return Room(normals, np.sum(normals * on, axis=1), tuple(_piece(rng, sides) for _ in range(pieces)), sides)
+
+
+def _piece(rng: np.random.Generator, room: Floats) -> Furniture:
+    size = np.array([rng.uniform(0.4, 1.3), rng.uniform(0.3, 0.7), rng.uniform(0.35, 1.9)])
+    wall = rng.integers(4)
+    yaw = np.pi / 2 * wall + np.radians(rng.normal(0, 4))
+    across, along = (room[1], room[0]) if wall % 2 == 0 else (room[0], room[1])
+    out = across / 2 - size[1] / 2 - rng.uniform(0.03, 0.25)
+    aside = rng.uniform(-0.5, 0.5) * max(along - size[0], 0.1)
+    turned = Rotation.from_euler("z", np.pi / 2 * wall).as_matrix() @ np.array([aside, -out, 0.0])
+    return Furniture(turned + np.array([room[0], room[1], size[2]]) / 2, size, yaw)
+
+
+def ring(rng: np.random.Generator, room: Room, stations: int, step_deg: float = 60.0) -> list[Motion]:
+    """Places of a rig that is carried around once: each looks across the room at the walls, on into the next one's
+    picture.
+    """
+    start, places = rng.uniform(0, 2 * np.pi), []
+    middle = room.size / 2
+    for k in range(stations):
+        for _ in range(100):
+            yaw = start + np.radians(step_deg * (k + rng.uniform(-0.08, 0.08)))
+            ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+            back = rng.uniform(0.5, 0.75) * min(room.size[:2]) / 2
+            eye = middle * [1, 1, 0] - back * ahead + [*rng.uniform(-0.15, 0.15, 2), rng.uniform(1.2, 1.6)]
+            if not any(box.around(eye, 0.35) for box in room.furniture):
+                break
+        target = eye + ahead + [0, 0, -rng.uniform(0.15, 0.35)]
+        rotation = look_at(eye, target, _UP, rng.normal(0, 0.03)).T
+        places.append(Motion(rotation, eye))
+    return places
+
+
+def seen_from(
+    room: Room, place: Motion, rng: np.random.Generator, errors: Errors | None = None, camera: Intrinsics = CAMERA
+) -> Station:
+    """The cloud of one station; the projector stands 0.3 m beside the camera and casts shadows."""
+    errors = errors or Errors()
+    x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    rays = camera.unproject(np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float64))
+    directions = rays @ place.rotation.T
+    depth = room.distance(place.translation, directions)
+    hit = place.translation + depth[:, None] * directions
+    projector = place.translation + place.rotation @ np.array([0.3, 0.05, 0.0])
+    lit = room.distance(projector, hit - projector) > 1 - 1e-3
+    points = rays * depth[:, None]
+    points[~lit | _steep(points, camera, errors)] = np.nan
+    z = points[:, 2:]
+    bent = 1 + errors.shape * ((z / 3.0 - 1) + 0.7 * points[:, :1] / z - 0.5 * (points[:, 1:2] / z) ** 2)
+    along = 1 + errors.noise_m / 9.0 * z * rng.normal(size=z.shape)
+    return Station((points * bent * along).reshape(camera.height, camera.width, 3).astype(np.float32), place)
+
+
+def moved_rig(station: Station, stretch: float = 0.08) -> Station:
+    """What the same station measures with a rig that was moved, its calibration being that of before."""
+    z = station.points[..., 2:]
+    scale = 1 + stretch * (z / 3.0) + 0.5 * stretch * station.points[..., :1] / z
+    return replace(station, points=(station.points * scale).astype(np.float32))
+
+
+def _steep(points: Floats, camera: Intrinsics, errors: Errors) -> Bools:
+    """Which points (N, 3) of an image are on a surface seen too obliquely, or at its edge."""
+    grid = points.reshape(camera.height, camera.width, 3)
+    across, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    normal = np.cross(across, down).reshape(-1, 3)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = (
+            np.abs(np.sum(normal * points, axis=1)) / np.linalg.norm(normal, axis=1) / np.linalg.norm(points, axis=1)
+        )
+    steep: Bools = ~(cosine > np.cos(np.radians(errors.steepest_deg)))
+    return steep
