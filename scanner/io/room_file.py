@@ -1,6 +1,6 @@
 """`room.yaml`: where the stations of a room stood, its planes, and how sure of them one is."""
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +20,7 @@ _ROUNDED = 1e-6  # of a rotation that someone has written with few digits
 
 class _StationEntry(Entry):
     name: str = Field(min_length=1, max_length=1000)
+    folder: str = Field(pattern=r"^captures/[0-9]{1,6}$")
     rotation: tuple[_Row, _Row, _Row]
     translation: tuple[_Length, _Length, _Length]
 
@@ -27,6 +28,23 @@ class _StationEntry(Entry):
 class _RoomEntry(Entry):
     unit: str = Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")
     stations: list[_StationEntry] = Field(min_length=1, max_length=10_000)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredStation:
+    """A station's `name`, its `folder` relative to the result, and X_room = rotation X_camera + translation."""
+
+    name: str
+    folder: str
+    place: Motion
+
+
+@dataclass(frozen=True)
+class StoredRoom:
+    """What of a room other files need."""
+
+    unit: str
+    stations: tuple[StoredStation, ...]
 
 
 def write_room(path: Path, entries: dict[str, Any]) -> None:
@@ -40,18 +58,14 @@ def write_room(path: Path, entries: dict[str, Any]) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def read_places(path: Path) -> tuple[str, dict[str, Motion]]:
-    """The unit, and of each station, by name, X_room = rotation X_camera + translation.
-
-    Raises InputError if the file is missing or malformed, holds no rotation, or names two stations alike.
-    """
+def read_room(path: Path) -> StoredRoom:
+    """Raises InputError if the file is missing or malformed, or holds no rotation."""
     entry = validate(_RoomEntry, read_yaml(path), str(path))
-    places: dict[str, Motion] = {}
+    stations = []
     for station in entry.stations:
         rotation = np.array(station.rotation)
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDED:
             raise InputError(f"{path}: the rotation of station {station.name} is none: its rows are not orthonormal")
-        if station.name in places:
-            raise InputError(f"{path}: two stations are called {station.name}")
-        places[station.name] = Motion(rotation, np.array(station.translation))
-    return entry.unit, places
+        place = Motion(rotation, np.array(station.translation))
+        stations.append(StoredStation(station.name, station.folder, place))
+    return StoredRoom(entry.unit, tuple(stations))

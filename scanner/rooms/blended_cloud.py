@@ -1,28 +1,15 @@
 """All stations' points in one cloud: thinned by voxels, within each of which what several stations saw is blended."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.geometry import Calibration
-from calib.numerics import Floats
+from calib.pointcloud import MergedCloud
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.open3d_module import open3d
 
 _VOXEL_PX = 2.0  # camera pixels at the median distance
-
-
-@dataclass(frozen=True, eq=False)
-class RoomCloud:
-    """`points`, `normals` (N, 3) and RGB `colours` (N, 3) in the room's frame and `unit`; `grid`: edge of a voxel."""
-
-    points: Floats
-    normals: Floats
-    colours: NDArray[np.uint8]
-    unit: str
-    grid: float
 
 
 def grid_of(stations: Sequence[Station], calibration: Calibration) -> float:
@@ -31,8 +18,8 @@ def grid_of(stations: Sequence[Station], calibration: Calibration) -> float:
     return _VOXEL_PX * float(np.median(depths)) / float(np.mean(calibration.camera.focal_px))
 
 
-def blended(room: SolvedRoom) -> RoomCloud:
-    """At most one point in each voxel: the mean of those in it, of its normals and of its colours."""
+def blended(room: SolvedRoom) -> MergedCloud:
+    """In the room's frame; at most one point in each voxel: the mean of those in it, of its normals and colours."""
     o3d = open3d()
     together = o3d.geometry.PointCloud()
     grid = grid_of(room.stations, room.calibration)
@@ -50,4 +37,12 @@ def blended(room: SolvedRoom) -> RoomCloud:
     normals = np.asarray(thinned.normals)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     colours = np.rint(255 * np.asarray(thinned.colors)).astype(np.uint8)
-    return RoomCloud(np.asarray(thinned.points), normals, colours, room.unit, grid)
+    return MergedCloud(
+        np.asarray(thinned.points).astype(np.float32),
+        colours,
+        normals.astype(np.float32),
+        room.unit,
+        grid,
+        (),
+        tuple(np.column_stack([each.place.rotation, each.place.translation]) for each in room.stations),
+    )
