@@ -17,18 +17,20 @@ from scanner.results import Decoded
 @dataclass(frozen=True, eq=False)
 class RigStart:
     """A rig before its room is known, in baselines. `corners`: the stations from whose corners it was calibrated, by
-    number, with their faces; empty where the calibration was given. `uncertainty`: None where a given one states none.
+    number, with their faces; empty where the calibration was `given`, in a unit of its own. `uncertainty`: None where a
+    given one states none.
     """
 
     calibration: Calibration
     uncertainty: Uncertainty | None
     corners: Mapping[int, Decoded]
+    given: Calibration | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """A capture at its place. `cloud` is in the camera's frame, `plane` (H, W) is which plane of the room a pixel is on,
-    −1 for none.
+    """A capture at its place. `cloud` is in the camera's frame, `plane` (H, W) is which plane of the room a pixel is
+    on, −1 for none.
 
     `place`: X_room = rotation X_camera + translation. `sigma_deg`, `sigma` (3,): of its turn about the room's axes and
     of its translation, against the first station; NaN in a direction that nothing holds.

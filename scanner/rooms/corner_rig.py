@@ -4,7 +4,8 @@ Each corner calibrates the rig by itself; what they say is put together as Gauss
 others. The room's estimate is made from the same matches again and takes nothing of it but where to begin.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,32 +27,48 @@ _SIGMAS_OF_CORNER = 2.0
 _HELD = 1e-12
 
 
+@dataclass(frozen=True, eq=False)
+class SeenCorner:
+    """A capture with its faces labelled, and the rig as they alone have it."""
+
+    labelled: Decoded
+    uncertainty: Uncertainty
+
+
+def corner_in(capture: Decoded, config: Config) -> SeenCorner:
+    """Raises RefusalError if the capture shows no corner that calibrates the rig."""
+    (labelled,) = label([capture], [capture])
+    (solution,) = solve([labelled], config)
+    if solution.uncertainty is None:
+        raise InputError("'method: paper' calibrates from one capture: use 'method: refined' for a room")
+    return SeenCorner(labelled, solution.uncertainty)
+
+
 def rig_from_corners(stations: Sequence[Decoded], config: Config, progress: Progress) -> RigStart:
     """Raises RefusalError if no station shows a corner that calibrates the rig."""
-    if config.method == "paper":
-        raise InputError("'method: paper' calibrates from one capture: use 'method: refined' for a room")
-    labelled: dict[int, Decoded] = {}
-    corners: dict[int, Uncertainty] = {}
+    corners: dict[int, SeenCorner] = {}
     refusals: list[str] = []
     for number, capture in enumerate(progress.track(stations, len(stations), "Looking for corners")):
         try:
-            (faces,) = label([capture], [capture])
-            (solution,) = solve([faces], config)
+            corners[number] = corner_in(capture, config)
         except RefusalError as refusal:
             refusals.append(f"{capture.name}: {refusal.reason}")
-            continue
-        if solution.uncertainty is not None:
-            labelled[number], corners[number] = faces, solution.uncertainty
     if not corners:
         raise RefusalError(
             "No station shows a corner from which the rig can be calibrated. " + " ".join(refusals[:3]),
             "Let one station look into a corner of the room, as scan check advises, or give the rig's --calibration.",
         )
-    kept, rig, covariance = _together(corners)
-    facts = stations[0].facts
+    return rig_of(corners)
+
+
+def rig_of(corners: Mapping[int, SeenCorner]) -> RigStart:
+    """What corners, by the numbers of their stations, say together; at least one."""
+    kept, rig, covariance = _together({k: corner.uncertainty for k, corner in corners.items()})
+    facts = corners[kept[0]].labelled.facts
     calibration = calibration_of(rig, facts.camera_size, facts.projector_size, Sigmas())
-    match_px = float(np.median([corners[k].match_px for k in kept]))
-    return RigStart(calibration, Uncertainty(rig, covariance, None, match_px), {k: labelled[k] for k in kept})
+    match_px = float(np.median([corners[k].uncertainty.match_px for k in kept]))
+    uncertainty = Uncertainty(rig, covariance, None, match_px)
+    return RigStart(calibration, uncertainty, {k: corners[k].labelled for k in kept})
 
 
 def _together(corners: dict[int, Uncertainty]) -> tuple[list[int], State, Floats]:

@@ -113,8 +113,8 @@ def _lines(room: SolvedRoom) -> list[WallLine]:
         if np.count_nonzero(behind & beside) < _MOST_BEHIND * len(own):
             found.append(WallLine(i, start, end, True))
         else:
-            pieces = _pieces(own[:, :2] @ along, _BEHIND * size)
-            found += [WallLine(i, *(start + (at - low) * along for at in piece), False) for piece in pieces]
+            for first, last in _pieces(own[:, :2] @ along, _BEHIND * size):
+                found.append(WallLine(i, start + (first - low) * along, start + (last - low) * along, False))
     return found
 
 
@@ -159,9 +159,13 @@ def _joined(room: SolvedRoom, walls: Sequence[WallLine]) -> tuple[tuple[PlanCorn
     joined = []
     for i, wall in enumerate(walls):
         at = taken.get((i, 0)), taken.get((i, 1))
-        start, end = (wall.start, wall.end) if at == (None, None) else (
-            wall.start if at[0] is None else corners[at[0]].position,
-            wall.end if at[1] is None else corners[at[1]].position,
+        start, end = (
+            (wall.start, wall.end)
+            if at == (None, None)
+            else (
+                wall.start if at[0] is None else corners[at[0]].position,
+                wall.end if at[1] is None else corners[at[1]].position,
+            )
         )
         joined.append(replace(wall, start=start, end=end, corners=at, length=_length(room, corners, at)))
     return tuple(corners), joined

@@ -1,11 +1,12 @@
-"""A floor plan as DXF, by way of ezdxf: walls, furniture, lengths and stations on layers of their own, in the room's unit."""
+"""A floor plan as DXF, by ezdxf: walls, furniture, lengths and stations on layers of their own, in the room's unit."""
 
 from pathlib import Path
 
-import ezdxf
 import numpy as np
 from ezdxf.enums import TextEntityAlignment
+from ezdxf.filemanagement import new
 
+from calib.numerics import Floats
 from scanner.quantities import plain, shown_unit
 from scanner.rooms.floorplan import FloorPlan
 
@@ -16,15 +17,15 @@ _TEXT_OF_SIZE = 0.02
 
 def write_dxf(path: Path, plan: FloorPlan) -> None:
     """Write the plan. Raises OSError."""
-    document = ezdxf.new("R2010", setup=True)
+    document = new("R2010", setup=True)
     document.header["$INSUNITS"] = _UNITS.get(plan.unit, 0)
     for layer, colour in ((WALLS, 7), (FURNITURE, 8), (DIMENSIONS, 3), (STATIONS, 5)):
         document.layers.add(layer, color=colour)
     space, unit = document.modelspace(), shown_unit(plan.unit)
-    ends = np.array([end for line in plan.lines for end in (line.start, line.end)] or [[0.0, 0.0]])
+    ends = np.array([*(end for line in plan.lines for end in (line.start, line.end)), *plan.cameras])
     height = _TEXT_OF_SIZE * max(float(np.ptp(ends, axis=0).max()), 1e-9)
 
-    def text(words: str, at: np.ndarray, layer: str, turn: float = 0.0) -> None:
+    def text(words: str, at: Floats, layer: str, turn: float = 0.0) -> None:
         entity = space.add_text(words, height=height, rotation=turn, dxfattribs={"layer": layer})
         entity.set_placement((float(at[0]), float(at[1])), align=TextEntityAlignment.MIDDLE_CENTER)
 

@@ -83,7 +83,7 @@ class _Drawing:
     def _angle(self, corner: Floats, angle: Measured) -> str:
         middle = np.mean([end for line in self._plan.lines for end in (line.start, line.end)], axis=0)
         inward = (middle - corner) / max(float(np.linalg.norm(middle - corner)), 1e-9)
-        x, y = self._at(corner + 62 / self._scale * inward)
+        x, y = self._at(corner + 100 / self._scale * inward)
         decimals = max(0, int(np.ceil(-np.log10(max(angle.sigma, 1e-6)))) + 1) if np.isfinite(angle.sigma) else 1
         return self._text(x, y, f"{plain(angle.value, decimals)} ± {plain(angle.sigma, decimals)}°", "quiet")
 

@@ -21,6 +21,7 @@ _TRUNCATED = 4.0  # edges of this grid's voxels: signed distances are kept so fa
 _BLOCK, _MOST_BLOCKS = 16, 8000  # voxels to the edge of a block, of which each takes 80 kB
 _LEAST_PIECE = 200  # triangles
 _LEAST_WEIGHT = 0.5  # of a voxel: one station is enough
+_NO_NORMAL = np.array([0.0, -1.0, 0.0])  # of slivers
 # The room's axes (z up) as those of a camera that is held level, from which meshes are written.
 _CAMERA_FROM_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -68,17 +69,16 @@ def _view(o3d: Any, station: Station, camera: Intrinsics) -> _View:
     return _View((depth_image, *matrices), colour_image, (1.0, 1.01 * float(depth.max())))
 
 
-def _ideal(
-    station: Station, camera: Intrinsics
-) -> tuple[Intrinsics, NDArray[np.float32], NDArray[np.float32]]:
+def _ideal(station: Station, camera: Intrinsics) -> tuple[Intrinsics, NDArray[np.float32], NDArray[np.float32]]:
     """What a camera without distortion sees of a station's points: depth (H, W), 0 for none, and colours up to 1."""
     ideal = Intrinsics(camera.width, camera.height, camera.focal_px, camera.principal_point_px)
     x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
     pixels = camera.project(ideal.unproject(np.stack([x, y], axis=-1))).astype(np.float32)
     depth = np.nan_to_num(station.cloud.points[..., 2], nan=0.0).astype(np.float32)
     nearest = cv2.INTER_NEAREST  # between a surface and what is behind it there is nothing
-    seen = cv2.remap(depth, pixels, None, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-    colour = cv2.remap(station.cloud.colours, pixels, None, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    column, row = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
+    seen = cv2.remap(depth, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    colour = cv2.remap(station.cloud.colours, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     return ideal, np.ascontiguousarray(seen, np.float32), (colour / 255.0).astype(np.float32)
 
 
@@ -94,8 +94,10 @@ def _cleaned(mesh: Any, unit: str) -> Mesh:
     """Without crumbs, with normals."""
     cluster, count, _ = mesh.cluster_connected_triangles()
     mesh.remove_triangles_by_mask(np.asarray(count)[np.asarray(cluster)] < _LEAST_PIECE)
+    mesh.remove_degenerate_triangles()
     mesh.remove_unreferenced_vertices()
     mesh.compute_vertex_normals()
     points, normals = (np.asarray(each) @ _CAMERA_FROM_ROOM.T for each in (mesh.vertices, mesh.vertex_normals))
+    normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, _NO_NORMAL)
     colours = np.rint(255 * np.asarray(mesh.vertex_colors)).astype(np.uint8)
     return Mesh(points, normals, colours, np.asarray(mesh.triangles).astype(np.int64), unit)

@@ -46,25 +46,29 @@ def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud
     """Write the page; it needs no network and no other file. Raises OSError."""
     calibration = room.calibration
     files = sorted({path.name for path in path.parent.iterdir()} - {path.name})
-    page = environment().get_template("room.html").render(
-        verdict=verdict_on(room),
-        provenance=made,
-        subtitle=f"{len(room.stations)} stations of one rig, {len(cloud.points):,} points.",
-        plan=plan_svg(plan),
-        views=_views(room, cloud),
-        lengths=list(_lengths(room, plan)),
-        stations=[_station_row(room, number, station) for number, station in enumerate(room.stations)],
-        names=[str(number) for number in range(1, len(room.stations) + 1)],
-        overlaps=_overlaps(room),
-        pairs=list(_pairs(room)),
-        residuals=[(station.name, _residual_map(station)) for station in room.stations],
-        tables=[
-            ("Camera", device_quantities("camera", calibration, None)),
-            ("Projector", device_quantities("projector", calibration, None)),
-            ("Between them", pose_quantities(calibration, None)),
-        ],
-        files=[(name, _FILES[name]) for name in files if name in _FILES],
-        unit=room.unit,
+    page = (
+        environment()
+        .get_template("room.html")
+        .render(
+            verdict=verdict_on(room),
+            provenance=made,
+            subtitle=f"{len(room.stations)} stations of one rig, {len(cloud.points):,} points.",
+            plan=plan_svg(plan),
+            views=_views(room, cloud),
+            lengths=list(_lengths(room, plan)),
+            stations=[_station_row(room, number, station) for number, station in enumerate(room.stations)],
+            names=[str(number) for number in range(1, len(room.stations) + 1)],
+            overlaps=_overlaps(room),
+            pairs=list(_pairs(room)),
+            residuals=[(station.name, _residual_map(station)) for station in room.stations],
+            tables=[
+                ("Camera", device_quantities("camera", calibration, None)),
+                ("Projector", device_quantities("projector", calibration, None)),
+                ("Between them", pose_quantities(calibration, None)),
+            ],
+            files=[(name, _FILES[name]) for name in files if name in _FILES],
+            unit=room.unit,
+        )
     )
     path.write_text(page, encoding="utf-8")
 
@@ -127,7 +131,9 @@ def _overlaps(room: SolvedRoom) -> list[list[Cell]]:
     rows = []
     for i in room.group.stations:
         found = [shares.get(frozenset((i, j)), 0.0) if i != j else None for j in room.group.stations]
-        rows.append([Cell("", 0.0) if share is None else Cell(percent(share) if share else "·", share) for share in found])
+        rows.append(
+            [Cell("", 0.0) if share is None else Cell(percent(share) if share else "·", share) for share in found]
+        )
     return rows
 
 

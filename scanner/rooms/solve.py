@@ -16,7 +16,6 @@ from calib.rooms import (
     Registration,
     RigPrior,
     RoomEstimate,
-    RoomPlane,
     StationView,
     estimate_room,
     register,
@@ -126,7 +125,9 @@ def _square_pairs(members: Sequence[Seen], group: Group, start: RigStart) -> lis
     pairs = []
     for number, (station, seen) in enumerate(zip(group.stations, members, strict=True)):
         faces = _faces(seen, group.plane_of[number], start.corners.get(station))
-        pairs += [(a, b) for a, b in ((faces[0], faces[1]), (faces[1], faces[2]), (faces[0], faces[2])) if -1 < a != b > -1]
+        pairs += [
+            (a, b) for a, b in ((faces[0], faces[1]), (faces[1], faces[2]), (faces[0], faces[2])) if -1 < a != b > -1
+        ]
     return pairs
 
 
@@ -155,9 +156,7 @@ def _finished(
     layout = replace(estimate.rig, off_square=np.zeros((1, 3)))
     sigma = replace(sigmas_of(layout, padded), corner_angles_deg=None)
     own = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, sigma)
-    calibration = scaled(own, _corner(members, group, estimate, start), config.scale)
-    if not start.corners and start.calibration.unit != own.unit:
-        raise AssertionError("a given calibration is scaled before")
+    calibration = scaled(_in_unit_of(start.given, own), _corner(members, group, estimate, start), config.scale)
     factor = calibration.baseline
     areas = areas_of(members, group, len(estimate.planes))
     turn, floor = upright(estimate.places, estimate.planes, areas)
@@ -191,6 +190,14 @@ def _finished(
         floor,
         factor**2 * areas,
     )
+
+
+def _in_unit_of(given: Calibration | None, own: Calibration) -> Calibration:
+    """An estimate in baselines with the length of the baseline that a given calibration has."""
+    if given is None:
+        return own
+    sigma = replace(own.sigma, known_baseline=given.sigma.known_baseline)
+    return replace(own, translation=own.translation * given.baseline, unit=given.unit, sigma=sigma)
 
 
 def areas_of(members: Sequence[Seen], group: Group, planes: int) -> Floats:
@@ -232,5 +239,3 @@ def _strangers(registration: Registration, names: Sequence[str]) -> list[Strange
             for k in other.stations
         ]
     return found
-
-

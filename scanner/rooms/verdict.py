@@ -20,12 +20,12 @@ def verdict_on(room: SolvedRoom) -> Verdict:
             "refused",
             f"{AMBIGUOUS}.",
             (
-                f"Another arrangement of the same stations is only e^{behind:.1f} times less likely: the room looks the "
-                "same from different places, or too little of it was seen.",
+                f"Another arrangement of the same stations is only e^{behind:.1f} times less likely: the room looks "
+                "the same from different places, or too little of it was seen.",
                 "Both are in room.yaml; cloud, mesh and plan are of the likelier one.",
             ),
-            "Put something into the room that makes its sides different, a box on the floor say, and scan again; or add "
-            "a station between two others.",
+            "Put something into the room that makes its sides different, a box on the floor say, and scan again; or "
+            "add a station between two others.",
         )
     reasons = tuple(_reasons(room))
     loose = sorted({names[each.station] for each in room.estimate.undetermined})
