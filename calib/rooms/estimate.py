@@ -5,7 +5,7 @@ corner alone has to take them for square. A plane that one station sees counts, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,7 @@ from calib.rooms.patches import Patch, patches_of, predict_patch
 from calib.rooms.planes import RoomPlane
 from calib.rooms.room import Room
 from calib.rooms.smooth_errors import covariance_of_shifts
+from calib.rooms.ties import tie_scores, untied
 
 _ROUGH = 0.01  # tolerance in cost while noise is measured
 _ROUGH_ROUNDS, _ROUNDS = 10, 3
@@ -28,6 +29,7 @@ _SETTLED = 0.5  # of a rough level, after a round that hardly lowered it
 _FAR_OFF = 0.1  # of what was known of a place before: a direction that keeps more than that is not determined
 _SAME_PLACE = 0.01  # of the reach, and radians
 _LEAST_IN_FRONT = 0.98
+_WRONG, _MOST_WRONG = 30.0, 0.25  # of a tie's score, over the usual one; of the patches
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,9 @@ class Undetermined:
 @dataclass(frozen=True, eq=False)
 class RoomEstimate:
     """`covariance` (size, size): of the room's columns; NaN for planes without a cell, 0 for what was held.
+
+    `patches`: on which of the room's planes each station's cells turned out to be; planes behind those of the start are
+    of stations that see another one than they were said to.
 
     `residual_px` (S,): root mean square of each coordinate of a station's cells, robustly; NaN without cells. `reach`:
     median distance of what was seen from the camera, in baselines. `waves` (P,): by how much each plane is not flat,
@@ -124,19 +129,19 @@ def estimate_room(
     room = Room(rig_of(start), tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
     known = RoomPrior.of(prior, square, squareness_deg, room, _reach(room, _in_front(room, patches)))
-    patches, fit = _roughly(patches, room, known)
-    free = known.free(_seen(room, patches))
+    patches, known, fit, variances = _without_wrong_ties(*_roughly(patches, room, known))
+    free = known.free(_seen(fit.room, patches))
     for _ in range(_ROUNDS):
-        levels = measured(patches, fit, int(free.sum()), _repeats(fit.room, known.reach))
-        fit = minimise(patches, fit.room, known, levels.variances(patches), free, tolerance=_ROUGH)
-    variances = levels.variances(patches)
+        levels = measured(patches, fit, variances, free, _repeats(fit.room, known.reach))
+        variances = levels.variances(patches)
+        fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.room, known, variances, free)
 
     covariance = covariance_of(fit.information, free)
     of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
     covariance += of_waves + covariance_of_shifts(patches, fit, variances, free, levels, shifts)
-    for plane in range(len(planes)):
-        columns = room.plane_columns(plane)
+    for plane in range(len(fit.room.planes)):
+        columns = fit.room.plane_columns(plane)
         if not free[columns].any():
             covariance[columns], covariance[:, columns] = np.nan, np.nan
     residual_px = np.full(len(stations), np.nan)
@@ -146,22 +151,43 @@ def estimate_room(
     return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, known.reach, waves)
 
 
-def _roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> tuple[tuple[Patch, ...], Fit]:
+_Rough = tuple[tuple[Patch, ...], RoomPrior, Fit, list[Floats]]
+
+
+def _roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> _Rough:
     """From far off, at noise levels that follow the residuals down; without patches that end behind a device."""
 
-    def variances(levels: Floats) -> list[Floats]:
-        return [np.full(len(patch.cells), level) for patch, level in zip(patches, levels, strict=True)]
+    def at(room: Room, levels: Floats) -> tuple[Fit, list[Floats]]:
+        variances = [np.full(len(patch.cells), level) for patch, level in zip(patches, levels, strict=True)]
+        return evaluate(patches, room, prior, variances), variances
 
     free = prior.free(_seen(room, patches))
-    levels = rough_levels(patches, evaluate(patches, room, prior, variances(np.ones(len(patches)))).residuals)
+    fit, _ = at(room, np.ones(len(patches)))
+    levels = rough_levels(patches, fit.residuals)
     for _ in range(_ROUGH_ROUNDS):
-        room = minimise(patches, room, prior, variances(levels), free, tolerance=_ROUGH).room
+        fit, variances = at(fit.room, levels)
+        room = minimise(patches, fit.room, prior, variances, free, tolerance=_ROUGH).room
         patches, before = _in_front(room, patches), float(np.mean(levels))
-        fit = evaluate(patches, room, prior, variances(np.ones(len(patches))))
+        fit, _ = at(room, np.ones(len(patches)))
         levels = rough_levels(patches, fit.residuals)
         if np.mean(levels) > _SETTLED * before:
             break
-    return patches, fit
+    return patches, prior, *at(fit.room, levels)
+
+
+def _without_wrong_ties(patches: tuple[Patch, ...], prior: RoomPrior, fit: Fit, variances: list[Floats]) -> _Rough:
+    """The same where patches that are not on the plane that they were taken for have planes of their own."""
+    for _ in range(int(_MOST_WRONG * len(patches))):
+        scores, freedom = tie_scores(patches, fit, variances, prior.free(_seen(fit.room, patches)))
+        per_freedom = scores / np.maximum(freedom, 1)
+        tied = freedom > 0
+        worst = int(np.argmax(per_freedom))
+        if not tied.any() or per_freedom[worst] < _WRONG * max(float(np.median(per_freedom[tied])), 1.0):
+            break
+        start, _ = untied(prior.start, patches, worst)
+        room, patches = untied(fit.room, patches, worst)
+        patches, prior, fit, variances = _roughly(patches, room, replace(prior, start=start))
+    return patches, prior, fit, variances
 
 
 def _seen(room: Room, patches: Sequence[Patch]) -> Bools:
