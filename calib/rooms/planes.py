@@ -7,7 +7,7 @@ from calib.numerics import Floats
 
 @dataclass(frozen=True, eq=False)
 class RoomPlane:
-    """normal · X = offset in the room's frame; `normal` (3,): unit, to the side from which the plane was seen."""
+    """The points X with `normal` · X = `offset`; `normal` (3,), of length 1, points to the side it was seen from."""
 
     normal: Floats
     offset: float

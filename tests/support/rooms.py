@@ -3,7 +3,6 @@
 import numpy as np
 
 from calib.geometry import Motion
-from calib.numerics import Floats
 from calib.refinement import SHARED, Cells, Knowledge, State, into_cells
 from calib.rooms import Room, RoomPlane
 from calib.synthetic import SyntheticRoom

@@ -50,18 +50,22 @@ def test_sigmas_of_angles_and_gaps_are_those_of_their_derivatives(case: Case, mo
     centres = {plane: lengths.centre_of(case.found, plane) for plane in range(len(case.truth.planes))}
     monkeypatch.setattr(lengths, "centre_of", lambda _, plane: centres[plane])  # where it is taken does not move
     first, second, _ = crossing(case.truth)
-    for measure in (
-        lambda found: lengths.gap(found, *pair),
-        lambda found: lengths.angle_deg(found, first, second),
-    ):
-        measured: Measured = measure(case.found)
-        assert measured.sigma == pytest.approx(sigma_by_differences(case.found, lambda f: measure(f).value), rel=1e-3)
+
+    def check(measure: Callable[[RoomEstimate], Measured]) -> None:
+        by_differences = sigma_by_differences(case.found, lambda found: measure(found).value)
+        assert measure(case.found).sigma == pytest.approx(by_differences, rel=1e-3)
+
+    check(lambda found: lengths.gap(found, *pair))
+    check(lambda found: lengths.angle_deg(found, first, second))
 
 
 def test_points_follow_the_room(case: Case) -> None:
-    for point in some_points(case):
-        numeric = gradient_of(lambda room, point=point: point(at(case.found, room)).position, case.found.room)
+    def check(point: Callable[[RoomEstimate], RoomPoint]) -> None:
+        numeric = gradient_of(lambda room: point(at(case.found, room)).position, case.found.room)
         assert np.allclose(point(case.found).by_room, numeric, atol=1e-5 * np.abs(numeric).max())
+
+    for each in some_points(case):
+        check(each)
 
 
 def test_distances_are_as_far_off_as_their_sigmas_say(case: Case) -> None:
