@@ -11,7 +11,7 @@ from calib.rooms import RigPrior, Room, RoomEstimate, estimate_room
 from calib.synthetic import SyntheticRoom, random_room
 from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room
 
-STATIONS = 4
+STATIONS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Case:
 
 def case_of(seed: int, **changes: Any) -> Case:
     rng = np.random.default_rng(seed)
-    made = random_room(rng, **{"stations": STATIONS, "count": 6000, **changes})
+    made = random_room(rng, **{"stations": STATIONS, "count": 4000, **changes})
     truth, numbers = true_room(made)
     cells, plane_of = cells_of(made, numbers)
     start = disturbed(rng, truth, made)
