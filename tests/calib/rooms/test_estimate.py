@@ -126,7 +126,7 @@ def test_a_view_of_another_plane_gets_one_of_its_own(case: Case) -> None:
 
 
 def test_walls_that_are_not_flat_cost_certainty() -> None:
-    flat, wavy = case_of(3), case_of(3, wavy=0.002)
+    flat, wavy = case_of(3, stations=3), case_of(3, stations=3, wavy=0.002)
     assert np.count_nonzero(flat.found.waves) <= 1
     assert np.count_nonzero(wavy.found.waves) >= 2
     heights_m = wavy.found.waves[wavy.found.waves > 0] * wavy.made.calibration.baseline

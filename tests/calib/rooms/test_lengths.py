@@ -61,8 +61,10 @@ def test_sigmas_of_angles_and_gaps_are_those_of_their_derivatives(case: Case, mo
 
 def test_points_follow_the_room(case: Case) -> None:
     def check(point: Callable[[RoomEstimate], RoomPoint]) -> None:
-        numeric = gradient_of(lambda room: point(at(case.found, room)).position, case.found.room)
-        assert np.allclose(point(case.found).by_room, numeric, atol=1e-5 * np.abs(numeric).max())
+        by_room = point(case.found).by_room
+        some = [*np.flatnonzero(by_room.any(axis=0)), *range(0, case.found.room.size, 7)]
+        numeric = gradient_of(lambda room: point(at(case.found, room)).position, case.found.room, some)
+        assert np.allclose(by_room[:, some], numeric, atol=1e-5 * np.abs(numeric).max())
 
     for each in some_points(case):
         check(each)

@@ -20,9 +20,10 @@ def test_gradient_is_that_of_the_cost(case: Case) -> None:
     prior, patches = prior_of(case), patches_of(case.cells, case.plane_of)
     variances = [np.full(len(patch.cells), 1e4) for patch in patches]  # no cell is beyond Huber's threshold
     room = case.start
-    exact = evaluate(patches, room, prior, variances).gradient
-    numeric = gradient_of(lambda each: np.array(evaluate(patches, each, prior, variances).cost), room) / 2
-    scale = np.sqrt(np.diag(evaluate(patches, room, prior, variances).information))
+    some = [*range(SHARED), *range(SHARED + 6, room.size, 5)]
+    fit = evaluate(patches, room, prior, variances)
+    exact, scale = fit.gradient[some], np.sqrt(np.diag(fit.information))[some]
+    numeric = gradient_of(lambda each: np.array(evaluate(patches, each, prior, variances).cost), room, some) / 2
     assert np.max(np.abs(exact - numeric) / scale) < 1e-3 * np.max(np.abs(exact) / scale)
 
 
