@@ -155,7 +155,7 @@ def accuracy(count: int, matches: int, wavy: float) -> None:
                 fixed = RigPrior.exactly(rig)
                 found = estimate_room(cells, plane_of, start.places, start.planes, rig, fixed)
                 ways[name].add(truth, found, held, unit)
-        prior = RoomPrior.of(known, (), _SQUARENESS_DEG, truth, joint.reach)
+        prior = RoomPrior.of(known, (), _SQUARENESS_DEG, truth, (1.0, joint.reach))
         bound = bound_of_room(truth, joint.patches, prior, noise_px)
         for station in np.flatnonzero(held) + 1:
             columns = truth.place_columns(int(station))

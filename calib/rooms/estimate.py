@@ -26,7 +26,8 @@ from calib.rooms.ties import tie_scores, untied
 _ROUGH = 0.01  # tolerance in cost while noise is measured
 _ROUGH_ROUNDS, _ROUNDS = 10, 3
 _SETTLED = 0.5  # of a rough level, after a round that hardly lowered it
-_FAR_OFF = 0.1  # of what was known of a place before: a direction that keeps more than that is not determined
+_ANY_TURN = 1.0  # radians
+_FAR_OFF = 0.1  # radians, and of the reach: a direction that is less sure than that is not determined
 _SAME_PLACE = 0.01  # of the reach, and radians
 _LEAST_IN_FRONT = 0.98
 _WRONG, _MOST_WRONG = 30.0, 0.25  # of a tie's score, over the usual one; of the patches
@@ -115,12 +116,15 @@ def estimate_room(
     square: Sequence[tuple[int, int]] = (),
     squareness_deg: float = SQUARENESS_DEG,
     shifts: Sequence[Shifts] = (),
+    place_sigma: tuple[float, float] | None = None,
 ) -> RoomEstimate:
     """From a start: the rig's as calibrated, `places` of stations and `planes` as registered, in baselines.
 
     `stations`: the cells of each, whose labels `plane_of` translates to the room's planes (−1: of none). `square`:
     pairs of planes that are perpendicular but for `squareness_deg` (standard deviation); what else is, is measured.
-    `shifts`: for each station by what its matches may be shifted, for the covariance.
+    `shifts`: for each station by what its matches may be shifted, for the covariance. `place_sigma`: how well the
+    registration has places, as standard deviations of a turn in radians and a shift in baselines, where it knows more
+    than these planes tell (from surfaces that are no planes, say); by default a radian and the reach: nothing.
 
     Raises RefusalError if the start puts cells behind a device, ValueError if the sequences do not fit each other.
     """
@@ -128,11 +132,12 @@ def estimate_room(
         raise ValueError(f"{len(stations)} stations, {len(plane_of)} lists of planes, {len(places)} places")
     room = Room(rig_of(start), tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
-    known = RoomPrior.of(prior, square, squareness_deg, room, _reach(room, _in_front(room, patches)))
+    reach = _reach(room, _in_front(room, patches))
+    known = RoomPrior.of(prior, square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
     patches, known, fit, variances = _without_wrong_ties(*_roughly(patches, room, known))
     free = known.free(_seen(fit.room, patches))
     for _ in range(_ROUNDS):
-        levels = measured(patches, fit, variances, free, _repeats(fit.room, known.reach))
+        levels = measured(patches, fit, variances, free, _repeats(fit.room, reach))
         variances = levels.variances(patches)
         fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.room, known, variances, free)
@@ -147,8 +152,8 @@ def estimate_room(
     residual_px = np.full(len(stations), np.nan)
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
-    undetermined = _undetermined(fit.room, covariance, known.reach)
-    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, known.reach, waves)
+    undetermined = _undetermined(fit.room, covariance, reach)
+    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves)
 
 
 _Rough = tuple[tuple[Patch, ...], RoomPrior, Fit, list[Floats]]

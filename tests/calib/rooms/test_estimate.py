@@ -88,6 +88,23 @@ def test_a_station_that_sees_two_directions_slides_and_is_named(case: Case) -> N
     assert np.linalg.norm(across) * case.made.calibration.baseline < 0.01  # the rest is held
 
 
+def test_what_the_registration_knows_holds_a_station_that_slides(case: Case) -> None:
+    sigma = 0.01
+    alone = [tuple(-1 for _ in planes) if station == 3 else planes for station, planes in enumerate(case.plane_of)]
+    found = estimate_room(
+        case.cells,
+        alone,
+        case.start.places,
+        case.start.planes,
+        case.start.rig,
+        RigPrior.from_knowledge(case.knowledge, case.start.rig),
+        place_sigma=(np.radians(0.1), sigma),
+    )
+    assert not [each for each in found.undetermined if each.station == 3]
+    assert np.diag(found.place_covariance(3))[3:] == pytest.approx(sigma**2)
+    assert np.allclose(found.places[3].translation, case.start.places[3].translation)
+
+
 def test_a_station_without_cells_and_a_plane_without_are_said_to_be_unknown(case: Case) -> None:
     unseen = [tuple(-1 for _ in case.plane_of[0]), *case.plane_of[1:]]
     unseen[0], unseen[3] = case.plane_of[0], tuple(-1 for _ in case.plane_of[3])

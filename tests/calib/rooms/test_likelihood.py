@@ -13,7 +13,7 @@ REACH = 7.0
 
 def prior_of(case: Case, rig: RigPrior | None = None) -> RoomPrior:
     rig = rig or RigPrior.from_calibration(case.truth.rig, np.diag(np.geomspace(1e-6, 1e-2, SHARED)))
-    return RoomPrior.of(rig, [(0, 1), (2, 1), (1, 0)], 0.3, case.truth, REACH)
+    return RoomPrior.of(rig, [(0, 1), (2, 1), (1, 0)], 0.3, case.truth, (1.0, REACH))
 
 
 def test_gradient_is_that_of_the_cost(case: Case) -> None:
