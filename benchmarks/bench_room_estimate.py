@@ -10,24 +10,28 @@ with the true rig held. 'bound' is Cramér and Rao's.
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
+from pathlib import Path
 
 import numpy as np
 from cramer_rao import bound_of_room
 
 from calib.geometry import Size
 from calib.numerics import Floats
-from calib.refinement import Knowledge, State
+from calib.refinement import State
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, RoomEstimate, estimate_room
 from calib.rooms.lengths import Measured, angle_deg, centre_of, distance, gap, vertex
 from calib.rooms.likelihood import RoomPrior
 from calib.self_calibration import PrincipalPoint, self_calibrate
 from calib.synthetic import SyntheticRoom, random_room
-from tests.support.rooms import cells_of, disturbed, true_room
+
+sys.path.append(str(Path(__file__).parents[1]))
+from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room
 
 _CENTRE_SIGMA_PX, _SQUARENESS_DEG = 50.0, 0.3
 _WEAK = 3e-3  # metres: stations that slide further than this, by their own sigma, are told apart
@@ -61,20 +65,15 @@ class Errors:
         )
 
 
-def knowledge_of(made: SyntheticRoom) -> Knowledge:
-    camera, projector = made.calibration.camera.size, made.calibration.projector.size
-    return Knowledge(camera, projector, _centre(camera), _CENTRE_SIGMA_PX, _SQUARENESS_DEG)
-
-
 def _centre(size: Size) -> tuple[float, float]:
     return (size.width - 1) / 2, (size.height - 1) / 2
 
 
-def rooms(count: int, rooms_stations: int, matches: int, wavy: float) -> Iterator[tuple[SyntheticRoom, float, int]]:
+def rooms(count: int, stations: int, matches: int, wavy: float) -> Iterator[tuple[SyntheticRoom, float, int]]:
     for seed in range(count):
         rng = np.random.default_rng(seed)
         noise_px = float(np.exp(rng.uniform(np.log(0.03), np.log(0.1))))
-        yield random_room(rng, stations=rooms_stations, count=matches, noise_px=noise_px, wavy=wavy), noise_px, seed
+        yield random_room(rng, stations=stations, count=matches, noise_px=noise_px, wavy=wavy), noise_px, seed
 
 
 def corner_calibration(made: SyntheticRoom, rng: np.random.Generator) -> State | None:
@@ -156,7 +155,7 @@ def accuracy(count: int, matches: int, wavy: float) -> None:
                 fixed = RigPrior.exactly(rig)
                 found = estimate_room(cells, plane_of, start.places, start.planes, rig, fixed)
                 ways[name].add(truth, found, held, unit)
-        prior = RoomPrior.of(known, (), _SQUARENESS_DEG, truth, joint.reach)
+        prior = RoomPrior.of(known, (), _SQUARENESS_DEG, truth, (1.0, joint.reach))
         bound = bound_of_room(truth, joint.patches, prior, noise_px)
         for station in np.flatnonzero(held) + 1:
             columns = truth.place_columns(int(station))

@@ -123,4 +123,5 @@ def bound_of_room(truth: Room, patches: Sequence[Patch], prior: RoomPrior, noise
     ]
     variances = [noise_px**2 * (patch.cells.sigma_px / patch.cells.noise_px) ** 2 for patch in patches]
     fit = evaluate_room(exact, truth, prior, variances)
-    return covariance_of(fit.information, prior.free(np.isin(np.arange(len(truth.planes)), [patch.plane for patch in patches])))
+    seen = np.isin(np.arange(len(truth.planes)), [patch.plane for patch in patches])
+    return covariance_of(fit.information, prior.free(seen))

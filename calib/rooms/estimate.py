@@ -5,7 +5,7 @@ corner alone has to take them for square. A plane that one station sees counts, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,13 +21,16 @@ from calib.rooms.patches import Patch, patches_of, predict_patch
 from calib.rooms.planes import RoomPlane
 from calib.rooms.room import Room
 from calib.rooms.smooth_errors import covariance_of_shifts
+from calib.rooms.ties import tie_scores, untied
 
 _ROUGH = 0.01  # tolerance in cost while noise is measured
 _ROUGH_ROUNDS, _ROUNDS = 10, 3
 _SETTLED = 0.5  # of a rough level, after a round that hardly lowered it
-_FAR_OFF = 0.1  # of what was known of a place before: a direction that keeps more than that is not determined
+_ANY_TURN = 1.0  # radians
+_FAR_OFF = 0.1  # radians, and of the reach: a direction that is less sure than that is not determined
 _SAME_PLACE = 0.01  # of the reach, and radians
 _LEAST_IN_FRONT = 0.98
+_WRONG, _MOST_WRONG = 30.0, 0.25  # of a tie's score, over the usual one; of the patches
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +48,9 @@ class Undetermined:
 @dataclass(frozen=True, eq=False)
 class RoomEstimate:
     """`covariance` (size, size): of the room's columns; NaN for planes without a cell, 0 for what was held.
+
+    `patches`: on which of the room's planes each station's cells turned out to be; planes behind those of the start are
+    of stations that see another one than they were said to.
 
     `residual_px` (S,): root mean square of each coordinate of a station's cells, robustly; NaN without cells. `reach`:
     median distance of what was seen from the camera, in baselines. `waves` (P,): by how much each plane is not flat,
@@ -110,12 +116,15 @@ def estimate_room(
     square: Sequence[tuple[int, int]] = (),
     squareness_deg: float = SQUARENESS_DEG,
     shifts: Sequence[Shifts] = (),
+    place_sigma: tuple[float, float] | None = None,
 ) -> RoomEstimate:
     """From a start: the rig's as calibrated, `places` of stations and `planes` as registered, in baselines.
 
     `stations`: the cells of each, whose labels `plane_of` translates to the room's planes (−1: of none). `square`:
     pairs of planes that are perpendicular but for `squareness_deg` (standard deviation); what else is, is measured.
-    `shifts`: for each station by what its matches may be shifted, for the covariance.
+    `shifts`: for each station by what its matches may be shifted, for the covariance. `place_sigma`: how well the
+    registration has places, as standard deviations of a turn in radians and a shift in baselines, where it knows more
+    than these planes tell (from surfaces that are no planes, say); by default a radian and the reach: nothing.
 
     Raises RefusalError if the start puts cells behind a device, ValueError if the sequences do not fit each other.
     """
@@ -123,45 +132,67 @@ def estimate_room(
         raise ValueError(f"{len(stations)} stations, {len(plane_of)} lists of planes, {len(places)} places")
     room = Room(rig_of(start), tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
-    known = RoomPrior.of(prior, square, squareness_deg, room, _reach(room, _in_front(room, patches)))
-    patches, fit = _roughly(patches, room, known)
-    free = known.free(_seen(room, patches))
+    reach = _reach(room, _in_front(room, patches))
+    known = RoomPrior.of(prior, square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
+    patches, known, fit, variances = _without_wrong_ties(*_roughly(patches, room, known))
+    free = known.free(_seen(fit.room, patches))
     for _ in range(_ROUNDS):
-        levels = measured(patches, fit, int(free.sum()), _repeats(fit.room, known.reach))
-        fit = minimise(patches, fit.room, known, levels.variances(patches), free, tolerance=_ROUGH)
-    variances = levels.variances(patches)
+        levels = measured(patches, fit, variances, free, _repeats(fit.room, reach))
+        variances = levels.variances(patches)
+        fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.room, known, variances, free)
 
     covariance = covariance_of(fit.information, free)
     of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
     covariance += of_waves + covariance_of_shifts(patches, fit, variances, free, levels, shifts)
-    for plane in range(len(planes)):
-        columns = room.plane_columns(plane)
+    for plane in range(len(fit.room.planes)):
+        columns = fit.room.plane_columns(plane)
         if not free[columns].any():
             covariance[columns], covariance[:, columns] = np.nan, np.nan
     residual_px = np.full(len(stations), np.nan)
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
-    undetermined = _undetermined(fit.room, covariance, known.reach)
-    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, known.reach, waves)
+    undetermined = _undetermined(fit.room, covariance, reach)
+    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves)
 
 
-def _roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> tuple[tuple[Patch, ...], Fit]:
+_Rough = tuple[tuple[Patch, ...], RoomPrior, Fit, list[Floats]]
+
+
+def _roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> _Rough:
     """From far off, at noise levels that follow the residuals down; without patches that end behind a device."""
 
-    def variances(levels: Floats) -> list[Floats]:
-        return [np.full(len(patch.cells), level) for patch, level in zip(patches, levels, strict=True)]
+    def at(room: Room, levels: Floats) -> tuple[Fit, list[Floats]]:
+        variances = [np.full(len(patch.cells), level) for patch, level in zip(patches, levels, strict=True)]
+        return evaluate(patches, room, prior, variances), variances
 
     free = prior.free(_seen(room, patches))
-    levels = rough_levels(patches, evaluate(patches, room, prior, variances(np.ones(len(patches)))).residuals)
+    fit, _ = at(room, np.ones(len(patches)))
+    levels = rough_levels(patches, fit.residuals)
     for _ in range(_ROUGH_ROUNDS):
-        room = minimise(patches, room, prior, variances(levels), free, tolerance=_ROUGH).room
+        fit, variances = at(fit.room, levels)
+        room = minimise(patches, fit.room, prior, variances, free, tolerance=_ROUGH).room
         patches, before = _in_front(room, patches), float(np.mean(levels))
-        fit = evaluate(patches, room, prior, variances(np.ones(len(patches))))
+        fit, _ = at(room, np.ones(len(patches)))
         levels = rough_levels(patches, fit.residuals)
         if np.mean(levels) > _SETTLED * before:
             break
-    return patches, fit
+    return patches, prior, *at(fit.room, levels)
+
+
+def _without_wrong_ties(patches: tuple[Patch, ...], prior: RoomPrior, fit: Fit, variances: list[Floats]) -> _Rough:
+    """The same where patches that are not on the plane that they were taken for have planes of their own."""
+    for _ in range(int(_MOST_WRONG * len(patches))):
+        scores, freedom = tie_scores(patches, fit, variances, prior.free(_seen(fit.room, patches)))
+        per_freedom = scores / np.maximum(freedom, 1)
+        tied = freedom > 0
+        worst = int(np.argmax(per_freedom))
+        if not tied.any() or per_freedom[worst] < _WRONG * max(float(np.median(per_freedom[tied])), 1.0):
+            break
+        start, _ = untied(prior.start, patches, worst)
+        room, patches = untied(fit.room, patches, worst)
+        patches, prior, fit, variances = _roughly(patches, room, replace(prior, start=start))
+    return patches, prior, fit, variances
 
 
 def _seen(room: Room, patches: Sequence[Patch]) -> Bools:

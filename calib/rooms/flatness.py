@@ -17,6 +17,7 @@ from calib.rooms.noise import Levels
 from calib.rooms.patches import OWN, Patch, carried, columns_of, points_of, predict_patch
 
 _ORDERS = 6  # half-waves along either side of what was seen of a plane
+_LEAST_LEFT = 1e-3  # of the waves, by the fit; less than that in the residuals tells nothing of their heights
 
 
 def covariance_of_waves(
@@ -38,7 +39,12 @@ def covariance_of_waves(
         pull = np.sum([waves.pull(of_patch) for waves, of_patch in zip(on_plane, modes, strict=True)], axis=0)
         moved = np.zeros_like(pull)
         moved[columns] = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull[columns])
-        left = sum(waves.energy_left(of_patch, moved) for waves, of_patch in zip(on_plane, modes, strict=True))
+        left, whole = (
+            sum(waves.energy_left(of_patch, after) for waves, of_patch in zip(on_plane, modes, strict=True))
+            for after in (moved, np.zeros_like(moved))
+        )
+        if left < _LEAST_LEFT * whole:
+            continue
         seen = sum(waves.energy() for waves in on_plane)
         # Variances on the plane were enlarged by what the waves do; without them this is what noise would show.
         noise = len(on_plane) * CUBIC / levels.planes[plane]

@@ -19,7 +19,6 @@ _STEPS = 60
 _DAMPING = Damping(first=1e-6, least=1e-13, most=1e4, growth=10.0, relief=0.05, by_gain=True)
 _EXACTLY_SQUARE = 1e-3  # degrees, for walls that are said to be exactly square
 _BEHIND = 100.0  # the cost of a cell of a patch behind a device, like one ten sigmas off
-_TURN_SIGMA = 1.0  # radians, of a station's place before anything is seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,22 +84,28 @@ class RoomPrior:
     """What is known of a room before its matches are seen.
 
     `square`: pairs of planes that are perpendicular, with a standard deviation of `square_sigma` radians each. `start`:
-    stations are where it has them, give or take `reach` and a radian, which holds still what no plane determines.
+    stations are where it has them but for `place_sigma`, of a turn in radians and of a shift in baselines, which holds
+    what no plane determines.
     """
 
     rig: RigPrior
     square: tuple[tuple[int, int], ...]
     square_sigma: float
     start: Room
-    reach: float
+    place_sigma: tuple[float, float]
 
     @classmethod
     def of(
-        cls, rig: RigPrior, square: Sequence[tuple[int, int]], squareness_deg: float, start: Room, reach: float
+        cls,
+        rig: RigPrior,
+        square: Sequence[tuple[int, int]],
+        squareness_deg: float,
+        start: Room,
+        place_sigma: tuple[float, float],
     ) -> "RoomPrior":
         """With angles in degrees; 0 is as good as exactly square."""
         pairs = tuple(sorted({(min(pair), max(pair)) for pair in square}))
-        return cls(rig, pairs, float(np.radians(max(squareness_deg, _EXACTLY_SQUARE))), start, reach)
+        return cls(rig, pairs, float(np.radians(max(squareness_deg, _EXACTLY_SQUARE))), start, place_sigma)
 
     def free(self, seen: Bools) -> Bools:
         """Which columns are estimated, (size,): not what is known of the rig, the first place, planes not `seen`."""
@@ -115,7 +120,7 @@ class RoomPrior:
         """Of a room, with half its gradient (size,) and Gauss–Newton Hessian (size, size)."""
         gradient, information = np.zeros(room.size), np.zeros((room.size, room.size))
         cost, gradient[:SHARED], information[:SHARED, :SHARED] = self.rig.cost(room.rig)
-        sigma = np.repeat([_TURN_SIGMA, self.reach], 3)
+        sigma = np.repeat(self.place_sigma, 3)
         step = self.start.step_to(room)
         for station in range(1, len(room.places)):
             columns = room.place_columns(station)

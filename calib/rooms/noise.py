@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.numerics import MEDIAN_LENGTH, Floats, median
-from calib.refinement import CUBIC, Cells, Noise, inverse_of, long_waves, noise_of, overdispersion
+from calib.numerics import MEDIAN_LENGTH, Bools, Floats, median
+from calib.refinement import CUBIC, Cells, Noise, long_waves, noise_of, overdispersion
 from calib.refinement.match_cells import joined
 from calib.rooms.likelihood import Fit
-from calib.rooms.patches import OWN, Patch, predict_patch
-from calib.rooms.room import PER_PLACE, PER_PLANE, Room
+from calib.rooms.patches import Patch
+from calib.rooms.room import Room
+from calib.rooms.ties import tie_scores
 
 _LEAST_PX = 1e-3
 _OUT_OF_LINE = 4.0  # long waves of a patch over those of the station's median one: the plane's fault, not the decoder's
@@ -42,13 +43,16 @@ def rough_levels(patches: Sequence[Patch], residuals: Sequence[Floats]) -> Float
     return levels
 
 
-def measured(patches: Sequence[Patch], fit: Fit, free: int, repeats: Sequence[int]) -> Levels:
-    """From a fit with so many free columns. `repeats`: how many stations stand where each stands.
+def measured(
+    patches: Sequence[Patch], fit: Fit, variances: Sequence[Floats], free: Bools, repeats: Sequence[int]
+) -> Levels:
+    """From a fit under some variances of the cells. `repeats`: how many stations stand where each stands.
 
     Long waves tell of smooth errors of a station, which all its patches show, and of planes that are not flat, which
     all stations that see them show: a station's overdispersion is measured without the patches that are out of line.
+    Planes that are flat where a station sees them may yet differ between stations: so do ties.
     """
-    absorbed = free / len(patches)
+    absorbed = np.count_nonzero(free) / len(patches)
     stations: list[Noise] = []
     waves = np.full(len(patches), np.nan)
     for station, times in enumerate(repeats):
@@ -68,25 +72,10 @@ def measured(patches: Sequence[Patch], fit: Fit, free: int, repeats: Sequence[in
     flat = Levels(tuple(stations), np.ones(len(fit.room.planes)))
     of_stations = np.array([stations[patch.station].inflation for patch in patches])
     by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.room)
-    return replace(flat, planes=np.maximum(by_waves, _of_planes(patches, *_ties(patches, fit, flat), fit.room)))
-
-
-def _ties(patches: Sequence[Patch], fit: Fit, levels: Levels) -> tuple[Floats, Floats]:
-    """Of each patch, by how much the cost falls if its plane may be elsewhere than the others have it, (patches,).
-
-    With it the degrees of freedom of that, what the stations' places take of them given back.
-    """
-    gains = np.empty(len(patches))
-    for i, (patch, variance) in enumerate(zip(patches, levels.variances(patches), strict=True)):
-        _, jacobian, _ = predict_patch(fit.room, patch)
-        own = jacobian[:, :, OWN] / np.sqrt(variance)[:, None, None]
-        slope = np.einsum("nak,na->k", own, fit.residuals[i] / np.sqrt(variance)[:, None])
-        gains[i] = slope @ inverse_of(np.einsum("nak,nal->kl", own, own)) @ slope
-    planes = np.array([patch.plane for patch in patches])
-    times = np.bincount(planes, minlength=len(fit.room.planes))[planes]
-    ties = PER_PLANE * (times - 1) / times
-    taken = PER_PLACE * (len(fit.room.places) - 1)
-    return gains, ties * max(1 - taken / max(ties.sum(), 1.0), 0.0)
+    scores, freedom = tie_scores(patches, fit, variances, free)
+    lowered = [used.mean() / own.mean() for used, own in zip(variances, flat.variances(patches), strict=True)]
+    by_ties = _of_planes(patches, scores * lowered, freedom, fit.room)
+    return replace(flat, planes=np.maximum(by_waves, by_ties))
 
 
 def _of_planes(patches: Sequence[Patch], totals: Floats, freedom: Floats, room: Room) -> Floats:

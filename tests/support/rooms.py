@@ -3,8 +3,7 @@
 import numpy as np
 
 from calib.geometry import Motion
-from calib.numerics import Floats
-from calib.refinement import SHARED, Cells, State, into_cells
+from calib.refinement import SHARED, Cells, Knowledge, State, into_cells
 from calib.rooms import Room, RoomPlane
 from calib.synthetic import SyntheticRoom
 from tests.support.states import device_of
@@ -64,6 +63,7 @@ def disturbed(rng: np.random.Generator, room: Room, made: SyntheticRoom) -> Room
     return room.moved(step)
 
 
-def errors_of(truth: Room, found: Room) -> Floats:
-    """The step (size,) from what was found to the truth."""
-    return found.step_to(truth)
+def knowledge_of(made: SyntheticRoom) -> Knowledge:
+    """The images' sizes, and the camera's principal point in its middle but for 50 px."""
+    camera, projector = made.calibration.camera.size, made.calibration.projector.size
+    return Knowledge(camera, projector, ((camera.width - 1) / 2, (camera.height - 1) / 2), 50.0, 0.3)
