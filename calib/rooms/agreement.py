@@ -24,6 +24,8 @@ _FREE = 0.015  # a patch in front of a surface by so much more than that is one 
 NATS_PER_PLANE, _PATCHES_PER_PLANE = 6.0, 10.0
 _NATS_PER_PLANE_PATCH, NATS_PER_PATCH, NATS_PER_CONTRADICTION = 0.008, 0.1, 0.5
 NATS_OF_POSE = 17.0
+# One answer has to be 1000 times as likely as the next.
+DECIDED_NATS = float(np.log(1000.0))
 _UPRIGHT_SIGMA = np.radians(45.0)
 _LIKE = float(np.cos(np.radians(35.0)))
 _CONTRADICTS, _HIDDEN, _UNLIKE, _FATES = 0, 1, 2, 3

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Motion
-from calib.rooms.agreement import COARSE, FINE, NATS_OF_POSE, compare
+from calib.rooms.agreement import COARSE, DECIDED_NATS, FINE, NATS_OF_POSE, compare
 from calib.rooms.alignment import composed, inverse, settled, settled_together
 from calib.rooms.hypotheses import Hypothesis, judged
 from calib.rooms.surfaces import Surfaces
@@ -19,8 +19,6 @@ from calib.rooms.surfaces import Surfaces
 _BEAM, _TRIED, _SETTLED = 12, 60, 3
 _PATCHES = 400
 _SAME_TURN, _SAME_PLACE = np.radians(4.0), 0.06
-# A station joins a group if that is so much likelier than that it belongs elsewhere.
-_JOINS_NATS = 3.0
 
 Edges = Mapping[tuple[int, int], Sequence[Hypothesis]]
 
@@ -62,7 +60,7 @@ def assemble(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[
         for each in beam:
             grown = _grown(surfaces, edges, stations, each)
             longer += grown
-            if each.nats > _JOINS_NATS and not any(more.nats > each.nats + _JOINS_NATS for more in grown):
+            if each.nats > DECIDED_NATS and not any(more.nats > each.nats + DECIDED_NATS for more in grown):
                 finished.append(each)
         beam = _distinct(longer, size)
     return _distinct([_together(surfaces, each) for each in _distinct(finished, size)], size)

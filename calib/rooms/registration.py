@@ -7,17 +7,16 @@ from itertools import combinations
 import numpy as np
 
 from calib.geometry import Motion
-from calib.rooms.agreement import NATS_OF_POSE, compare_one
+from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
 from calib.rooms.alignment import composed, inverse, normal_equations
 from calib.rooms.assembly import Assembly, Edges, assemble
 from calib.rooms.hypotheses import hypotheses, judged, refined
+from calib.rooms.misfits import worst_misfit
 from calib.rooms.planes import RoomPlane
 from calib.rooms.shared_planes import shared_planes
 from calib.rooms.station import StationView
 from calib.rooms.surfaces import Surfaces, surfaces_of
 
-# One answer has to be 1000 times as likely as the next.
-DECIDED_NATS = float(np.log(1000.0))
 _MOST_ALTERNATIVES = 4
 _LEAST_OVERLAP = 0.01
 _MOST_CONTRADICTION = 0.1
@@ -97,22 +96,29 @@ def register(stations: Sequence[StationView]) -> Registration:
     surfaces = {k: surfaces_of(view) for k, view in enumerate(stations) if np.isfinite(view.points[..., 2]).any()}
     edges = {(i, j): hypotheses(surfaces[i], surfaces[j]) for i, j in combinations(surfaces, 2)}
     groups: list[Group] = []
+    reasons: dict[int, str] = {}
     left = list(surfaces)
     while len(left) > 1:
         assemblies = assemble(surfaces, edges, left)
         if not assemblies:
             break
-        groups.append(_group(surfaces, assemblies))
-        left = [k for k in left if k not in groups[-1].stations]
+        best = assemblies[0]
+        worst = worst_misfit(surfaces, best.places)
+        if worst is not None and worst.reason:
+            reasons[worst.station] = worst.reason
+            left.remove(worst.station)
+            continue
+        groups.append(_group(surfaces, best, assemblies[1:]))
+        left = [k for k in left if k not in best.places]
     pairs = [pair for group in groups for pair in _pairs(surfaces, group)]
     alone = [k for k in range(len(stations)) if not any(k in group.stations for group in groups)]
-    return Registration(tuple(groups), tuple(pairs), tuple(LeftOut(k, _reason(surfaces, edges, k)) for k in alone))
+    left_out = tuple(LeftOut(k, reasons.get(k) or _reason(surfaces, edges, k)) for k in alone)
+    return Registration(tuple(groups), tuple(pairs), left_out)
 
 
-def _group(surfaces: Mapping[int, Surfaces], assemblies: Sequence[Assembly]) -> Group:
-    best = max(assemblies, key=lambda each: (each.nats, len(each.places)))
+def _group(surfaces: Mapping[int, Surfaces], best: Assembly, others: Sequence[Assembly]) -> Group:
     names = tuple(best.places)
-    rivals = [each for each in assemblies if each is not best and each.places.keys() == best.places.keys()]
+    rivals = [each for each in others if each.places.keys() == best.places.keys()]
     behind = [best.nats - each.nats for each in rivals]
     alternatives = [
         Alternative(tuple(each.places[k] for k in names), nats)
