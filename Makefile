@@ -79,10 +79,12 @@ $(BIN)/pip:
 
 $(VENV)/.runtime: pyproject.toml | $(BIN)/pip
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@tools/system-packages --open3d || echo "Everything but scan room works without them."
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(BIN)/pip
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@tools/system-packages --open3d || echo "Everything but scan room works without them; its tests will be SKIPPED."
 	@touch $@ $(VENV)/.runtime
 
 $(VENV)/.console: pyproject.toml | $(VENV)/.runtime

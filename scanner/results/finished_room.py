@@ -1,7 +1,6 @@
 """A whole room's result folder read back: every station's scan at its place."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from calib.geometry import Motion
@@ -12,19 +11,19 @@ from scanner.results.names import ROOM_FILE
 
 @dataclass(frozen=True, eq=False)
 class PlacedScan:
-    """The scan of a station, called `name`, which is read when it is asked for; X_room = rotation X_camera + t.
-
-    `folder`: where it is.
+    """The scan of a station, called `name`; X_room = rotation X_camera + t. `folder`: where it is, `known`: what is in
+    it, if it has been read.
     """
 
     name: str
     folder: Path
     place: Motion
+    known: FinishedScan | None = None
 
-    @cached_property
+    @property
     def scan(self) -> FinishedScan:
-        """Raises InputError if a file is missing or damaged."""
-        return read_finished_scan(self.folder)
+        """Read each time: a room's are large together. Raises InputError if a file is missing or damaged."""
+        return self.known or read_finished_scan(self.folder)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Any
 from scanner.errors import InputError
 
 # What its wheels are linked against (Debian, Ubuntu).
-DEBIAN_PACKAGES = ("libgl1", "libegl1", "libx11-6", "libusb-1.0-0", "libgomp1")
+DEBIAN_PACKAGES = ("libgl1", "libegl1", "libx11-6", "libusb-1.0-0", "libudev1", "libidn2-0", "libgomp1")
 
 
 def open3d() -> Any:
