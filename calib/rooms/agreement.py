@@ -10,6 +10,7 @@ patch of it, each of which could have been contradicted; a patch of no plane sav
 neighbours. The pose has to be described instead. A patch that contradicts needs an excuse each time.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,14 +55,22 @@ class Agreement:
         share: Floats = self.contradicting / np.maximum(self.agreeing + self.contradicting, 1)
         return share
 
-    def nats(self, thinned: float = 1.0) -> Floats:
-        """What the overlap is worth, (K,), without the pose; `thinned`: patches that each one compared stands for."""
-        on_planes = thinned * self.matched[:, :-1, :-1]
-        planes = NATS_PER_PLANE * np.sum(1 - np.exp(-on_planes / _PATCHES_PER_PLANE), axis=(1, 2))
-        planes += _NATS_PER_PLANE_PATCH * on_planes.sum(axis=(1, 2))
-        others = NATS_PER_PATCH * thinned * (self.agreeing - self.matched[:, :-1, :-1].sum(axis=(1, 2)))
-        worth: Floats = planes + others - NATS_PER_CONTRADICTION * thinned * self.contradicting
-        return worth
+
+def gain(seen: Sequence[Agreement], thinned: float = 1.0) -> Floats:
+    """What a station is worth in nats, (K,), beside several others, in K poses: `seen` as second station with each.
+
+    A plane of it that several others share needs not be described once, not several times; whoever looked through it
+    contradicts.
+    """
+    on_planes = sum(each.matched[:, :-1, :-1].sum(axis=1) for each in seen) * thinned
+    planes = NATS_PER_PLANE * np.sum(1 - np.exp(-on_planes / _PATCHES_PER_PLANE), axis=1)
+    shared = np.stack([each.matched[:, :-1, :-1].sum(axis=(1, 2)) for each in seen])
+    others = np.stack([each.agreeing for each in seen]) - shared
+    against = sum(each.contradicting for each in seen)
+    worth: Floats = planes + thinned * (
+        np.max(_NATS_PER_PLANE_PATCH * shared + NATS_PER_PATCH * others, axis=0) - NATS_PER_CONTRADICTION * against
+    )
+    return worth
 
 
 def nats_of_tilt(rotations: Floats) -> Floats:

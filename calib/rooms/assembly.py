@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Motion
-from calib.rooms.agreement import COARSE, DECIDED_NATS, FINE, NATS_OF_POSE, compare
+from calib.rooms.agreement import COARSE, DECIDED_NATS, FINE, NATS_OF_POSE, compare, compare_one, gain, nats_of_tilt
 from calib.rooms.alignment import composed, inverse, settled, settled_together
-from calib.rooms.hypotheses import Hypothesis, judged
+from calib.rooms.hypotheses import Hypothesis
 from calib.rooms.surfaces import Surfaces
 
 _BEAM, _TRIED, _SETTLED = 12, 60, 3
@@ -60,7 +60,7 @@ def assemble(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[
         for each in beam:
             grown = _grown(surfaces, edges, stations, each)
             longer += grown
-            if each.nats > DECIDED_NATS and not any(more.nats > each.nats + DECIDED_NATS for more in grown):
+            if each.nats > DECIDED_NATS and not grown:
                 finished.append(each)
         beam = _distinct(longer, size)
     return _distinct([_together(surfaces, each) for each in _distinct(finished, size)], size)
@@ -105,12 +105,18 @@ def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[in
         count[k] = count.get(k, 0) + 1
         others = [(surfaces[member], at) for member, at in group.places.items()]
         place = settled(surfaces[k], place, others, (COARSE, FINE), _PATCHES)
-        gain = sum(
-            judged(surfaces[member], surfaces[k], composed(inverse(at), place)).nats
-            for member, at in group.places.items()
-        )
-        grown.append(Assembly({**group.places, k: place}, group.nats + gain - NATS_OF_POSE))
+        more = gain_of(surfaces, group.places, k, place)
+        if more > DECIDED_NATS:
+            grown.append(Assembly({**group.places, k: place}, group.nats + more))
     return grown
+
+
+def gain_of(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], k: int, place: Motion) -> float:
+    """How much likelier it is, in nats, that a station is at a place beside others than that it is elsewhere."""
+    poses = [composed(inverse(at), place) for at in places.values()]
+    seen = [compare_one(surfaces[member], surfaces[k], pose) for member, pose in zip(places, poses, strict=True)]
+    tilt = min(float(nats_of_tilt(pose.rotation[None])[0]) for pose in poses)
+    return float(gain(seen)[0]) - tilt - NATS_OF_POSE
 
 
 def _near(one: Motion, other: Motion, distance: float) -> bool:
@@ -121,25 +127,23 @@ def _near(one: Motion, other: Motion, distance: float) -> bool:
 
 def _coarsely(surfaces: Mapping[int, Surfaces], group: Assembly, k: int, place: Motion) -> float:
     """What a station at a place is worth beside a group, from some of the patches and before it has settled."""
-    worth = 0.0
+    seen = []
     for member, at in group.places.items():
         pose = composed(inverse(at), place)
-        seen = compare(surfaces[member], surfaces[k], pose.rotation[None], pose.translation[None], COARSE, _PATCHES)
-        worth += float(seen.nats(len(surfaces[k].patches) / _PATCHES)[0])
-    return worth
+        seen.append(
+            compare(surfaces[member], surfaces[k], pose.rotation[None], pose.translation[None], COARSE, _PATCHES)
+        )
+    return float(gain(seen, len(surfaces[k].patches) / _PATCHES)[0])
 
 
 def _together(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:
-    """All stations moved until they fit best together."""
+    """All stations moved until they fit best together, and judged again."""
     members = dict(sorted(group.places.items()))
     first = inverse(next(iter(members.values())))
     places = settled_together(
         {k: surfaces[k] for k in members}, {k: composed(first, place) for k, place in members.items()}
     )
-    names = list(places)
-    nats = -NATS_OF_POSE * (len(names) - 1) + sum(
-        judged(surfaces[a], surfaces[b], composed(inverse(places[a]), places[b])).nats
-        for n, a in enumerate(names)
-        for b in names[n + 1 :]
-    )
+    names, nats = list(group.places), 0.0
+    for n, k in enumerate(names[1:], 1):
+        nats += gain_of(surfaces, {m: places[m] for m in names[:n]}, k, places[k])
     return Assembly(places, nats)

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.numerics import Bools, Floats, Ints
-from calib.rooms.agreement import COARSE, FINE, compare, compare_one, nats_of_tilt
+from calib.rooms.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
 from calib.rooms.alignment import settled
 from calib.rooms.surfaces import Surfaces
 
@@ -47,7 +47,7 @@ def hypotheses(first: Surfaces, second: Surfaces, others: tuple[Motion, ...] = (
         return []
     coarse = compare(first, second, rotations, translations, COARSE, _COARSE_PATCHES)
     thinned = max(1.0, len(first.patches) / _COARSE_PATCHES)
-    worth = coarse.nats(thinned) - nats_of_tilt(rotations)
+    worth = gain([coarse], thinned) - nats_of_tilt(rotations)
     worth[len(worth) - len(others) :] += 1e6  # they are few, and each is worth a look
     size = _SAME_PLACE * (first.distance + second.distance) / 2
     found = []
@@ -69,7 +69,7 @@ def refined(first: Surfaces, second: Surfaces, pose: Motion) -> Motion:
 def judged(first: Surfaces, second: Surfaces, pose: Motion) -> Hypothesis:
     """What is to be thought of a pose."""
     seen = compare_one(first, second, pose)
-    nats = float(seen.nats()[0] - nats_of_tilt(pose.rotation[None])[0])
+    nats = float(gain([seen])[0] - nats_of_tilt(pose.rotation[None])[0])
     return Hypothesis(pose, nats, float(seen.contradiction[0]))
 
 

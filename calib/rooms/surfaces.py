@@ -14,6 +14,8 @@ from calib.numerics import Floats, Ints
 from calib.rooms.station import StationView
 
 _COLUMNS = 306
+# Pixels: poses that are not refined yet are off by about so many, and so are the edges of things.
+_AROUND = 7
 _PATCHES = 1500
 _STEEPEST = 0.1  # cosine of the slant beyond which a patch's area means little
 
@@ -21,7 +23,7 @@ _STEEPEST = 0.1  # cosine of the slant beyond which a patch's area means little
 @dataclass(frozen=True, eq=False)
 class Surfaces:
     """`points`, `normals` (h, w, 3), `labels` (h, w) as in the view, on the grid of a pinhole camera with `focal_px`
-    and `centre_px`; `near`, `far` (h, w): least and greatest depth around each pixel. All NaN where nothing was
+    and `centre_px`; `near` (h, w): least depth around each pixel. All NaN where nothing was
     measured. `patches`, `patch_normals` (M, 3), `patch_labels` (M,), in random order. `planes` (P, 4): normals and
     offsets, `plane_area` (P,): patches on each. `distance`: median depth.
     """
@@ -30,7 +32,6 @@ class Surfaces:
     normals: Floats
     labels: Ints
     near: Floats
-    far: Floats
     focal_px: float
     centre_px: tuple[float, float]
     patches: Floats
@@ -54,8 +55,7 @@ def surfaces_of(view: StationView) -> Surfaces:
     normals[missing] = np.nan
     labels = np.where(missing, -1, view.labels[row, column]).astype(np.int32)
     depth = points[..., 2]
-    near = cv2.erode(np.where(missing, np.inf, depth), np.ones((3, 3), np.uint8))
-    far = cv2.dilate(np.where(missing, -np.inf, depth), np.ones((3, 3), np.uint8))
+    near = cv2.erode(np.where(missing, np.inf, depth), np.ones((_AROUND, _AROUND), np.uint8))
     chosen = _spread(points, normals)
     flat = points.reshape(-1, 3)
     patch_labels = labels.ravel()[chosen]
@@ -65,7 +65,6 @@ def surfaces_of(view: StationView) -> Surfaces:
         normals,
         labels,
         np.where(missing, np.nan, near),
-        np.where(missing, np.nan, far),
         focal_px,
         centre_px,
         flat[chosen],

@@ -1,0 +1,66 @@
+"""Stations that do not fit the others of their group: of a rig that was changed, or of a room that was.
+
+The stations of one unchanged rig are all bent alike, by what its calibration is off; the surfaces of two of them then
+lie as well on each other as those of any other two. A rig that was moved in itself measures another shape.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from calib.geometry import Motion
+from calib.numerics import Floats
+from calib.rooms.agreement import COARSE, compare_one
+from calib.rooms.alignment import composed, inverse, normal_equations
+from calib.rooms.surfaces import Surfaces
+
+_MOST_CONTRADICTION = 0.05
+_MOST_TIMES_WORSE = 1.8
+_LEAST_PATCHES = 30
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """`contradiction`: share of what `station` and others could see of each other that was looked through;
+    `times_worse`: its surfaces' distances from the others', over those of the others among each other.
+    """
+
+    station: int
+    contradiction: float
+    times_worse: float
+
+    @property
+    def reason(self) -> str:
+        """Why it is to be left out, as a sentence; empty if it is not."""
+        if self.times_worse > _MOST_TIMES_WORSE:
+            return (
+                f"its surfaces lie {self.times_worse:.1f} times as far off the other stations' as those do among each "
+                "other: the rig was changed, or something was moved"
+            )
+        if self.contradiction > _MOST_CONTRADICTION:
+            return (
+                f"where it fits best, {self.contradiction:.0%} of what it and the others could see of each other is "
+                "where one of them looked through: another room, or something was moved"
+            )
+        return ""
+
+
+def worst_misfit(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> Misfit | None:
+    """The station of a group that fits the others worst; None where only two overlap, for none is then to blame."""
+    sums: dict[tuple[int, int], Floats] = {}
+    for i, j in combinations(places, 2):
+        seen = compare_one(surfaces[i], surfaces[j], composed(inverse(places[i]), places[j]))
+        if seen.agreeing[0] + seen.contradicting[0] < _LEAST_PATCHES:
+            continue
+        fit = normal_equations(surfaces[i], places[i], surfaces[j], places[j], COARSE)
+        sums[i, j] = np.array([fit.square, fit.weight, seen.contradicting[0], seen.agreeing[0]], np.float64)
+    found = []
+    for k in places:
+        own = sum((each for pair, each in sums.items() if k in pair), np.zeros(4))
+        rest = sum((each for pair, each in sums.items() if k not in pair), np.zeros(4))
+        if own[1] > 0 and rest[1] > 0:
+            worse = float(np.sqrt(own[0] / own[1] / max(rest[0] / rest[1], 1e-12)))
+            found.append(Misfit(k, float(own[2] / (own[2] + own[3])), worse))
+    return max(found, key=lambda each: (each.reason != "", each.times_worse), default=None)
