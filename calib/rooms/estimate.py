@@ -10,10 +10,11 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Matches, Motion
 from calib.numerics import Bools, Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, Cells, Shifts, State, covariance_of
 from calib.refusal import RefusalError
+from calib.rooms.contacts import Contact, find_contacts
 from calib.rooms.flatness import covariance_of_waves
 from calib.rooms.likelihood import Fit, RigPrior, RoomPrior, evaluate, minimise, rig_of
 from calib.rooms.noise import Levels, measured, rough_levels
@@ -28,6 +29,7 @@ _ROUGH_ROUNDS, _ROUNDS = 10, 3
 _SETTLED = 0.5  # of a rough level, after a round that hardly lowered it
 _ANY_TURN = 1.0  # radians
 _FAR_OFF = 0.1  # radians, and of the reach: a direction that is less sure than that is not determined
+_NEAR = (0.02, 0.01, 0.005, 0.005)  # of the reach: points of two stations that may be on one surface
 _SAME_PLACE = 0.01  # of the reach, and radians
 _LEAST_IN_FRONT = 0.98
 _WRONG, _MOST_WRONG = 30.0, 0.25  # of a tie's score, over the usual one; of the patches
@@ -54,7 +56,7 @@ class RoomEstimate:
 
     `residual_px` (S,): root mean square of each coordinate of a station's cells, robustly; NaN without cells. `reach`:
     median distance of what was seen from the camera, in baselines. `waves` (P,): by how much each plane is not flat,
-    root mean square, in baselines; 0 where nothing shows it.
+    root mean square, in baselines; 0 where nothing shows it. `contacts`: of surfaces that are no planes.
     """
 
     fit: Fit
@@ -65,6 +67,7 @@ class RoomEstimate:
     undetermined: tuple[Undetermined, ...]
     reach: float
     waves: Floats
+    contacts: tuple[Contact, ...]
 
     @property
     def room(self) -> Room:
@@ -117,6 +120,7 @@ def estimate_room(
     squareness_deg: float = SQUARENESS_DEG,
     shifts: Sequence[Shifts] = (),
     place_sigma: tuple[float, float] | None = None,
+    loose: Sequence[Matches] = (),
 ) -> RoomEstimate:
     """From a start: the rig's as calibrated, `places` of stations and `planes` as registered, in baselines.
 
@@ -124,7 +128,8 @@ def estimate_room(
     pairs of planes that are perpendicular but for `squareness_deg` (standard deviation); what else is, is measured.
     `shifts`: for each station by what its matches may be shifted, for the covariance. `place_sigma`: how well the
     registration has places, as standard deviations of a turn in radians and a shift in baselines, where it knows more
-    than these planes tell (from surfaces that are no planes, say); by default a radian and the reach: nothing.
+    than these planes tell; by default a radian and the reach: nothing. `loose`: for each station matches that are on
+    no plane; where two stations saw one surface, it ties them.
 
     Raises RefusalError if the start puts cells behind a device, ValueError if the sequences do not fit each other.
     """
@@ -141,6 +146,10 @@ def estimate_room(
         variances = levels.variances(patches)
         fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.room, known, variances, free)
+    contacts: tuple[Contact, ...] = ()
+    for share in _NEAR if loose else ():
+        contacts = find_contacts(loose, fit.room, [noise.match_px for noise in levels.stations], share * reach)
+        fit = minimise(patches, fit.room, known, variances, free, contacts=contacts)
 
     covariance = covariance_of(fit.information, free)
     of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
@@ -153,7 +162,7 @@ def estimate_room(
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
     undetermined = _undetermined(fit.room, covariance, reach)
-    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves)
+    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves, contacts)
 
 
 _Rough = tuple[tuple[Patch, ...], RoomPrior, Fit, list[Floats]]
