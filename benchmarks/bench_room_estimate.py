@@ -181,7 +181,8 @@ def accuracy(count: int, matches: int, wavy: float, balls: int) -> None:
         print(f"  {name:26}{errors.row()}")
     error_mm = np.array(ways["joint estimate"].millimetres)[np.array(ways["joint estimate"].held)]
     least_mm = _rms(np.array(bound_mm))
-    print(f"  {'bound':26}{least_mm:9.3f}   error over bound {_rms(error_mm) / least_mm:.3f}")
+    if not balls:  # whose matches the bound does not know
+        print(f"  {'bound':26}{least_mm:9.3f}   error over bound {_rms(error_mm) / least_mm:.3f}")
     print(f"  views of planes taken for others than they are: {untied}")
     print(f"  focals, mean error: {100 * np.mean(focals):.4f} %")
     print("  error / sigma, rms")

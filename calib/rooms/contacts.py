@@ -97,8 +97,10 @@ def find_contacts(
             continue
         some = evenly(np.isfinite(normals[first][:, 0]), _MOST)
         apart, nearest = trees[second].query(points[first][some], distance_upper_bound=radius)
-        near = some[np.isfinite(apart)]
-        there = np.asarray(nearest, np.int64)[np.isfinite(apart)]
+        # Each point once, with the nearest that looks for it: what it errs by must not count for many.
+        order = np.argsort(apart)[: np.count_nonzero(np.isfinite(apart))]
+        there, once = np.unique(np.asarray(nearest, np.int64)[order], return_index=True)
+        near = some[order[once]]
         here, other = normals[first][near], normals[second][there]
         product = np.sum(here * other, axis=1)
         alike = np.abs(product) > _ALIKE
