@@ -5,32 +5,30 @@ corner alone has to take them for square. A plane that one station sees counts, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from calib.geometry import Motion
-from calib.numerics import Bools, Floats
+from calib.geometry import Matches, Motion
+from calib.numerics import Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, Cells, Shifts, State, covariance_of
-from calib.refusal import RefusalError
+from calib.rooms.contacts import Contact, find_contacts
 from calib.rooms.flatness import covariance_of_waves
-from calib.rooms.likelihood import Fit, RigPrior, RoomPrior, evaluate, minimise, rig_of
+from calib.rooms.likelihood import Fit, RigPrior, RoomPrior, minimise, rig_of
 from calib.rooms.noise import Levels, measured, rough_levels
 from calib.rooms.patches import Patch, patches_of, predict_patch
 from calib.rooms.planes import RoomPlane
 from calib.rooms.room import Room
+from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
 from calib.rooms.smooth_errors import covariance_of_shifts
-from calib.rooms.ties import tie_scores, untied
 
 _ROUGH = 0.01  # tolerance in cost while noise is measured
-_ROUGH_ROUNDS, _ROUNDS = 10, 3
-_SETTLED = 0.5  # of a rough level, after a round that hardly lowered it
+_ROUNDS = 3
 _ANY_TURN = 1.0  # radians
 _FAR_OFF = 0.1  # radians, and of the reach: a direction that is less sure than that is not determined
+_NEAR = (0.02, 0.01, 0.005, 0.005)  # of the reach: points of two stations that may be on one surface
 _SAME_PLACE = 0.01  # of the reach, and radians
-_LEAST_IN_FRONT = 0.98
-_WRONG, _MOST_WRONG = 30.0, 0.25  # of a tie's score, over the usual one; of the patches
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +52,7 @@ class RoomEstimate:
 
     `residual_px` (S,): root mean square of each coordinate of a station's cells, robustly; NaN without cells. `reach`:
     median distance of what was seen from the camera, in baselines. `waves` (P,): by how much each plane is not flat,
-    root mean square, in baselines; 0 where nothing shows it.
+    root mean square, in baselines; 0 where nothing shows it. `contacts`: of surfaces that are no planes.
     """
 
     fit: Fit
@@ -65,6 +63,7 @@ class RoomEstimate:
     undetermined: tuple[Undetermined, ...]
     reach: float
     waves: Floats
+    contacts: tuple[Contact, ...]
 
     @property
     def room(self) -> Room:
@@ -99,10 +98,10 @@ class RoomEstimate:
     @cached_property
     def stations_of(self) -> tuple[tuple[int, ...], ...]:
         """For each plane the stations with cells on it."""
-        seen: list[set[int]] = [set() for _ in self.planes]
+        found: list[set[int]] = [set() for _ in self.planes]
         for patch in self.patches:
-            seen[patch.plane].add(patch.station)
-        return tuple(tuple(sorted(each)) for each in seen)
+            found[patch.plane].add(patch.station)
+        return tuple(tuple(sorted(each)) for each in found)
 
 
 def estimate_room(
@@ -117,6 +116,7 @@ def estimate_room(
     squareness_deg: float = SQUARENESS_DEG,
     shifts: Sequence[Shifts] = (),
     place_sigma: tuple[float, float] | None = None,
+    loose: Sequence[Matches] = (),
 ) -> RoomEstimate:
     """From a start: the rig's as calibrated, `places` of stations and `planes` as registered, in baselines.
 
@@ -124,7 +124,8 @@ def estimate_room(
     pairs of planes that are perpendicular but for `squareness_deg` (standard deviation); what else is, is measured.
     `shifts`: for each station by what its matches may be shifted, for the covariance. `place_sigma`: how well the
     registration has places, as standard deviations of a turn in radians and a shift in baselines, where it knows more
-    than these planes tell (from surfaces that are no planes, say); by default a radian and the reach: nothing.
+    than these planes tell; by default a radian and the reach: nothing. `loose`: for each station matches that are on
+    no plane; where two stations saw one surface, it ties them.
 
     Raises RefusalError if the start puts cells behind a device, ValueError if the sequences do not fit each other.
     """
@@ -132,15 +133,19 @@ def estimate_room(
         raise ValueError(f"{len(stations)} stations, {len(plane_of)} lists of planes, {len(places)} places")
     room = Room(rig_of(start), tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
-    reach = _reach(room, _in_front(room, patches))
+    reach = _reach(room, in_front(room, patches))
     known = RoomPrior.of(prior, square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
-    patches, known, fit, variances = _without_wrong_ties(*_roughly(patches, room, known))
-    free = known.free(_seen(fit.room, patches))
+    patches, known, fit, variances = without_wrong_ties(*fit_roughly(patches, room, known))
+    free = known.free(seen(fit.room, patches))
     for _ in range(_ROUNDS):
         levels = measured(patches, fit, variances, free, _repeats(fit.room, reach))
         variances = levels.variances(patches)
         fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.room, known, variances, free)
+    contacts: tuple[Contact, ...] = ()
+    for share in _NEAR if loose else ():
+        contacts = find_contacts(loose, fit.room, [noise.match_px for noise in levels.stations], share * reach)
+        fit = minimise(patches, fit.room, known, variances, free, contacts=contacts)
 
     covariance = covariance_of(fit.information, free)
     of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
@@ -153,65 +158,7 @@ def estimate_room(
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
     undetermined = _undetermined(fit.room, covariance, reach)
-    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves)
-
-
-_Rough = tuple[tuple[Patch, ...], RoomPrior, Fit, list[Floats]]
-
-
-def _roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> _Rough:
-    """From far off, at noise levels that follow the residuals down; without patches that end behind a device."""
-
-    def at(room: Room, levels: Floats) -> tuple[Fit, list[Floats]]:
-        variances = [np.full(len(patch.cells), level) for patch, level in zip(patches, levels, strict=True)]
-        return evaluate(patches, room, prior, variances), variances
-
-    free = prior.free(_seen(room, patches))
-    fit, _ = at(room, np.ones(len(patches)))
-    levels = rough_levels(patches, fit.residuals)
-    for _ in range(_ROUGH_ROUNDS):
-        fit, variances = at(fit.room, levels)
-        room = minimise(patches, fit.room, prior, variances, free, tolerance=_ROUGH).room
-        patches, before = _in_front(room, patches), float(np.mean(levels))
-        fit, _ = at(room, np.ones(len(patches)))
-        levels = rough_levels(patches, fit.residuals)
-        if np.mean(levels) > _SETTLED * before:
-            break
-    return patches, prior, *at(fit.room, levels)
-
-
-def _without_wrong_ties(patches: tuple[Patch, ...], prior: RoomPrior, fit: Fit, variances: list[Floats]) -> _Rough:
-    """The same where patches that are not on the plane that they were taken for have planes of their own."""
-    for _ in range(int(_MOST_WRONG * len(patches))):
-        scores, freedom = tie_scores(patches, fit, variances, prior.free(_seen(fit.room, patches)))
-        per_freedom = scores / np.maximum(freedom, 1)
-        tied = freedom > 0
-        worst = int(np.argmax(per_freedom))
-        if not tied.any() or per_freedom[worst] < _WRONG * max(float(np.median(per_freedom[tied])), 1.0):
-            break
-        start, _ = untied(prior.start, patches, worst)
-        room, patches = untied(fit.room, patches, worst)
-        patches, prior, fit, variances = _roughly(patches, room, replace(prior, start=start))
-    return patches, prior, fit, variances
-
-
-def _seen(room: Room, patches: Sequence[Patch]) -> Bools:
-    """Which planes have a patch, (planes,)."""
-    return np.isin(np.arange(len(room.planes)), [patch.plane for patch in patches])
-
-
-def _in_front(room: Room, patches: Sequence[Patch]) -> tuple[Patch, ...]:
-    """The patches that are before both devices, all but strays. Raises RefusalError if that is less than half."""
-    chosen = tuple(
-        patch for patch in patches if np.mean((predict_patch(room, patch)[2] > 0).all(axis=1)) >= _LEAST_IN_FRONT
-    )
-    if len(chosen) < len(patches) / 2 or not chosen:
-        raise RefusalError(
-            f"{len(patches) - len(chosen)} of {len(patches)} views of a plane are behind the camera or the projector "
-            "where the registration has them.",
-            "Register the stations again; those that do not fit have to be left out.",
-        )
-    return chosen
+    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves, contacts)
 
 
 def _reach(room: Room, patches: Sequence[Patch]) -> float:

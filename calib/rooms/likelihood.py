@@ -11,6 +11,7 @@ import numpy as np
 from calib.geometry import tangent_basis
 from calib.numerics import Bools, Damping, Floats, Quadratic, descend
 from calib.refinement import SHARED, TRANSLATION, Knowledge, Pose, State, inverse_of, misfit
+from calib.rooms.contacts import Contact
 from calib.rooms.patches import PER_PATCH, Patch, carried, columns_of, predict_patch
 from calib.rooms.room import Room
 
@@ -149,7 +150,13 @@ class Fit(Quadratic):
     residuals: tuple[Floats, ...]
 
 
-def evaluate(patches: Sequence[Patch], room: Room, prior: RoomPrior, variances: Sequence[Floats]) -> Fit:
+def evaluate(
+    patches: Sequence[Patch],
+    room: Room,
+    prior: RoomPrior,
+    variances: Sequence[Floats],
+    contacts: Sequence[Contact] = (),
+) -> Fit:
     """The cost of a room with its derivatives.
 
     `variances`: (M,) for each patch, of each coordinate of each cell. A patch of which more than strays fall behind a
@@ -170,6 +177,12 @@ def evaluate(patches: Sequence[Patch], room: Room, prior: RoomPrior, variances: 
         columns, by_room = columns_of(room, patch), carried(room, patch)
         gradient[columns] += by_room.T @ slope
         information[np.ix_(columns, columns)] += by_room.T @ curvature @ by_room
+    for contact in contacts:
+        own, slope, curvature = contact.misfit(room)
+        columns = contact.columns(room)
+        cost += own
+        gradient[columns] += slope
+        information[np.ix_(columns, columns)] += curvature
     return Fit(cost, gradient, information, room, tuple(residuals))
 
 
@@ -180,6 +193,7 @@ def minimise(
     variances: Sequence[Floats],
     free: Bools,
     *,
+    contacts: Sequence[Contact] = (),
     tolerance: float = CONVERGED,
 ) -> Fit:
     """The nearest minimum over the `free` columns (size,), by Levenberg and Marquardt.
@@ -188,10 +202,10 @@ def minimise(
     """
 
     def moved(fit: Fit, step: Floats) -> Fit:
-        return evaluate(patches, fit.room.moved(step), prior, variances)
+        return evaluate(patches, fit.room.moved(step), prior, variances, contacts)
 
     def enough(_: float, decrement: float) -> bool:
         return decrement < tolerance
 
-    start = evaluate(patches, room, prior, variances)
+    start = evaluate(patches, room, prior, variances, contacts)
     return descend(start, moved, enough, _DAMPING, _STEPS, free=np.flatnonzero(free))

@@ -5,7 +5,7 @@ projected into it, and noise is added to the projector's pixels.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,6 +18,7 @@ _CAMERA = Intrinsics(1224, 1024, (1000.0, 1000.0), (628.0, 527.0), (-0.08, 0.02,
 _PROJECTOR = Intrinsics(1280, 800, (1150.0, 1150.0), (650.0, 420.0), (-0.03, 0.0, 0.0, 0.0, 0.0))
 _ATTEMPTS = 500
 _WALLS = 6
+_CLEAR, _SHADOW = 0.1, 1e-6
 _WAVES, _WAVELENGTHS = 4, (1.5, 4.0)
 
 
@@ -27,8 +28,8 @@ class RoomOptions:
 
     `size`: of the room, x, y, z; each of its six planes is turned by a normal angle of `walls_off_deg` about both
     directions in it, and has waves of 1.5 to 4 m with a standard deviation of `wavy`. `boxes`: pieces of furniture on
-    the floor. `stations` stand in a ring and look across the room; `count`: of the projector's pixels that are looked
-    at. A plane is labelled where it has `least_share` of them.
+    the floor; `balls`: in the air, their matches have no label. `stations` stand in a ring and look across the room;
+    `count`: of the projector's pixels that are looked at. A plane is labelled where it has `least_share` of them.
     """
 
     camera: Intrinsics = _CAMERA
@@ -36,12 +37,21 @@ class RoomOptions:
     size: tuple[float, float, float] = (4.5, 3.6, 2.6)
     walls_off_deg: float = 0.3
     boxes: int = 6
+    balls: int = 0
     stations: int = 6
     baseline: float = 0.35
     count: int = 100_000
     noise_px: float = 0.05
     least_share: float = 0.004
     wavy: float = 0.0
+
+
+class _Scene(NamedTuple):
+    """`solids`: normals and offsets of the room, then of the boxes. `balls` (B, 4): centres and radii."""
+
+    solids: list[tuple[Floats, Floats]]
+    balls: Floats
+    waves: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +82,8 @@ def random_room(rng: np.random.Generator, options: RoomOptions | None = None, **
     rig = _random_rig(rng, options)
     for _ in range(_ATTEMPTS):
         solids = [_random_walls(rng, options), *(_random_box(rng, options) for _ in range(options.boxes))]
-        waves = _random_waves(rng, options)
-        stations = [_station(rng, options, rig, solids, waves, k) for k in range(options.stations)]
+        scene = _Scene(solids, _random_balls(rng, options), _random_waves(rng, options))
+        stations = [_station(rng, options, rig, scene, k) for k in range(options.stations)]
         if all(station is not None for station in stations):
             normals, offsets = (np.concatenate(parts) for parts in zip(*solids, strict=True))
             return SyntheticRoom(tuple(each for each in stations if each is not None), rig, normals, offsets)
@@ -116,8 +126,7 @@ def _station(
     rng: np.random.Generator,
     options: RoomOptions,
     rig: Calibration,
-    solids: list[tuple[Floats, Floats]],
-    waves: Floats,
+    scene: _Scene,
     number: int,
 ) -> SyntheticStation | None:
     width, depth, _ = options.size
@@ -128,18 +137,20 @@ def _station(
     target = np.array([*(centre + 0.4 * across * [width, depth] + rng.normal(0, 0.2, 2)), rng.uniform(0.4, 1.3)])
     to_camera = look_at(eye, target, np.array([0.0, 0.0, 1.0]), rng.normal(0, 0.05))
     projector_eye = eye + to_camera.T @ rig.projector_centre
-    if not (_is_free(eye, solids) and _is_free(projector_eye, solids)):
+    if not (_is_free(eye, scene) and _is_free(projector_eye, scene)):
         return None
     pixels = jittered_grid(rng, rig.projector, options.count)
     rays = rig.projector.unproject(pixels) @ (rig.rotation @ to_camera)
-    points, plane = _cast(rays, projector_eye, solids)
-    points = _on_waves(points, plane, rays, solids[0][0], waves)
+    points, plane = _cast(rays, projector_eye, scene)
+    points = _on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
     camera_px = rig.camera.project((points - eye) @ to_camera.T)
     seen = inside(camera_px, rig.camera)
-    _, again = _cast(points[seen] - eye, eye, solids)
-    seen[seen] = again == plane[seen]
+    there, again = _cast(points[seen] - eye, eye, scene)
+    on_ball = again >= _WALLS * len(scene.solids)
+    seen[seen] = (again == plane[seen]) & ~(on_ball & (np.linalg.norm(there - points[seen], axis=1) > _SHADOW))
     plane = plane[seen]
-    enough = np.bincount(plane, minlength=_WALLS * len(solids)) >= options.least_share * options.count
+    enough = np.bincount(plane, minlength=_WALLS * len(scene.solids)) >= options.least_share * options.count
+    enough[_WALLS * len(scene.solids) :] = False
     if np.count_nonzero(enough) < 3:
         return None
     label = np.where(enough[plane], plane, -1).astype(np.int32)
@@ -169,17 +180,24 @@ def _on_waves(points: Floats, plane: Ints, rays: Floats, normals: Floats, waves:
     return moved
 
 
-def _is_free(point: Floats, solids: list[tuple[Floats, Floats]]) -> bool:
-    """Whether a point is in the room and in none of the boxes."""
-    (normals, offsets), *boxes = solids
-    return bool(np.all(normals @ point > offsets + 0.1)) and not any(
-        np.all(outwards @ point < reach + 0.1) for outwards, reach in boxes
+def _random_balls(rng: np.random.Generator, options: RoomOptions) -> Floats:
+    centres = np.array(options.size) * rng.uniform((0.15, 0.15, 0.1), (0.85, 0.85, 0.5), (options.balls, 3))
+    return np.concatenate([centres, rng.uniform(0.08, 0.25, (options.balls, 1))], axis=1)
+
+
+def _is_free(point: Floats, scene: _Scene) -> bool:
+    """Whether a point is in the room and in none of the things in it."""
+    (normals, offsets), *boxes = scene.solids
+    return (
+        bool(np.all(normals @ point > offsets + _CLEAR))
+        and not any(np.all(outwards @ point < reach + _CLEAR) for outwards, reach in boxes)
+        and bool(np.all(np.linalg.norm(point - scene.balls[:, :3], axis=1) > scene.balls[:, 3] + _CLEAR))
     )
 
 
-def _cast(directions: Floats, origin: Floats, solids: list[tuple[Floats, Floats]]) -> tuple[Floats, Ints]:
-    """What rays (N, 3) from `origin` meet first: points (N, 3) and the numbers of their planes (N,)."""
-    (normals, offsets), *boxes = solids
+def _cast(directions: Floats, origin: Floats, scene: _Scene) -> tuple[Floats, Ints]:
+    """What rays (N, 3) from `origin` meet first: points (N, 3) and the numbers of their planes (N,), then of balls."""
+    (normals, offsets), *boxes = scene.solids
     length, plane = _first(directions, origin, normals, offsets, directions @ normals.T < 0)
     for i, (outwards, reach) in enumerate(boxes, start=1):
         facing = directions @ outwards.T
@@ -187,6 +205,13 @@ def _cast(directions: Floats, origin: Floats, solids: list[tuple[Floats, Floats]
         leaving, _ = _first(directions, origin, outwards, reach, facing > 0)
         hit = (entering > 0) & (entering < leaving) & (entering < length)
         length, plane = np.where(hit, entering, length), np.where(hit, _WALLS * i + face, plane)
+    square = np.sum(directions**2, axis=1)
+    for i, (*centre, radius) in enumerate(scene.balls, start=_WALLS * len(scene.solids)):
+        along = directions @ (np.array(centre) - origin)
+        inside_root = along**2 - square * (np.sum((np.array(centre) - origin) ** 2) - radius**2)
+        entering = (along - np.sqrt(np.maximum(inside_root, 0.0))) / square
+        hit = (inside_root > 0) & (entering > 0) & (entering < length)
+        length, plane = np.where(hit, entering, length), np.where(hit, i, plane)
     return origin + length[:, None] * directions, plane.astype(np.int32)
 
 
