@@ -1,0 +1,132 @@
+"""Stations of made-up rooms against where they stood."""
+
+import numpy as np
+import pytest
+
+from calib.geometry import Intrinsics, Motion
+from calib.numerics import Floats
+from calib.pointcloud import surface
+from calib.rooms import Registration, StationView, register, station_view
+from calib.rooms.alignment import composed, inverse
+from calib.synthetic.stations import Room, Station, moved_rig, random_room, ring, seen_from
+
+CAMERA = Intrinsics(306, 256, (225.0, 225.0), (154.0, 125.5), (-0.06, 0.01, 0.0, 0.0, 0.0))
+
+
+def stations_in(seed: int, count: int, pieces: int = 8) -> tuple[Room, list[Station]]:
+    rng = np.random.default_rng(seed)
+    room = random_room(rng, pieces)
+    places = ring(rng, room, 6)[:count]
+    return room, [seen_from(room, place, rng, camera=CAMERA) for place in places]
+
+
+def view_of(station: Station, factor: float = 1.0) -> StationView:
+    points = (factor * station.points).astype(np.float32)
+    return station_view(points, surface(points, CAMERA.focal_px[0]).normals, CAMERA)
+
+
+def off(found: Motion, true: Motion) -> tuple[float, float]:
+    """Degrees and metres."""
+    step = composed(inverse(true), found)
+    angle = np.degrees(np.arccos(np.clip((np.trace(step.rotation) - 1) / 2, -1, 1)))
+    return float(angle), float(np.linalg.norm(step.translation))
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[Room, list[Station]]:
+    return stations_in(0, 4)
+
+
+@pytest.fixture(scope="module")
+def views(scene: tuple[Room, list[Station]]) -> list[StationView]:
+    return [view_of(station) for station in scene[1]]
+
+
+@pytest.fixture(scope="module")
+def with_a_stranger(views: list[StationView]) -> Registration:
+    """Stations 3, 1, 0 and 2 of a room, and between them one of another room."""
+    stranger = view_of(stations_in(5, 1)[1][0])
+    return register([views[3], views[1], stranger, views[0], views[2]])
+
+
+def test_every_station_is_where_it_stood_and_the_stranger_is_left_out(
+    scene: tuple[Room, list[Station]], with_a_stranger: Registration
+) -> None:
+    (group,) = with_a_stranger.groups
+    assert group.stations == (0, 1, 3, 4)
+    assert not group.ambiguous
+    (left,) = with_a_stranger.left_out
+    assert left.station == 2
+    assert "other" in left.reason
+    stood = [scene[1][k].place for k in (3, 1, 0, 2)]
+    for found, true in zip(group.places[1:], stood[1:], strict=True):
+        degrees, metres = off(found, composed(inverse(stood[0]), true))
+        # What the calibration is off bends the walls by some millimetres.
+        assert 1e-4 < degrees < 0.6
+        assert 1e-4 < metres < 0.05
+
+
+def test_neighbours_overlap_and_say_how_well(with_a_stranger: Registration) -> None:
+    pairs = {(pair.first, pair.second): pair for pair in with_a_stranger.pairs}
+    for neighbours in ((1, 3), (1, 4), (0, 4)):  # stations 0–1, 1–2 and 2–3 of the room
+        pair = pairs[neighbours]
+        assert 0.2 < pair.overlap < 0.7
+        assert 0 <= pair.contradiction < 0.02
+        assert 2e-4 < pair.residual < 4e-3
+    assert all(2 not in pair for pair in pairs)
+
+
+def test_walls_are_shared_and_where_they_are(scene: tuple[Room, list[Station]], with_a_stranger: Registration) -> None:
+    room, stations = scene
+    (group,) = with_a_stranger.groups
+    seen_by = np.bincount([p for planes in group.plane_of for p in planes if p >= 0], minlength=len(group.planes))
+    floor = [plane for plane, count in zip(group.planes, seen_by, strict=True) if count == 4]
+    assert floor
+    stood = stations[3].place
+
+    def apart(normal: Floats, height: float) -> tuple[float, float]:
+        in_room = stood.rotation.T @ normal
+        own = height - float(normal @ stood.translation)
+        nearest = max(floor, key=lambda plane: float(plane.normal @ in_room))
+        return float(np.degrees(np.arccos(min(1.0, nearest.normal @ in_room)))), abs(nearest.offset - own)
+
+    degrees, metres = apart(room.normals[2], float(room.heights[2]))
+    assert 1e-5 < degrees < 0.6
+    assert 1e-6 < metres < 0.02
+
+
+def test_the_unit_does_not_matter(scene: tuple[Room, list[Station]], views: list[StationView]) -> None:
+    one = register(views[:2])
+    (group,), (other,) = one.groups, register([view_of(station, 12.5) for station in scene[1][:2]]).groups
+    step = off(Motion(other.places[1].rotation, other.places[1].translation / 12.5), group.places[1])
+    assert step[0] < 0.05
+    assert step[1] < 0.005
+
+
+def test_a_rig_that_was_changed_is_named(scene: tuple[Room, list[Station]], views: list[StationView]) -> None:
+    found = register([*views[:2], view_of(moved_rig(scene[1][2], 0.1)), views[3]])
+    assert all(2 not in group.stations for group in found.groups)
+    assert 2 in {left.station for left in found.left_out}
+
+
+def test_a_bare_room_is_ambiguous() -> None:
+    _, stations = stations_in(3, 3, pieces=0)
+    found = register([view_of(station) for station in stations])
+    assert all(group.ambiguous for group in found.groups)
+    for group in found.groups:
+        assert group.ahead_nats < 7
+        for other in group.alternatives:
+            assert len(other.places) == len(group.stations)
+
+
+def test_no_points_and_no_overlap(views: list[StationView]) -> None:
+    nothing = np.full((CAMERA.height, CAMERA.width, 3), np.nan, np.float32)
+    found = register([views[0], station_view(nothing, nothing, CAMERA)])
+    assert found.groups == found.pairs == ()
+    assert [left.station for left in found.left_out] == [0, 1]
+    assert found.left_out[1].reason == "it has no points"
+
+
+def test_arrays_of_another_size_are_an_error(views: list[StationView]) -> None:
+    with pytest.raises(ValueError, match=r"\(256, 306, 3\)"):
+        station_view(views[0].points[1:], views[0].normals, CAMERA)
