@@ -6,3 +6,4 @@ from calib.rooms.planes import RoomPlane
 from calib.rooms.registration import Alternative, Group, LeftOut, Pair, Registration, register
 from calib.rooms.room import Room
 from calib.rooms.station import StationView, station_view
+from calib.rooms.straight_planes import split_planes

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import Uncertainty, calibration_of, sigmas_of
-from calib.geometry import Calibration, Corner, Matches
+from calib.geometry import Calibration, Corner
 from calib.numerics import Floats, Ints
 from calib.pointcloud import build_cloud
 from calib.refinement import SHARED, Cells, Knowledge, State, into_cells
@@ -19,6 +19,7 @@ from calib.rooms import (
     StationView,
     estimate_room,
     register,
+    split_planes,
     station_view,
 )
 from calib.rooms.lengths import vertex
@@ -46,17 +47,7 @@ def look_at(capture: Decoded, calibration: Calibration) -> Seen:
     """A capture's planes."""
     cloud = build_cloud(capture.matches, None, calibration)
     view = station_view(cloud.points, cloud.normals, calibration.camera)
-    return Seen(capture, view, labels_of(capture.matches, view.labels))
-
-
-def labels_of(matches: Matches, labels: Ints) -> Ints:
-    """The label of the camera pixel (H, W) of each match, (N,); −1 outside of the image."""
-    height, width = labels.shape
-    column, row = np.rint(matches.camera_px).astype(np.int64).T
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    found = np.full(len(matches), -1, np.int32)
-    found[inside] = labels[row[inside], column[inside]]
-    return found
+    return Seen(capture, *split_planes(view, capture.matches, calibration))
 
 
 def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedRoom:

@@ -20,7 +20,7 @@ def verdict_on(room: SolvedRoom) -> Verdict:
             "refused",
             f"{AMBIGUOUS}.",
             (
-                f"Another arrangement of the same stations is only e^{behind:.1f} times less likely: the room looks "
+                f"Another arrangement of the stations is only {np.exp(behind):.3g} times less likely: the room looks "
                 "the same from different places, or too little of it was seen.",
                 "Both are in room.yaml; cloud, mesh and plan are of the likelier one.",
             ),
@@ -50,7 +50,8 @@ def _reasons(room: SolvedRoom) -> Iterator[str]:
         turned = float(np.nanmax([np.linalg.norm(station.sigma_deg) for station in others]))
         yield f"Where a station stood is known to ± {unit.error(worst)} and ± {turned:.2g}°, or better."
     if np.isfinite(room.group.ahead_nats):
-        yield f"Any other arrangement of the stations is e^{room.group.ahead_nats:.0f} times less likely."
+        factor = np.exp(room.group.ahead_nats)
+        yield f"Any other arrangement of the stations is less likely by a factor of {factor:.0e}."
     pairs = [pair for pair in room.pairs if {pair.first, pair.second} <= set(room.group.stations)]
     if pairs:
         weakest = min(pairs, key=lambda pair: pair.overlap)
