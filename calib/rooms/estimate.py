@@ -147,9 +147,9 @@ def estimate_room(
         contacts = find_contacts(loose, fit.room, [noise.match_px for noise in levels.stations], share * reach)
         fit = minimise(patches, fit.room, known, variances, free, contacts=contacts)
 
-    covariance = covariance_of(fit.information, free)
     of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
-    covariance += of_waves + covariance_of_shifts(patches, fit, variances, free, levels, shifts)
+    covariance = levels.alike * (covariance_of(fit.information, free) + of_waves)
+    covariance += covariance_of_shifts(patches, fit, variances, free, levels, shifts)
     for plane in range(len(fit.room.planes)):
         columns = fit.room.plane_columns(plane)
         if not free[columns].any():

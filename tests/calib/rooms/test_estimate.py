@@ -11,6 +11,7 @@ from calib.rooms import RigPrior, Room, estimate_room
 from calib.rooms.patches import predict_patch
 from calib.rooms.room import PER_PLACE
 from calib.rooms.ties import tie_scores
+from calib.synthetic import RoomOptions
 from tests.calib.rooms.conftest import STATIONS, Case, case_of
 
 ROOMS = 3
@@ -149,6 +150,16 @@ def test_walls_that_are_not_flat_cost_certainty() -> None:
     heights_m = wavy.found.waves[wavy.found.waves > 0] * wavy.made.calibration.baseline
     assert 0.0003 < np.median(heights_m) < 0.01
     assert 0.2 < np.sqrt(np.nanmean(deviations(wavy)[SHARED:] ** 2)) < 2.0
+
+
+def test_a_lens_with_terms_that_the_model_has_not_makes_stations_err_alike(case: Case) -> None:
+    options = RoomOptions()
+    camera = replace(options.camera, distortion=(-0.08, 0.02, 5e-4, -3e-4, 0.0))
+    projector = replace(options.projector, distortion=(-0.03, 0.0, -4e-4, 5e-4, 0.0))
+    odd = case_of(3, camera=camera, projector=projector)
+    assert case.found.levels.alike < 1.3
+    assert 2 < odd.found.levels.alike <= STATIONS
+    assert np.abs(deviations(odd)[[0, 5]]).max() < 4
 
 
 def test_smooth_errors_of_the_decoder_add_to_the_covariance(case: Case) -> None:
