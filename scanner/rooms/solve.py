@@ -93,6 +93,7 @@ def _estimate(members: Sequence[Seen], group: Group, start: RigStart, config: Co
         square=_square_pairs(members, group, start),
         squareness_deg=config.corner.squareness_deg,
         shifts=[shifts_of(each.decoded) for each in members],
+        loose=[each.decoded.matches[each.plane < 0] for each in members],
     )
 
 
