@@ -18,6 +18,7 @@ from calib.rooms.ties import tie_scores
 _LEAST_PX = 1e-3
 _OUT_OF_LINE = 4.0  # long waves of a patch over those of the station's median one: the plane's fault, not the decoder's
 _BENT = 0.999
+_UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # of a station without cells
 _LOUD = 10.0  # sigmas; a cell further off has no more influence on what is smooth
 
 
@@ -59,22 +60,13 @@ def measured(
     the same at all stations are the lenses', so that together these count as one.
     """
     absorbed = np.count_nonzero(free) / len(patches)
-    stations: list[Noise] = []
     waves = np.full(len(patches), np.nan)
+    stations = []
     for station, times in enumerate(repeats):
         own = [i for i, patch in enumerate(patches) if patch.station == station]
-        if not own:
-            stations.append(Noise(np.nan, np.nan, np.nan, 1.0))
-            continue
-        cells = _together([patches[i].cells for i in own])
-        noise = noise_of(cells, np.concatenate([fit.residuals[i] for i in own]), absorbed * len(own))
-        for i in own:
-            independent = replace(noise, inflation=1.0).variances(patches[i].cells)
-            waves[i] = long_waves(patches[i].cells, fit.residuals[i], independent)[0][0]
-        known = waves[own][np.isfinite(waves[own])]
-        usual = known[known <= _OUT_OF_LINE * np.median(known)] if len(known) else known
-        inflation = overdispersion(float(usual.sum()), len(usual) * (2 * CUBIC - absorbed))
-        stations.append(replace(noise, inflation=inflation, repeats=times))
+        seen, residuals = [patches[i].cells for i in own], [fit.residuals[i] for i in own]
+        noise, waves[own] = _of_station(seen, residuals, absorbed) if own else (_UNKNOWN, np.nan)
+        stations.append(replace(noise, repeats=times))
     alike = 1 + _coherence(patches, fit, stations) * (len({patch.station for patch in patches}) - 1)
     flat = Levels(tuple(stations), np.ones(len(fit.room.planes)), alike)
     of_stations = np.array([stations[patch.station].inflation for patch in patches])
@@ -83,6 +75,22 @@ def measured(
     lowered = [used.mean() / own.mean() for used, own in zip(variances, flat.variances(patches), strict=True)]
     by_ties = _of_planes(patches, scores * lowered, freedom, fit.room)
     return replace(flat, planes=np.maximum(by_waves, by_ties))
+
+
+def _of_station(seen: Sequence[Cells], residuals: Sequence[Floats], absorbed: float) -> tuple[Noise, Floats]:
+    """From its patches' cells and residuals, with what of χ² is in each one's long waves, NaN for those too small."""
+    noise = noise_of(_together(seen), np.concatenate(residuals), absorbed * len(seen))
+    independent = replace(noise, inflation=1.0)
+    waves = np.array(
+        [
+            long_waves(cells, residual, independent.variances(cells))[0][0]
+            for cells, residual in zip(seen, residuals, strict=True)
+        ]
+    )
+    known = waves[np.isfinite(waves)]
+    usual = known[known <= _OUT_OF_LINE * np.median(known)] if len(known) else known
+    inflation = overdispersion(float(usual.sum()), len(usual) * (2 * CUBIC - absorbed))
+    return replace(noise, inflation=inflation), waves
 
 
 def _coherence(patches: Sequence[Patch], fit: Fit, stations: Sequence[Noise]) -> float:
