@@ -15,6 +15,7 @@ from calib.geometry import Motion
 from calib.numerics import Bools, Floats, Ints
 from calib.rooms.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
 from calib.rooms.alignment import settled
+from calib.rooms.features import feature_poses
 from calib.rooms.surfaces import Surfaces
 
 _MOST_PLANES = 14
@@ -26,6 +27,7 @@ _MOST_ROTATIONS, _MOST_PAIRS_OF_PLANES, _MOST_TRIPLES, _MOST_LINES, _LINE_STEPS 
 _COARSE_PATCHES, _SETTLING_PATCHES = 150, 500
 _REFINED, _KEPT = 40, 12
 _LEAST_NATS = 3.0
+_HOLDING_PATCHES = 20
 
 
 @dataclass(frozen=True)
@@ -37,14 +39,17 @@ class Hypothesis:
     contradiction: float
 
 
-def hypotheses(first: Surfaces, second: Surfaces, others: tuple[Motion, ...] = ()) -> list[Hypothesis]:
-    """Relative poses of two stations that are worth following up, best first; `others`: from other sources."""
+def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
+    """Relative poses of two stations that are worth following up, best first.
+
+    Features are asked where planes are too few to fix a pose; and the rig may hardly have been moved at all.
+    """
     rotations, translations = _supposed(first, second)
-    if others:
-        rotations = np.concatenate([rotations, np.stack([pose.rotation for pose in others])])
-        translations = np.concatenate([translations, np.stack([pose.translation for pose in others])])
-    if len(rotations) == 0:
-        return []
+    others = [Motion(np.eye(3), np.zeros(3))]
+    if min(_fixed_directions(first), _fixed_directions(second)) < 3:
+        others += feature_poses(first, second)
+    rotations = np.concatenate([rotations, np.stack([pose.rotation for pose in others])])
+    translations = np.concatenate([translations, np.stack([pose.translation for pose in others])])
     coarse = compare(first, second, rotations, translations, COARSE, _COARSE_PATCHES)
     thinned = max(1.0, len(first.patches) / _COARSE_PATCHES)
     worth = gain([coarse], thinned) - nats_of_tilt(rotations)
@@ -58,6 +63,12 @@ def hypotheses(first: Surfaces, second: Surfaces, others: tuple[Motion, ...] = (
     poses = np.stack([each.pose.rotation for each in found]), np.stack([each.pose.translation for each in found])
     kept = _distinct(*poses, np.array([each.nats for each in found]), size, _KEPT)
     return [found[k] for k in kept if found[k].nats > _LEAST_NATS]
+
+
+def _fixed_directions(surfaces: Surfaces) -> int:
+    """In how many directions a station's planes hold it."""
+    normals = surfaces.planes[surfaces.plane_area > _HOLDING_PATCHES, :3]
+    return int(np.count_nonzero(np.linalg.svd(normals, compute_uv=False) > _LEAST_SINE)) if len(normals) else 0
 
 
 def refined(first: Surfaces, second: Surfaces, pose: Motion) -> Motion:

@@ -9,7 +9,7 @@ import numpy as np
 from calib.geometry import Motion
 from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
 from calib.rooms.alignment import composed, inverse, normal_equations
-from calib.rooms.assembly import Assembly, Edges, assemble
+from calib.rooms.assembly import Assembly, Edges, assemble, gain_of
 from calib.rooms.hypotheses import hypotheses, judged, refined
 from calib.rooms.misfits import worst_misfit
 from calib.rooms.planes import RoomPlane
@@ -37,7 +37,8 @@ class Group:
     `places` by station, X_room = R X_camera + t, the room's frame being that of the group's first station. `planes` in
     the room's frame; `plane_of`: for each station, of each of its labels the index of the plane, −1 for none.
     `alternatives`: other answers that are as likely; with any, the group is ambiguous. `ahead_nats`: by how much the
-    answer is likelier than the next one that was looked at, infinite where there is none.
+    answer is likelier than the next one that was looked at, infinite where there is none. `held_nats` by station: how
+    much likelier it is there, beside all others, than that it does not belong to them; a small one is held by little.
     """
 
     stations: tuple[int, ...]
@@ -46,6 +47,7 @@ class Group:
     plane_of: tuple[tuple[int, ...], ...]
     alternatives: tuple[Alternative, ...]
     ahead_nats: float
+    held_nats: tuple[float, ...]
 
     @property
     def ambiguous(self) -> bool:
@@ -133,6 +135,7 @@ def _group(surfaces: Mapping[int, Surfaces], best: Assembly, others: Sequence[As
         tuple(planes.plane_of[k] for k in names),
         tuple(alternatives[:_MOST_ALTERNATIVES]),
         min(behind, default=np.inf),
+        tuple(gain_of(surfaces, {m: at for m, at in best.places.items() if m != k}, k, best.places[k]) for k in names),
     )
 
 

@@ -24,6 +24,8 @@ _MOST_PLANES = 24
 # A plane has at least this share of a picture's cells, and a piece of it this share of the picture's pixels.
 _LEAST_SHARE, _LEAST_PIECE = 0.003, 0.0005
 _FITTED = 4000
+# Pieces of one plane are, relative to their depth, no farther before or behind it than this.
+_PARTED = 0.004
 
 
 @dataclass(frozen=True)
@@ -172,11 +174,34 @@ def _assigned(
             labels[nearer] = label
             least[nearer] = off[nearer]
     for label in range(len(planes)):
-        mask = (labels == label).astype(np.uint8)
-        _, piece, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
-        small = stats[:, cv2.CC_STAT_AREA] < _LEAST_PIECE * height * width
-        labels[(mask > 0) & small[piece]] = NO_PLANE
+        _part(points, labels, label, planes)
     return _by_size(labels, planes)
+
+
+def _part(
+    points: NDArray[np.float32], labels: NDArray[np.int32], label: int, planes: list[tuple[Floats, float]]
+) -> None:
+    """Take a plane's small pieces away, and make planes of their own of those that are before or behind its largest:
+    fronts of two cupboards are often almost one plane. `labels` and `planes` in place.
+    """
+    mask = (labels == label).astype(np.uint8)
+    count, piece, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    area = stats[:, cv2.CC_STAT_AREA]
+    small = area < _LEAST_PIECE * labels.size
+    labels[(mask > 0) & small[piece]] = NO_PLANE
+    normal, offset = planes[label]
+    first = None
+    for n in 1 + np.argsort(-area[1:count], kind="stable"):
+        if small[n]:
+            break
+        at = np.flatnonzero(piece.ravel() == n)
+        some = points.reshape(-1, 3)[at[:: max(1, len(at) // _FITTED)]].astype(np.float64)
+        off = float(np.median((some @ normal - offset) / some[:, 2]))
+        if first is None:
+            first = off
+        elif abs(off - first) > _PARTED:
+            labels.ravel()[at] = len(planes)
+            planes.append(_plane_through(some, 1 / some[:, 2] ** 2))
 
 
 def _by_size(labels: NDArray[np.int32], planes: list[tuple[Floats, float]]) -> NDArray[np.int32]:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.geometry import Intrinsics
 from calib.numerics import Floats, Ints
 from calib.rooms.station import StationView
 
@@ -47,7 +46,7 @@ def surfaces_of(view: StationView) -> Surfaces:
     """Raises ValueError for a view without points."""
     if not np.isfinite(view.points[..., 2]).any():
         raise ValueError("a station needs points, found none")
-    focal_px, centre_px, row, column = _pinhole_grid(view.camera)
+    focal_px, centre_px, row, column = _pinhole_grid(view)
     points = view.points[row, column].astype(np.float64)
     normals = view.normals[row, column].astype(np.float64)
     missing = ~np.isfinite(points[..., 2]) | ~np.isfinite(normals[..., 2]) | (row < 0)
@@ -77,15 +76,17 @@ def surfaces_of(view: StationView) -> Surfaces:
     )
 
 
-def _pinhole_grid(camera: Intrinsics) -> tuple[float, tuple[float, float], Ints, Ints]:
-    """An ideal camera that sees what this one sees, on fewer pixels: focal length, centre, and for each of its pixels
-    the row and column (h, w) of the nearest pixel in the camera's image; −1 where there is none.
+def _pinhole_grid(view: StationView) -> tuple[float, tuple[float, float], Ints, Ints]:
+    """An ideal camera that sees where a view has points, on few pixels: focal length, centre, and for each of its
+    pixels the row and column (h, w) of the nearest pixel in the view; −1 where there is none.
     """
-    x, y = np.meshgrid(np.linspace(0, camera.width - 1, 33), np.linspace(0, camera.height - 1, 33))
+    camera, there = view.camera, np.isfinite(view.points[..., 2])
+    rows, columns = np.flatnonzero(there.any(axis=1)), np.flatnonzero(there.any(axis=0))
+    x, y = np.meshgrid(np.linspace(columns[0], columns[-1], 33), np.linspace(rows[0], rows[-1], 33))
     border = camera.unproject(np.stack([x, y], axis=-1))[..., :2].reshape(-1, 2)
     border = border[np.isfinite(border[:, 0])]
     low, high = border.min(axis=0), border.max(axis=0)
-    focal_px = float(min(_COLUMNS, camera.width) / (high[0] - low[0]))
+    focal_px = float(min(_COLUMNS / np.max(high - low), np.mean(camera.focal_px)))
     width, height = (int(np.ceil(extent * focal_px)) + 1 for extent in high - low)
     u, v = np.meshgrid(np.arange(width) / focal_px + low[0], np.arange(height) / focal_px + low[1])
     pixels = camera.project(np.stack([u, v, np.ones_like(u)], axis=-1))

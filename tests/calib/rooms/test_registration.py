@@ -88,7 +88,7 @@ def test_walls_are_shared_and_where_they_are(scene: tuple[Room, list[Station]], 
         in_room = stood.rotation.T @ normal
         own = height - float(normal @ stood.translation)
         nearest = max(floor, key=lambda plane: float(plane.normal @ in_room))
-        return float(np.degrees(np.arccos(min(1.0, nearest.normal @ in_room)))), abs(nearest.offset - own)
+        return float(np.degrees(np.arccos(np.clip(nearest.normal @ in_room, -1, 1)))), abs(nearest.offset - own)
 
     degrees, metres = apart(room.normals[2], float(room.heights[2]))
     assert 1e-5 < degrees < 0.6
@@ -122,7 +122,8 @@ def test_a_bare_room_is_ambiguous() -> None:
 def test_no_points_and_no_overlap(views: list[StationView]) -> None:
     nothing = np.full((CAMERA.height, CAMERA.width, 3), np.nan, np.float32)
     found = register([views[0], station_view(nothing, nothing, CAMERA)])
-    assert found.groups == found.pairs == ()
+    assert not found.groups
+    assert not found.pairs
     assert [left.station for left in found.left_out] == [0, 1]
     assert found.left_out[1].reason == "it has no points"
 
