@@ -23,7 +23,7 @@ from calib.rooms.surfaces import Surfaces
 FINE, COARSE = 0.012, 0.03
 _FREE = 0.015  # a patch in front of a surface by so much more than that is one the other camera saw through
 NATS_PER_PLANE, _PATCHES_PER_PLANE = 6.0, 10.0
-_NATS_PER_PLANE_PATCH, NATS_PER_PATCH, NATS_PER_CONTRADICTION = 0.008, 0.1, 0.5
+_NATS_PER_PLANE_PATCH, NATS_PER_PATCH, NATS_PER_CONTRADICTION = 0.008, 0.1, 1.0
 NATS_OF_POSE = 17.0
 # One answer has to be 1000 times as likely as the next.
 DECIDED_NATS = float(np.log(1000.0))

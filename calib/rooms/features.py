@@ -33,7 +33,7 @@ def feature_poses(first: Surfaces, second: Surfaces) -> list[Motion]:
         cloud.normalize_normals()
         around = open3d.geometry.KDTreeSearchParamHybrid(_RADIUS_VOXELS * voxel, _NEIGHBOURS)
         clouds.append(cloud)
-        features.append(open3d.pipelines.registration.compute_fpfh_feature(cloud, around))
+        features.append(open3d.pipelines.registration.compute_fpfh_feature(cloud, around))  # type: ignore[call-arg]
     if min(len(cloud.points) for cloud in clouds) < 3:
         return []
     return [_ransac(clouds, features, voxel, seed) for seed in _SEEDS]

@@ -20,6 +20,7 @@ from calib.rooms.surfaces import Surfaces, surfaces_of
 _MOST_ALTERNATIVES = 4
 _LEAST_OVERLAP = 0.01
 _MOST_CONTRADICTION = 0.1
+_TOO_LITTLE = "it shares too little with the other stations to say where it stood, or it is of another room"
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,23 +100,40 @@ def register(stations: Sequence[StationView]) -> Registration:
     edges = {(i, j): hypotheses(surfaces[i], surfaces[j]) for i, j in combinations(surfaces, 2)}
     groups: list[Group] = []
     reasons: dict[int, str] = {}
-    left = list(surfaces)
+    left, aside = list(surfaces), list[int]()
     while len(left) > 1:
         assemblies = assemble(surfaces, edges, left)
         if not assemblies:
             break
         best = assemblies[0]
-        worst = worst_misfit(surfaces, best.places)
-        if worst is not None and worst.reason:
-            reasons[worst.station] = worst.reason
-            left.remove(worst.station)
+        misfit = _misfit(surfaces, best.places)
+        if misfit is not None:
+            station, reasons[station] = misfit
+            left.remove(station)
+            aside.append(station)
             continue
         groups.append(_group(surfaces, best, assemblies[1:]))
-        left = [k for k in left if k not in best.places]
+        left = [k for k in left + aside if k not in best.places]
+        aside = []
     pairs = [pair for group in groups for pair in _pairs(surfaces, group)]
     alone = [k for k in range(len(stations)) if not any(k in group.stations for group in groups)]
     left_out = tuple(LeftOut(k, reasons.get(k) or _reason(surfaces, edges, k)) for k in alone)
     return Registration(tuple(groups), tuple(pairs), left_out)
+
+
+def _misfit(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> tuple[int, str] | None:
+    """A station that does not belong to the others, and why; None if all do."""
+    worst = worst_misfit(surfaces, places)
+    if worst is not None and worst.reason:
+        return worst.station, worst.reason
+    held = _held(surfaces, places)
+    least = min(held, key=lambda k: held[k])
+    return (least, _TOO_LITTLE) if held[least] < DECIDED_NATS else None
+
+
+def _held(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, float]:
+    """By how much each station is likelier to be at its place than not to belong to the others."""
+    return {k: gain_of(surfaces, {m: at for m, at in places.items() if m != k}, k, places[k]) for k in places}
 
 
 def _group(surfaces: Mapping[int, Surfaces], best: Assembly, others: Sequence[Assembly]) -> Group:
@@ -135,7 +153,7 @@ def _group(surfaces: Mapping[int, Surfaces], best: Assembly, others: Sequence[As
         tuple(planes.plane_of[k] for k in names),
         tuple(alternatives[:_MOST_ALTERNATIVES]),
         min(behind, default=np.inf),
-        tuple(gain_of(surfaces, {m: at for m, at in best.places.items() if m != k}, k, best.places[k]) for k in names),
+        tuple(_held(surfaces, best.places).values()),
     )
 
 
@@ -179,4 +197,4 @@ def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> str:
             f"wherever its surfaces would fit, {best.contradiction:.0%} of what it saw is where others looked through: "
             "another room, something was moved, or the rig was changed"
         )
-    return "it shares too little with the other stations to say where it stood, or it is of another room"
+    return _TOO_LITTLE
