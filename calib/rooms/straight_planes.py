@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.geometry import Calibration, Intrinsics, Matches, TooFewMatchesError
-from calib.numerics import Floats, Ints, evenly
+from calib.numerics import Bools, Ints, evenly
 from calib.refinement import follow_one_plane
 from calib.rooms.planes import RoomPlane
 from calib.rooms.segments import NO_PLANE
@@ -27,12 +27,12 @@ def split_planes(view: StationView, matches: Matches, calibration: Calibration) 
 
     `calibration`: the rig as it is known roughly; its lenses' distortions are taken out, its focals do not matter.
     """
-    ideal = _undistorted(matches, calibration)
+    ideal, known = _undistorted(matches, calibration)
     height, width = view.labels.shape
     column, row = np.rint(matches.camera_px).astype(np.int64).T
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     pixel = np.where(inside, row * width + column, 0)
-    plane = np.where(inside, view.labels.ravel()[pixel], NO_PLANE)
+    plane = np.where(inside & known, view.labels.ravel()[pixel], NO_PLANE)
     straight = np.full(len(matches), NO_PLANE, np.int32)
     fewest = max(_LEAST_MATCHES, int(_LEAST_SHARE * np.count_nonzero(plane != NO_PLANE)))
     count = 0
@@ -57,13 +57,17 @@ def split_planes(view: StationView, matches: Matches, calibration: Calibration) 
     return _with_labels(view, labels.reshape(height, width), straight, count)
 
 
-def _undistorted(matches: Matches, calibration: Calibration) -> Matches:
-    """The same matches in cameras of the same focal lengths without distortion."""
-    pixels = []
-    for device, seen in ((calibration.camera, matches.camera_px), (calibration.projector, matches.projector_px)):
-        ideal = Intrinsics(device.width, device.height, device.focal_px, device.principal_point_px)
-        pixels.append(ideal.project(device.unproject(seen.astype(np.float64))))
-    return Matches(*pixels, None, matches.sigma_px)
+def _undistorted(matches: Matches, calibration: Calibration) -> tuple[Matches, Bools]:
+    """The same matches in devices of the same focal lengths without distortion, and which of them (N,) have a place."""
+    camera_px, projector_px = (
+        Intrinsics(device.width, device.height, device.focal_px, device.principal_point_px).project(
+            device.unproject(seen.astype(np.float64))
+        )
+        for device, seen in ((calibration.camera, matches.camera_px), (calibration.projector, matches.projector_px))
+    )
+    known = np.isfinite(camera_px).all(axis=1) & np.isfinite(projector_px).all(axis=1)
+    camera_px[~known], projector_px[~known] = 0.0, 0.0
+    return Matches(camera_px, projector_px, None, matches.sigma_px), known
 
 
 def _with_labels(view: StationView, labels: Ints, straight: Ints, count: int) -> tuple[StationView, Ints]:

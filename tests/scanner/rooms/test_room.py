@@ -71,6 +71,7 @@ def test_cloud_and_mesh_are_on_the_surfaces(example: SolvedExample) -> None:
     pixel = 0.013  # of the camera at 3 m: what is known of the surfaces
     assert np.percentile(distances_to_surfaces(example, cloud.points[::50]), 95) < pixel
     scene = trimesh.load(example.out / "room.glb", force="mesh")
+    assert isinstance(scene, trimesh.Trimesh)
     x, y, z = np.asarray(scene.vertices).T
     assert len(scene.faces) > 10_000
     assert np.percentile(distances_to_surfaces(example, np.stack([x, -z, y], axis=1)[::50]), 90) < 2 * pixel
