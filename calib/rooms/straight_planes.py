@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.geometry import Calibration, Intrinsics, Matches, TooFewMatchesError
-from calib.numerics import Bools, Ints, evenly
+from calib.numerics import Bools, Floats, Ints, evenly
 from calib.refinement import follow_one_plane
 from calib.rooms.planes import RoomPlane
 from calib.rooms.segments import NO_PLANE
