@@ -65,7 +65,7 @@ def _undistorted(matches: Matches, calibration: Calibration) -> tuple[Matches, B
         )
         for device, seen in ((calibration.camera, matches.camera_px), (calibration.projector, matches.projector_px))
     )
-    known: Bools = np.isfinite(np.hstack([camera_px, projector_px])).all(axis=1)
+    known: Bools = np.asarray(np.isfinite(np.hstack([camera_px, projector_px])).all(axis=1), np.bool_)
     camera_px[~known], projector_px[~known] = 0.0, 0.0
     return Matches(camera_px, projector_px, None, matches.sigma_px), known
 
