@@ -27,7 +27,7 @@ _ROUGH = 0.01  # tolerance in cost while noise is measured
 _ROUNDS = 3
 _ANY_TURN = 1.0  # radians
 _FAR_OFF = 0.1  # radians, and of the reach: a direction that is less sure than that is not determined
-_NEAR = (0.02, 0.01, 0.005, 0.005)  # of the reach: points of two stations that may be on one surface
+NEAR = (0.02, 0.01, 0.005, 0.005)  # of the reach: points of two stations that may be on one surface
 _SAME_PLACE = 0.01  # of the reach, and radians
 
 
@@ -143,7 +143,7 @@ def estimate_room(
         fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.room, known, variances, free)
     contacts: tuple[Contact, ...] = ()
-    for share in _NEAR if loose else ():
+    for share in NEAR if loose else ():
         contacts = find_contacts(loose, fit.room, [noise.match_px for noise in levels.stations], share * reach)
         fit = minimise(patches, fit.room, known, variances, free, contacts=contacts)
 
@@ -157,7 +157,7 @@ def estimate_room(
     residual_px = np.full(len(stations), np.nan)
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
-    undetermined = _undetermined(fit.room, covariance, reach)
+    undetermined = undetermined_in(fit.room, covariance, reach)
     return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves, contacts)
 
 
@@ -177,7 +177,8 @@ def _repeats(room: Room, reach: float) -> list[int]:
     return [sum(same(place, other) for other in room.places) for place in room.places]
 
 
-def _undetermined(room: Room, covariance: Floats, reach: float) -> tuple[Undetermined, ...]:
+def undetermined_in(room: Room, covariance: Floats, reach: float) -> tuple[Undetermined, ...]:
+    """The directions in which a covariance leaves places open, compared with the reach, in baselines."""
     found = []
     for station in range(1, len(room.places)):
         columns = room.place_columns(station)

@@ -5,17 +5,30 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.geometry import Calibration
-from calib.pointcloud import MergedCloud
+from calib.numerics import Bools, Ints
+from calib.pointcloud import NONE, MergedCloud, density
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.open3d_module import open3d
 
 _VOXEL_PX = 2.0  # camera pixels at the median distance
+_LEAST_DENSITY = 0.01  # points per pixel
 
 
 def grid_of(stations: Sequence[Station], calibration: Calibration) -> float:
-    """Edge of a voxel: what a few camera pixels see at the median distance."""
+    """Edge of a voxel: what a few camera pixels see at the median distance, more where not every pixel has a point."""
     depths = np.concatenate([station.cloud.points[..., 2][station.cloud.there][::100] for station in stations])
-    return _VOXEL_PX * float(np.median(depths)) / float(np.mean(calibration.camera.focal_px))
+    spacing = max(spacing_px(station.cloud.there) for station in stations)
+    return spacing * _VOXEL_PX * float(np.median(depths)) / float(np.mean(calibration.camera.focal_px))
+
+
+def spacing_px(there: Bools) -> float:
+    """How far neighbouring points of an image (H, W) are apart; 1 where every pixel has one."""
+    return 1 / float(np.sqrt(max(density(index_of(there)), _LEAST_DENSITY)))
+
+
+def index_of(there: Bools) -> Ints:
+    """The number of each pixel (H, W) that has a point, NONE where there is none."""
+    return np.where(there, np.arange(there.size).reshape(there.shape), NONE)
 
 
 def blended(room: SolvedRoom) -> MergedCloud:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
+from calib.pointcloud import NONE, without_gaps
 from scanner.exporting.triangles import Mesh
-from scanner.rooms.blended_cloud import grid_of
+from scanner.rooms.blended_cloud import grid_of, index_of
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.open3d_module import open3d
 
@@ -26,8 +27,11 @@ _NO_NORMAL = np.array([0.0, -1.0, 0.0])  # of slivers
 _CAMERA_FROM_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
-def fused(room: SolvedRoom) -> Mesh:
-    """The mesh, in the frame of a level camera at the room's origin: x along the room's x, y down, z along its y."""
+def fused(room: SolvedRoom) -> Mesh | None:
+    """The mesh, or None if nothing hangs together.
+
+    It is in the frame of a level camera at the room's origin: x along the room's x, y down, z along its y.
+    """
     o3d = open3d()
     views = [_view(o3d, station, room.calibration.camera) for station in room.stations]
     voxel = _VOXELS * grid_of(room.stations, room.calibration)
@@ -74,12 +78,18 @@ def _ideal(station: Station, camera: Intrinsics) -> tuple[Intrinsics, NDArray[np
     ideal = Intrinsics(camera.width, camera.height, camera.focal_px, camera.principal_point_px)
     x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
     pixels = camera.project(ideal.unproject(np.stack([x, y], axis=-1))).astype(np.float32)
-    depth = np.nan_to_num(station.cloud.points[..., 2], nan=0.0).astype(np.float32)
+    depth = _filled(station.cloud.points[..., 2])
     nearest = cv2.INTER_NEAREST  # between a surface and what is behind it there is nothing
     column, row = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
     seen = cv2.remap(depth, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     colour = cv2.remap(station.cloud.colours, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     return ideal, np.ascontiguousarray(seen, np.float32), (colour / 255.0).astype(np.float32)
+
+
+def _filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Depths (H, W), 0 for none; pixels between sparse points have the nearest one's."""
+    index = without_gaps(index_of(np.isfinite(depth)))
+    return np.where(index == NONE, np.float32(0.0), depth.ravel()[index]).astype(np.float32)
 
 
 def _into_camera(station: Station) -> Floats:
@@ -90,11 +100,13 @@ def _into_camera(station: Station) -> Floats:
     return matrix
 
 
-def _cleaned(mesh: Any, unit: str) -> Mesh:
+def _cleaned(mesh: Any, unit: str) -> Mesh | None:
     """Without crumbs, with normals."""
     cluster, count, _ = mesh.cluster_connected_triangles()
     mesh.remove_triangles_by_mask(np.asarray(count)[np.asarray(cluster)] < _LEAST_PIECE)
     mesh.remove_degenerate_triangles()
+    if len(mesh.triangles) == 0:
+        return None
     mesh.remove_unreferenced_vertices()
     mesh.compute_vertex_normals()
     points, normals = (np.asarray(each) @ _CAMERA_FROM_ROOM.T for each in (mesh.vertices, mesh.vertex_normals))

@@ -68,7 +68,9 @@ def save_room(room: SolvedRoom, folder: Path, config: Config, progress: Progress
         cloud = blended(room)
         write_room_ply(folder / ROOM_CLOUD_FILE, cloud)
     with progress.step("Meshing"):
-        write_glb(folder / ROOM_MESH_FILE, fused(room), METRES.get(room.unit, 1.0))
+        mesh = fused(room)
+        if mesh is not None:
+            write_glb(folder / ROOM_MESH_FILE, mesh, METRES.get(room.unit, 1.0))
     with progress.step("Report"):
         write_page(folder / REPORT_FILE, room, plan, cloud, made)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import Uncertainty, calibration_of, sigmas_of
-from calib.geometry import Calibration, Corner
+from calib.geometry import Calibration, Corner, Intrinsics, Matches
 from calib.numerics import Floats, Ints
 from calib.pointcloud import build_cloud
 from calib.refinement import SHARED, Cells, Knowledge, State, into_cells
@@ -18,6 +18,7 @@ from calib.rooms import (
     RoomEstimate,
     StationView,
     estimate_room,
+    estimate_without_planes,
     register,
     split_planes,
     station_view,
@@ -72,7 +73,7 @@ def _reasons(captures: Sequence[Decoded], registration: Registration) -> str:
 
 
 def _estimate(members: Sequence[Seen], group: Group, start: RigStart, config: Config) -> RoomEstimate:
-    state = state_of(start.calibration)
+    state = state_of(start.calibration if _is_estimated(start) else _ideal(start.calibration))
     facts = members[0].decoded.facts
     if start.corners:
         point = config.principal_point(facts.camera_size)
@@ -83,8 +84,13 @@ def _estimate(members: Sequence[Seen], group: Group, start: RigStart, config: Co
         prior = RigPrior.from_calibration(state, start.uncertainty.covariance)
     else:
         prior = RigPrior.exactly(state)
+    matches = [_matches(each, start) for each in members]
+    loose = [each[seen.plane < 0] for each, seen in zip(matches, members, strict=True)]
+    cells = [_cells(each, seen.plane) for each, seen in zip(matches, members, strict=True)]
+    if not any(len(each) for each in cells):
+        return estimate_without_planes(loose, group.places, state, prior)
     return estimate_room(
-        [_cells(each) for each in members],
+        cells,
         group.plane_of,
         group.places,
         group.planes,
@@ -93,7 +99,7 @@ def _estimate(members: Sequence[Seen], group: Group, start: RigStart, config: Co
         square=_square_pairs(members, group, start),
         squareness_deg=config.corner.squareness_deg,
         shifts=[shifts_of(each.decoded) for each in members],
-        loose=[each.decoded.matches[each.plane < 0] for each in members],
+        loose=loose,
     )
 
 
@@ -107,9 +113,40 @@ def state_of(calibration: Calibration) -> State:
     return State(camera, projector, calibration.rotation, direction, np.zeros((0, 3)), ())
 
 
-def _cells(seen: Seen) -> Cells:
-    count = np.bincount(seen.plane[seen.plane >= 0])
-    return into_cells(seen.decoded.matches, np.flatnonzero(count >= _FEWEST_ON_A_PLANE).tolist(), seen.plane)
+def _is_estimated(start: RigStart) -> bool:
+    """Whether the rig is estimated together with the room, or held as it was given, without a covariance."""
+    return bool(start.corners) or start.uncertainty is not None
+
+
+def _ideal(calibration: Calibration) -> Calibration:
+    """The same rig with devices that have one focal length each and no distortion."""
+    camera, projector = (
+        Intrinsics(device.width, device.height, (float(np.mean(device.focal_px)),) * 2, device.principal_point_px)
+        for device in (calibration.camera, calibration.projector)
+    )
+    return replace(calibration, camera=camera, projector=projector)
+
+
+def _matches(seen: Seen, start: RigStart) -> Matches:
+    """As the ideal rig would have seen them where the rig is held: whatever terms its lenses have are taken out."""
+    matches = seen.decoded.matches
+    if _is_estimated(start):
+        return matches
+    given, ideal = start.calibration, _ideal(start.calibration)
+    camera_px = ideal.camera.project(given.camera.unproject(matches.camera_px.astype(np.float64)))
+    projector_px = ideal.projector.project(given.projector.unproject(matches.projector_px.astype(np.float64)))
+    beyond = ~np.isfinite(np.hstack([camera_px, projector_px])).all(axis=1)
+    camera_px[beyond], projector_px[beyond] = matches.camera_px[beyond], matches.projector_px[beyond]
+    return Matches(camera_px, projector_px, None, matches.sigma_px)
+
+
+def _cells(matches: Matches, plane: Ints) -> Cells:
+    count = np.bincount(plane[plane >= 0])
+    labels = np.flatnonzero(count >= _FEWEST_ON_A_PLANE).tolist()
+    if not labels:
+        pixels, nothing = np.zeros((0, 2)), np.zeros(0)
+        return Cells(pixels, pixels, np.zeros(0, np.int32), nothing, nothing, np.nan, 0.0)
+    return into_cells(matches, labels, plane)
 
 
 def _square_pairs(members: Sequence[Seen], group: Group, start: RigStart) -> list[tuple[int, int]]:
@@ -148,7 +185,8 @@ def _finished(
     layout = replace(estimate.rig, off_square=np.zeros((1, 3)))
     sigma = replace(sigmas_of(layout, padded), corner_angles_deg=None)
     own = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, sigma)
-    calibration = scaled(_in_unit_of(start.given, own), _corner(members, group, estimate, start), config.scale)
+    known = start.given if start.given and not _is_estimated(start) else _in_unit_of(start.given, own)
+    calibration = scaled(known, _corner(members, group, estimate, start), config.scale)
     factor = calibration.baseline
     areas = areas_of(members, group, len(estimate.planes))
     turn, floor = upright(estimate.places, estimate.planes, areas)
@@ -168,7 +206,7 @@ def _finished(
     remarks = () if floor is not None else ("No floor was seen: upright is how the cameras were held.",)
     return SolvedRoom(
         calibration,
-        Uncertainty(estimate.rig, estimate.rig_covariance, None, match_px),
+        Uncertainty(estimate.rig, estimate.rig_covariance, None, match_px) if _is_estimated(start) else None,
         stations,
         tuple(moved_plane(plane, turn, factor) for plane in estimate.planes),
         estimate,

@@ -55,12 +55,13 @@ def _reasons(room: SolvedRoom) -> Iterator[str]:
     pairs = [pair for pair in room.pairs if {pair.first, pair.second} <= set(room.group.stations)]
     if pairs:
         weakest = min(pairs, key=lambda pair: pair.overlap)
-        yield (
-            f"{len(pairs)} pairs of stations share surfaces; the least, {room.names[weakest.first]} and "
-            f"{room.names[weakest.second]}, {weakest.overlap:.0%} of what they saw."
-        )
-    residual = np.sqrt(np.nanmean([station.residual_px**2 for station in room.stations]))
-    yield f"With planes shared by all stations, cells of matches are off by {residual:.3f} projector px."
+        shared = "1 pair of stations shares" if len(pairs) == 1 else f"{len(pairs)} pairs of stations share"
+        names = f"{room.names[weakest.first]} and {room.names[weakest.second]}"
+        yield f"{shared} surfaces; the least, {names}, {weakest.overlap:.0%} of what they saw."
+    residuals = np.array([station.residual_px for station in room.stations])
+    if np.isfinite(residuals).any():
+        residual = np.sqrt(np.nanmean(residuals**2))
+        yield f"With planes shared by all stations, cells of matches are off by {residual:.3f} projector px."
     for stranger in room.strangers:
         yield f"{stranger.name} is left out: {stranger.reason}."
     yield from room.remarks
