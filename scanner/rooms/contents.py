@@ -67,8 +67,8 @@ class SolvedRoom:
     """All in the room's frame, z up, and the unit of `calibration`; `estimate` is as it was made, in baselines.
 
     `stations` are those of `group`, in its order, `names` are of all captures; `pairs` are of these by number.
-    `uncertainty`: of the calibration, None where it is not known. `floor`: which plane it is. `areas` (P,): how much was
-    seen of each plane, in squares of the unit. `upright`: X_room = rotation X_estimate + translation, after which
+    `uncertainty`: of the calibration, None where it is not known. `floor`: which plane it is. `areas` (P,): how much
+    was seen of each plane, in squares of the unit. `upright`: X_room = rotation X_estimate + translation, after which
     lengths are multiplied by `factor`.
     """
 

@@ -1,12 +1,13 @@
 """The jobs of rooms: from stations that exist, and live."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from calib.refusal import RefusalError
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.results import new_result
+from scanner.results import REFUSAL_FILE, Verdict, new_result, provenance, verdict_entries, write_refusal
 from scanner.rooms.contents import SolvedRoom
 from scanner.rooms.corner_rig import rig_from_corners
 from scanner.rooms.document import given_rig, read_stations
@@ -36,7 +37,7 @@ def room(
     config.principal_point(config.camera_size)
     open3d()  # or say at once that it is missing
     known = given_rig(calibration, config) if calibration else None
-    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
+    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, _saying_why(folder, config):
         captures = read_stations(stations, config, terminal)
         start = known or rig_from_corners(captures, config, terminal)
         solved = solve_room(captures, start, config, terminal)
@@ -57,12 +58,24 @@ def scan_room(
         raise InputError(f"--stations: expected 2 or more, found {number}")
     check_stations(config, number, terminal)
     open3d()
-    with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
+    made = new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note)
+    with made as folder, _saying_why(folder, config):
         captures, start = take_stations(config, number, folder, terminal)
         solved = solve_room(captures, start, config, terminal)
         save_room(solved, folder, config, terminal)
         _refuse_ambiguous(solved)
     return solved
+
+
+@contextmanager
+def _saying_why(folder: Path, config: Config) -> Iterator[None]:
+    """After a RefusalError in the block the folder says why, for programs."""
+    try:
+        yield
+    except RefusalError as refusal:
+        verdict = Verdict("refused", refusal.reason, (), refusal.advice)
+        write_refusal(folder / REFUSAL_FILE, provenance(folder, config).entries({}) | verdict_entries(verdict))
+        raise
 
 
 def _refuse_ambiguous(solved: SolvedRoom) -> None:

@@ -14,6 +14,7 @@ from hw.errors import DeviceError
 from hw.moving import at_place, moves_by_itself
 from scanner.configuration import Config
 from scanner.errors import InputError
+from scanner.io import MATCHES_FILE, write_matches
 from scanner.pipeline import take
 from scanner.results import CAPTURES_FOLDER, TRUTH_FILE, Decoded
 from scanner.rooms.contents import RigStart
@@ -54,6 +55,7 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
         place.mkdir(parents=True)
         name = f"Station {step + 1}"
         captures.append(take(at_place(config.required_rig, step), config, place, terminal, name))
+        write_matches(place / MATCHES_FILE, captures[-1].matches)  # should a later station fail
         if (place / TRUTH_FILE).is_file() and step == 0:
             copy2(place / TRUTH_FILE, folder / TRUTH_FILE)
         try:
