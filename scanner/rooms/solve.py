@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import Uncertainty, calibration_of, sigmas_of
-from calib.geometry import Calibration, Corner, Intrinsics, Matches
+from calib.geometry import Calibration, Corner, Matches
 from calib.numerics import Floats, Ints
 from calib.pointcloud import build_cloud
-from calib.refinement import SHARED, Cells, Knowledge, State, into_cells
+from calib.refinement import SHARED, Cells, Knowledge, into_cells
 from calib.refusal import RefusalError
 from calib.rooms import (
     Group,
@@ -28,6 +28,7 @@ from scanner.configuration import Config
 from scanner.reconstruction import scaled, shifts_of
 from scanner.results import Decoded
 from scanner.rooms.contents import RigStart, SolvedRoom, Station, Stranger
+from scanner.rooms.rig_model import ideal_matches, ideal_rig, is_estimated, state_of
 from scanner.rooms.upright import moved_place, moved_plane, upright
 from scanner.ui import Progress
 
@@ -73,7 +74,7 @@ def _reasons(captures: Sequence[Decoded], registration: Registration) -> str:
 
 
 def _estimate(members: Sequence[Seen], group: Group, start: RigStart, config: Config) -> RoomEstimate:
-    state = state_of(start.calibration if _is_estimated(start) else _ideal(start.calibration))
+    state = state_of(start.calibration if is_estimated(start) else ideal_rig(start.calibration))
     facts = members[0].decoded.facts
     if start.corners:
         point = config.principal_point(facts.camera_size)
@@ -84,7 +85,7 @@ def _estimate(members: Sequence[Seen], group: Group, start: RigStart, config: Co
         prior = RigPrior.from_calibration(state, start.uncertainty.covariance)
     else:
         prior = RigPrior.exactly(state)
-    matches = [_matches(each, start) for each in members]
+    matches = [ideal_matches(each.decoded.matches, start) for each in members]
     loose = [each[seen.plane < 0] for each, seen in zip(matches, members, strict=True)]
     cells = [_cells(each, seen.plane) for each, seen in zip(matches, members, strict=True)]
     if not any(len(each) for each in cells):
@@ -101,43 +102,6 @@ def _estimate(members: Sequence[Seen], group: Group, start: RigStart, config: Co
         shifts=[shifts_of(each.decoded) for each in members],
         loose=loose,
     )
-
-
-def state_of(calibration: Calibration) -> State:
-    """The model's parameters of a calibration in baselines."""
-    camera, projector = (
-        np.array([float(np.mean(device.focal_px)), *device.principal_point_px, *device.distortion[:2]])
-        for device in (calibration.camera, calibration.projector)
-    )
-    direction = calibration.translation / calibration.baseline
-    return State(camera, projector, calibration.rotation, direction, np.zeros((0, 3)), ())
-
-
-def _is_estimated(start: RigStart) -> bool:
-    """Whether the rig is estimated together with the room, or held as it was given, without a covariance."""
-    return bool(start.corners) or start.uncertainty is not None
-
-
-def _ideal(calibration: Calibration) -> Calibration:
-    """The same rig with devices that have one focal length each and no distortion."""
-    camera, projector = (
-        Intrinsics(device.width, device.height, (float(np.mean(device.focal_px)),) * 2, device.principal_point_px)
-        for device in (calibration.camera, calibration.projector)
-    )
-    return replace(calibration, camera=camera, projector=projector)
-
-
-def _matches(seen: Seen, start: RigStart) -> Matches:
-    """As the ideal rig would have seen them where the rig is held: whatever terms its lenses have are taken out."""
-    matches = seen.decoded.matches
-    if _is_estimated(start):
-        return matches
-    given, ideal = start.calibration, _ideal(start.calibration)
-    camera_px = ideal.camera.project(given.camera.unproject(matches.camera_px.astype(np.float64)))
-    projector_px = ideal.projector.project(given.projector.unproject(matches.projector_px.astype(np.float64)))
-    beyond = ~np.isfinite(np.hstack([camera_px, projector_px])).all(axis=1)
-    camera_px[beyond], projector_px[beyond] = matches.camera_px[beyond], matches.projector_px[beyond]
-    return Matches(camera_px, projector_px, None, matches.sigma_px)
 
 
 def _cells(matches: Matches, plane: Ints) -> Cells:
@@ -185,7 +149,7 @@ def _finished(
     layout = replace(estimate.rig, off_square=np.zeros((1, 3)))
     sigma = replace(sigmas_of(layout, padded), corner_angles_deg=None)
     own = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, sigma)
-    known = start.given if start.given and not _is_estimated(start) else _in_unit_of(start.given, own)
+    known = start.given if start.given and not is_estimated(start) else _in_unit_of(start.given, own)
     calibration = scaled(known, _corner(members, group, estimate, start), config.scale)
     factor = calibration.baseline
     areas = areas_of(members, group, len(estimate.planes))
@@ -206,7 +170,7 @@ def _finished(
     remarks = () if floor is not None else ("No floor was seen: upright is how the cameras were held.",)
     return SolvedRoom(
         calibration,
-        Uncertainty(estimate.rig, estimate.rig_covariance, None, match_px) if _is_estimated(start) else None,
+        Uncertainty(estimate.rig, estimate.rig_covariance, None, match_px) if is_estimated(start) else None,
         stations,
         tuple(moved_plane(plane, turn, factor) for plane in estimate.planes),
         estimate,
