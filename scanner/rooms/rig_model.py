@@ -1,4 +1,4 @@
-"""A rig as the estimate of a room has it: a focal length and two radial terms for each device; or held as it was given."""
+"""A rig as the estimate of a room has it: one focal length and two radial terms a device; or held as it was given."""
 
 from dataclasses import replace
 
