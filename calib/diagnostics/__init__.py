@@ -1,6 +1,7 @@
 """What an estimate is worth: uncertainty, degenerate views, the verdict of the numbers, the next best view."""
 
 from calib.diagnostics.acceptance import USEFUL_SIGMA, no_corner, refuse_degenerate, refuse_untrustworthy
+from calib.diagnostics.contradiction import refuse_contradiction
 from calib.diagnostics.error_propagation import (
     Budget,
     LinearFit,
@@ -20,6 +21,8 @@ from calib.diagnostics.uncertainty import (
     Along,
     Uncertainty,
     calibration_of,
+    moved_calibration,
     sigmas_of,
     uncertainty_of,
+    with_further_terms,
 )

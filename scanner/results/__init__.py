@@ -41,6 +41,7 @@ from scanner.results.stages import (
 )
 from scanner.results.stated_uncertainty import (
     confidence_entries,
+    covariance_entries,
     read_uncertainty,
     read_verdict,
     verdict_entries,

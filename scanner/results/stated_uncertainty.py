@@ -46,6 +46,7 @@ class _CovarianceEntry(Entry):
     columns: list[str]
     match_px: Number = Field(gt=0)
     values: list[list[Number]]
+    with_log_baseline: list[Number] = Field(default_factory=list)
     along: _AlongEntry | None = None
 
 
@@ -56,20 +57,24 @@ class _ConfidenceEntry(Entry):
 
 def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dict[str, Any]:
     """Keys for a calibration file; `uncertainty` None where a method knows none."""
-    told = verdict_entries(verdict)
-    if uncertainty is None:
-        return told
+    return verdict_entries(verdict) | ({} if uncertainty is None else covariance_entries(uncertainty))
+
+
+def covariance_entries(uncertainty: Uncertainty) -> dict[str, Any]:
+    """A key for a calibration file."""
     to_file = _columns_of_file(uncertainty.state.translation)
     covariance = {
         "columns": [*COLUMNS],
         "match_px": float(uncertainty.match_px),
         "values": (to_file @ uncertainty.covariance @ to_file.T).tolist(),
     }
+    if uncertainty.with_log_baseline.any():
+        covariance["with_log_baseline"] = (to_file @ uncertainty.with_log_baseline).tolist()
     along = uncertainty.along
     if len(along.probability):
         steps = (along.steps @ to_file.T).tolist()
         covariance["along"] = {"probability": along.probability.tolist(), "steps": steps}
-    return {**told, "covariance": covariance}
+    return {"covariance": covariance}
 
 
 def verdict_entries(verdict: Verdict) -> dict[str, Any]:
@@ -121,7 +126,24 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
     to_file = _columns_of_file(direction)
     # The columns of `to_file` are orthonormal.
     covariance = to_file.T @ values @ to_file
-    return Uncertainty(state, covariance, None, entry.match_px, _along(path, entry.along, to_file))
+    along = _along(path, entry.along, to_file)
+    with_log_baseline = _with_log_baseline(path, entry.with_log_baseline, np.diag(values), calibration) @ to_file
+    return Uncertainty(state, covariance, None, entry.match_px, along, with_log_baseline)
+
+
+def _with_log_baseline(path: Path, told: list[float], variance: Floats, calibration: Calibration) -> Floats:
+    """In the file's columns, (16,). Raises InputError if it is malformed."""
+    if not told:
+        return np.zeros(len(COLUMNS))
+    if len(told) != len(COLUMNS):
+        raise InputError(f"{path}: 'covariance.with_log_baseline' must be {len(COLUMNS)} numbers, found {len(told)}")
+    found = np.array(told)
+    sigma = (calibration.sigma.known_baseline or 0.0) / calibration.baseline
+    if np.any(np.abs(found) > (1 + _ROUNDED) * sigma * np.sqrt(variance.clip(0)) + _NOTHING):
+        raise InputError(
+            f"{path}: 'covariance.with_log_baseline' is more than the columns' and the baseline's own sigmas allow"
+        )
+    return found
 
 
 def _is_covariance(values: Floats) -> bool:
