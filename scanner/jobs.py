@@ -18,7 +18,7 @@ from scanner.capture import CAPTURE_FILE, Recording, check_places, open_capture
 from scanner.configuration import Config, recorded_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
-from scanner.reconstruction import read_captures, read_masks, refuse_impossible
+from scanner.reconstruction import is_calibration, read_captures, read_masks, refuse_impossible
 from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Scan, new_result, read_uncertainty, settle, unused
 from scanner.ui import Terminal
 
@@ -131,10 +131,14 @@ def calibrate(
 ) -> Scan:
     """Calibrate from matches files or result folders of one unchanged rig, the newest last, and reconstruct.
 
-    Raises InputError, RefusalError.
+    One of them may be a calibration from boards: the estimate is then one over both. Raises InputError, RefusalError.
     """
     config.principal_point(config.camera_size)
     captures = read_captures(matches, config.camera_size, config.projector_size)
+    known = tuple(path for path in matches if is_calibration(path))
+    if not captures:
+        raise InputError(f"{known[0]}: expected captures of a corner to join with this calibration, found none")
+    config = config.model_copy(update={"earlier": known})
     refuse_impossible(config, len(captures))
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
         return pipeline.reconstruct(captures, config, folder, terminal)

@@ -6,13 +6,13 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from calib.boards import INTRINSIC_COLUMNS
+from calib.boards import INTRINSIC_COLUMNS, rig_uncertainty
 from scanner.boards.calibrate import FromBoards
 from scanner.boards.page import write_page
 from scanner.boards.target import UNIT
 from scanner.boards.verdict import verdict_on
 from scanner.io import write_calibration
-from scanner.results import CALIBRATION_FILE, REPORT_FILE
+from scanner.results import CALIBRATION_FILE, REPORT_FILE, covariance_entries
 
 _NAMES = (
     "camera_log_focal",
@@ -64,6 +64,7 @@ def _more(result: FromBoards) -> dict[str, Any]:
             },
             "sigmas_enlarged_by": round(found.enlarged, 3),
         },
+        **covariance_entries(rig_uncertainty(found.estimate, (result.camera_size, result.projector_size))),
     }
 
 

@@ -105,7 +105,8 @@ def _calibrate(parser: ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="MATCHES",
-        help="matches.npz, or a result folder; several of one unchanged rig are calibrated together, the newest last",
+        help="matches.npz, or a result folder; several of one unchanged rig are calibrated together, the newest last; "
+        "one may be a result of scan board",
     )
     _config(parser, required=True)
     _out(parser)

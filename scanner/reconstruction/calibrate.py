@@ -13,6 +13,7 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.reconstruction.face_margins import without_margins
 from scanner.reconstruction.face_masks import label_by_masks
+from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.reconstruction.metric_scale import scaled
 from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_doubt
 from scanner.results import Decoded, SelfCalibrated, Stage, naming
@@ -26,6 +27,11 @@ def refuse_impossible(config: Config, count: int) -> None:
         raise InputError(
             f"'method: paper' calibrates from one capture, found {count}: use 'method: refined' for several"
         )
+    known = next((path for path in config.earlier if is_calibration(path)), None)
+    if known is not None and config.method == "paper":
+        raise InputError(f"'method: paper' joins nothing with the calibration in {known}: use 'method: refined'")
+    if known is not None and config.scale is not None:
+        raise InputError(f"{known}: the calibration gives the scale: leave out 'scale', as with --set scale=null")
 
 
 def label(captures: Sequence[Decoded], reached: list[Stage], masks: Bools | None = None) -> list[Decoded]:
@@ -68,7 +74,11 @@ def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrate
     solutions = solve(labelled, config)
     newest = solutions[-1]
     refuse_costly(labelled, newest)
-    calibration = scaled(newest.calibration, newest.corner, config.scale)
+    known = read_known(config.earlier, labelled[-1].facts.camera_size, labelled[-1].facts.projector_size)
+    if known is not None and newest.uncertainty is not None:
+        calibration = known.metric(newest.calibration, newest.uncertainty)
+    else:
+        calibration = scaled(newest.calibration, newest.corner, config.scale)
     return [
         SelfCalibrated(
             capture.with_matches(solution.matches, capture.plane), with_doubt(labelled, solution), calibration
@@ -83,7 +93,8 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
     facts = labelled[-1].facts
     sizes, point = (facts.camera_size, facts.projector_size), config.principal_point(facts.camera_size)
     squareness_deg = config.corner.squareness_deg
-    if len(labelled) == 1:
+    known = read_known(config.earlier, facts.camera_size, facts.projector_size)
+    if len(labelled) == 1 and known is None:
         (alone,) = labelled
         found = self_calibrate(
             alone.matches,
@@ -103,6 +114,7 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
         same=config.corner.same,
         planes=[_planes_of(capture) for capture in labelled],
         shifts=[shifts_of(capture) for capture in labelled],
+        known=known,
     )
 
 
