@@ -9,12 +9,12 @@ from calib.boards import FEWEST_VIEWS, Board, BoardCalibration, View, calibrate_
 from calib.geometry import Matches, Size, TooFewMatchesError
 from calib.numerics import Image
 from calib.refinement import into_cells
-from scanner.boards.detection import Detected, NotFoundError, detect, on_board
-from scanner.boards.target import UNIT, Target
 from scanner.capture import Recording
 from scanner.errors import InputError
 from scanner.pipeline import decode
 from scanner.results import Decoded
+from scanner.targets.detection import Detected, NotFoundError, detect, on_board
+from scanner.targets.target import UNIT, Target
 from scanner.ui import Progress
 
 _FEWEST_MATCHES = 300

@@ -9,11 +9,11 @@ from calib.boards import FEWEST_VIEWS, best_next_pose
 from calib.refusal import RefusalError
 from hw.settings import RigSettings, SimulatedRigSettings
 from scanner.boards.calibrate import FromBoards, Missing, Seen, calibrate_seen, look
-from scanner.boards.target import Target
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.pipeline import take
 from scanner.results import CAPTURES_FOLDER
+from scanner.targets.target import Target
 from scanner.ui import Terminal
 
 _WORTH_IT = 1.05  # times as sure

@@ -9,10 +9,10 @@ from rich.table import Table
 from calib.boards import INTRINSIC_COLUMNS, rig_uncertainty
 from scanner.boards.calibrate import FromBoards
 from scanner.boards.page import write_page
-from scanner.boards.target import UNIT
 from scanner.boards.verdict import verdict_on
 from scanner.io import write_calibration
 from scanner.results import CALIBRATION_FILE, REPORT_FILE, covariance_entries
+from scanner.targets.target import UNIT
 
 _NAMES = (
     "camera_log_focal",

@@ -16,12 +16,12 @@ from scanner.boards import (
     verdict_on,
 )
 from scanner.boards.printing import printed_target, write_pdf
-from scanner.boards.target import UNIT
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.io import new_file
 from scanner.quantities import calibration_table, parse_length
 from scanner.results import default_out, new_result, refuse_occupied
+from scanner.targets.target import UNIT
 from scanner.ui import Terminal
 
 _EXAMPLE = "as in: scan board CAPTURE… --board chessboard:9x7 --square 10mm"

@@ -10,10 +10,10 @@ from calib.boards import Board, calibrate_boards
 from calib.synthetic import random_boards
 from scanner.boards.calibrate import FromBoards, Missing, Seen
 from scanner.boards.result import save_result
-from scanner.boards.target import Target
 from scanner.commands.main import main
 from scanner.io import read_calibration
 from scanner.results import read_verdict
+from scanner.targets.target import Target
 from tests.support.boards import photographed, views_of
 from tests.support.places import REAL_CAPTURES
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from calib.geometry import homography_between, mapped
 from calib.numerics import Bools, Floats, Image, Ints
-from scanner.boards.dots import corrected
-from scanner.boards.saddles import refined
-from scanner.boards.target import Target
+from scanner.targets.dots import corrected
+from scanner.targets.saddles import refined
+from scanner.targets.target import Target
 
 _SB = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _FEWEST = 12  # points
