@@ -31,6 +31,7 @@ from scanner.configuration import CONFIGURATION_KEY, Config
 from scanner.decoding import Decoder, usable
 from scanner.errors import InputError
 from scanner.io import require_space, write_calibration
+from scanner.quantities import UNKNOWN_UNIT
 from scanner.reconstruction import (
     calibrate,
     label,
@@ -38,6 +39,7 @@ from scanner.reconstruction import (
     refusal_saved,
     save,
     scaled,
+    scaled_by_sheet,
     set_aside,
     triangulate,
 )
@@ -149,7 +151,11 @@ def replay_calibrated(
     with _saying_what_is_missing(recording):
         found = _decode_recording(recording, terminal, calibration)
     with refusal_saved([found], folder, config) as reached:
-        given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
+        charuco = config.scale.charuco if config.scale and calibration.unit == UNKNOWN_UNIT else None
+        if charuco is not None:
+            given = GivenCalibration(found, *scaled_by_sheet(calibration, stated, [found], charuco))
+        else:
+            given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
         captures = triangulate([given], reached, terminal)
     return _finished(Scan(captures), config, folder, terminal)
 

@@ -15,6 +15,7 @@ from calib.diagnostics.error_propagation import (
 )
 from calib.diagnostics.notes import FROM_ONE_PLACE, FURTHER_CAPTURE, notes_on
 from calib.diagnostics.plane_form import plane_form
+from calib.diagnostics.sheet_size import SheetSize, size_of_sheet
 from calib.diagnostics.smooth_errors import footprint_offsets
 from calib.diagnostics.uncertainty import (
     NOWHERE,

@@ -30,9 +30,9 @@ def check_live(config: Config, number: int, target: Target, terminal: Terminal) 
                 f"--captures {number} asks you to move the board between captures, but the input is no terminal: run "
                 "it in one, or capture with scan and give the recordings to scan board"
             )
-    elif not rig.board.square_m or (rig.board.columns, rig.board.rows) != (target.columns, target.rows):
+    elif not rig.board.square_m or f"{rig.board.kind}:{rig.board.columns}x{rig.board.rows}" != str(target):
         raise InputError(
-            f"the simulated rig holds no board like {target}: it has chessboards, as with "
+            f"the simulated rig holds no board like {target}: it has chessboards and ChArUco boards, as with "
             "--set rig.board.square_m=0.06 --board chessboard:9x7"
         )
 

@@ -1,10 +1,11 @@
 """Captures → faces → one calibration of the rig; what does not deserve it is refused."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry import FACES, Matches
+from calib.geometry import FACES, Calibration, Matches
 from calib.numerics import Bools, Ints
 from calib.plane_segmentation import NO_PLANE, find_faces
 from calib.refusal import RefusalError
@@ -16,6 +17,7 @@ from scanner.reconstruction.face_masks import label_by_masks
 from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.reconstruction.metric_scale import scaled
 from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_doubt
+from scanner.reconstruction.sheet_scale import scaled_by_sheet
 from scanner.results import Decoded, SelfCalibrated, Stage, naming
 
 _FEWEST_FOR_A_HOMOGRAPHY = 4
@@ -74,16 +76,33 @@ def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrate
     solutions = solve(labelled, config)
     newest = solutions[-1]
     refuse_costly(labelled, newest)
-    known = read_known(config.earlier, labelled[-1].facts.camera_size, labelled[-1].facts.projector_size)
-    if known is not None and newest.uncertainty is not None:
-        calibration = known.metric(newest.calibration, newest.uncertainty)
-    else:
-        calibration = scaled(newest.calibration, newest.corner, config.scale)
+    calibration, scaled_solutions = _scaled(labelled, solutions, config)
     return [
         SelfCalibrated(
             capture.with_matches(solution.matches, capture.plane), with_doubt(labelled, solution), calibration
         )
-        for capture, solution in zip(labelled, solutions, strict=True)
+        for capture, solution in zip(labelled, scaled_solutions, strict=True)
+    ]
+
+
+def _scaled(
+    labelled: Sequence[Decoded], solutions: Sequence[SelfCalibration], config: Config
+) -> tuple[Calibration, Sequence[SelfCalibration]]:
+    """The calibration with its scale, and the solutions, whose uncertainty may say what the scale goes with."""
+    newest, facts = solutions[-1], labelled[-1].facts
+    known = read_known(config.earlier, facts.camera_size, facts.projector_size)
+    if known is not None and newest.uncertainty is not None:
+        return known.metric(newest.calibration, newest.uncertainty), solutions
+    if config.scale is None or config.scale.charuco is None:
+        return scaled(newest.calibration, newest.corner, config.scale), solutions
+    charuco = config.scale.charuco
+    calibration, uncertainty = scaled_by_sheet(newest.calibration, newest.uncertainty, labelled, charuco)
+    if uncertainty is None:
+        return calibration, solutions
+    return calibration, [
+        replace(each, uncertainty=replace(each.uncertainty, with_log_baseline=uncertainty.with_log_baseline))
+        for each in solutions
+        if each.uncertainty is not None
     ]
 
 

@@ -34,7 +34,7 @@ def test_it_is_seen_where_it_is(room: SimulatedRoom) -> None:
 
 def test_its_rays_meet_it_and_it_is_slightly_bent(room: SimulatedRoom) -> None:
     camera, projector = room.room.camera, room.room.projector
-    board = draw_board(BoardSettings(square_m=0.06, bend=0.01), 1, camera, projector)
+    board = draw_board(BoardSettings(square_m=0.06, bend=0.01), 1, camera, projector, room.room.scene)
     uv = np.random.default_rng(0).uniform(-1, 1, (2, 50)) * board.half[:, None]
     points = board.points(uv)
     met, hit = board.meet(camera.centre, points - camera.centre[:, None])
@@ -47,7 +47,7 @@ def test_its_rays_meet_it_and_it_is_slightly_bent(room: SimulatedRoom) -> None:
 
 def test_each_pose_is_another_and_the_board_stays_the_same(room: SimulatedRoom) -> None:
     first, again, other = (
-        draw_board(BoardSettings(square_m=0.06, pose=pose), 0, room.room.camera, room.room.projector)
+        draw_board(BoardSettings(square_m=0.06, pose=pose), 0, room.room.camera, room.room.projector, room.room.scene)
         for pose in (0, 0, 1)
     )
     assert np.array_equal(first.middle, again.middle)
@@ -59,5 +59,5 @@ def test_a_board_that_is_seen_by_nobody_is_refused(room: SimulatedRoom) -> None:
     settings = BoardSettings(square_m=0.06, columns=50, rows=3)
     hidden = room.room.projector
     turned = type(hidden)(hidden.optics, -hidden.rotation, hidden.centre)
-    with pytest.raises(DeviceError, match="sees no board"):
-        draw_board(settings, 0, room.room.camera, turned)
+    with pytest.raises(DeviceError, match="sees no chessboard"):
+        draw_board(settings, 0, room.room.camera, turned, room.room.scene)
