@@ -1,6 +1,7 @@
 """What an estimate is worth: uncertainty, degenerate views, the verdict of the numbers, the next best view."""
 
 from calib.diagnostics.acceptance import USEFUL_SIGMA, no_corner, refuse_degenerate, refuse_untrustworthy
+from calib.diagnostics.comparison import Difference, compare
 from calib.diagnostics.contradiction import refuse_contradiction
 from calib.diagnostics.error_propagation import (
     Budget,

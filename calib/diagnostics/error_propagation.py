@@ -5,8 +5,8 @@ each measurement as signed amounts, so that what they do to two faces, or to bot
 it is.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -142,6 +142,21 @@ class SystematicErrors:
                 moved[:, :, cause] += (intersect(matches, ahead).points - intersect(matches, behind).points) / 2
         return moved
 
+    def of_function(self, function: Callable[[Calibration], Floats]) -> Floats:
+        """What each cause of one sigma does to numbers (…) that follow from a calibration: (…, S)."""
+        here = function(self.calibration)
+        effects = np.zeros((*here.shape, len(self.log_scale)))
+        count = len(self._along)
+        for cause, (there, root) in enumerate(self._along):
+            effects[..., cause] = root * (function(_grown(there, self.log_scale[cause] / root)) - here)
+        for cause, pair in enumerate(self._across, start=count):
+            ahead, behind = (
+                function(_grown(there, sign * self.log_scale[cause])) for sign, there in zip((1, -1), pair, strict=True)
+            )
+            effects[..., cause] = (ahead - behind) / 2
+        effects[..., -1] = function(_grown(self.calibration, self.log_scale[-1])) - here
+        return effects
+
     @cached_property
     def _along(self) -> list[tuple[Calibration, float]]:
         """The calibrations along the valley, and the roots of their probabilities."""
@@ -166,6 +181,10 @@ class SystematicErrors:
             (moved_calibration(rig, uncertainty, step), moved_calibration(rig, uncertainty, -step))
             for step in _directions(uncertainty)
         ]
+
+
+def _grown(calibration: Calibration, log_scale: float) -> Calibration:
+    return replace(calibration, translation=calibration.translation * np.exp(log_scale))
 
 
 def _directions(uncertainty: Uncertainty) -> Floats:

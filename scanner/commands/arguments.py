@@ -269,6 +269,19 @@ def _board(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _compare(parser: ArgumentParser) -> None:
+    for name, which in (("first", "CAL_A"), ("second", "CAL_B")):
+        parser.add_argument(name, type=Path, metavar=which, help="calibration.yaml, or the folder of a result")
+    parser.add_argument(
+        "--depths",
+        metavar="D1,D2,…",
+        help="where to compare, as in 1m,2m,3m (default: the depths of CAL_A's scene, or around where both look)",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for compare.html and compare.json")
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier comparison there")
+    _quiet(parser)
+
+
 def _result(parser: ArgumentParser) -> None:
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
 
@@ -372,6 +385,15 @@ Three captures are the least, six to ten are good: tilted by 20 to 45 degrees to
 different distances, so that together they fill the pictures of both devices. Nothing but the board is moved.
 
 Exit codes: 2 if the board is not found; 4 if these boards do not determine a calibration, with the reason.
+""",
+    ),
+    "compare": Command(
+        "Compare two calibrations of one rig: where they differ, and whether their sigmas allow it.",
+        _compare,
+        "compare",
+        """
+Differences are told in projector pixels and as lengths, over the camera's picture and by depth, after the rigid motion
+is taken out that brings the two closest. Exit code 0 also where they differ: the sentence at the end says so.
 """,
     ),
     "import": Command("Make a capture of another program's frames, whose order is recognised.", _import, "import_"),
