@@ -157,11 +157,12 @@ def _in_sigmas(off: Floats, effects: Floats) -> tuple[float, int, Floats]:
     """The squared length of differences (M,) in sigmas, given what causes of one sigma do, (M, S); how many directions
     that is a sum of; and what is left that no cause makes.
 
-    Effects are taken as linear. What they leave out is of second order in the difference, and counts as noise; so does
-    a small part of all that the sigmas allow: a covariance is not true of directions that hardly count in it.
+    Effects are taken as linear. What that leaves out is of second order in what the sigmas allow, and counts as noise;
+    so does a small part of all that they allow: a covariance is not true of directions that hardly count in it.
     """
     left, size, _ = np.linalg.svd(effects, full_matrices=False)
-    noise = float(np.sum(off**2)) / np.sqrt(len(off)) + _HARDLY_COUNTS * float(np.linalg.norm(size)) + _ROUNDING
+    allowed = float(np.linalg.norm(size))
+    noise = allowed**2 / np.sqrt(len(off)) + _HARDLY_COUNTS * allowed + _ROUNDING
     told = size > noise
     along = left[:, told].T @ off
     every = left[:, size > _ROUNDING]
