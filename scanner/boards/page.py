@@ -4,16 +4,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from calib.boards import ray_sigmas
+from calib.boards import INTRINSIC_COLUMNS, ray_sigmas
 from calib.geometry import Size
 from calib.numerics import Floats
 from scanner.boards.calibrate import FromBoards, Seen
 from scanner.boards.verdict import verdict_on
 from scanner.quantities import Quantity, device_quantities, plain, pose_quantities
-from scanner.rendering import jpeg_uri, photograph
+from scanner.rendering import environment, jpeg_uri, photograph
 
 _DOTS = 2500
 _THUMB = 420
@@ -26,18 +25,10 @@ _HALVES = (
 
 def write_page(path: Path, result: FromBoards) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
-    from scanner.boards.result import rows  # which writes this page
-
-    environment = Environment(
-        loader=PackageLoader("scanner"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     found = result.found
     rays = ray_sigmas(found.estimate, (result.camera_size, result.projector_size))
-    page = environment.get_template("board.html").render(
+    template = environment().get_template("board.html")
+    page = template.render(
         verdict=verdict_on(result),
         subtitle=f"{result.target}, squares of {result.target.square:g} mm, {len(found.predictions)} captures",
         notes=result.notes,
@@ -55,9 +46,23 @@ def write_page(path: Path, result: FromBoards) -> None:
         pictures=[(seen.view.name, _picture(seen)) for seen in result.seen],
         tilt=f"{found.coverage.tilt_deg:.0f}",
         distances=f"{found.coverage.distances:.2f}",
-        plain=plain,
     )
     path.write_text(page, encoding="utf-8")
+
+
+def rows(result: FromBoards) -> list[tuple[str, ...]]:
+    """Each board, predicted by the others: name, error, what was expected, error in sigmas, moves of the focals."""
+    focals = [INTRINSIC_COLUMNS[0], INTRINSIC_COLUMNS[3]]
+    return [
+        (
+            each.name,
+            f"{each.error_px:.3f}",
+            f"{each.expected_px:.3f}",
+            f"{each.sigmas:.1f}",
+            *(f"{100 * moved:+.2f} %".replace("-", "−") for moved in each.moved[focals]),
+        )
+        for each in result.found.predictions
+    ]
 
 
 def _tables(result: FromBoards) -> list[tuple[str, list[Quantity]]]:

@@ -6,9 +6,8 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from calib.boards import INTRINSIC_COLUMNS
 from scanner.boards.calibrate import FromBoards
-from scanner.boards.page import write_page
+from scanner.boards.page import rows, write_page
 from scanner.boards.target import UNIT
 from scanner.boards.verdict import verdict_on
 from scanner.io import write_calibration
@@ -78,18 +77,3 @@ def summary(result: FromBoards) -> Table:
     for row in rows(result):
         table.add_row(*row)
     return table
-
-
-def rows(result: FromBoards) -> list[tuple[str, ...]]:
-    """Of that table, as text."""
-    focals = [INTRINSIC_COLUMNS[0], INTRINSIC_COLUMNS[3]]
-    return [
-        (
-            each.name,
-            f"{each.error_px:.3f}",
-            f"{each.expected_px:.3f}",
-            f"{each.sigmas:.1f}",
-            *(f"{100 * moved:+.2f} %".replace("-", "−") for moved in each.moved[focals]),
-        )
-        for each in result.found.predictions
-    ]
