@@ -111,9 +111,8 @@ def _coverage(pixels: list[Floats], size: Size, what: str) -> Markup:
 
 def _picture(seen: Seen) -> str:
     """The capture under white light with the corners that were found, small, as a data URI."""
-    image = np.ascontiguousarray(photograph(seen.texture))
-    scale = min(1.0, _THUMB / max(image.shape))
-    small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-    for x, y in np.rint(seen.view.corners_px * scale).astype(int):
-        cv2.circle(small, (int(x), int(y)), 1, (240, 140, 0), -1)
-    return jpeg_uri(small)
+    picture = photograph(seen.texture, _THUMB)
+    factor = np.divide(picture.shape[1::-1], seen.texture.shape[1::-1])
+    for x, y in np.rint((seen.view.corners_px + 0.5) * factor - 0.5).astype(int):
+        cv2.circle(picture, (int(x), int(y)), 1, (240, 140, 0), -1)
+    return jpeg_uri(picture)
