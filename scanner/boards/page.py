@@ -31,6 +31,7 @@ def write_page(path: Path, result: FromBoards) -> None:
     page = template.render(
         verdict=verdict_on(result),
         subtitle=f"{result.target}, squares of {result.target.square:g} mm, {len(found.predictions)} captures",
+        warnings=(),
         notes=result.notes,
         tables=_tables(result),
         rows=rows(result),
@@ -59,7 +60,7 @@ def rows(result: FromBoards) -> list[tuple[str, ...]]:
             f"{each.error_px:.3f}",
             f"{each.expected_px:.3f}",
             f"{each.sigmas:.1f}",
-            *(f"{100 * moved:+.2f} %".replace("-", "−") for moved in each.moved[focals]),
+            *(f"{plain(100 * moved, 2, signed=True)} %" for moved in each.moved[focals]),
         )
         for each in result.found.predictions
     ]

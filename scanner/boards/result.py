@@ -11,7 +11,7 @@ from scanner.boards.page import rows, write_page
 from scanner.boards.target import UNIT
 from scanner.boards.verdict import verdict_on
 from scanner.io import write_calibration
-from scanner.results import CALIBRATION_FILE, REPORT_FILE
+from scanner.results import CALIBRATION_FILE, REPORT_FILE, verdict_entries
 
 _NAMES = (
     "camera_log_focal",
@@ -31,15 +31,10 @@ def save_result(result: FromBoards, folder: Path) -> None:
 
 def _more(result: FromBoards) -> dict[str, Any]:
     """Keys beside the calibration, for those who know them."""
-    found, verdict = result.found, verdict_on(result)
+    found = result.found
     halves = found.halves
     return {
-        "verdict": {
-            "grade": verdict.grade,
-            "headline": verdict.headline,
-            "reasons": [*verdict.reasons],
-            "advice": verdict.advice,
-        },
+        **verdict_entries(verdict_on(result)),
         "board": {
             "kind": str(result.target),
             f"square_{UNIT}": result.target.square,

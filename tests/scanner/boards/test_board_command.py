@@ -40,9 +40,16 @@ def test_a_result_is_a_calibration_and_a_page(from_boards: FromBoards, tmp_path:
     read = read_calibration(tmp_path / "calibration.yaml")
     assert read.camera == found.calibration.camera
     assert read.sigma.projector == found.calibration.sigma.projector
-    assert read_verdict(tmp_path / "calibration.yaml").grade in ("good", "fair")
+    verdict = read_verdict(tmp_path / "calibration.yaml")
+    assert verdict.grade in ("good", "fair")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    for told in ("Each board, predicted by the others", "view 3", "view 9 is not used", "Half of the boards"):
+    for told in (
+        f"{verdict.sign} {verdict.headline}",
+        "Each board, predicted by the others",
+        "view 3",
+        "view 9 is not used",
+        "Half of the boards",
+    ):
         assert told in page
     assert "://" not in re.sub(r"data:image/jpeg;base64,[^\"]*", "", page)
 
