@@ -1,6 +1,7 @@
-"""Reading YAML that a person wrote: nothing is executed, nothing is silently dropped, every error names its line."""
+"""YAML, written for people and read from them: nothing executed or silently dropped, every error with its line."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -133,3 +134,10 @@ def flow_yaml(value: object) -> str:
     """A value as YAML on one line; numbers are written so that they read back the same."""
     # In a list, because a lone number would be followed by a line with an end-of-document mark.
     return yaml.safe_dump([value], default_flow_style=True, sort_keys=False, width=float("inf")).strip()[1:-1]
+
+
+def block_yaml(mapping: Mapping[str, Any]) -> str:
+    """A mapping as YAML, lists of plain values on one line each and the rest in blocks; numbers read back the same."""
+    return yaml.safe_dump(
+        dict(mapping), default_flow_style=None, allow_unicode=True, sort_keys=False, width=float("inf")
+    )
