@@ -5,6 +5,7 @@ import hashlib
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from scanner.batch.place import Place
@@ -40,10 +41,10 @@ class Asked:
     overrides: tuple[str, ...] = ()
     calibration: Path | None = None
 
-    def job(self, name: str, capture: str) -> Job:
-        """Raises InputError."""
+    def of_any(self) -> Job:
+        """A job without a name and a capture. Raises InputError."""
         known = None if self.calibration is None else Place(str(self.calibration)).read().decode("utf-8", "replace")
-        return Job(name, capture, load_config(self.config, self.overrides), known)
+        return Job("", "", load_config(self.config, self.overrides), known)
 
 
 def list_jobs(sources: Sequence[str], asked: Asked) -> tuple[Job, ...]:
@@ -67,7 +68,7 @@ def list_jobs(sources: Sequence[str], asked: Asked) -> tuple[Job, ...]:
 
 
 def _from_folders(source: str, asked: Asked) -> Iterator[Job]:
-    template = asked.job("", "")
+    template = asked.of_any()
     for root in Place(source).glob() if "*" in source else [Place(source)]:
         if not root.exists:
             raise InputError(f"{root.url}: there is no such folder")
@@ -100,6 +101,7 @@ def _from_list(file: Place, asked: Asked) -> Iterator[Job]:
             f"{', '.join(sorted(columns)) or 'none'}"
         )
     folder = file.url.rpartition("/")[0]
+    template_of = cache(Asked.of_any)  # a list may have thousands of lines that ask the same
     for number, row in enumerate(rows, start=2):
         if not row["capture"]:
             raise InputError(f"{file.url}, line {number}: no capture is named")
@@ -112,7 +114,7 @@ def _from_list(file: Place, asked: Asked) -> Iterator[Job]:
         name = row.get("name") or _name(capture, capture)
         if name.startswith("/") or ".." in name.split("/"):
             raise InputError(f"{file.url}, line {number}: expected a name below the results, found '{name}'")
-        yield own.job(name, capture)
+        yield replace(template_of(own), name=name, capture=capture)
 
 
 def _beside(folder: str, path: str) -> str:

@@ -1,13 +1,16 @@
 """Which captures a batch consists of."""
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scanner.batch import listing
 from scanner.batch.listing import Asked, list_jobs
 from scanner.batch.rows import Row
+from scanner.configuration import load_config
 from scanner.errors import InputError
 
 
@@ -61,6 +64,15 @@ def test_a_list_says_what_is_asked_of_each(museum: Path) -> None:
     assert (first.name, first.config.corner.squareness_deg, first.calibration) == ("first", 0.1, None)
     assert (b.name, b.config.corner.squareness_deg, b.calibration) == ("b", 0.3, "text of a calibration")
     assert (yard.name, yard.config.corner.squareness_deg, yard.config.method) == ("yard", 0.2, "paper")
+
+
+def test_a_list_reads_what_many_ask_for_once(museum: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counted = Mock(wraps=load_config)
+    monkeypatch.setattr(listing, "load_config", counted)
+    (museum / "list.csv").write_text("capture,set\nhall/a,\nhall/b,\nyard,method=paper\n")
+    jobs = list_jobs([str(museum / "list.csv")], Asked())
+    assert [job.config.method for job in jobs] == ["refined", "refined", "paper"]
+    assert [read.args for read in counted.call_args_list] == [(None, ()), (None, ("method=paper",))]
 
 
 def test_what_is_asked_is_recognised_and_changes_with_everything_that_matters(museum: Path) -> None:
