@@ -11,4 +11,4 @@ from scanner.io.matches_file import MATCHES_FILE, read_matches, read_planes, ref
 from scanner.io.ply import read_cloud, write_merged_ply, write_ply
 from scanner.io.poses_file import read_poses, write_poses
 from scanner.io.validation import Entry, Flag, Number, Pair, Section, Whole, validate
-from scanner.io.yaml_text import block_yaml, flow_yaml, parse_yaml, read_text, read_yaml
+from scanner.io.yaml_text import block_yaml, flow_yaml, parse_mapping, parse_yaml, read_text, read_yaml

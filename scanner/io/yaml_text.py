@@ -102,6 +102,16 @@ def parse_yaml(text: str, where: str) -> Any:
         raise InputError(f"{where}: not usable YAML: brackets are nested too deeply") from error
 
 
+def parse_mapping(text: str, where: str) -> dict[str, Any]:
+    """The mapping that a YAML text is, empty for an empty text. Raises InputError if it is no mapping."""
+    value = parse_yaml(text, where)
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise InputError(f"{where}: expected 'key: value' lines, found a {type(value).__name__}")
+    return value
+
+
 def _words(problem: str | None) -> str:
     """What the parser says, which may quote the file."""
     return shortened(harmless(" ".join(str(problem).split())), 200)
@@ -112,12 +122,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
     Raises InputError if the file is missing, unreadable, not UTF-8, larger than a megabyte, or holds no mapping.
     """
-    value = parse_yaml(read_text(path), str(path))
-    if value is None:
-        return {}
-    if not isinstance(value, dict):
-        raise InputError(f"{path}: expected 'key: value' lines, found a {type(value).__name__}")
-    return value
+    return parse_mapping(read_text(path), str(path))
 
 
 def read_text(path: Path) -> str:
