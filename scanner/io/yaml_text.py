@@ -127,8 +127,6 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def read_text(path: Path) -> str:
     """The text of a small UTF-8 file. Raises InputError."""
-    if not path.exists():
-        raise InputError(f"{path}: no such file")
     try:
         return read_bytes(path, _MOST_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:

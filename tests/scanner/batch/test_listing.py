@@ -79,9 +79,15 @@ def test_what_is_asked_is_recognised_and_changes_with_everything_that_matters(mu
     plain = list_jobs([str(museum)], Asked())
     assert [job.asked for job in list_jobs([str(museum)], Asked())] == [job.asked for job in plain]
     (museum / "known.yaml").write_text("text")
-    for other in (Asked(overrides=("method=paper",)), Asked(calibration=museum / "known.yaml")):
+    for other in (Asked(overrides=("method=paper",)), Asked(calibration=str(museum / "known.yaml"))):
         changed = list_jobs([str(museum)], other)
         assert not {job.asked for job in changed} & {job.asked for job in plain}
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_lines_end_as_on_any_machine(museum: Path, end: str) -> None:
+    (museum / "list.csv").write_bytes(end.join(["capture,name", "hall/a,first", "yard,last", ""]).encode())
+    assert [job.name for job in list_jobs([str(museum / "list.csv")], Asked())] == ["first", "last"]
 
 
 @pytest.mark.parametrize(
@@ -92,6 +98,12 @@ def test_what_is_asked_is_recognised_and_changes_with_everything_that_matters(mu
         ("capture,name\n,x\n", "line 2: no capture is named"),
         ("capture,name\nhall/a,../../outside\n", r"expected a name below the results, found '\.\./\.\./outside'"),
         ("capture,name\nhall/a,/outside\n", "expected a name below the results"),
+        ("capture,name\nhall/a,.\n", "expected a name below the results"),
+        (f"capture,name\nhall/a,{'x' * 300}\n", "expected a name below the results"),
+        (f"capture\nhall/a\n{'x' * 200_000}\n", "line 3: not a table of values"),
+        (f"capture,config\nhall/a,{'x' * 300}.yaml\n", "yaml: cannot be read"),
+        ("capture,calibration\nhall/a,/dev/zero\n", "/dev/zero: is a device"),
+        ("capture,calibration\nhall/a,zip://a::b\n", "cannot be reached"),
         ("capture\n", "found none"),
         ("capture,set\nhall/a,cornr.same=1\n", "cornr"),
     ],
