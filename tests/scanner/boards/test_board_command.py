@@ -89,6 +89,8 @@ def test_a_printed_page_has_its_true_size(text: str, tmp_path: Path) -> None:
         ("nowhere --board chessboard:9x7", "which board"),
         ("nowhere --board chessboard:9x7 --square 10mm", "no such capture"),
         ("nowhere --board chessboard:9x7 --square 10ells", "ells"),
+        ("nowhere --board chessboard:9x7 --square 1e300m", "--square: expected 0.001 to 1e+06 mm"),
+        ("nowhere --board chessboard:9x7 --square 1e-300mm", "--square: expected 0.001 to 1e+06 mm"),
         ("--print charuco:A4 --square 60mm", "more than A4 leaves"),
         ("--print chessboard:9x7", "--square"),
     ],
