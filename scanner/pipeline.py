@@ -54,12 +54,16 @@ def scan(
     config: Config,
     folder: Path,
     terminal: Terminal,
+    progress: Progress,
     *,
     number: int = 1,
     masks: Bools | None = None,
     earlier: Sequence[Decoded] = (),
 ) -> Scan:
-    """Capture with the configured rig, from one place or from several, then reconstruct. Raises DeviceError too."""
+    """Capture with the configured rig, from one place or from several, then reconstruct. Raises DeviceError too.
+
+    The `terminal` is where the operator is asked to move the rig.
+    """
     captures = [*earlier]
     for step in range(number):
         rig = next_place(config.required_rig, step, number, terminal)
@@ -67,8 +71,8 @@ def scan(
             break
         if step:
             set_aside(captures, folder)
-        captures.append(take(rig, config, folder, terminal, f"Capture {len(captures) + 1}"))
-    return reconstruct(captures, config, folder, terminal, masks=masks)
+        captures.append(take(rig, config, folder, progress, f"Capture {len(captures) + 1}"))
+    return reconstruct(captures, config, folder, progress, masks=masks)
 
 
 def resume(

@@ -6,12 +6,12 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from calib.boards import INTRINSIC_COLUMNS, rig_uncertainty
+from calib.boards import rig_uncertainty
 from scanner.boards.calibrate import FromBoards
-from scanner.boards.page import write_page
+from scanner.boards.page import rows, write_page
 from scanner.boards.verdict import verdict_on
 from scanner.io import write_calibration
-from scanner.results import CALIBRATION_FILE, REPORT_FILE, covariance_entries
+from scanner.results import CALIBRATION_FILE, REPORT_FILE, covariance_entries, verdict_entries
 from scanner.targets.target import UNIT
 
 _NAMES = (
@@ -32,15 +32,10 @@ def save_result(result: FromBoards, folder: Path) -> None:
 
 def _more(result: FromBoards) -> dict[str, Any]:
     """Keys beside the calibration, for those who know them."""
-    found, verdict = result.found, verdict_on(result)
+    found = result.found
     halves = found.halves
     return {
-        "verdict": {
-            "grade": verdict.grade,
-            "headline": verdict.headline,
-            "reasons": [*verdict.reasons],
-            "advice": verdict.advice,
-        },
+        **verdict_entries(verdict_on(result)),
         "board": {
             "kind": str(result.target),
             f"square_{UNIT}": result.target.square,
@@ -79,18 +74,3 @@ def summary(result: FromBoards) -> Table:
     for row in rows(result):
         table.add_row(*row)
     return table
-
-
-def rows(result: FromBoards) -> list[tuple[str, ...]]:
-    """Of that table, as text."""
-    focals = [INTRINSIC_COLUMNS[0], INTRINSIC_COLUMNS[3]]
-    return [
-        (
-            each.name,
-            f"{each.error_px:.3f}",
-            f"{each.expected_px:.3f}",
-            f"{each.sigmas:.1f}",
-            *(f"{100 * moved:+.2f} %".replace("-", "−") for moved in each.moved[focals]),
-        )
-        for each in result.found.predictions
-    ]

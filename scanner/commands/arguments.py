@@ -61,9 +61,7 @@ def _scan(parser: ArgumentParser) -> None:
 def _replay(parser: ArgumentParser) -> None:
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with a capture.yaml and its frames")
     _config(parser, required=False)
-    parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
-    )
+    _calibration(parser)
     _masks(parser)
     _out(parser, default="scans/<name of the capture>")
     _overwrite(parser)
@@ -78,9 +76,7 @@ def _batch(parser: ArgumentParser) -> None:
         help="every capture below it; or a name with * in it; or a list (.csv) with a column 'capture'",
     )
     _config(parser, required=False)
-    parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
-    )
+    _calibration(parser)
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
     parser.add_argument("--memory", metavar="SIZE", help="of each process, as in 4GB (default: an equal share of all)")
@@ -290,6 +286,12 @@ def _config(parser: ArgumentParser, *, required: bool) -> None:
     parser.add_argument("--config", type=Path, metavar="FILE", required=required, help="configuration (YAML)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override a key, as in camera.width=640"
+    )
+
+
+def _calibration(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
     )
 
 

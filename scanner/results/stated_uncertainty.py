@@ -1,12 +1,10 @@
 """What calibration.yaml says beside the calibration: how far a result can be trusted, and its covariance."""
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import yaml
 from pydantic import Field
 
 from calib.diagnostics import NOWHERE, Along, Uncertainty
@@ -14,7 +12,7 @@ from calib.geometry import Calibration, tangent_basis
 from calib.numerics import Floats
 from calib.refinement import ROTATION, SHARED, TRANSLATION, State
 from scanner.errors import InputError
-from scanner.io import Entry, Number, read_yaml, validate
+from scanner.io import Entry, Number, block_yaml, read_yaml, validate
 from scanner.results.verdict import Grade, Verdict
 
 _OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2")
@@ -90,8 +88,7 @@ def verdict_entries(verdict: Verdict) -> dict[str, Any]:
 
 def write_refusal(path: Path, entries: Mapping[str, Any]) -> None:
     """Write why a capture was refused, for programs: the page says it to people. Raises OSError."""
-    text = yaml.safe_dump(dict(entries), default_flow_style=None, allow_unicode=True, sort_keys=False, width=math.inf)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(block_yaml(entries), encoding="utf-8")
 
 
 def read_verdict(path: Path) -> Verdict | None:

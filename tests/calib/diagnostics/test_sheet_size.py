@@ -17,7 +17,7 @@ RIG = Calibration(PAPER_CAMERA, PAPER_PROJECTOR, ROTATION, -ROTATION @ np.array(
 
 def seen(rng: np.random.Generator, rig: Calibration, distance: float, px: float) -> tuple[Floats, Floats, Matches]:
     """Points of a sheet in metres, their pixels with a tenth of the noise, and matches on it."""
-    column, row = np.meshgrid(np.arange(7), np.arange(5))
+    column, row = np.meshgrid(np.arange(7.0), np.arange(5.0))
     points = 0.03 * np.stack([column.ravel() - 3, row.ravel() - 2], axis=1)
     turn = look_at(np.zeros(3), np.array([0.3, 0.8, 1.0]), np.array([0.0, -1.0, 0.0])).T
     middle = np.array([0.0, 0.05 * distance, distance])
