@@ -10,7 +10,7 @@ from calib.refinement import SHARED, KnownRig
 from calib.refusal import RefusalError
 from calib.self_calibration import self_calibrate_jointly
 from calib.synthetic.boards import BoardOptions
-from tests.support.known_rigs import Before, before, intrinsics_and_length, sigmas
+from tests.support.known_rigs import Before, before, errors_of, intrinsics_and_length, sigmas
 
 
 @pytest.fixture(scope="module")
@@ -78,3 +78,11 @@ def test_what_is_known_pulls_by_its_gradient(some: list[Before]) -> None:
         assert np.isclose((ahead - behind) / 2e-3, 2 * slope[column] * scale[column], rtol=1e-4, atol=1e-3 * cost)
     assert np.allclose(curvature, curvature.T, rtol=1e-6)
     assert KnownRig(rig.state, rig.covariance).misfit(rig.state)[0] == pytest.approx(0, abs=1e-9)
+
+
+def test_the_length_goes_with_the_columns_as_far_as_it_is_unsure(some: list[Before]) -> None:
+    known = some[0].known
+    sigma = known.calibration.sigma.known_baseline / known.calibration.baseline
+    causes = errors_of(known).log_scale
+    assert np.linalg.norm(causes) == pytest.approx(sigma, rel=1e-6)
+    assert 0.05 * sigma < causes[-1] < 0.999 * sigma
