@@ -260,8 +260,8 @@ def _what_else(grey: Image, target: Target) -> str:
                 return f", but {_counted(grid)}"
     if target.kind in ("charuco", "aprilgrid"):
         seen = max(_markers(grey), default=0)
-        return f", but {seen} markers that do not fit it" if seen else ", and no markers either"
-    return ": is it wholly in the picture, lit, and counted as it should be?"
+        return f", but markers as it may have, {seen} of them" if seen else ", and no markers either"
+    return ": it has to be lit and wholly in the picture, and counted as given"
 
 
 def _markers(grey: Image) -> Iterator[int]:

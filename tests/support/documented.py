@@ -31,6 +31,8 @@ NOT_RUN = {
     "scan photos": "needs two photographs",
     "scan accept": "needs scans of a ball bar",
     "scan board my-captures": "needs captures of a board",
+    "scan calibrate scans/room scans/board": "needs boards and a corner before one rig; its own tests do",
+    "scan compare scans/board scans/together": "needs two calibrations of one rig; its own tests do",
     "scan board --config configs/room.yaml": NEED_DEVICES,
     "scan batch": "starts workers; its own tests do",
     "make": "installs packages, or runs for minutes",
