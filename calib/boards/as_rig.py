@@ -6,10 +6,14 @@ what a change of the columns comes nearest to, by least squares over what both d
 term also points elsewhere, so a turn of the device is part of that change.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from calib.boards.acceptance import rays_seen
+from calib.boards.calibrate import BoardCalibration, calibration_from
 from calib.boards.estimate import Estimate
+from calib.boards.likelihood import lens_prior, minimise
 from calib.boards.parameters import (
     ASPECT,
     CAMERA,
@@ -26,14 +30,14 @@ from calib.boards.parameters import (
     rays_of,
 )
 from calib.diagnostics import Uncertainty
-from calib.geometry import Size, cross, tangent_basis
+from calib.geometry import Calibration, Size, cross, tangent_basis
 from calib.numerics import Floats
 from calib.refinement import CAMERA as CAMERA_COLUMNS
 from calib.refinement import PROJECTOR as PROJECTOR_COLUMNS
 from calib.refinement import ROTATION as ROTATION_COLUMNS
 from calib.refinement import SHARED as COLUMNS
 from calib.refinement import TRANSLATION as TRANSLATION_COLUMNS
-from calib.refinement import State
+from calib.refinement import State, covariance_of
 
 _OWN = [FOCAL, CENTRE.start, CENTRE.start + 1, LENS.start, LENS.start + 1]
 _FURTHER = [ASPECT, *range(LENS.start + 2, LENS.stop)]
@@ -57,6 +61,25 @@ def rig_uncertainty(found: Estimate, sizes: tuple[Size, Size]) -> Uncertainty:
         float(np.median([noise.match_px for noise in found.noise])),
         with_log_baseline=to_columns @ found.covariance[:, LENGTH],
     )
+
+
+def with_radial_terms(found: BoardCalibration, sizes: tuple[Size, Size]) -> tuple[Calibration, Uncertainty] | None:
+    """The same with k1 and k2 of both devices free, as a corner has them; None where they were.
+
+    Terms for which boards give no evidence are left out, which may be wrong where there was no board: a corner that is
+    seen there can tell.
+    """
+    estimate, wide = found.estimate, lens_prior(*sizes, 0).sigma
+    radial = [device.start + LENS.start + term for device in (CAMERA, PROJECTOR) for term in (0, 1)]
+    if np.all(estimate.prior.sigma[radial] > 0):
+        return None
+    sigma = estimate.prior.sigma.copy()
+    sigma[radial] = wide[radial]
+    prior = replace(estimate.prior, sigma=sigma)
+    fit = minimise(estimate.views, estimate.state, prior, estimate.levels)
+    own = covariance_of(fit.information, prior.free(fit.state))[:SHARED, :SHARED]
+    freed = replace(estimate, fit=fit, prior=prior, covariance=found.enlarged**2 * (own + estimate.terms.spread))
+    return calibration_from(freed, *sizes, found.calibration.unit), rig_uncertainty(freed, sizes)
 
 
 def _to_columns(found: Estimate, sizes: tuple[Size, Size]) -> Floats:

@@ -2,7 +2,7 @@
 
 from calib.diagnostics.acceptance import USEFUL_SIGMA, no_corner, refuse_degenerate, refuse_untrustworthy
 from calib.diagnostics.comparison import Difference, compare
-from calib.diagnostics.contradiction import refuse_contradiction
+from calib.diagnostics.contradiction import ContradictionError, refuse_contradiction
 from calib.diagnostics.error_propagation import (
     Budget,
     LinearFit,

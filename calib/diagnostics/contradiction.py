@@ -32,13 +32,17 @@ _ROWS = (
 )
 
 
+class ContradictionError(RefusalError):
+    """Captures of a corner and other data are not of one unchanged rig."""
+
+
 def refuse_contradiction(refinement: Refinement, rig: KnownRig, systematic: Floats) -> tuple[float, float]:
     """How much worse the captures fit with what is known of the rig, in −2 log likelihood, and what chance explains.
 
     With true sigmas the first is χ² with as many degrees of freedom as there are directions of which captures and
     known rig both say something. `systematic` (size, size): the part of the covariance that no residual shows. Where
     it moves the joint solution, the sum of squares is wider than that: Satterthwaite's approximation (1946, Biometrics
-    Bulletin 2, 110). Raises RefusalError where it is more than chance explains.
+    Bulletin 2, 110). Raises ContradictionError where it is more than chance explains.
     """
     apart = refinement.apart
     if apart is None:
@@ -46,7 +50,7 @@ def refuse_contradiction(refinement: Refinement, rig: KnownRig, systematic: Floa
     raised = max(refinement.fit.cost - apart.cost, 0.0)
     limit = _limit(refinement, rig, systematic[:SHARED, :SHARED])
     if raised > limit:
-        raise RefusalError(
+        raise ContradictionError(
             f"These captures and the boards are not of one unchanged rig: together they fit worse by {raised:.0f} in "
             f"−2 log likelihood, where {limit:.0f} is the most that chance explains. Apart they differ in "
             f"{_differences(apart, refinement.prior.free, rig)}.",

@@ -16,11 +16,13 @@ class KnownCalibration:
     """A Gaussian summary: the most likely `calibration`, and the covariance of its fifteen columns and its length.
 
     Lens terms beyond these columns, and the shape of the pixels, stay as they are. How unsure they are has to be in
-    the covariance, as what the columns would do in their place.
+    the covariance, as what the columns would do in their place. `freer`: the same with lens terms that those data left
+    out, for captures that contradict their being left out.
     """
 
     calibration: Calibration
     uncertainty: Uncertainty
+    freer: "KnownCalibration | None" = None
 
     @cached_property
     def rig(self) -> KnownRig:

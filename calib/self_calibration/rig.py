@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.closed_form import Objective, objective_for, search
 from calib.diagnostics import (
+    ContradictionError,
     Uncertainty,
     calibration_of,
     no_corner,
@@ -78,7 +79,7 @@ class SelfCalibration:
     for a method that knows none. `order_nats`: of captures of one corner, by how much its angles make the order in
     which the faces are numbered likelier than any other; 0 where they do not tell. `likely_percent`: what likely shifts
     of the matches may have done to the intrinsics, one standard deviation; `possible_percent`: the same of those that
-    nothing tells of. Both are part of the sigmas.
+    nothing tells of. Both are part of the sigmas. `known`: what it was joined with, if it was.
     """
 
     calibration: Calibration
@@ -92,6 +93,14 @@ class SelfCalibration:
     order_nats: float = 0.0
     likely_percent: float = 0.0
     possible_percent: float = 0.0
+    known: KnownCalibration | None = None
+
+    @property
+    def metric(self) -> Calibration:
+        """The calibration in the unit of what it was joined with; in baselines if that has none, or there is none."""
+        if self.known is None or self.uncertainty is None:
+            return self.calibration
+        return self.known.metric(self.calibration, self.uncertainty)
 
 
 @singular_refused(RIG)
@@ -161,14 +170,27 @@ def self_calibrate_jointly(
     Raises RefusalError where no trustworthy answer can be had, or captures and `known` cannot be of one rig.
     """
     knowledge = Knowledge(camera_size, projector_size, principal_point.px, principal_point.sigma_px, squareness_deg)
-    if known is not None:
-        knowledge = replace(knowledge, rig=known.rig)
-        if principal_point.sigma_px > 0:
-            knowledge = replace(knowledge, principal_point_px=known.calibration.camera.principal_point_px)
+
+    def joined_with(known: KnownCalibration | None) -> tuple[SelfCalibration, ...]:
+        told = knowledge if known is None else _knowing(knowledge, known)
+        return _by_refinement(captures, told, same=same, planes=planes, shifts=shifts, known=known)
+
     try:
-        return _by_refinement(captures, knowledge, same=same, planes=planes, shifts=shifts, known=known)
+        try:
+            return joined_with(known)
+        except ContradictionError:
+            if known is None or known.freer is None:
+                raise
+            return joined_with(known.freer)
     except TooFewMatchesError as error:
         raise _too_few(error) from error
+
+
+def _knowing(knowledge: Knowledge, known: KnownCalibration) -> Knowledge:
+    told = replace(knowledge, rig=known.rig)
+    if knowledge.principal_point_sigma_px == 0:
+        return told
+    return replace(told, principal_point_px=known.calibration.camera.principal_point_px)
 
 
 def _too_few(error: TooFewMatchesError) -> RefusalError:
@@ -307,6 +329,7 @@ def _by_refinement(
                 order_nats,
                 likely_percent,
                 possible_percent,
+                known,
             )
         )
     return tuple(results)

@@ -89,10 +89,9 @@ def _scaled(
     labelled: Sequence[Decoded], solutions: Sequence[SelfCalibration], config: Config
 ) -> tuple[Calibration, Sequence[SelfCalibration]]:
     """The calibration with its scale, and the solutions, whose uncertainty may say what the scale goes with."""
-    newest, facts = solutions[-1], labelled[-1].facts
-    known = read_known(config.earlier, facts.camera_size, facts.projector_size)
-    if known is not None and newest.uncertainty is not None:
-        return known.metric(newest.calibration, newest.uncertainty), solutions
+    newest = solutions[-1]
+    if newest.known is not None:
+        return newest.metric, solutions
     if config.scale is None or config.scale.charuco is None:
         return scaled(newest.calibration, newest.corner, config.scale), solutions
     charuco = config.scale.charuco

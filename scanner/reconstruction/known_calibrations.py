@@ -1,13 +1,14 @@
 """Results that are a calibration and no captures, as of boards: what they say of a rig is joined with captures."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from calib.geometry import Size
 from calib.self_calibration import KnownCalibration
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration
-from scanner.results import CALIBRATION_FILE, read_uncertainty
+from scanner.results import CALIBRATION_FILE, FREER_FILE, read_uncertainty
 
 _YAML = (".yaml", ".yml")
 
@@ -33,7 +34,12 @@ def read_known(paths: Sequence[Path], camera_size: Size, projector_size: Size) -
             "of boards to one scan board"
         )
     (path,) = given
-    file = path / CALIBRATION_FILE if path.is_dir() else path
+    freer = path / FREER_FILE
+    known = _read(path / CALIBRATION_FILE if path.is_dir() else path, camera_size, projector_size)
+    return replace(known, freer=_read(freer, camera_size, projector_size)) if freer.is_file() else known
+
+
+def _read(file: Path, camera_size: Size, projector_size: Size) -> KnownCalibration:
     calibration = read_calibration(file)
     for name, device, expected in (
         ("camera", calibration.camera, camera_size),
@@ -41,13 +47,13 @@ def read_known(paths: Sequence[Path], camera_size: Size, projector_size: Size) -
     ):
         if device.size != expected:
             raise InputError(
-                f"{path}: its {name} is {device.size}, but {expected} is expected: what is calibrated together comes "
+                f"{file}: its {name} is {device.size}, but {expected} is expected: what is calibrated together comes "
                 "from one unchanged rig"
             )
     uncertainty = read_uncertainty(file, calibration)
     if uncertainty is None:
         raise InputError(
-            f"{path}: says nothing of its covariance, without which it cannot be weighed against captures: make it "
+            f"{file}: says nothing of its covariance, without which it cannot be weighed against captures: make it "
             "with scan board"
         )
     return KnownCalibration(calibration, uncertainty)

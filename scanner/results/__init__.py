@@ -8,6 +8,7 @@ from scanner.results.names import (
     CAPTURES_FOLDER,
     CLOUD_FILE,
     DENSE_FILE,
+    FREER_FILE,
     LOG_FILE,
     MERGED_FILE,
     POSES_FILE,

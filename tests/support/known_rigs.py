@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.boards import Board, BoardCalibration, calibrate_boards, rig_uncertainty
+from calib.boards import Board, BoardCalibration, calibrate_boards, rig_uncertainty, with_radial_terms
 from calib.diagnostics import SystematicErrors
 from calib.geometry import Calibration, Matches
 from calib.numerics import Floats
@@ -52,7 +52,11 @@ def before(seed: int, *, zoom: float = 1.0, views: int = 5, **changes: Any) -> B
         distance=(1.0, 2.0),
         walls_off_deg=0.3,
     )
-    known = KnownCalibration(found.calibration, rig_uncertainty(found.estimate, (rig.camera.size, rig.projector.size)))
+    sizes = rig.camera.size, rig.projector.size
+    freer = with_radial_terms(found, sizes)
+    known = KnownCalibration(
+        found.calibration, rig_uncertainty(found.estimate, sizes), KnownCalibration(*freer) if freer else None
+    )
     return Before(rig, found, known, capture.matches)
 
 

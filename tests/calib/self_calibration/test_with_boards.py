@@ -19,8 +19,7 @@ def some() -> list[Before]:
 
 
 def metric(case: Before) -> Calibration:
-    found = case.joint()
-    return case.known.metric(found.calibration, found.uncertainty)
+    return case.joint().metric
 
 
 def test_errors_are_within_what_the_sigmas_say(some: list[Before]) -> None:
@@ -60,7 +59,7 @@ def test_lens_terms_that_a_corner_does_not_tell_are_kept() -> None:
     found = case.joint()
     assert found.calibration.camera.distortion[2:] == case.boards.calibration.camera.distortion[2:]
     assert 0.05 < found.residual_px < 0.2  # noise of 0.1 px; without those terms some pixels
-    joint = case.known.metric(found.calibration, found.uncertainty)
+    joint = found.metric
     errors = (intrinsics_and_length(joint) - intrinsics_and_length(case.truth)) / sigmas(joint)
     assert np.sqrt(np.mean(errors**2)) < 2.5
 

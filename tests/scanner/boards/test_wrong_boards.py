@@ -33,7 +33,7 @@ def captures(made: SyntheticBoards, tmp_path_factory: pytest.TempPathFactory) ->
     two = write_board_capture(folder / "two", TARGET, made.calibration, made.poses[0])
     for frame in sorted((two / "frames").iterdir()):
         picture = read_image(frame)
-        half = cv2.resize(picture, None, fx=0.5, fy=1.0, interpolation=cv2.INTER_AREA)
+        half = np.asarray(cv2.resize(picture, None, fx=0.5, fy=1.0, interpolation=cv2.INTER_AREA), np.uint8)
         write_png(frame, np.hstack([half, half]))
     flat = random_boards(np.random.default_rng(2), replace(OPTIONS, tilt_deg=(0.0, 0.5), roll_deg=1.0))
     for number, (_, middle) in enumerate(flat.poses):
