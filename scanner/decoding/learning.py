@@ -15,6 +15,7 @@ from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.frame_checks import check_frames
 from scanner.decoding.checks.map_checks import check_fringes
+from scanner.decoding.fringes.blur import leave_out_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
 from scanner.decoding.light.equalise import correction, out_of_line, swings_of
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
@@ -63,7 +64,8 @@ def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projecto
     flicker = _equalise(accumulators, sample, tiles)
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(accumulators.plan, sample, saturation)
-    notes = tuple(resolve_bits(accumulators, noise, sample.pixels))
+    lost = tuple(leave_out_lost_fringes(accumulators, noise, sample.pixels))
+    notes = (*lost, *resolve_bits(accumulators, noise, sample.pixels))
     plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
     aside = ThreadPoolExecutor(1)
     motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
