@@ -65,10 +65,11 @@ def leave_out_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels
 def _is_lost(
     axis: AxisPlan, signals: Signals, accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]
 ) -> bool:
-    certain_from, _ = least_contrasts(noise, signals.middle)
+    certain_from, seen_from = least_contrasts(noise, signals.middle)
     folds = [fold for fold in accumulators.codes if fold.code in axis.codes]
     least = np.min([fold.least.reshape(-1)[pixels] for fold in folds], axis=0)
-    decided = least > certain_from
+    # Light that was switched on decides bits in the dark, too.
+    decided = (least > certain_from) & (2 * (signals.brightest - signals.middle) > seen_from)
     if np.count_nonzero(decided) < _FEWEST:
         return False
     cosine, sine = signals.fringe(0)
