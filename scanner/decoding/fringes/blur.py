@@ -25,6 +25,8 @@ _STEPS = 200
 _FEWEST = 300
 # Fringes that fewer pixels see than this share of those that see all bits leave most of a picture out.
 _LEAST_SEEN = 0.5
+# Of half of the light that a pixel has from the projector.
+_FAINT = 0.1
 
 
 def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
@@ -69,11 +71,14 @@ def _is_lost(
     folds = [fold for fold in accumulators.codes if fold.code in axis.codes]
     least = np.min([fold.least.reshape(-1)[pixels] for fold in folds], axis=0)
     # Light that was switched on decides bits in the dark, too.
-    decided = (least > certain_from) & (2 * (signals.brightest - signals.middle) > seen_from)
+    half_lit = signals.brightest - signals.middle
+    decided = (least > certain_from) & (2 * half_lit > seen_from)
     if np.count_nonzero(decided) < _FEWEST:
         return False
     cosine, sine = signals.fringe(0)
     fringe = axis.fringes[0]
     variance = (fringe.period / (2 * np.pi) * fringe.noise_gain) ** 2 * noise.variance(signals.middle)
-    seen = variance <= largest_variance(fringe, with_gray=True) * (cosine**2 + sine**2)
+    power = cosine**2 + sine**2
+    # What moves in between makes noise and breaks fringes, but leaves them stronger.
+    seen = (variance <= largest_variance(fringe, with_gray=True) * power) | (power > (_FAINT * half_lit) ** 2)
     return bool(np.mean(seen[decided]) < _LEAST_SEEN)
