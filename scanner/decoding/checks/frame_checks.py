@@ -57,6 +57,8 @@ def check_frames(
     shown = Shown(levels[:, lit], swing[lit], sigma[lit])
     made_alike = replace(shown, levels=alike[:, lit])
     found = contradictions(plan, shown)
+    if not found and not may_be_switched(plan, shown.levels):
+        return [], None
     made_alike, switch = _in_one_light(plan, shown, made_alike)
     if not found and switch is None:
         return [], None

@@ -22,7 +22,8 @@ from scanner.decoding.sequence_plan import AxisPlan
 _NEARER = 0.9
 _LARGEST_BLUR_CELLS = 2.0
 _STEPS = 200
-_FEWEST = 300
+_FEWEST = 100
+_THIN = 4
 # Fringes that fewer pixels see than this share of those that see all bits leave most of a picture out.
 _LEAST_SEEN = 0.5
 # Of half of the light that a pixel has from the projector.
@@ -46,6 +47,7 @@ def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
 
 def leave_out_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
     """Go on without fringes where an axis has hardly any left but a code, judged by a sample (P,); says so."""
+    pixels = pixels[::_THIN]
 
     def sample(image: NDArray[Any]) -> NDArray[Any]:
         return image.reshape(1, -1)[:, pixels]
