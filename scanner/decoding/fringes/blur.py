@@ -24,6 +24,8 @@ _LARGEST_BLUR_CELLS = 2.0
 _STEPS = 200
 _FEWEST = 100
 _THIN = 4
+# What lenses in focus take is not made up for: with less direct light than there is, more doubtful bits are masked.
+_IN_FOCUS = 1.5
 # Fringes that fewer pixels see than this share of those that see all bits leave most of a picture out.
 _LEAST_SEEN = 0.5
 # Of half of the light that a pixel has from the projector.
@@ -42,7 +44,8 @@ def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
     blur_px = np.linspace(_LARGEST_BLUR_CELLS * axis.cell / _STEPS, _LARGEST_BLUR_CELLS * axis.cell, _STEPS)
     times = np.exp(2 * (np.pi * blur_px / axis.fringes[0].period) ** 2)
     of_stripes = erf(_NEARER * axis.cell / 2 / (np.sqrt(2) * blur_px))
-    return float(np.interp(found, of_stripes * times, times, left=1.0))
+    weaker = float(np.interp(found, of_stripes * times, times, left=1.0))
+    return weaker if weaker > _IN_FOCUS else 1.0
 
 
 def leave_out_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
