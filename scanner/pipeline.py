@@ -28,7 +28,7 @@ from scanner.capture import (
     take_up,
 )
 from scanner.configuration import CONFIGURATION_KEY, Config
-from scanner.decoding import Decoder, usable
+from scanner.decoding import Decoder, Decoding, LightSwitch, LightSwitchedError, usable
 from scanner.errors import InputError
 from scanner.io import require_space, write_calibration
 from scanner.quantities import UNKNOWN_UNIT
@@ -205,7 +205,8 @@ def decode(
 ) -> Decoded:
     """Frames as they come → matches; no frame is kept. With a calibration one axis is enough.
 
-    `again` gives the frames once more, which it takes if each of them shows some of the picture before.
+    `again` gives the frames once more, which it takes if each of them shows some of the picture before, or if light was
+    switched on or off.
     """
     decoder = Decoder(stream.patterns, stream.projector_size, calibration)
     exposures_us = []
@@ -217,11 +218,33 @@ def decode(
         decoder = Decoder(stream.patterns, stream.projector_size, calibration, ghost=ghost)
         for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out a ghost"):
             decoder.add(frame.image)
-    with progress.step("Matching"):
-        decoding = decoder.finish()
+    try:
+        with progress.step("Matching"):
+            decoding = decoder.finish(once_more=again is not None)
+    except LightSwitchedError as found:
+        if again is None:
+            raise
+        decoding = _in_one_light(stream, found.switch, progress, calibration, again)
     about = identity({**stream.metadata, **stream.account()})
     facts = CaptureFacts(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
     return Decoded(facts, decoding.matches, decoding, name)
+
+
+def _in_one_light(
+    stream: Stream,
+    switch: LightSwitch,
+    progress: Progress,
+    calibration: Calibration | None,
+    again: Callable[[], Stream],
+) -> Decoding:
+    """The frames `again`, without light that was switched on or off, which takes them twice."""
+    decoder = Decoder(stream.patterns, stream.projector_size, calibration, switch=switch)
+    for place, (_, frame) in enumerate(progress.track(again().frames, len(stream.patterns), "Measuring light")):
+        decoder.measure_light(place, frame.image)
+    for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out light"):
+        decoder.add(frame.image)
+    with progress.step("Matching"):
+        return decoder.finish()
 
 
 def reconstruct(
