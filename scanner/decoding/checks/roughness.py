@@ -1,8 +1,9 @@
 """Cells of a code that do not follow each other: bits that were shown before something moved, or twice, or exchanged.
 
-Where only codes tell a coordinate, a surface is a staircase, whose steps are as long as a cell: pixels are off a plane
-by the cell's length over √12. Finest bits that do not belong to the others leave a jumble that is more than twice as
-rough, whatever each bit by itself looks like, and whether or not the camera resolves the single cells.
+Where only codes tell a coordinate, a surface is a staircase, whose steps are as long as a cell: pixels are off what is
+smooth by the cell's length over √12, be it flat or in relief. Finest bits that do not belong to the others leave a
+jumble that is more than twice as rough, whatever each bit by itself looks like, and whether or not the camera resolves
+the single cells.
 """
 
 import numpy as np
@@ -16,8 +17,8 @@ _TILE_PX = 12
 _MOST_ALONG = 32
 _FEWEST_KNOWN = 0.6
 _FEWEST_TILES = 20
-# Variance off the plane, in those of a cell: 1 for a staircase, less where pixels average over cells, up to 3 where a
-# bent camera curve and no inverse make every second stripe narrow; 5 and more for a jumble.
+# Variance off what is smooth, in those of a cell: 1 for a staircase, less where pixels average over cells, up to 3
+# where a bent camera curve and no inverse make every second stripe narrow; 5 and more for a jumble.
 _MOST = 4.0
 _SUSPECTED_BITS = 3
 
@@ -36,7 +37,7 @@ def check_roughness(plan: SequencePlan, maps: Maps) -> None:
 
 
 def _roughness(maps: Maps) -> tuple[float, float]:
-    """Of x and y, the variance off planes through small tiles, over that of cells; the tiles' median, 0 if few."""
+    """Of x and y, the variance off smooth surfaces through small tiles, over that of cells; the median, 0 if few."""
     height, width = maps.reason.shape
     rows, columns = (np.linspace(0, n - _TILE_PX, min(_MOST_ALONG, n // _TILE_PX)).astype(int) for n in (height, width))
     down, across = (np.arange(_TILE_PX)[:, None], np.arange(_TILE_PX)[None, :])
@@ -49,19 +50,22 @@ def _roughness(maps: Maps) -> tuple[float, float]:
     if np.count_nonzero(enough) < _FEWEST_TILES:
         return 0.0, 0.0
     seen, variance, known = seen[enough], variance[enough], known[enough]
-    square = _off_planes(np.where(known[..., None], seen, 0.0), known)
+    square = _off_smooth(np.where(known[..., None], seen, 0.0), known)
     cells = np.sum(np.where(known, variance, 0), axis=1)
     x, y = np.median(square / cells[:, None], axis=0)
     return float(x), float(y)
 
 
-def _off_planes(seen: Floats, known: np.ndarray) -> Floats:
-    """Sums of squares (T, 2) of what planes through tiles leave of the `known` (T, P) coordinates (T, P, 2)."""
+def _off_smooth(seen: Floats, known: np.ndarray) -> Floats:
+    """Sums of squares (T, 2) of what smooth surfaces, polynomials of second degree, through tiles leave of the `known`
+    (T, P) coordinates (T, P, 2).
+    """
     v, u = np.mgrid[:_TILE_PX, :_TILE_PX] - (_TILE_PX - 1) / 2
-    terms = np.stack([np.ones(u.size), u.ravel(), v.ravel()], axis=1)
+    u, v = u.ravel() / _TILE_PX, v.ravel() / _TILE_PX
+    terms = np.stack([np.ones(u.size), u, v, u * u, u * v, v * v], axis=1)
     weighted = terms.T * known[:, None, :]
-    planes = np.linalg.solve(weighted @ terms, weighted @ seen)
-    left = (seen - terms @ planes) * known[..., None]
+    surfaces = np.linalg.solve(weighted @ terms, weighted @ seen)
+    left = (seen - terms @ surfaces) * known[..., None]
     squares: Floats = np.sum(left**2, axis=1)
     return squares
 
