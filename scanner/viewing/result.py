@@ -68,7 +68,7 @@ class PlacedRig:
 class ViewedCloud:
     """A cloud and what belongs to it, all in the cloud's frame but `corner`, which is in the frame of the first rig.
 
-    `points` (N, 3), `colours` (N, 3) RGB; `up` (3,) points up.
+    `points` (N, 3), `colours` (N, 3) RGB; `rigs`, the newest first; `up` (3,) points up.
     """
 
     points: Floats
@@ -193,7 +193,7 @@ class ViewedResult:
             raise InputError(f"{self.folder / ROOM_CLOUD_FILE}: the cloud is empty")
         rigs = tuple(
             PlacedRig(scan.calibration, each.place.rotation, each.place.translation, _picture(each.folder, scan))
-            for each, scan in ((station, station.scan) for station in room.stations)
+            for each, scan in ((station, station.scan) for station in reversed(room.stations))
         )
         return ViewedCloud(cloud.points, cloud.colours, rigs, None, np.array([0.0, 0.0, 1.0]), room.unit)
 

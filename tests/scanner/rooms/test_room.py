@@ -16,6 +16,7 @@ from scanner.exporting.formats import Request
 from scanner.io import read_calibration, read_cloud
 from scanner.results import read_finished_room
 from scanner.rooms.floorplan import floor_plan
+from scanner.viewing.result import ViewedResult
 from tests.scanner.rooms.conftest import ORDER, SolvedExample
 
 
@@ -117,6 +118,9 @@ def test_the_result_reads_back_and_exports(example: SolvedExample, tmp_path: Pat
     for stored, solved in zip(room.stations, example.solved.stations, strict=True):
         np.testing.assert_allclose(stored.place.rotation, solved.place.rotation)
         np.testing.assert_allclose(stored.place.translation, solved.place.translation)
+    viewed = ViewedResult(example.out)
+    places = [rig.position for rig in reversed(viewed.cloud(viewed.names[0]).rigs)]
+    np.testing.assert_allclose(places, [station.place.translation for station in room.stations])
     pycolmap = pytest.importorskip("pycolmap")
     FORMATS["colmap"].write(Request(example.out, tmp_path / "colmap", most_points=2000))
     model = pycolmap.Reconstruction(tmp_path / "colmap")
