@@ -10,6 +10,7 @@ from calib.geometry import Motion
 from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
 from calib.rooms.alignment import composed, inverse, normal_equations
 from calib.rooms.assembly import Assembly, Edges, assemble, gain_of
+from calib.rooms.cuts import weakest_cut
 from calib.rooms.hypotheses import hypotheses, judged, refined
 from calib.rooms.misfits import worst_misfit
 from calib.rooms.planes import RoomPlane
@@ -106,11 +107,11 @@ def register(stations: Sequence[StationView]) -> Registration:
         if not assemblies:
             break
         best = assemblies[0]
-        misfit = _misfit(surfaces, best.places)
-        if misfit is not None:
-            station, reasons[station] = misfit
-            left.remove(station)
-            aside.append(station)
+        misfits = _misfits(surfaces, best.places)
+        if misfits:
+            reasons.update(misfits)
+            left = [k for k in left if k not in misfits]
+            aside += misfits
             continue
         groups.append(_group(surfaces, best, assemblies[1:]))
         left = [k for k in left + aside if k not in best.places]
@@ -121,14 +122,13 @@ def register(stations: Sequence[StationView]) -> Registration:
     return Registration(tuple(groups), tuple(pairs), left_out)
 
 
-def _misfit(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> tuple[int, str] | None:
-    """A station that does not belong to the others, and why; None if all do."""
+def _misfits(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, str]:
+    """Stations that do not belong to the others, and why; empty if all do."""
     worst = worst_misfit(surfaces, places)
     if worst is not None and worst.reason:
-        return worst.station, worst.reason
-    held = _held(surfaces, places)
-    least = min(held, key=lambda k: held[k])
-    return (least, _TOO_LITTLE) if held[least] < DECIDED_NATS else None
+        return {worst.station: worst.reason}
+    weakest = weakest_cut(surfaces, places)
+    return dict.fromkeys(weakest.part, _TOO_LITTLE) if weakest.nats < DECIDED_NATS else {}
 
 
 def _held(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, float]:
