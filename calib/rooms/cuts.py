@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from calib.geometry import Motion
 from calib.numerics import Floats, Ints
-from calib.rooms.agreement import NATS_OF_POSE, Agreement, compare_one, gain, nats_of_tilt
+from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, Agreement, compare_one, gain, nats_of_tilt
 from calib.rooms.alignment import composed, inverse
 from calib.rooms.shared_planes import shared_planes
 from calib.rooms.surfaces import Surfaces
@@ -29,6 +29,17 @@ class Cut:
 
     part: tuple[int, ...]
     nats: float
+
+
+def held_together(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, Motion]:
+    """What is left of a group, at `places` in the room, when all parts that little holds are cut off."""
+    left = dict(places)
+    while len(left) > 1:
+        weakest = weakest_cut(surfaces, left)
+        if weakest.nats >= DECIDED_NATS:
+            break
+        left = {k: place for k, place in left.items() if k not in weakest.part}
+    return left
 
 
 def weakest_cut(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> Cut:

@@ -35,9 +35,14 @@ class Misfit:
     times_worse: float
 
     @property
+    def of_another_shape(self) -> bool:
+        """Whether it belongs nowhere, for its surfaces are bent otherwise than all others'."""
+        return self.times_worse > _MOST_TIMES_WORSE
+
+    @property
     def reason(self) -> str:
         """Why it is to be left out, as a sentence; empty if it is not."""
-        if self.times_worse > _MOST_TIMES_WORSE:
+        if self.of_another_shape:
             return (
                 f"its surfaces lie {self.times_worse:.1f} times as far off the other stations' as those do among each "
                 "other: the rig was changed, or something was moved"
