@@ -28,12 +28,17 @@ Edges = Mapping[tuple[int, int], Sequence[Hypothesis]]
 @dataclass(frozen=True)
 class Assembly:
     """`places` by station, in the order in which they came, the frame being that of the one with the least number; and
-    what they are worth in nats. `loose`: stations that fitted there, too, but were held by too little.
+    what they are worth in nats. `whole`: with the stations that fitted there, too, but were held by too little.
     """
 
     places: dict[int, Motion]
     nats: float
-    loose: frozenset[int] = frozenset()
+    whole: "Assembly | None" = None
+
+    @property
+    def loose(self) -> set[int]:
+        """Stations that were cut off."""
+        return self.whole.places.keys() - self.places.keys() if self.whole else set()
 
     def like(self, other: "Assembly", size: float) -> bool:
         """Whether the same stations are at the same places, relative to each other."""
@@ -85,8 +90,8 @@ def _groups(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[i
             if each.nats > DECIDED_NATS and not grown:
                 finished.append(each)
         beam = _distinct(longer, size)
-    together = [_together(surfaces, each) for each in _distinct(finished, size)]
-    return _distinct([_without_loose(surfaces, each) for each in together], size)
+    together = _distinct([_together(surfaces, each) for each in _distinct(finished, size)], size)
+    return sorted((_without_loose(surfaces, each) for each in together), key=lambda each: -each.nats)
 
 
 def _identity() -> Motion:
@@ -177,7 +182,7 @@ def _without_loose(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembl
         return group
     first = inverse(held[min(held)])
     places = {k: composed(first, place) for k, place in held.items()}
-    return Assembly(places, _nats(surfaces, places), frozenset(group.places.keys() - held.keys()))
+    return Assembly(places, _nats(surfaces, places), group)
 
 
 def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> float:

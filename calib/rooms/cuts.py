@@ -64,8 +64,8 @@ def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], part: 
 
 def _of_planes(seen: Agreement, plane_of: Sequence[int], planes: int) -> Agreement:
     """With the second station's labels replaced by the planes they are on, of which there are so many."""
-    matched: Ints = np.zeros((*seen.matched.shape[:2], planes + 1), np.int64)
-    np.add.at(matched, (slice(None), slice(None), np.array([*plane_of, -1])), seen.matched)
+    is_on: Ints = np.eye(planes + 1, dtype=np.int64)[[*plane_of, -1]]
+    matched: Ints = seen.matched @ is_on
     return Agreement(matched, seen.contradicting, seen.hidden, seen.unlike)
 
 

@@ -117,7 +117,8 @@ def register(stations: Sequence[StationView]) -> Registration:
             left.remove(worst.station)
             aside += [] if worst.of_another_shape else [worst.station]
             continue
-        rivals = [each for each in assemblies[1:] if each.places.keys() == best.places.keys()]
+        others = (each.whole or each for each in assemblies[1:])
+        rivals = [each for each in others if each.places.keys() == best.places.keys()]
         groups.append(_group(surfaces, best, rivals))
         left = [k for k in left + aside if k not in best.places]
         aside = []
