@@ -3,10 +3,11 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: help setup scan console scan-loopback rig try-rig try-browser test lint check-types unit benchmark fuzz clean
+.PHONY: help setup scan room console scan-loopback rig try-rig try-browser test lint check-types unit benchmark fuzz clean
 
 help:
 	@echo "make scan           set up, then scan a simulated room into scans/room-sim/"
+	@echo "make room           scan a whole simulated room from six stations into scans/room-whole-sim/"
 	@echo "make console        the same, and more, on a page in the browser"
 	@echo "make test           set up, then run every check and every test"
 	@echo "make setup          only make $(VENV)/, with the command $(BIN)/scan"
@@ -20,6 +21,9 @@ setup: $(VENV)/.runtime
 
 scan: setup
 	$(BIN)/scan --config configs/room-sim.yaml --out scans/room-sim --overwrite
+
+room: setup
+	$(BIN)/scan --config configs/room-whole-sim.yaml --stations 6 --out scans/room-whole-sim --overwrite
 
 console: $(VENV)/.console
 	$(BIN)/scan console --config configs/room-sim.yaml
@@ -75,10 +79,12 @@ $(BIN)/pip:
 
 $(VENV)/.runtime: pyproject.toml | $(BIN)/pip
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@tools/system-packages --open3d || echo "Everything but scan room works without them."
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(BIN)/pip
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@tools/system-packages --open3d || echo "Everything but scan room works without them; its tests will be SKIPPED."
 	@touch $@ $(VENV)/.runtime
 
 $(VENV)/.console: pyproject.toml | $(VENV)/.runtime

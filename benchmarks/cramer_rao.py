@@ -1,5 +1,6 @@
 """The Cramér–Rao bound of a synthetic capture: what no unbiased calibration can undercut."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,10 @@ from calib.boards.parameters import INTRINSIC_COLUMNS, Placed, device_of
 from calib.boards.parameters import State as BoardState
 from calib.geometry import Intrinsics, Matches, Motion
 from calib.refinement import CAMERA, PROJECTOR, Cells, Knowledge, Pose, State, covariance_of, evaluate, predict
+from calib.rooms import Room
+from calib.rooms.likelihood import RoomPrior
+from calib.rooms.likelihood import evaluate as evaluate_room
+from calib.rooms.patches import Patch, predict_patch
 from calib.self_calibration import anywhere
 from calib.synthetic import SyntheticBoards, SyntheticCapture, SyntheticPhotos
 
@@ -106,3 +111,17 @@ def bound_of_boards(boards: SyntheticBoards, views: list[View]) -> np.ndarray:
     fit = evaluate_boards(views, state, prior, levels)
     sigma = np.sqrt(np.diag(covariance_of(fit.information, prior.free(state))))[INTRINSIC_COLUMNS]
     return sigma * np.array([rig.camera.focal_px[0], 1, 1, rig.projector.focal_px[0], 1, 1])
+
+
+def bound_of_room(truth: Room, patches: Sequence[Patch], prior: RoomPrior, noise_px: float) -> np.ndarray:
+    """Covariance (size, size) of a room's columns, at the truth.
+
+    `patches`: of the same stations, whose cells' sigmas are those of the noise; `prior`: with the truth as its start.
+    """
+    exact = [
+        replace(patch, cells=replace(patch.cells, projector_px=predict_patch(truth, patch)[0])) for patch in patches
+    ]
+    variances = [noise_px**2 * (patch.cells.sigma_px / patch.cells.noise_px) ** 2 for patch in patches]
+    fit = evaluate_room(exact, truth, prior, variances)
+    seen = np.isin(np.arange(len(truth.planes)), [patch.plane for patch in patches])
+    return covariance_of(fit.information, prior.free(seen))

@@ -16,7 +16,7 @@ def at_place(settings: RigSettings, step: int) -> RigSettings:
     """
     match settings:
         case SimulatedRigSettings():
-            last = _last_pose()
+            last = settings.places - 1
             if settings.pose + step > last:
                 raise DeviceError(
                     f"the simulated rig has places 0 to {last}; from pose {settings.pose} it cannot step aside "
@@ -24,8 +24,3 @@ def at_place(settings: RigSettings, step: int) -> RigSettings:
                 )
             settings = settings.model_copy(update={"pose": settings.pose + step})
     return settings
-
-
-def _last_pose() -> int:
-    (last,) = (rule.le for rule in SimulatedRigSettings.model_fields["pose"].metadata if hasattr(rule, "le"))
-    return int(last)

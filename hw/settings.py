@@ -4,6 +4,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+_PLACES_BEFORE_A_CORNER = 8
+
 
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -91,11 +93,23 @@ class SimulatedRigSettings(BaseModel):
 
     backend: Literal["simulated"] = "simulated"
     seed: int = Field(0, ge=0, description="Draws the room, its furniture, the rig and the places it looks from.")
+    room: Literal["corner", "whole"] = Field(
+        "corner",
+        description="What the rig is carried round: one corner, or the whole room, furnished along all its walls, with "
+        "a projector that throws wide.",
+    )
+    stations: int = Field(
+        6,
+        ge=2,
+        le=48,
+        description="How many places there are round a whole room; each sees a part of the next one's, and from 6 on "
+        "the last one a part of the first one's.",
+    )
     pose: int = Field(
         0,
         ge=0,
-        le=7,
-        description="Which of the places in the room the rig looks at the corner from; room and rig stay the same.",
+        description="Which of its places the rig stands at, of 8 before a corner, of rig.stations in a whole room; "
+        "room and rig stay the same.",
     )
     walls_off_deg: float = Field(
         0.0, ge=0.0, le=10.0, description="Standard deviation of each of the corner's three angles from 90 degrees."
@@ -109,7 +123,7 @@ class SimulatedRigSettings(BaseModel):
     ball_bar_m: float | None = Field(
         None,
         ge=0.15,
-        le=1.0,
+        le=5.0,
         description="Distance between the centres of the sphere and of a second one, as on a ball bar; left out, there "
         "is one sphere.",
     )
@@ -219,6 +233,17 @@ class SimulatedRigSettings(BaseModel):
         10_500.0, ge=100.0, description="Electrons in a saturated camera pixel: sets the shot noise."
     )
     read_noise_electrons: float = Field(2.5, ge=0.0, description="Standard deviation of the read noise in electrons.")
+
+    @property
+    def places(self) -> int:
+        """How many there are."""
+        return self.stations if self.room == "whole" else _PLACES_BEFORE_A_CORNER
+
+    @model_validator(mode="after")
+    def _pose_is_a_place(self) -> "SimulatedRigSettings":
+        if self.pose >= self.places:
+            raise ValueError(f"pose: expected 0 to {self.places - 1}, found {self.pose}")
+        return self
 
     @property
     def bytes_per_pixel(self) -> int:

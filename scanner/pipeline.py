@@ -130,7 +130,7 @@ def replay(
 ) -> Scan:
     """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
     with _saying_what_is_missing(recording):
-        found = _decode_recording(recording, terminal)
+        found = decode_recording(recording, terminal)
         return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
 
@@ -147,14 +147,14 @@ def replay_calibrated(
     Raises InputError, RefusalError.
     """
     with _saying_what_is_missing(recording):
-        found = _decode_recording(recording, terminal, calibration)
+        found = decode_recording(recording, terminal, calibration)
     with refusal_saved([found], folder, config) as reached:
         given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
         captures = triangulate([given], reached, terminal)
     return _finished(Scan(captures), config, folder, terminal)
 
 
-def _decode_recording(recording: Recording, terminal: Terminal, calibration: Calibration | None = None) -> Decoded:
+def decode_recording(recording: Recording, terminal: Progress, calibration: Calibration | None = None) -> Decoded:
     """As much of it as determines something."""
     sequence = usable(
         recording.patterns, recording.planned, recording.projector_size, calibrated=calibration is not None

@@ -131,7 +131,7 @@ def calibration_of(
 
 
 def sigmas_of(state: State, covariance: Floats) -> Sigmas:
-    """Standard deviations from a covariance of the state's columns; the corner's angles are those of the first."""
+    """Standard deviations from a covariance of the state's columns; corner's angles are those of the first, if any."""
     sigma = np.sqrt(np.diag(covariance))
     rotation, angles = (np.degrees(sigma[columns]) for columns in (ROTATION, state.angle_columns(0)))
     return Sigmas(
@@ -139,7 +139,7 @@ def sigmas_of(state: State, covariance: Floats) -> Sigmas:
         _device_sigmas(state.projector, sigma[PROJECTOR]),
         (float(rotation[0]), float(rotation[1]), float(rotation[2])),
         float(np.degrees(np.hypot(*sigma[TRANSLATION]))),
-        (float(angles[0]), float(angles[1]), float(angles[2])),
+        (float(angles[0]), float(angles[1]), float(angles[2])) if len(state.off_square) else None,
     )
 
 

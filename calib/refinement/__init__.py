@@ -5,8 +5,8 @@ from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins
 from calib.refinement.further_planes import with_further_planes
 from calib.refinement.image_polynomial import CUBIC, monomials
 from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate, misfit
-from calib.refinement.match_cells import Cells, into_cells
-from calib.refinement.noise_model import Noise, noise_of
+from calib.refinement.match_cells import Cells, follow_one_plane, into_cells
+from calib.refinement.noise_model import Noise, long_waves, noise_of, overdispersion
 from calib.refinement.parameters import (
     CAMERA,
     PER_CORNER,

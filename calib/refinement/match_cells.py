@@ -107,6 +107,24 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
     )
 
 
+def follow_one_plane(matches: Matches, least_px: float) -> Bools:
+    """Which matches (N,) follow the homography, with a lens's polynomial, that most of them do; within `least_px` in
+    any case.
+
+    Raises TooFewMatchesError if there are fewer than four.
+    """
+    if len(matches) < 4:
+        raise TooFewMatchesError(f"a plane has {len(matches)} matches; a homography needs at least four")
+    every = np.ones(len(matches), np.bool_)
+    typical = _typical_sigma(matches, every)
+    reference = _reference(matches[evenly(every, _SAMPLE)], typical)
+    predicted = reference.straight(matches.camera_px) + reference.curved(matches.camera_px)
+    off = np.linalg.norm(matches.projector_px - predicted, axis=1)
+    coarse = 1.0 if matches.sigma_px is None else matches.sigma_px / typical
+    near: Bools = off <= np.maximum(_OUTLIER_SIGMAS * reference.sigma * coarse, least_px)
+    return near
+
+
 def _typical_sigma(matches: Matches, chosen: Bools) -> float:
     """The sigma that a match of weight 1 has: the median of what is stated for (some of) them, 1 if nothing is."""
     if matches.sigma_px is None:

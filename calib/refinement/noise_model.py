@@ -56,23 +56,32 @@ def _systematic(residual: Floats, sigma_px: Floats) -> float:
     return high if high > 1e-3 * float(np.median(sigma_px)) else 0.0
 
 
-def _long_waves(cells: Cells, residual: Floats, variance: Floats, absorbed: float) -> tuple[float, float]:
-    """Root mean square of the residuals' projection on cubic polynomials over each plane, in px, and κ.
-
-    κ is the projection's χ² over its degrees of freedom, or 1 where that is no more than chance.
+def long_waves(cells: Cells, residual: Floats, variance: Floats) -> tuple[Floats, Floats]:
+    """Of each plane in the cells (P,), by growing label: χ² of the residuals' projection on cubic polynomials over it,
+    and the projection's sum of squares in px²; NaN for a plane with too few cells. χ² has 2 CUBIC degrees of freedom.
     """
-    total, freedom, squares = 0.0, -absorbed, 0.0
+    totals, squares = [], []
     for plane in np.unique(cells.plane):
         members = cells.plane == plane
         if members.sum() < _LEAST_CELLS:
+            totals.append(np.nan)
+            squares.append(np.nan)
             continue
         root = 1 / np.sqrt(variance[members])[:, None]
         waves, _ = np.linalg.qr(monomials(cells.camera_px[members])[:, :CUBIC] * root)
         amplitudes = waves.T @ (residual[members] * root)
-        total += float(np.sum(amplitudes**2))
-        squares += float(np.sum((waves @ amplitudes / root) ** 2))
-        freedom += 2 * CUBIC
-    smooth_px = float(np.sqrt(squares / len(cells)))
-    if freedom <= 0 or total < chi2.ppf(_SIGNIFICANT, freedom):
-        return smooth_px, 1.0
-    return smooth_px, total / freedom
+        totals.append(float(np.sum(amplitudes**2)))
+        squares.append(float(np.sum((waves @ amplitudes / root) ** 2)))
+    return np.array(totals), np.array(squares)
+
+
+def overdispersion(total: float, freedom: float, significant: float = _SIGNIFICANT) -> float:
+    """κ from a χ² over its degrees of freedom; 1 where it is no more than chance."""
+    return 1.0 if freedom <= 0 or total < chi2.ppf(significant, freedom) else total / freedom
+
+
+def _long_waves(cells: Cells, residual: Floats, variance: Floats, absorbed: float) -> tuple[float, float]:
+    """Root mean square of the residuals' projection on cubic polynomials over each plane, in px, and κ."""
+    totals, squares = long_waves(cells, residual, variance)
+    freedom = 2 * CUBIC * np.count_nonzero(np.isfinite(totals)) - absorbed
+    return float(np.sqrt(np.nansum(squares) / len(cells))), overdispersion(float(np.nansum(totals)), freedom)

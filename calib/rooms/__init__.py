@@ -1,5 +1,10 @@
-"""Whole rooms: where several stations of one rig stood, and the planes that they share."""
+"""Whole rooms: where several stations of one rig stood, the planes that they share, and one estimate of all of it."""
 
+from calib.rooms.estimate import RoomEstimate, Undetermined, estimate_room
+from calib.rooms.likelihood import RigPrior
 from calib.rooms.planes import RoomPlane
 from calib.rooms.registration import Alternative, Group, LeftOut, Pair, Registration, register
+from calib.rooms.room import Room
 from calib.rooms.station import StationView, station_view
+from calib.rooms.straight_planes import split_planes
+from calib.rooms.without_planes import estimate_without_planes

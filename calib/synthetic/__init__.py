@@ -11,3 +11,4 @@ from calib.synthetic.captures import (
     random_captures,
 )
 from calib.synthetic.photos import PhotoOptions, SyntheticPhotos, random_photos
+from calib.synthetic.rooms import RoomOptions, SyntheticRoom, SyntheticStation, random_room

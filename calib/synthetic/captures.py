@@ -155,7 +155,7 @@ def _one_capture(
 
     corner = Corner(-world_to_camera @ camera_eye, legs_world @ world_to_camera.T)
 
-    pixels = _jittered_grid(rng, projector, count)
+    pixels = jittered_grid(rng, projector, count)
     normals, heights = corner.normals, corner.normals @ corner.vertex
     if options.parallel_m is not None:
         normals, heights = normals[[0, 1, 0]], heights[[0, 1, 0]] + np.array([0.0, 0.0, options.parallel_m])
@@ -177,7 +177,8 @@ def _one_capture(
     )
 
 
-def _jittered_grid(rng: np.random.Generator, device: Intrinsics, count: int) -> Floats:
+def jittered_grid(rng: np.random.Generator, device: Intrinsics, count: int) -> Floats:
+    """About `count` pixels (N, 2) all over a device's image, one at random in each square of a grid."""
     step = np.sqrt(device.width * device.height / count)
     x, y = np.meshgrid(np.arange(0, device.width - 1, step), np.arange(0, device.height - 1, step))
     grid = np.stack([x.ravel(), y.ravel()], axis=1)

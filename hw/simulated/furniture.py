@@ -6,7 +6,7 @@ from calib.numerics import Floats
 from hw.simulated.shapes import Block, Sphere
 
 # Furniture reaches this far into floor, wall or the box below, so that no gap lets light through.
-_EMBEDDED_M = 0.004
+EMBEDDED_M = 0.004
 
 
 def draw_furniture(rng: np.random.Generator, sphere_radius_m: float, askew: float) -> tuple[tuple[Block, ...], Sphere]:
@@ -36,7 +36,7 @@ def draw_corner_box(rng: np.random.Generator) -> Block:
     size = rng.uniform((0.15, 0.15, 0.15), (0.3, 0.3, 0.3))
     heading = rng.uniform(-0.15, 0.15)
     reach = 0.5 * (abs(np.cos(heading)) + abs(np.sin(heading))) * size[:2].max()
-    return _box(size, reach + rng.uniform(0.005, 0.03, 2), heading)
+    return box(size, reach + rng.uniform(0.005, 0.03, 2), heading)
 
 
 def overlap(first: Block | Sphere, second: Block | Sphere) -> bool:
@@ -49,30 +49,30 @@ def _place(rng: np.random.Generator, low: float, high: float) -> Floats:
 
 
 def _standing(rng: np.random.Generator, size: Floats, place: Floats) -> Block:
-    return _box(size, place, rng.uniform(0, np.pi))
+    return box(size, place, rng.uniform(0, np.pi))
 
 
 def _on_top(rng: np.random.Generator, below: Block, size: Floats) -> Block:
     top = below.origin + below.edges.sum(axis=0)
     middle = below.origin + 0.5 * below.edges.sum(axis=0)
-    return _box(size, middle[:2] + rng.uniform(-0.05, 0.05, 2), rng.uniform(0, np.pi), float(top[2]))
+    return box(size, middle[:2] + rng.uniform(-0.05, 0.05, 2), rng.uniform(0, np.pi), float(top[2]))
 
 
 def _against_wall(rng: np.random.Generator, size: Floats, start: float, askew: float) -> Block:
     """A cupboard with its back, or an edge of it, in one of the two walls, `start` metres from the corner."""
     width, depth, height = size
-    away = (width * abs(np.sin(askew)) + depth * np.cos(askew)) / 2 - _EMBEDDED_M
+    away = (width * abs(np.sin(askew)) + depth * np.cos(askew)) / 2 - EMBEDDED_M
     if rng.random() < 0.5:
-        return _box(np.array([width, depth, height]), np.array([start + width / 2, away]), askew)
-    return _box(np.array([depth, width, height]), np.array([away, start + width / 2]), askew)
+        return box(np.array([width, depth, height]), np.array([start + width / 2, away]), askew)
+    return box(np.array([depth, width, height]), np.array([away, start + width / 2]), askew)
 
 
-def _box(size: Floats, place: Floats, heading: float, floor: float = 0.0) -> Block:
+def box(size: Floats, place: Floats, heading: float, floor: float = 0.0) -> Block:
     """A box of size (along, across, up) whose base is centred at `place` (2,), turned by `heading` radians."""
     cosine, sine = np.cos(heading), np.sin(heading)
     turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    edges = turned * (size + np.array([0.0, 0.0, _EMBEDDED_M]))[:, None]
-    origin = np.array([*place, floor - _EMBEDDED_M]) - 0.5 * (edges[0] + edges[1])
+    edges = turned * (size + np.array([0.0, 0.0, EMBEDDED_M]))[:, None]
+    origin = np.array([*place, floor - EMBEDDED_M]) - 0.5 * (edges[0] + edges[1])
     return Block(origin, edges)
 
 

@@ -2,7 +2,7 @@
 
 Two sets: *solving* nodes, graded on every surface, carry the exchange of light; *crease* nodes, fine, lie in strips
 along the corner's lit creases, where the light of the neighbouring face varies as fast as the picture does. Crease
-nodes receive light and send none.
+nodes receive light and send none. A whole room has no crease nodes, but solving nodes that are closer along every one.
 """
 
 from collections.abc import Iterator
@@ -18,6 +18,7 @@ from hw.simulated.scene import Scene
 _CREASE_WIDTH_M = 0.06
 _ACROSS_CREASE_M = np.array([0.0, 0.003, 0.008, 0.015, 0.025, 0.04, _CREASE_WIDTH_M])
 _BEYOND_LIGHT_M = 0.15
+_WALL_M = 2.0  # what is longer is a wall, and not furniture
 _ALONG_CREASE_PX = 2.0  # in projector pixels: the finest fringes in use are 6
 
 
@@ -92,16 +93,19 @@ def build_mesh(light: ProjectorLight) -> Mesh:
         solving.append(Chart(surface, u, v, sum(chart.count for chart in solving)))
     creases: list[Chart] = []
     start = sum(chart.count for chart in solving)
-    for surface, u, v in _crease_lines(light):
+    for surface, u, v in () if scene.all_round else _crease_lines(light):
         creases.append(Chart(surface, u, v, start))
         start += creases[-1].count
     return Mesh(tuple(solving), tuple(creases))
 
 
 def _lines(scene: Scene, surface: int, size: float) -> Floats:
+    if scene.all_round and size > _WALL_M:
+        return _graded_from_both_ends(size)
     if surface < 3:
         return _graded(size)
-    spacing = 0.7 if surface < 6 else 0.05 if surface in scene.spheres else max(0.08, size / 6)
+    finest, parts = (0.15, 4) if scene.all_round else (0.08, 6)
+    spacing = 0.7 if surface < 6 else 0.05 if surface in scene.spheres else max(finest, size / parts)
     return np.linspace(0.0, size, max(2, round(size / spacing) + 1))
 
 
@@ -113,6 +117,16 @@ def _graded(size: float) -> Floats:
         lines.append(lines[-1] + step)
         step = min(1.3 * step, 0.2 if lines[-1] < 1.6 else 0.45)
     return np.array([*lines, size])
+
+
+def _graded_from_both_ends(size: float) -> Floats:
+    """Lines from 4 cm apart at either end to 40 cm in the middle: a whole room has many creases."""
+    half = [0.0]
+    step = 0.04
+    while half[-1] + 1.5 * step < size / 2:
+        half.append(half[-1] + step)
+        step = min(1.6 * step, 0.4)
+    return np.concatenate([half, size - np.array(half[::-1])])
 
 
 def _crease_lines(light: ProjectorLight) -> Iterator[tuple[int, Floats, Floats]]:

@@ -10,6 +10,8 @@ from hw.simulated.device import Optics, PlacedDevice
 # The paper's rig (section 5.1), at its full camera resolution.
 _PAPER_CAMERA = Optics(2448, 2048, 1791.1, (1256.3, 1054.3))
 _PAPER_PROJECTOR = Optics(854, 480, 1247.3, (377.1, 234.0))
+# Light for half a wall from the middle of a room: a throw ratio of 0.74.
+SHORT_THROW = Optics(854, 480, 630.0, (419.0, 262.0))
 _ROLL_DEG = 15.0
 
 
@@ -32,8 +34,10 @@ class RigGeometry:
         )
 
 
-def draw_rig(rng: np.random.Generator, distortion: float) -> RigGeometry:
-    """The paper's intrinsics with drawn lenses; 0.3 to 0.6 m apart, converging at a few metres, turned a little.
+def draw_rig(rng: np.random.Generator, distortion: float, projector: Optics = _PAPER_PROJECTOR) -> RigGeometry:
+    """The paper's intrinsics, or another projector's, with drawn lenses.
+
+    The devices are 0.3 to 0.6 m apart, converging at a few metres, turned a little.
 
     Lens terms are those of ordinary machine-vision and projector lenses: up to 4 % in the camera's corners and 0.5 %
     in the projector's.
@@ -42,12 +46,12 @@ def draw_rig(rng: np.random.Generator, distortion: float) -> RigGeometry:
     centre = np.array([np.cos(bearing), np.sin(bearing), rng.uniform(-0.4, 0.4)])
     centre *= rng.uniform(0.3, 0.6) / np.linalg.norm(centre)
     target = np.array([0.0, 0.0, rng.uniform(2.2, 3.2)]) + rng.uniform(-0.05, 0.05, 3)
-    rotation = _look_at(centre, target, np.array([0.0, -1.0, 0.0]), rng.uniform(-8, 8))
+    rotation = look_at(centre, target, np.array([0.0, -1.0, 0.0]), rng.uniform(-8, 8))
     camera_k1, camera_k2 = distortion * rng.uniform((-0.06, -0.005), (-0.01, 0.01))
     projector_k1, projector_k2 = distortion * rng.uniform((-0.03, -0.01), (0.01, 0.01))
     return RigGeometry(
         _with_lens(_PAPER_CAMERA, _PAPER_CAMERA.width, _PAPER_CAMERA.height, camera_k1, camera_k2),
-        _with_lens(_PAPER_PROJECTOR, _PAPER_PROJECTOR.width, _PAPER_PROJECTOR.height, projector_k1, projector_k2),
+        _with_lens(projector, projector.width, projector.height, projector_k1, projector_k2),
         rotation,
         -rotation @ centre,
     )
@@ -61,7 +65,7 @@ def draw_camera_pose(rng: np.random.Generator) -> tuple[Floats, Floats]:
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     )
     target = rng.uniform(-0.1, 0.35, 3)
-    return _look_at(centre, target, np.array([0.0, 0.0, 1.0]), rng.uniform(-_ROLL_DEG, _ROLL_DEG)), centre
+    return look_at(centre, target, np.array([0.0, 0.0, 1.0]), rng.uniform(-_ROLL_DEG, _ROLL_DEG)), centre
 
 
 def resized(optics: Optics, width: int, height: int) -> Optics:
@@ -75,7 +79,7 @@ def _with_lens(optics: Optics, width: int, height: int, k1: float, k2: float) ->
     return Optics(width, height, scale * optics.focal_px, (scale * x0, scale * y0), float(k1), float(k2))
 
 
-def _look_at(centre: Floats, target: Floats, up: Floats, roll_deg: float) -> Floats:
+def look_at(centre: Floats, target: Floats, up: Floats, roll_deg: float) -> Floats:
     """Rotation (3, 3) into the frame (x right, y down, z forward) of a device at `centre` that looks at `target`."""
     forward = (target - centre) / np.linalg.norm(target - centre)
     right = np.cross(forward, up)

@@ -23,6 +23,7 @@ from hw.simulated.shapes import Block
 from hw.simulated.texture import paint
 
 _RAYS_PER_NODE = 384
+_RAYS_PER_NODE_ALL_ROUND = 128  # of the many nodes of a whole room
 _WALLPAPER_STREAM = 102  # apart from all other random numbers, so that they stay as they are without it
 
 
@@ -113,7 +114,8 @@ def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Ge
     wallpaper = np.random.default_rng([settings.seed, _WALLPAPER_STREAM]) if settings.wallpaper else None
     texture = paint(room.scene, rng, settings.albedo, wallpaper)
     mesh = build_mesh(light)
-    gathered = Gatherer(light, texture, picture, mesh).gather(_RAYS_PER_NODE, rng)
+    rays = _RAYS_PER_NODE_ALL_ROUND if room.scene.all_round else _RAYS_PER_NODE
+    gathered = Gatherer(light, texture, picture, mesh).gather(rays, rng)
     interreflection = solve(room.scene, mesh, gathered)
     samples = samples_per_pixel(room.camera, room.projector)
     caster = FootprintCaster(light, room.camera, texture, picture, mesh, interreflection.stand_in, samples)

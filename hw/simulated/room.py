@@ -13,6 +13,7 @@ from hw.simulated.placement import RigGeometry, draw_camera_pose, draw_rig
 from hw.simulated.scene import Label, Scene
 from hw.simulated.shapes import Block, Sphere
 from hw.simulated.view import look
+from hw.simulated.whole_room import draw_whole_room
 
 _ATTEMPTS = 3000
 _FURNITURE_ATTEMPTS = 300
@@ -48,6 +49,9 @@ def draw_room(settings: SimulatedRigSettings) -> Room:
     """
     streams = _Streams(settings.seed)
     walls = draw_walls(streams.walls, settings.walls_off_deg)
+    if settings.room == "whole":
+        whole = draw_whole_room(settings, walls)
+        return Room(whole.scene, *whole.stations[settings.pose])
     for _ in range(_ATTEMPTS):
         rig = draw_rig(streams.rig, settings.distortion)
         camera, projector = rig.placed(*draw_camera_pose(streams.rig))

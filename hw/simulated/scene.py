@@ -32,13 +32,14 @@ class Scene:
     ceiling), then six faces for each block in turn, then the spheres.
 
     Each surface has coordinates (u, v) in metres: on face k of a block along the edges k + 1 and k + 2 (cyclically),
-    on a sphere along the equator and along the meridians.
+    on a sphere along the equator and along the meridians. `all_round`: the rig looks at all of it, not at one corner.
     """
 
     room: Block
     blocks: tuple[Block, ...] = ()
     sphere: Sphere | None = None
     second_sphere: Sphere | None = None
+    all_round: bool = False
 
     @property
     def spheres(self) -> dict[int, Sphere]:

@@ -22,7 +22,17 @@ from hw.simulated.truth import GroundTruth, true_calibration, true_view
 _RENDERING_STREAM = 100
 # What decides where light goes in the room: with other values of these, all of it would have to be found out again.
 _OF_THE_ROOM = (
-    *("seed", "pose", "walls_off_deg", "furniture", "furniture_askew_deg", "hide_vertex", "sphere_radius_m"),
+    *(
+        "seed",
+        "room",
+        "stations",
+        "pose",
+        "walls_off_deg",
+        "furniture",
+        "furniture_askew_deg",
+        "hide_vertex",
+        "sphere_radius_m",
+    ),
     *("albedo", "wallpaper", "interreflection", "distortion"),
 )
 

@@ -12,6 +12,7 @@ from hw.simulated.scene import Scene
 
 _FINE_M = 0.0025
 _COARSE_M = 0.01
+_LARGE_M2 = 4.0  # no furniture has a side as large
 _GRAIN_SIZE = 512
 _GRAIN_SIGMA = 0.035
 _POSTERS_PER_WALL = 2
@@ -54,7 +55,10 @@ def paint(
     """
     grain = _grain(rng)
     bases = np.full(3, albedo) if albedo is not None else rng.uniform((0.55, 0.55, 0.35), (0.8, 0.8, 0.6))
-    texel_m = np.array([_COARSE_M if 3 <= s < 6 else _FINE_M for s in range(scene.surface_count)])
+    large = scene.sizes.prod(axis=1) > _LARGE_M2
+    texel_m = np.array(
+        [_COARSE_M if 3 <= s < 6 or (s > 6 and large[s]) else _FINE_M for s in range(scene.surface_count)]
+    )
     shape = np.ceil(scene.sizes / texel_m[:, None]).astype(np.int32)
     images = []
     for surface, (nu, nv) in enumerate(shape):

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import Calibration, Intrinsics
+from calib.geometry import Calibration, Intrinsics, Motion
 from calib.numerics import Floats, Ints
 from hw.simulated.device import Optics
 from hw.simulated.illumination import ProjectorLight
@@ -43,6 +43,11 @@ def true_calibration(room: Room, shape: Floats | None = None) -> Calibration | N
     rotation = room.projector.rotation @ room.camera.rotation.T
     translation = room.projector.rotation @ (room.camera.centre - room.projector.centre)
     return Calibration(_intrinsics(room.camera.optics), projector, rotation, translation, unit="m")
+
+
+def true_place(room: Room) -> Motion:
+    """Where the rig stands, in metres: X_world = rotation X_camera + translation."""
+    return Motion(room.camera.rotation.T, room.camera.centre)
 
 
 def _reshaped(panel: Intrinsics, shape: Floats) -> Intrinsics | None:

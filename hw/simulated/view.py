@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.numerics import Bools, Floats, Ints
 from hw.simulated.device import PlacedDevice
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.scene import Label, Scene
@@ -54,11 +54,7 @@ class View:
 
 def look(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> View:
     """Cast a coarse grid of rays from both devices."""
-    directions = camera.rays(_grid(camera, _CAMERA_STEP_PX))
-    t, surface = scene.cast(camera.centre[:, None], directions)
-    points = camera.centre[:, None] + t * directions
-    _, irradiance = ProjectorLight(scene, projector).direct(surface, points)
-    lit = irradiance > 0
+    _, surface, lit = seen(scene, camera, projector)
     label = scene.labels[surface]
     shares = np.bincount(label[lit], minlength=len(Label)) / max(int(lit.sum()), 1)
 
@@ -83,6 +79,27 @@ def look(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> View:
         vertex_hidden=bool(scene.occluded(np.zeros((3, 1)), camera.centre)[0]),
         sphere_lit=float(lit[of_sphere].mean()) if of_sphere.any() else float("nan"),
     )
+
+
+def seen(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> tuple[Floats, Ints, Bools]:
+    """What a coarse grid of the camera's rays meets: points (3, n), surfaces (n,), and whether they are lit (n,)."""
+    directions = camera.rays(_grid(camera, _CAMERA_STEP_PX))
+    t, surface = scene.cast(camera.centre[:, None], directions)
+    points = camera.centre[:, None] + t * directions
+    _, irradiance = ProjectorLight(scene, projector).direct(surface, points)
+    return points, surface, irradiance > 0
+
+
+def lights_and_sees(
+    scene: Scene, camera: PlacedDevice, projector: PlacedDevice, surface: Ints, points: Floats
+) -> Bools:
+    """Whether a rig lights points (3, n) on surfaces (n,) and sees them, (n,)."""
+    _, irradiance = ProjectorLight(scene, projector).direct(surface, points)
+    pixels, _ = camera.project(points)
+    facing = np.sum(scene.normals(surface, points) * (camera.centre[:, None] - points), axis=0) > 0
+    visible: Bools = (irradiance > 0) & camera.optics.sees(pixels) & facing
+    visible[visible] = ~scene.occluded(points[:, visible], camera.centre)
+    return visible
 
 
 def _grid(device: PlacedDevice, step_px: int) -> Floats:

@@ -52,6 +52,12 @@ def _scan(parser: ArgumentParser) -> None:
         metavar="N",
         help="capture the corner N times, moving the rig as a whole in between, and calibrate from all (default: 1)",
     )
+    parser.add_argument(
+        "--stations",
+        type=int,
+        metavar="N",
+        help="scan a whole room from N places, moving the rig as a whole in between, and put them together",
+    )
     _out(parser, default="scans/<name of the configuration>")
     _overwrite(parser)
     _masks(parser)
@@ -268,6 +274,19 @@ def _board(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _room(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "stations", type=Path, nargs="+", metavar="STATION", help="captures, results or matches.npz, in any order"
+    )
+    _config(parser, required=True)
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: no station needs a corner"
+    )
+    _out(parser)
+    _overwrite(parser)
+    _quiet(parser)
+
+
 def _result(parser: ArgumentParser) -> None:
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
 
@@ -371,6 +390,17 @@ Three captures are the least, six to ten are good: tilted by 20 to 45 degrees to
 different distances, so that together they fill the pictures of both devices. Nothing but the board is moved.
 
 Exit codes: 2 if the board is not found; 4 if these boards do not determine a calibration, with the reason.
+""",
+    ),
+    "room": Command(
+        "Put stations of one unchanged rig together to a whole room: where each stood, the walls, one cloud, a plan.",
+        _room,
+        "room",
+        """
+Each station should see about a third of what another one saw, and one at least a corner of the room. Stations of
+another room, or of a rig that was changed, are named and left out. To take them: scan --config FILE --stations N.
+
+Exit codes: 4 if no two stations belong together, or if they fit together in more than one way, with both answers.
 """,
     ),
     "import": Command("Make a capture of another program's frames, whose order is recognised.", _import, "import_"),

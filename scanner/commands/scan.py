@@ -4,7 +4,7 @@ from argparse import Namespace
 
 from scanner import jobs
 from scanner.commands.outcome import show_outcome
-from scanner.configuration import load_config
+from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.results import default_out
 from scanner.ui import Terminal
@@ -17,11 +17,24 @@ def run(args: Namespace) -> None:
         _resume(args, terminal)
         return
     config = load_config(args.config, args.set)
+    if args.stations is not None:
+        _room(args, config, terminal)
+        return
     out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
     found = jobs.scan(
         config, out, captures=args.captures, masks=args.masks, overwrite=args.overwrite, terminal=terminal
     )
     show_outcome(found, out, terminal)
+
+
+def _room(args: Namespace, config: Config, terminal: Terminal) -> None:
+    if args.captures != 1 or args.masks:
+        raise InputError("--stations scans a whole room; --captures and --masks are for one corner: give one of them")
+    from scanner.commands.room import show_room  # with Open3D and DXF, which nothing else here needs
+    from scanner.rooms.jobs import scan_room
+
+    out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
+    show_room(scan_room(config, args.stations, out, overwrite=args.overwrite, terminal=terminal), out, terminal)
 
 
 def _resume(args: Namespace, terminal: Terminal) -> None:

@@ -1,22 +1,23 @@
 """Calibration, poses and points as a COLMAP model in text form (cameras.txt, images.txt, points3D.txt).
 
-COLMAP's world is the camera's frame: x right, y down, z forward, as here. Its pixels are not as here: the centre of the
-top left one is at (0.5, 0.5), so half a pixel is added to every principal point and every image point.
+COLMAP's world is the camera's frame: x right, y down, z forward, as here; that of a whole room is the room's frame. Its
+pixels are not as here: the centre of the top left one is at (0.5, 0.5), so half a pixel is added to every principal
+point and every image point.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Intrinsics
+from calib.geometry import Intrinsics, Motion
 from calib.numerics import Floats, Ints
 from scanner.exporting.formats import Request
 from scanner.io import new_file, refuse_existing
 from scanner.quantities import unit_name
-from scanner.results import FinishedScan, read_finished_scan
+from scanner.results import FinishedScan, read_finished_room, read_finished_scan
 
 COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 CAMERA_ID, PROJECTOR_ID = 1, 2
@@ -33,27 +34,46 @@ class ModelSize:
     step: int
 
 
+@dataclass(frozen=True)
+class _Chosen:
+    """A scan at its place, X_world = rotation X_camera + translation, and which of its points go into the model."""
+
+    scan: FinishedScan
+    place: Motion
+    points: Ints
+
+
 def export(request: Request) -> list[str]:
     """Write the model. Raises InputError and OSError."""
-    scan = read_finished_scan(request.result)
-    model = write_colmap(request.out, scan, most_points=request.most_points, overwrite=request.overwrite)
+    room = read_finished_room(request.result)
+    if room is None:
+        scans = [(read_finished_scan(request.result), Motion(np.eye(3), np.zeros(3)))]
+    else:
+        scans = [(station.scan, station.place) for station in room.stations]
+    model = write_colmap(request.out, scans, most_points=request.most_points, overwrite=request.overwrite)
     chosen = "all of them" if model.step == 1 else f"one for each {model.step} × {model.step} camera pixels"
-    return [f"{model.points:,} of {len(scan):,} points with their tracks ({chosen}), in {unit_name(scan.unit)}"]
+    total, stations = sum(len(scan) for scan, _ in scans), f" of {len(scans)} stations" if room else ""
+    unit = unit_name(scans[0][0].unit)
+    return [f"{model.points:,} of {total:,} points{stations} with their tracks ({chosen}), in {unit}"]
 
 
-def write_colmap(folder: Path, scan: FinishedScan, *, most_points: int, overwrite: bool) -> ModelSize:
-    """Write a model with at most so many points, chosen evenly over the camera's image.
+def write_colmap(
+    folder: Path, scans: Sequence[tuple[FinishedScan, Motion]], *, most_points: int, overwrite: bool
+) -> ModelSize:
+    """Write a model of scans by one rig, each at its place, with at most so many points of all, chosen evenly over the
+    camera's images.
 
     Raises InputError if one of the files exists already and may not be replaced.
     """
     for name in COLMAP_FILES:
         refuse_existing(folder / name, overwrite=overwrite)
-    chosen, step = _evenly(scan.pixel, most_points)
-    contents = (_cameras(scan), _images(scan, chosen), _points(scan, chosen))
+    chosen = [(scan, place, *_evenly(scan.pixel, most_points // len(scans))) for scan, place in scans]
+    every = [_Chosen(scan, place, points) for scan, place, points, _ in chosen]
+    contents = (_cameras(every[0].scan), _images(every), _points(every))
     for name, lines in zip(COLMAP_FILES, contents, strict=True):
         with new_file(folder / name, overwrite=overwrite) as path, path.open("w", encoding="utf-8") as file:
             file.writelines(f"{line}\n" for line in lines)
-    return ModelSize(len(chosen), step)
+    return ModelSize(sum(len(each.points) for each in every), max(step for *_, step in chosen))
 
 
 def _evenly(pixel: Ints, most: int) -> tuple[Ints, int]:
@@ -82,30 +102,44 @@ def _camera_model(device: Intrinsics) -> str:
     return f"{'FULL_OPENCV' if k3 else 'OPENCV'} {device.width} {device.height} {_numbers(parameters)}"
 
 
-def _images(scan: FinishedScan, chosen: Ints) -> Iterator[str]:
+def _images(every: Sequence[_Chosen]) -> Iterator[str]:
     """A line with the pose, world to image, and a line with the image points, for each of the two devices."""
-    calibration, matches = scan.calibration, scan.matches[chosen]
-    yield f"# {scan.matched} matches, of which {len(chosen)} are in this model; unit: {' '.join(scan.unit.split())}"
+    matched, points = sum(each.scan.matched for each in every), sum(len(each.points) for each in every)
+    unit = " ".join(every[0].scan.unit.split())
+    yield f"# {matched} matches, of which {points} are in this model; unit: {unit}"
     yield "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
     yield "# POINTS2D[] as X Y POINT3D_ID"
-    for number, name, rotation, translation, pixels in (
-        (CAMERA_ID, CAMERA_IMAGE, np.eye(3), np.zeros(3), matches.camera_px),
-        (PROJECTOR_ID, PROJECTOR_IMAGE, calibration.rotation, calibration.translation, matches.projector_px),
-    ):
-        x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True)
-        yield f"{number} {_numbers([w, x, y, z, *translation])} {number} {name}"
-        ideal = (pixels + _HALF_PIXEL).tolist()
-        yield " ".join(f"{x:.4f} {y:.4f} {index}" for index, (x, y) in enumerate(ideal, start=1))
+    first = 1
+    for number, each in enumerate(every):
+        calibration, matches = each.scan.calibration, each.scan.matches[each.points]
+        inward = each.place.rotation.T
+        ending = f"-{number + 1}" if len(every) > 1 else ""
+        for device, name, rotation, translation, pixels in (
+            (CAMERA_ID, CAMERA_IMAGE, np.eye(3), np.zeros(3), matches.camera_px),
+            (PROJECTOR_ID, PROJECTOR_IMAGE, calibration.rotation, calibration.translation, matches.projector_px),
+        ):
+            x, y, z, w = Rotation.from_matrix(rotation @ inward).as_quat(canonical=True)
+            shift = translation - rotation @ inward @ each.place.translation
+            stem, suffix = name.split(".")
+            yield f"{2 * number + device} {_numbers([w, x, y, z, *shift])} {device} {stem}{ending}.{suffix}"
+            ideal = (pixels + _HALF_PIXEL).tolist()
+            yield " ".join(f"{x:.4f} {y:.4f} {index}" for index, (x, y) in enumerate(ideal, start=first))
+        first += len(each.points)
 
 
-def _points(scan: FinishedScan, chosen: Ints) -> Iterator[str]:
+def _points(every: Sequence[_Chosen]) -> Iterator[str]:
     """Each point was seen by both devices, as the image point of the same place in either's list."""
-    error = _reprojection_error_px(scan, chosen)
     yield "# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX"
-    rows = zip(scan.points[chosen].tolist(), scan.colours[chosen].tolist(), error.tolist(), strict=True)
-    for index, ((x, y, z), (red, green, blue), miss) in enumerate(rows):
-        track = f"{CAMERA_ID} {index} {PROJECTOR_ID} {index}"
-        yield f"{index + 1} {x:.9g} {y:.9g} {z:.9g} {red} {green} {blue} {miss:.6g} {track}"
+    first = 1
+    for number, each in enumerate(every):
+        scan, chosen = each.scan, each.points
+        error = _reprojection_error_px(scan, chosen)
+        points = scan.points[chosen] @ each.place.rotation.T + each.place.translation
+        rows = zip(points.tolist(), scan.colours[chosen].tolist(), error.tolist(), strict=True)
+        for index, ((x, y, z), (red, green, blue), miss) in enumerate(rows):
+            track = f"{2 * number + CAMERA_ID} {index} {2 * number + PROJECTOR_ID} {index}"
+            yield f"{first + index} {x:.9g} {y:.9g} {z:.9g} {red} {green} {blue} {miss:.6g} {track}"
+        first += len(chosen)
 
 
 def _reprojection_error_px(scan: FinishedScan, chosen: Ints) -> Floats:

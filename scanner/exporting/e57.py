@@ -1,19 +1,24 @@
 """The cloud as ASTM E57, by way of pye57, which is an optional dependency.
 
 E57 is in metres, and the programs that read it take z for up. So the camera's axes (x right, y down, z forward) become
-x right, y forward, z up, with the origin at the camera's centre: upright if the camera was.
+x right, y forward, z up, with the origin at the camera's centre: upright if the camera was. A whole room has a scan for
+each station, with its pose in the room.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from calib.geometry import Motion
 from calib.numerics import Floats
 from scanner.errors import InputError
 from scanner.exporting.formats import Request
 from scanner.exporting.units import in_metres
 from scanner.io import new_file
-from scanner.results import FinishedScan, read_finished_scan
+from scanner.results import FinishedScan, PlacedScan, read_finished_room, read_finished_scan
 
 _Z_UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
@@ -21,11 +26,17 @@ _Z_UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]
 def export(request: Request) -> list[str]:
     """Write the cloud. Raises InputError and OSError."""
     refuse_without_pye57()
-    scan = read_finished_scan(request.result)
-    metres, remarks = in_metres(scan.unit)
+    room = read_finished_room(request.result)
+    if room is None:
+        scan = read_finished_scan(request.result)
+        placed, unit = [PlacedScan("roomscan", request.result, Motion(_Z_UP_FROM_CAMERA, np.zeros(3)), scan)], scan.unit
+    else:
+        placed, unit = list(room.stations), room.unit
+    metres, remarks = in_metres(unit)
     with new_file(request.out, overwrite=request.overwrite) as path:
-        write_e57(path, scan, metres)
-    return [f"{len(scan):,} points in metres", *remarks]
+        points = write_e57(path, placed, metres)
+    scans = f" of {len(placed)} stations, each a scan of its own" if room else ""
+    return [f"{points:,} points{scans} in metres", *remarks]
 
 
 def refuse_without_pye57() -> None:
@@ -39,17 +50,37 @@ def refuse_without_pye57() -> None:
         ) from error
 
 
-def write_e57(path: Path, scan: FinishedScan, metres_per_unit: float) -> None:
-    """Write one scan with coordinates, colours, and the camera's row and column of every point.
+def write_e57(path: Path, placed: Sequence[PlacedScan], metres_per_unit: float) -> int:
+    """Write scans, each with its pose, coordinates, colours, and the camera's row and column of every point.
 
-    Raises InputError if pye57 is not installed, OSError if the file cannot be written.
+    Returns how many points it were. Raises InputError if pye57 is not installed or a scan cannot be read, OSError if
+    the file cannot be written.
     """
     refuse_without_pye57()
     import pye57
 
     path.touch()  # pye57 has exceptions of its own for a place that cannot be written to
+    points = 0
+    with pye57.E57(str(path), mode="w") as file:
+        for each in placed:
+            scan = each.scan
+            x, y, z, w = Rotation.from_matrix(each.place.rotation @ _Z_UP_FROM_CAMERA.T).as_quat(canonical=True)
+            file.write_scan_raw(
+                _columns(scan, metres_per_unit),
+                name=each.name,
+                rotation=np.array([w, x, y, z]),
+                translation=metres_per_unit * each.place.translation,
+            )
+            points += len(scan)
+    return points
+
+
+def _columns(scan: FinishedScan, metres_per_unit: float) -> dict[str, NDArray[np.generic]]:
+    """In the axes of an upright scanner at the camera's place."""
     points: Floats = metres_per_unit * scan.points @ _Z_UP_FROM_CAMERA.T
-    data = {f"cartesian{axis}": np.ascontiguousarray(points[:, i]) for i, axis in enumerate("XYZ")}
+    data: dict[str, NDArray[np.generic]] = {
+        f"cartesian{axis}": np.ascontiguousarray(points[:, i]) for i, axis in enumerate("XYZ")
+    }
     for channel, name in enumerate(("Red", "Green", "Blue")):
         data[f"color{name}"] = np.ascontiguousarray(scan.colours[:, channel])
     data |= {
@@ -57,5 +88,4 @@ def write_e57(path: Path, scan: FinishedScan, metres_per_unit: float) -> None:
         "rowIndex": scan.pixel[:, 1].astype(np.int32),
         "cartesianInvalidState": np.zeros(len(points), np.uint8),  # 0: valid. Readers like pye57's insist on it
     }
-    with pye57.E57(str(path), mode="w") as file:
-        file.write_scan_raw(data, name="roomscan")
+    return data

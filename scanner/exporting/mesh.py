@@ -4,19 +4,22 @@ from pathlib import Path
 
 import numpy as np
 
+from scanner.errors import InputError
 from scanner.exporting.formats import Request
 from scanner.exporting.glb import write_glb
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh, build_mesh
 from scanner.exporting.units import in_metres
-from scanner.io import new_file, write_ply
+from scanner.io import copy_given, new_file, write_ply
 from scanner.quantities import unit_name
-from scanner.results import read_finished_scan
+from scanner.results import ROOM_FILE, ROOM_MESH_FILE, read_finished_scan
 
 _OBJ_LINES = 100_000
 
 
 def export(request: Request) -> list[str]:
     """Write the triangles. Raises InputError and OSError."""
+    if (request.result / ROOM_FILE).is_file():
+        return _room(request)
     scan = read_finished_scan(request.result)
     mesh = build_mesh(scan)
     unit, remarks = unit_name(scan.unit), list[str]()
@@ -31,6 +34,15 @@ def export(request: Request) -> list[str]:
             case _:
                 write_mesh_obj(path, mesh)
     return [f"{len(mesh.triangles):,} triangles between {len(mesh.points):,} points, in {unit}", *remarks]
+
+
+def _room(request: Request) -> list[str]:
+    """A room's mesh is in its result already."""
+    if request.out.suffix.lower() != ".glb":
+        raise InputError(f"{request.out}: a room's mesh is exported as GLB: choose a name that ends in .glb")
+    with new_file(request.out, overwrite=request.overwrite) as path:
+        copy_given(request.result / ROOM_MESH_FILE, path)
+    return ["the room's triangles, as they are in its result"]
 
 
 def write_mesh_obj(path: Path, mesh: Mesh) -> None:

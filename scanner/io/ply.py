@@ -44,6 +44,7 @@ _LONGEST_HEADER = 1 << 16
 _COUNT = re.compile(r"[0-9]{1,12}")
 _END = b"end_header\n"
 _CAMERA_FRAME = "camera frame: x right, y down, z forward, origin at the camera's centre"
+_ROOM_FRAME = "room frame: z up from the floor, x along a wall, origin on the floor below the first station's camera"
 _CORNER_FRAME = "corner frame: origin at the corner's vertex, axes along its edges, z along the most upright"
 
 
@@ -89,6 +90,11 @@ def write_ply(path: Path, cloud: PointCloud, *, match: Ints | None = None, trian
 def write_merged_ply(path: Path, cloud: PointCloud) -> None:
     """The same for a cloud of several captures, in their corner's frame. Raises OSError."""
     _write(path, cloud, _CORNER_FRAME, None, None)
+
+
+def write_room_ply(path: Path, cloud: PointCloud) -> None:
+    """The same for a cloud of a whole room, in the room's frame. Raises OSError."""
+    _write(path, cloud, _ROOM_FRAME, None, None)
 
 
 def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triangles: Ints | None) -> None:

@@ -5,5 +5,6 @@ from scanner.reconstruction.earlier_captures import read_captures
 from scanner.reconstruction.face_masks import label_by_masks, read_masks
 from scanner.reconstruction.merge_clouds import brightness, consistency, merge
 from scanner.reconstruction.metric_scale import scaled
+from scanner.reconstruction.moved_captures import shifts_of
 from scanner.reconstruction.save import refusal_saved, save, set_aside
 from scanner.reconstruction.triangulate import refuse_misfit, triangulate

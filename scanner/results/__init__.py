@@ -1,5 +1,6 @@
 """A result: its folder, its verdict, what it states about itself."""
 
+from scanner.results.finished_room import FinishedRoom, PlacedScan, read_finished_room
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
 from scanner.results.leftovers import settle
 from scanner.results.names import (
@@ -10,9 +11,14 @@ from scanner.results.names import (
     DENSE_FILE,
     LOG_FILE,
     MERGED_FILE,
+    PLAN_DXF_FILE,
+    PLAN_FILE,
     POSES_FILE,
     REFUSAL_FILE,
     REPORT_FILE,
+    ROOM_CLOUD_FILE,
+    ROOM_FILE,
+    ROOM_MESH_FILE,
     TRUTH_FILE,
     beside,
     default_out,

@@ -15,6 +15,11 @@ CAPTURE_FOLDER = "capture"
 CAPTURES_FOLDER = "captures"
 MERGED_FILE = "merged.ply"
 POSES_FILE = "poses.yaml"
+ROOM_FILE = "room.yaml"
+ROOM_CLOUD_FILE = "room.ply"
+ROOM_MESH_FILE = "room.glb"
+PLAN_FILE = "floorplan.svg"
+PLAN_DXF_FILE = "floorplan.dxf"
 DENSE_FILE = "dense.ply"
 LOG_FILE = "scan.log"
 
@@ -24,6 +29,11 @@ _OURS = {
     CLOUD_FILE,
     MERGED_FILE,
     POSES_FILE,
+    ROOM_FILE,
+    ROOM_CLOUD_FILE,
+    ROOM_MESH_FILE,
+    PLAN_FILE,
+    PLAN_DXF_FILE,
     DENSE_FILE,
     REPORT_FILE,
     REFUSAL_FILE,

@@ -16,7 +16,7 @@ from scanner.errors import DISK_TROUBLE, InputError, StorageError, cannot_write
 from scanner.interruption import finishing
 from scanner.io import MATCHES_FILE, sync_tree
 from scanner.results.leftovers import frames_in, keep_recording, kept_words, settle
-from scanner.results.names import LOG_FILE, is_occupied, refuse_to_lose, unused
+from scanner.results.names import CAPTURES_FOLDER, LOG_FILE, ROOM_FILE, is_occupied, refuse_to_lose, unused
 from scanner.results.unfinished import STATE, Claim, HeldError, State, partial_of, publish
 from scanner.ui import LogFile
 
@@ -132,6 +132,10 @@ class OutputFolder:
         elif isinstance(error, RefusalError):
             self._publish()
             kept = "matches and a report are" if (self.out / MATCHES_FILE).exists() else "recording is"
+            if (self.out / ROOM_FILE).exists():
+                kept = "report and everything else are"
+            elif (self.out / CAPTURES_FOLDER).exists():
+                kept = "captures are"
             error.add_note(f"The {kept} in {self._shown}.")
         elif self._keep_capture and frames_in(self.folder):
             error.add_note(self._keep())

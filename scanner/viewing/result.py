@@ -25,18 +25,21 @@ from scanner.results import (
     CAPTURES_FOLDER,
     MERGED_FILE,
     POSES_FILE,
+    ROOM_CLOUD_FILE,
     TRUTH_FILE,
+    FinishedRoom,
     FinishedScan,
     Verdict,
     place_camera,
     read_calibration_of,
+    read_finished_room,
     read_finished_scan,
     read_verdict,
 )
 from scanner.viewing.corner import MeasuredCorner, measured_corner
 from scanner.viewing.decimation import shuffled
 
-ALL_CAPTURES = "All captures, merged"
+ALL_CAPTURES, WHOLE_ROOM = "All captures, merged", "The whole room"
 _PLACING_POINTS = 100_000
 _AT_ONCE = 100_000  # covariances are large
 
@@ -129,6 +132,7 @@ class ViewedResult:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.calibration = read_calibration_of(folder)
+        self._room = read_finished_room(folder)
         truth = folder / TRUTH_FILE
         self.truth = read_calibration(truth) if truth.is_file() else None
         self.names = self._names()
@@ -141,12 +145,16 @@ class ViewedResult:
 
     def _names(self) -> tuple[str, ...]:
         """What can be looked at, the best first."""
+        if self._room is not None:
+            return (WHOLE_ROOM, *self._captures)
         merged = (ALL_CAPTURES,) if (self.folder / MERGED_FILE).is_file() else ()
         return (*merged, *self._captures)
 
     @cached_property
     def _captures(self) -> dict[str, Path]:
-        """Folders of the captures by their names, the newest first."""
+        """Folders of the captures by their names, the newest first; of a room's stations in their order."""
+        if self._room is not None:
+            return {f"{n}: {each.name}": each.folder for n, each in enumerate(self._room.stations, start=1)}
         older = [path for path in (self.folder / CAPTURES_FOLDER).glob("*") if path.name.isdecimal() and path.is_dir()]
         older.sort(key=lambda path: int(path.name), reverse=True)
         if not older:
@@ -157,6 +165,8 @@ class ViewedResult:
         """What is called `name`. Raises InputError if its files are missing or damaged."""
         if name == ALL_CAPTURES:
             return self._merged()
+        if name == WHOLE_ROOM and self._room is not None:
+            return self._whole(self._room)
         folder = self._captures[name]
         scan = read_finished_scan(folder)
         scene = read_scene(folder, scan.calibration)
@@ -171,6 +181,16 @@ class ViewedResult:
             scan,
             scene,
         )
+
+    def _whole(self, room: FinishedRoom) -> ViewedCloud:
+        cloud = read_cloud(self.folder / ROOM_CLOUD_FILE)
+        if not len(cloud):
+            raise InputError(f"{self.folder / ROOM_CLOUD_FILE}: the cloud is empty")
+        rigs = tuple(
+            PlacedRig(scan.calibration, each.place.rotation, each.place.translation, _picture(each.folder, scan))
+            for each, scan in ((station, station.scan) for station in room.stations)
+        )
+        return ViewedCloud(cloud.points, cloud.colours, rigs, None, np.array([0.0, 0.0, 1.0]), room.unit)
 
     def _merged(self) -> ViewedCloud:
         cloud = read_cloud(self.folder / MERGED_FILE)

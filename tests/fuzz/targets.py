@@ -317,6 +317,23 @@ def poses(folder: Path) -> _Run:
     return _guarded(read)
 
 
+def room(folder: Path) -> _Run:
+    """`room.yaml`."""
+    from scanner.io import read_room, write_room
+
+    path = folder / "room.yaml"
+    station = {"rotation": np.eye(3).tolist(), "translation": [0.0, 1.0, 2.0]}
+    stations = [{"name": f"station {n}", "folder": f"captures/{n}", **station} for n in (1, 2)]
+    write_room(path, {"unit": "m", "stations": stations, "planes": [{"normal": [0.0, 0.0, 1.0], "offset": 0.0}]})
+    seed = yaml.safe_load(path.read_text())
+
+    def read(rng: Random) -> None:
+        path.write_bytes(of_yaml(seed, rng))
+        read_room(path)
+
+    return _guarded(read)
+
+
 def imports(folder: Path) -> _Run:
     """Others' folders: names of files, and what is written beside the frames."""
     from scanner.importing import LAYOUTS, find_frames
@@ -464,7 +481,7 @@ _IMAGES = (".png", ".jpg", ".tif", ".bmp", ".webp", ".jp2", ".gif", ".pgm", ".pp
 TARGETS: dict[str, Callable[[Path], _Run]] = {
     **{
         make.__name__: make
-        for make in (capture, configuration, calibration, matches, masks, photos, cloud, poses, imports, results)
+        for make in (capture, configuration, calibration, matches, masks, photos, cloud, poses, room, imports, results)
     },
     **{f"image{suffix}": image(suffix) for suffix in _IMAGES},
     "calibrating": calibrating,

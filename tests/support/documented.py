@@ -32,6 +32,8 @@ NOT_RUN = {
     "scan accept": "needs scans of a ball bar",
     "scan board my-captures": "needs captures of a board",
     "scan board --config configs/room.yaml": NEED_DEVICES,
+    "scan room": "needs a room's stations; its own tests have them",
+    "scan --config configs/room-whole-sim.yaml": "runs for minutes",
     "scan batch": "starts workers; its own tests do",
     "make": "installs packages, or runs for minutes",
     "python": "runs for minutes, or changes files of this repository",

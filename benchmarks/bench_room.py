@@ -1,0 +1,205 @@
+"""Whole rooms: stations registered without a guess, and one estimate of rig, places and walls, against the truth.
+
+    python benchmarks/bench_room.py [--rooms 6] [--stations 6] [--camera 612 512] [--first 0] [--without 2]
+
+Simulated furnished rooms, walls off square by 0.3°, furniture askew by 4°, two balls 3 m apart. Matches are those of
+rays, one for each camera pixel, with 0.03 projector px of noise; nothing is known of the camera's principal point but
+that it is near the image's centre. Stations come in random order. Errors of places and surfaces are the largest after
+the whole room was laid over the truth; wrong is a station off by more than 20 mm. `--without`: leave one station out,
+so that the chain is open. Seconds are of one processor: start is calibrating from corners, solve is surfaces,
+registration, estimate and final clouds.
+"""
+
+import argparse
+import resource
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Size
+from calib.numerics import Floats
+from calib.pointcloud import fit_sphere
+from calib.refusal import RefusalError
+from hw.errors import DeviceError
+from scanner.capture import CaptureFacts
+from scanner.configuration import Config
+from scanner.results import Decoded, GivenMatches
+from scanner.rooms.contents import SolvedRoom
+from scanner.rooms.corner_rig import rig_from_corners
+from scanner.rooms.floorplan import floor_plan
+from scanner.rooms.solve import solve_room
+from scanner.ui import Terminal
+from tests.support.whole_room import PROJECTOR, TrueStation, stations
+
+_BALLS_M, _RADIUS_M = 3.0, 0.12
+_PRIOR_OF_WIDTH = 35 / 612
+
+
+@dataclass(frozen=True)
+class Row:
+    """Of one room: errors in mm and degrees; surfaces as shares of the diagonal in percent; errors over sigmas."""
+
+    joined: int
+    stations: int
+    wrong: int
+    place_mm: float
+    turn_deg: float
+    median_percent: float
+    most_percent: float
+    balls_mm: float
+    in_sigmas: list[float]
+    lengths_in_sigmas: list[float]
+    focal_percent: float
+    start_s: float
+    solve_s: float
+
+
+def config_of(true: Sequence[TrueStation], camera: Size) -> Config:
+    principal_point = {"prior": "centre", "sigma_px": _PRIOR_OF_WIDTH * camera.width}
+    return Config.model_validate(
+        {
+            "camera": {"width": camera.width, "height": camera.height, "principal_point": principal_point},
+            "projector": {"width": PROJECTOR[0], "height": PROJECTOR[1]},
+            "scale": {"baseline_m": true[0].calibration.baseline},
+        }
+    )
+
+
+def measure(true: Sequence[TrueStation], camera: Size) -> Row:
+    config, quiet = config_of(true, camera), Terminal(quiet=True)
+    facts = CaptureFacts(camera, Size(*PROJECTOR))
+    captures = [Decoded(facts, each.matches, GivenMatches(), str(number)) for number, each in enumerate(true)]
+    began = time.process_time()
+    start = rig_from_corners(captures, config, quiet)
+    started = time.process_time()
+    room = solve_room(captures, start, config, quiet)
+    ended = time.process_time()
+    return judged(room, true, started - began, ended - started)
+
+
+def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_s: float) -> Row:
+    truth = [true[k] for k in room.group.stations]
+    # The gauge of the sigmas: by the first station. Errors are then looked at in the best overall frame.
+    found = np.array([station.place.translation for station in room.stations])
+    centres = np.array([each.place.translation for each in truth])
+    turn = Rotation.from_matrix(truth[0].place.rotation @ room.stations[0].place.rotation.T)
+    held = turn.apply(found - found[0]) + centres[0]
+    in_sigmas, turns = [], []
+    for station, each, at in zip(room.stations[1:], truth[1:], held[1:], strict=True):
+        off = turn.inv().apply(at - each.place.translation)
+        in_sigmas += (off / station.sigma).tolist()
+    points, seen = [], []
+    for station, each in zip(room.stations, truth, strict=True):
+        own = station.cloud.points.reshape(-1, 3)[each.pixel].astype(np.float64)
+        there = np.flatnonzero(np.isfinite(own[:, 2]))[::23]
+        points.append(station.to_room(own[there]))
+        seen.append(each.points[there] @ each.place.rotation.T + each.place.translation)
+    every, surfaces = np.concatenate(points), np.concatenate(seen)
+    best, _ = Rotation.align_vectors(surfaces - surfaces.mean(axis=0), every - every.mean(axis=0))
+    shift = surfaces.mean(axis=0) - best.apply(every.mean(axis=0))
+    places = best.apply(found) + shift - centres
+    for station, each in zip(room.stations, truth, strict=True):
+        turned = best.as_matrix() @ station.place.rotation @ each.place.rotation.T
+        turns.append(float(np.degrees(Rotation.from_matrix(turned).magnitude())))
+    apart = np.linalg.norm(best.apply(every) + shift - surfaces, axis=1)
+    diagonal = float(np.linalg.norm(truth[0].scene.room.edges.sum(axis=0)))
+    far = np.linalg.norm(places, axis=1)
+    return Row(
+        len(room.stations),
+        len(true),
+        int(np.count_nonzero(far > 0.02)),
+        1000 * float(far.max()),
+        max(turns),
+        100 * float(np.median(apart)) / diagonal,
+        100 * float(np.percentile(apart, 95)) / diagonal,
+        1000 * balls_off(room, truth),
+        in_sigmas,
+        list(lengths_in_sigmas(room, truth, best, shift)),
+        100 * abs(room.calibration.camera.focal_px[0] / truth[0].calibration.camera.focal_px[0] - 1),
+        start_s,
+        solve_s,
+    )
+
+
+def balls_off(room: SolvedRoom, truth: Sequence[TrueStation]) -> float:
+    """By how much the distance of the two balls errs, in metres; NaN where one was not seen."""
+    centres = []
+    for number in truth[0].scene.spheres:
+        own: list[Floats] = []
+        for station, each in zip(room.stations, truth, strict=True):
+            on = station.cloud.points.reshape(-1, 3)[each.pixel[each.surface == number]].astype(np.float64)
+            own.append(station.to_room(on[np.isfinite(on[:, 2])]))
+        points = np.concatenate(own)
+        if len(points) < 50:
+            return float("nan")
+        away = points.mean(axis=0) - room.stations[0].place.translation
+        guess = points.mean(axis=0) + 0.5 * _RADIUS_M * away / np.linalg.norm(away)
+        centres.append(fit_sphere(points, np.zeros(len(points), np.int64), guess, _RADIUS_M).centre)
+    return float(np.linalg.norm(centres[1] - centres[0])) - _BALLS_M
+
+
+def lengths_in_sigmas(room: SolvedRoom, truth: Sequence[TrueStation], turn: Rotation, shift: Floats) -> list[float]:
+    """Errors of the angles between the plan's walls, over their sigmas: the walls of the scene that they lie on."""
+    scene = truth[0].scene
+    normals = scene.normals(
+        np.arange(6 + 6 * len(scene.blocks), dtype=np.int32), np.zeros((3, 6 + 6 * len(scene.blocks)))
+    ).T
+    found = []
+    for corner in floor_plan(room).corners:
+        true = []
+        for plane in corner.planes:
+            there = turn.apply(room.planes[plane].normal)
+            near = normals @ there
+            offset = np.array([n @ scene.points_on(k, np.zeros((2, 1)))[:, 0] for k, n in enumerate(normals)])
+            mine = room.planes[plane].offset + there @ shift
+            match = np.flatnonzero((near > np.cos(np.radians(1.0))) & (np.abs(offset - mine) < 0.03))
+            true.append(normals[match[0]] if len(match) else None)
+        if true[0] is not None and true[1] is not None:
+            angle = 180 - np.degrees(np.arccos(true[0] @ true[1]))
+            found.append(float((corner.angle_deg.value - angle) / corner.angle_deg.sigma))
+    return found
+
+
+def rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rooms", type=int, default=6)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--stations", type=int, default=6)
+    parser.add_argument("--camera", type=int, nargs=2, default=(612, 512))
+    parser.add_argument("--without", type=int)
+    args = parser.parse_args()
+    camera, rows = Size(*args.camera), []
+    print("room  joined  wrong  place mm   turn °  surfaces % of the diagonal  balls mm  focal %   start s  solve s")
+    for seed in range(args.first, args.first + args.rooms):
+        try:
+            how = {"furniture_askew_deg": 4.0, "ball_bar_m": _BALLS_M}
+            true = stations(args.stations, seed, camera=args.camera, **how)
+        except DeviceError:
+            continue
+        kept = [k for k in np.random.default_rng(seed).permutation(len(true)) if k != args.without]
+        try:
+            row = measure([true[k] for k in kept], camera)
+        except RefusalError as refusal:
+            print(f"{seed:4d}  refused: {refusal.reason}")
+            continue
+        rows.append(row)
+        print(
+            f"{seed:4d}{row.joined:5d}/{row.stations}{row.wrong:7d}{row.place_mm:10.2f}{row.turn_deg:9.4f}"
+            f"{row.median_percent:12.4f} {row.most_percent:10.4f}{row.balls_mm:14.2f}{row.focal_percent:9.4f}"
+            f"{row.start_s:10.1f}{row.solve_s:9.1f}",
+            flush=True,
+        )
+    print(f"error/sigma of places, rms: {rms([x for row in rows for x in row.in_sigmas]):.2f}")
+    print(f"error/sigma of angles between walls, rms: {rms([x for row in rows for x in row.lengths_in_sigmas]):.2f}")
+    print(f"memory at most: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
+
+
+if __name__ == "__main__":
+    main()

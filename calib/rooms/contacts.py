@@ -1,0 +1,154 @@
+"""Surfaces that are no planes tie stations, too: points of two of them that are next to each other, along the normal.
+
+The normal is the mean of both stations', with which the curvature between the two points cancels (Rusinkiewicz, "A
+symmetric objective function for ICP", 2019). The points are triangulated with the rig that is estimated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calib.diagnostics import Uncertainty
+from calib.geometry import Matches, cross, unproject
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, evenly, median
+from calib.refinement import SHARED
+from calib.refinement.further_planes import depths
+from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.rooms.room import PER_PLACE, Room
+
+_DENSE, _MOST = 60_000, 4000  # points of a station, and how many of them look for others
+_NEIGHBOURS = 12
+_FLAT = 0.2  # least over middle spread of a point's neighbours; rougher places have no normal
+_ALIKE = 0.94  # of two normals' product
+_FEWEST = 30
+_BLOCKS = 5  # along either side of what a camera saw, over which errors are alike
+_FEWEST_IN_BLOCK = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """Points of the stations `first` and `second` that are next to each other, by their matches, N of each.
+
+    `normals` (N, 3): of the surface there, the mean of both stations', in the room's frame. `variance` (N,): of the
+    distance along them.
+    """
+
+    first: int
+    second: int
+    matches: tuple[Matches, Matches]
+    normals: Floats
+    variance: Floats
+
+    def columns(self, room: Room) -> Ints:
+        """The room's columns that the distances depend on, (27,)."""
+        every = np.arange(room.size, dtype=np.int32)
+        places = (every[room.place_columns(station)] for station in (self.first, self.second))
+        return np.concatenate([every[:SHARED], *places])
+
+    def distances(self, room: Room) -> tuple[Floats, Floats, Floats]:
+        """Of the first's points before the surface of the second (N,), derivatives (N, 27), and by pixels (N, 4)."""
+        distances, by_room = np.zeros(len(self.normals)), np.zeros((len(self.normals), SHARED + 2 * PER_PLACE))
+        by_pixels = []
+        for i, (station, matches, sign) in enumerate(
+            zip((self.first, self.second), self.matches, (1, -1), strict=True)
+        ):
+            place = room.places[station]
+            by_rig, by_match = Uncertainty(room.rig, np.zeros((0, 0)), None, 0.0).point_jacobians(matches)
+            turned = _seen(room, matches) @ place.rotation.T
+            normals = sign * self.normals
+            back = normals @ place.rotation
+            own = slice(SHARED + PER_PLACE * i, SHARED + PER_PLACE * (i + 1))
+            distances += np.sum(normals * (turned + place.translation), axis=1)
+            by_room[:, :SHARED] += np.einsum("ni,nij->nj", back, by_rig)
+            by_room[:, own] = np.hstack([cross(turned, normals), normals])
+            by_pixels.append(np.einsum("ni,nij->nj", back, by_match))
+        return distances, by_room, np.hstack(by_pixels)
+
+    def misfit(self, room: Room) -> tuple[float, Floats, Floats]:
+        """Cost under Huber's loss, half its gradient (27,) and its Gauss–Newton Hessian (27, 27)."""
+        distances, by_room, _ = self.distances(room)
+        size = np.abs(distances) / np.sqrt(self.variance)
+        robust = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(size, 1e-12))
+        cost = float(np.sum(robust * size * (2 * size - robust * size)))
+        weighted = by_room * (robust / self.variance)[:, None]
+        return cost, weighted.T @ distances, weighted.T @ by_room
+
+
+def find_contacts(
+    loose: Sequence[Matches], room: Room, match_px: Sequence[float], radius: float
+) -> tuple[Contact, ...]:
+    """Between all stations' matches that are on no plane, no further apart than `radius` in baselines.
+
+    `match_px`: each station's noise, where its matches state none.
+    """
+    matches = [each[evenly(np.ones(len(each), np.bool_), _DENSE)] for each in loose]
+    points = [
+        _seen(room, each) @ place.rotation.T + place.translation
+        for each, place in zip(matches, room.places, strict=True)
+    ]
+    trees = [cKDTree(each) for each in points]
+    normals = [_normals(each, tree) for each, tree in zip(points, trees, strict=True)]
+    found = []
+    for first, second in combinations(range(len(matches)), 2):
+        if min(len(points[first]), len(points[second])) < _FEWEST:
+            continue
+        some = evenly(np.isfinite(normals[first][:, 0]), _MOST)
+        apart, nearest = trees[second].query(points[first][some], distance_upper_bound=radius)
+        # Each point once, with the nearest that looks for it: what it errs by must not count for many.
+        order = np.argsort(apart)[: np.count_nonzero(np.isfinite(apart))]
+        there, once = np.unique(np.asarray(nearest, np.int64)[order], return_index=True)
+        near = some[order[once]]
+        here, other = normals[first][near], normals[second][there]
+        product = np.sum(here * other, axis=1)
+        alike = np.abs(product) > _ALIKE
+        if np.count_nonzero(alike) < _FEWEST:
+            continue
+        mean = (here * np.sign(product)[:, None] + other)[alike]
+        mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+        pair = matches[first][near[alike]], matches[second][there[alike]]
+        contact = Contact(first, second, pair, mean, np.ones(len(mean)))
+        found.append(replace(contact, variance=_variance(contact, room, (match_px[first], match_px[second]))))
+    return tuple(found)
+
+
+def _seen(room: Room, matches: Matches) -> Floats:
+    """Triangulated points (N, 3) in the camera's frame."""
+    rays, _ = unproject(room.rig.camera, matches.camera_px)
+    return rays * depths(room.rig, rays, matches.projector_px)[:, None]
+
+
+def _normals(points: Floats, tree: "cKDTree[None]") -> Floats:
+    """Of the surface at each point (N, 3) by its neighbours; NaN where they tell none."""
+    if len(points) < _NEIGHBOURS:
+        return np.full_like(points, np.nan)
+    _, neighbours = tree.query(points, _NEIGHBOURS)
+    around = points[np.asarray(neighbours)]
+    around = around - around.mean(axis=1, keepdims=True)
+    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
+    flat = np.sqrt(np.maximum(spread[:, 0], 0.0)) < _FLAT * np.sqrt(np.maximum(spread[:, 1], 0.0))
+    return np.where(flat[:, None], axes[:, :, 0], np.nan)
+
+
+def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Floats:
+    """By the matches' noise, as much larger as the distances show, and as errors that are alike over blocks show."""
+    distances, _, by_pixels = contact.distances(room)
+    noise = np.stack(
+        [
+            np.full(len(each), px) if each.sigma_px is None else each.sigma_px
+            for each, px in zip(contact.matches, match_px, strict=True)
+        ],
+        axis=1,
+    )
+    variance: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
+    variance *= max(1.0, (SIGMA_PER_MEDIAN * median(np.abs(distances) / np.sqrt(variance))) ** 2)
+    relative = np.clip(distances / np.sqrt(variance), -ROBUST_SIGMAS, ROBUST_SIGMAS)
+    pixel = contact.matches[0].camera_px
+    place = ((pixel - pixel.min(axis=0)) / (np.ptp(pixel, axis=0) + 1e-9) * _BLOCKS).astype(np.int64)
+    block = place[:, 0] * (_BLOCKS + 1) + place[:, 1]
+    count, total = np.bincount(block), np.bincount(block, relative)
+    full = count >= _FEWEST_IN_BLOCK
+    alike = float(np.mean(total[full] ** 2 / count[full])) if full.any() else 1.0
+    return variance * max(1.0, alike)

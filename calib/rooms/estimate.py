@@ -1,0 +1,193 @@
+"""One maximum-likelihood estimate of a rig, its places in a room and the room's planes, from all stations' matches.
+
+Planes that several stations see tie these together; walls seen from several places have their angles measured, where a
+corner alone has to take them for square. A plane that one station sees counts, too: that it is flat tells of the rig.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calib.geometry import Matches, Motion
+from calib.numerics import Floats
+from calib.refinement import SHARED, SQUARENESS_DEG, Cells, Shifts, State, covariance_of
+from calib.rooms.contacts import Contact, find_contacts
+from calib.rooms.flatness import covariance_of_waves
+from calib.rooms.likelihood import Fit, RigPrior, RoomPrior, minimise, rig_of
+from calib.rooms.noise import Levels, measured, rough_levels
+from calib.rooms.patches import Patch, patches_of, predict_patch
+from calib.rooms.planes import RoomPlane
+from calib.rooms.room import Room
+from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
+from calib.rooms.smooth_errors import covariance_of_shifts
+
+_ROUGH = 0.01  # tolerance in cost while noise is measured
+_ROUNDS = 3
+_ANY_TURN = 1.0  # radians
+_FAR_OFF = 0.1  # radians, and of the reach: a direction that is less sure than that is not determined
+NEAR = (0.02, 0.01, 0.005, 0.005)  # of the reach: points of two stations that may be on one surface
+_SAME_PLACE = 0.01  # of the reach, and radians
+
+
+@dataclass(frozen=True, eq=False)
+class Undetermined:
+    """A direction that the planes leave a station's place open in: `direction` (3,), unit, in the room's frame, is
+    one that it may slide along, or that it may turn about; `sigma` in baselines or radians.
+    """
+
+    station: int
+    turning: bool
+    direction: Floats
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class RoomEstimate:
+    """`covariance` (size, size): of the room's columns; NaN for planes without a cell, 0 for what was held.
+
+    `patches`: on which of the room's planes each station's cells turned out to be; planes behind those of the start are
+    of stations that see another one than they were said to.
+
+    `residual_px` (S,): root mean square of each coordinate of a station's cells, robustly; NaN without cells. `reach`:
+    median distance of what was seen from the camera, in baselines. `waves` (P,): by how much each plane is not flat,
+    root mean square, in baselines; 0 where nothing shows it. `contacts`: of surfaces that are no planes.
+    """
+
+    fit: Fit
+    covariance: Floats
+    levels: Levels
+    patches: tuple[Patch, ...]
+    residual_px: Floats
+    undetermined: tuple[Undetermined, ...]
+    reach: float
+    waves: Floats
+    contacts: tuple[Contact, ...]
+
+    @property
+    def room(self) -> Room:
+        """The most likely one."""
+        return self.fit.room
+
+    @property
+    def rig(self) -> State:
+        """Both devices and the motion between them; `rig_covariance` is its columns'."""
+        return self.room.rig
+
+    @property
+    def places(self) -> tuple[Motion, ...]:
+        """Of the stations: X_room = rotation X_camera + translation; the first is where the start had it."""
+        return self.room.places
+
+    @property
+    def planes(self) -> tuple[RoomPlane, ...]:
+        """In the room's frame."""
+        return self.room.planes
+
+    @property
+    def rig_covariance(self) -> Floats:
+        """(15, 15), as of a calibration."""
+        return self.covariance[:SHARED, :SHARED]
+
+    def place_covariance(self, station: int) -> Floats:
+        """(6, 6): turn about the room's axes in radians, translation in baselines; against the first station."""
+        columns = self.room.place_columns(station)
+        return self.covariance[columns, columns]
+
+    @cached_property
+    def stations_of(self) -> tuple[tuple[int, ...], ...]:
+        """For each plane the stations with cells on it."""
+        found: list[set[int]] = [set() for _ in self.planes]
+        for patch in self.patches:
+            found[patch.plane].add(patch.station)
+        return tuple(tuple(sorted(each)) for each in found)
+
+
+def estimate_room(
+    stations: Sequence[Cells],
+    plane_of: Sequence[Sequence[int]],
+    places: Sequence[Motion],
+    planes: Sequence[RoomPlane],
+    start: State,
+    prior: RigPrior,
+    *,
+    square: Sequence[tuple[int, int]] = (),
+    squareness_deg: float = SQUARENESS_DEG,
+    shifts: Sequence[Shifts] = (),
+    place_sigma: tuple[float, float] | None = None,
+    loose: Sequence[Matches] = (),
+) -> RoomEstimate:
+    """From a start: the rig's as calibrated, `places` of stations and `planes` as registered, in baselines.
+
+    `stations`: the cells of each, whose labels `plane_of` translates to the room's planes (−1: of none). `square`:
+    pairs of planes that are perpendicular but for `squareness_deg` (standard deviation); what else is, is measured.
+    `shifts`: for each station by what its matches may be shifted, for the covariance. `place_sigma`: how well the
+    registration has places, as standard deviations of a turn in radians and a shift in baselines, where it knows more
+    than these planes tell; by default a radian and the reach: nothing. `loose`: for each station matches that are on
+    no plane; where two stations saw one surface, it ties them.
+
+    Raises RefusalError if the start puts cells behind a device, ValueError if the sequences do not fit each other.
+    """
+    if not len(stations) == len(plane_of) == len(places):
+        raise ValueError(f"{len(stations)} stations, {len(plane_of)} lists of planes, {len(places)} places")
+    room = Room(rig_of(start), tuple(places), tuple(planes))
+    patches = patches_of(stations, plane_of)
+    reach = _reach(room, in_front(room, patches))
+    known = RoomPrior.of(prior, square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
+    patches, known, fit, variances = without_wrong_ties(*fit_roughly(patches, room, known))
+    free = known.free(seen(fit.room, patches))
+    for _ in range(_ROUNDS):
+        levels = measured(patches, fit, variances, free, _repeats(fit.room, reach))
+        variances = levels.variances(patches)
+        fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
+    fit = minimise(patches, fit.room, known, variances, free)
+    contacts: tuple[Contact, ...] = ()
+    for share in NEAR if loose else ():
+        contacts = find_contacts(loose, fit.room, [noise.match_px for noise in levels.stations], share * reach)
+        fit = minimise(patches, fit.room, known, variances, free, contacts=contacts)
+
+    of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
+    covariance = levels.alike * (covariance_of(fit.information, free) + of_waves)
+    covariance += covariance_of_shifts(patches, fit, variances, free, levels, shifts)
+    for plane in range(len(fit.room.planes)):
+        columns = fit.room.plane_columns(plane)
+        if not free[columns].any():
+            covariance[columns], covariance[:, columns] = np.nan, np.nan
+    residual_px = np.full(len(stations), np.nan)
+    for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
+        residual_px[patch.station] = np.sqrt(level)
+    undetermined = undetermined_in(fit.room, covariance, reach)
+    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves, contacts)
+
+
+def _reach(room: Room, patches: Sequence[Patch]) -> float:
+    """Median distance of cells from their camera, in baselines."""
+    return float(np.median(np.concatenate([predict_patch(room, patch)[2][:, 0] for patch in patches])))
+
+
+def _repeats(room: Room, reach: float) -> list[int]:
+    """How many stations stand where each does: smooth errors are the same in all of them."""
+
+    def same(a: Motion, b: Motion) -> bool:
+        apart = float(np.linalg.norm(a.translation - b.translation))
+        turned = float(np.linalg.norm(a.rotation - b.rotation)) / np.sqrt(2)
+        return apart < _SAME_PLACE * reach and turned < _SAME_PLACE
+
+    return [sum(same(place, other) for other in room.places) for place in room.places]
+
+
+def undetermined_in(room: Room, covariance: Floats, reach: float) -> tuple[Undetermined, ...]:
+    """The directions in which a covariance leaves places open, compared with the reach, in baselines."""
+    found = []
+    for station in range(1, len(room.places)):
+        columns = room.place_columns(station)
+        for turning, limit, first in ((True, _FAR_OFF, 0), (False, _FAR_OFF * reach, 3)):
+            block = slice(columns.start + first, columns.start + first + 3)
+            variances, directions = np.linalg.eigh(covariance[block, block])
+            found += [
+                Undetermined(station, turning, direction, float(np.sqrt(variance)))
+                for variance, direction in zip(variances, directions.T, strict=True)
+                if variance > limit**2
+            ]
+    return tuple(found)

@@ -1,0 +1,97 @@
+"""What planes that are not flat do to a room: plaster and floors are off by millimetres, many times what matches err.
+
+A plane whose residuals show it is taken to have heights of random waves over what was seen of it, the long ones higher.
+How high is told by the residuals, of which the fit has absorbed a known part; the waves then move the room, to first
+order, as shifts of the matches do. Stations that see one wall see the same waves.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.geometry import tangent_basis
+from calib.numerics import Bools, Floats, Ints
+from calib.refinement import CUBIC, monomials
+from calib.rooms.likelihood import Fit
+from calib.rooms.noise import Levels
+from calib.rooms.patches import OWN, Patch, carried, columns_of, points_of, predict_patch
+
+_ORDERS = 6  # half-waves along either side of what was seen of a plane
+_LEAST_LEFT = 1e-3  # of the waves, by the fit; less than that in the residuals tells nothing of their heights
+
+
+def covariance_of_waves(
+    patches: Sequence[Patch], fit: Fit, variances: Sequence[Floats], free: Bools, levels: Levels
+) -> tuple[Floats, Floats]:
+    """The covariance (size, size) that the waves of planes which are not flat give the room.
+
+    With it their root mean square heights (P,) in baselines; 0 for planes that may be flat.
+    """
+    columns = np.flatnonzero(free)
+    covariance, heights = np.zeros_like(fit.information), np.zeros(len(fit.room.planes))
+    for plane in np.flatnonzero(levels.planes > 1).tolist():
+        on_plane = [
+            _Waves(fit, patch, residual, variance)
+            for patch, residual, variance in zip(patches, fit.residuals, variances, strict=True)
+            if patch.plane == plane
+        ]
+        modes = _modes([points_of(fit.room, waves.patch) for waves in on_plane], fit.room.planes[plane].normal)
+        pull = np.sum([waves.pull(of_patch) for waves, of_patch in zip(on_plane, modes, strict=True)], axis=0)
+        moved = np.zeros_like(pull)
+        moved[columns] = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull[columns])
+        left, whole = (
+            sum(waves.energy_left(of_patch, after) for waves, of_patch in zip(on_plane, modes, strict=True))
+            for after in (moved, np.zeros_like(moved))
+        )
+        if left < _LEAST_LEFT * whole:
+            continue
+        seen = sum(waves.energy() for waves in on_plane)
+        # Variances on the plane were enlarged by what the waves do; without them this is what noise would show.
+        noise = len(on_plane) * CUBIC / levels.planes[plane]
+        variance = max(seen - noise, 0.0) / left
+        covariance += variance * moved @ moved.T
+        heights[plane] = np.sqrt(variance * np.mean(np.sum(np.concatenate(modes) ** 2, axis=1)))
+    return covariance, heights
+
+
+class _Waves:
+    """One patch of a plane, and what heights (M,) of the plane under its cells do."""
+
+    def __init__(self, fit: Fit, patch: Patch, residual: Floats, variance: Floats) -> None:
+        self.fit, self.patch = fit, patch
+        _, self.jacobian, _ = predict_patch(fit.room, patch)
+        self.by_height = self.jacobian[:, :, OWN.stop - 1]
+        self.root = np.linalg.norm(self.by_height, axis=1) / np.sqrt(variance)
+        self.variance, self.residual = variance, residual
+        self.low, _ = np.linalg.qr(monomials(patch.cells.camera_px)[:, :CUBIC] * self.root[:, None])
+        self.columns: Ints = columns_of(fit.room, patch)
+
+    def pull(self, modes: Floats) -> Floats:
+        """Σ Jᵀ s / v of the shifts s by modes (M, K), (size, K)."""
+        weighted = np.einsum("nac,na->nc", self.jacobian, self.by_height / self.variance[:, None])
+        pull = np.zeros((self.fit.room.size, modes.shape[1]))
+        pull[self.columns] = carried(self.fit.room, self.patch).T @ (weighted.T @ modes)
+        return pull
+
+    def energy(self) -> float:
+        """What the residuals have of heights in long waves, over their variances."""
+        return self._in_long_waves(self.residual[:, :, None])
+
+    def energy_left(self, modes: Floats, moved: Floats) -> float:
+        """The same for modes (M, K), all together, where the fit has followed them by steps (size, K)."""
+        own = carried(self.fit.room, self.patch) @ moved[self.columns]
+        return self._in_long_waves(self.by_height[:, :, None] * modes[:, None, :] - self.jacobian @ own)
+
+    def _in_long_waves(self, shifts: Floats) -> float:
+        heights = np.einsum("na,nak->nk", self.by_height, shifts) / np.sum(self.by_height**2, axis=1)[:, None]
+        return float(np.sum((self.low.T @ (heights * self.root[:, None])) ** 2))
+
+
+def _modes(points: Sequence[Floats], normal: Floats) -> list[Floats]:
+    """Cosines over the rectangle around the points (M, 3) of each patch on a plane, as high as they are long."""
+    places = [each @ tangent_basis(normal) for each in points]
+    every = np.concatenate(places)
+    low, sides = every.min(axis=0), np.maximum(np.ptp(every, axis=0), 1e-12)
+    orders = np.stack(np.meshgrid(*[np.arange(_ORDERS + 1)] * 2), axis=-1).reshape(-1, 2)[1:]
+    height = sides.max() / np.hypot(*(orders * (sides.max() / sides)).T)  # over the wave's number, its length
+    return [np.cos(np.pi * ((place - low) / sides)[:, None, :] * orders).prod(axis=2) * height for place in places]

@@ -1,0 +1,156 @@
+"""Lengths, heights and angles in an estimated room, each with the sigma that the whole estimate's covariance gives it.
+
+Lengths are in baselines, as the room is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.diagnostics import Uncertainty
+from calib.geometry import Matches, tangent_basis, unproject
+from calib.numerics import Floats
+from calib.refinement import CAMERA, SHARED
+from calib.refinement.further_planes import depths
+from calib.rooms.estimate import RoomEstimate
+from calib.rooms.patches import points_of
+
+_PARALLEL = 1e-4  # sine of an angle too small to have a direction
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A number with its standard deviation; NaN where a plane that it needs has no cells."""
+
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class RoomPoint:
+    """A point (3,) in the room's frame, how it follows the room's columns (3, size), and the covariance (3, 3) of what
+    it has from matches that are not in the estimate.
+    """
+
+    position: Floats
+    by_room: Floats
+    own: Floats
+
+
+def angle_deg(estimate: RoomEstimate, first: int, second: int) -> Measured:
+    """Between two planes, in degrees, as inside a corner that they make: 90 for square walls, 0 for facing ones."""
+    a, b = (estimate.planes[plane].normal for plane in (first, second))
+    cosine, sine = float(a @ b), float(np.linalg.norm(np.cross(a, b)))
+    gradient = np.zeros(estimate.room.size)
+    for plane, own, other in ((first, a, b), (second, b, a)):
+        start = estimate.room.plane_columns(plane).start
+        # Parallel planes open in whatever direction they move: one is taken.
+        slope = tangent_basis(own).T @ other / sine if sine > _PARALLEL else np.array([1.0, 0.0])
+        gradient[start : start + 2] = slope
+    angle = np.pi - np.arctan2(sine, cosine)
+    return Measured(float(np.degrees(angle)), float(np.degrees(_sigma(estimate, gradient))))
+
+
+def gap(estimate: RoomEstimate, first: int, second: int) -> Measured:
+    """Distance between two planes that face each other: from one, square to it, to the other.
+
+    Taken midway between the middles of what was seen of each, as planes are never quite parallel.
+    """
+    room = estimate.room
+    one, other = room.planes[first], room.planes[second]
+    middle = (centre_of(estimate, first) + centre_of(estimate, second)) / 2
+    above = float(one.normal @ middle - one.offset)
+    foot = middle - above * one.normal
+    signed = float(other.normal @ foot - other.offset)
+    gradient = np.zeros(room.size)
+    columns, basis = room.plane_columns(first), tangent_basis(one.normal)
+    facing = float(other.normal @ one.normal)
+    gradient[columns] = [*-(facing * basis.T @ middle + above * basis.T @ other.normal), facing]
+    gradient[room.plane_columns(second)] = [*tangent_basis(other.normal).T @ foot, -1.0]
+    return Measured(abs(signed), _sigma(estimate, gradient))
+
+
+def vertex(estimate: RoomEstimate, first: int, second: int, third: int) -> RoomPoint:
+    """Where three planes meet. Raises LinAlgError if two are parallel."""
+    room, numbers = estimate.room, (first, second, third)
+    normals = np.stack([room.planes[number].normal for number in numbers])
+    inverse = np.linalg.inv(normals)
+    position: Floats = inverse @ np.array([room.planes[number].offset for number in numbers])
+    by_room = np.zeros((3, room.size))
+    for number, column in zip(numbers, inverse.T, strict=True):  # N δX = δd − δn · X
+        tilts = -tangent_basis(room.planes[number].normal).T @ position
+        by_room[:, room.plane_columns(number)] = np.outer(column, [*tilts, 1.0])
+    return RoomPoint(position, by_room, np.zeros((3, 3)))
+
+
+def point_on_plane(estimate: RoomEstimate, station: int, camera_px: tuple[float, float], plane: int) -> RoomPoint:
+    """Where the ray of a station's camera pixel meets a plane."""
+    room = estimate.room
+    place, wall = room.places[station], room.planes[plane]
+    rays, rays_by_camera = unproject(room.rig.camera, np.array([camera_px], np.float64))
+    ray = place.rotation @ rays[0]
+    facing = float(wall.normal @ ray)
+    depth = (wall.offset - float(wall.normal @ place.translation)) / facing
+    position: Floats = place.translation + depth * ray
+    by_room = np.zeros((3, room.size))
+    by_room[:, CAMERA] = depth * place.rotation @ rays_by_camera[0]
+    by_room[:, room.place_columns(station)] = np.hstack([_turned(depth * ray), np.eye(3)])
+    by_room -= np.outer(ray / facing, wall.normal @ by_room)  # back along the ray onto the plane
+    tilts = -tangent_basis(wall.normal).T @ position
+    by_room[:, room.plane_columns(plane)] = np.outer(ray / facing, [*tilts, 1.0])
+    return RoomPoint(position, by_room, np.zeros((3, 3)))
+
+
+def middle_of(estimate: RoomEstimate, station: int, matches: Matches) -> RoomPoint:
+    """The middle of the points that some of a station's matches (one or more) triangulate to."""
+    room, place = estimate.room, estimate.places[station]
+    noise_px = estimate.levels.stations[station].match_px
+    uncertainty = Uncertainty(room.rig, estimate.rig_covariance, None, noise_px)
+    by_rig, by_match = uncertainty.point_jacobians(matches)
+    rays, _ = unproject(room.rig.camera, matches.camera_px)
+    seen = np.mean(rays * depths(room.rig, rays, matches.projector_px)[:, None], axis=0)
+    turned = place.rotation @ seen
+    by_room = np.zeros((3, room.size))
+    by_room[:, :SHARED] = place.rotation @ by_rig.mean(axis=0)
+    by_room[:, room.place_columns(station)] = np.hstack([_turned(turned), np.eye(3)])
+    sigma = np.full(len(matches), noise_px) if matches.sigma_px is None else matches.sigma_px
+    own = place.rotation @ (by_match * sigma[:, None, None] / len(matches))
+    return RoomPoint(turned + place.translation, by_room, np.einsum("nij,nkj->ik", own, own))
+
+
+def distance(estimate: RoomEstimate, first: RoomPoint, second: RoomPoint) -> Measured:
+    """Between two points of the room."""
+    apart = second.position - first.position
+    length = float(np.linalg.norm(apart))
+    direction = apart / length
+    variance = _sigma(estimate, direction @ (second.by_room - first.by_room)) ** 2
+    return Measured(length, float(np.sqrt(variance + direction @ (first.own + second.own) @ direction)))
+
+
+def sigmas_of_point(estimate: RoomEstimate, point: RoomPoint) -> Floats:
+    """Standard deviations along the room's axes, (3,)."""
+    return np.array(
+        [
+            np.hypot(_sigma(estimate, row), np.sqrt(own))
+            for row, own in zip(point.by_room, np.diag(point.own), strict=True)
+        ]
+    )
+
+
+def centre_of(estimate: RoomEstimate, plane: int) -> Floats:
+    """The middle (3,) of what the stations saw of a plane, by cells; NaN where none did."""
+    points = [points_of(estimate.room, patch) for patch in estimate.patches if patch.plane == plane]
+    centre: Floats = np.concatenate(points).mean(axis=0) if points else np.full(3, np.nan)
+    return centre
+
+
+def _turned(vector: Floats) -> Floats:
+    """ω × v by ω, (3, 3)."""
+    x, y, z = vector
+    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+
+
+def _sigma(estimate: RoomEstimate, gradient: Floats) -> float:
+    """Of a number with this gradient (size,); only the columns that it depends on need be known."""
+    on = np.flatnonzero(gradient)
+    return float(np.sqrt(gradient[on] @ estimate.covariance[np.ix_(on, on)] @ gradient[on]))

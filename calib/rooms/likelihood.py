@@ -1,0 +1,211 @@
+"""The likelihood of all stations for a room, with derivatives; and the prior: what is known before any match is seen.
+
+Cells deviate in projector pixels under Huber's loss, as in `calib.refinement.likelihood`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import tangent_basis
+from calib.numerics import Bools, Damping, Floats, Quadratic, descend
+from calib.refinement import SHARED, TRANSLATION, Knowledge, Pose, State, inverse_of, misfit
+from calib.rooms.contacts import Contact
+from calib.rooms.patches import PER_PATCH, Patch, carried, columns_of, predict_patch
+from calib.rooms.room import Room
+
+CONVERGED = 1e-4  # in cost: a hundredth of a sigma
+_STEPS = 60
+_DAMPING = Damping(first=1e-6, least=1e-13, most=1e4, growth=10.0, relief=0.05, by_gain=True)
+_EXACTLY_SQUARE = 1e-3  # degrees, for walls that are said to be exactly square
+_BEHIND = 100.0  # the cost of a cell of a patch behind a device, like one ten sigmas off
+
+
+@dataclass(frozen=True, eq=False)
+class RigPrior:
+    """Gaussian prior on the rig: its `mean`, the `precision` (15, 15) of the step from there, and which columns (15,)
+    are `known`, that is, held where the start has them.
+    """
+
+    mean: State
+    precision: Floats
+    known: Bools
+
+    @classmethod
+    def from_knowledge(cls, knowledge: Knowledge, start: State) -> "RigPrior":
+        """What is known of any rig of its image sizes, and of this one's principal point: the prior for stations from
+        whose own matches the start was calibrated, which must not count twice.
+        """
+        pose = Pose(np.eye(3), np.zeros(3))
+        layout = State(start.camera, start.projector, start.rotation, start.translation, np.zeros((1, 3)), (pose,))
+        prior = knowledge.prior(layout)
+        mean = start.moved(_to_mean(start, prior.mean[:SHARED], prior.sigma[:SHARED]))
+        precision = np.diag(prior.root_precision[:SHARED] ** 2)
+        return cls(mean, precision, prior.sigma[:SHARED] == 0)
+
+    @classmethod
+    def from_calibration(cls, calibrated: State, covariance: Floats) -> "RigPrior":
+        """A calibration from other matches than the stations', with its `covariance` (15 or more columns, square);
+        a column without variance is known.
+        """
+        of_rig = covariance[:SHARED, :SHARED]
+        known = np.diag(of_rig) <= 0
+        precision = np.zeros((SHARED, SHARED))
+        precision[np.ix_(~known, ~known)] = inverse_of(of_rig[np.ix_(~known, ~known)])
+        return cls(rig_of(calibrated), precision, known)
+
+    @classmethod
+    def exactly(cls, calibrated: State) -> "RigPrior":
+        """The rig as it was calibrated, all of it held."""
+        return cls(rig_of(calibrated), np.zeros((SHARED, SHARED)), np.ones(SHARED, np.bool_))
+
+    def cost(self, rig: State) -> tuple[float, Floats, Floats]:
+        """Of a rig, with half its gradient (15,) and Hessian (15, 15) in the coordinates of a step from it."""
+        by_step = np.eye(SHARED)
+        by_step[TRANSLATION, TRANSLATION] = tangent_basis(self.mean.translation).T @ tangent_basis(rig.translation)
+        deviation = self.mean.step_to(rig)
+        pull = self.precision @ deviation
+        return float(deviation @ pull), by_step.T @ pull, by_step.T @ self.precision @ by_step
+
+
+def rig_of(state: State) -> State:
+    """A state's rig, without corners."""
+    return State(state.camera, state.projector, state.rotation, state.translation, np.zeros((0, 3)), ())
+
+
+def _to_mean(start: State, mean: Floats, sigma: Floats) -> Floats:
+    """The step (15,) to the mean of what has a prior; nothing else moves."""
+    told = np.isfinite(sigma) & (sigma > 0)
+    return np.where(told, mean - rig_of(start).additive(), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class RoomPrior:
+    """What is known of a room before its matches are seen.
+
+    `square`: pairs of planes that are perpendicular, with a standard deviation of `square_sigma` radians each. `start`:
+    stations are where it has them but for `place_sigma`, of a turn in radians and of a shift in baselines, which holds
+    what no plane determines.
+    """
+
+    rig: RigPrior
+    square: tuple[tuple[int, int], ...]
+    square_sigma: float
+    start: Room
+    place_sigma: tuple[float, float]
+
+    @classmethod
+    def of(
+        cls,
+        rig: RigPrior,
+        square: Sequence[tuple[int, int]],
+        squareness_deg: float,
+        start: Room,
+        place_sigma: tuple[float, float],
+    ) -> "RoomPrior":
+        """With angles in degrees; 0 is as good as exactly square."""
+        pairs = tuple(sorted({(min(pair), max(pair)) for pair in square}))
+        return cls(rig, pairs, float(np.radians(max(squareness_deg, _EXACTLY_SQUARE))), start, place_sigma)
+
+    def free(self, seen: Bools) -> Bools:
+        """Which columns are estimated, (size,): not what is known of the rig, the first place, planes not `seen`."""
+        free = np.ones(self.start.size, np.bool_)
+        free[:SHARED] = ~self.rig.known
+        free[self.start.place_columns(0)] = False
+        for plane in np.flatnonzero(~seen):
+            free[self.start.plane_columns(int(plane))] = False
+        return free
+
+    def cost(self, room: Room) -> tuple[float, Floats, Floats]:
+        """Of a room, with half its gradient (size,) and Gauss–Newton Hessian (size, size)."""
+        gradient, information = np.zeros(room.size), np.zeros((room.size, room.size))
+        cost, gradient[:SHARED], information[:SHARED, :SHARED] = self.rig.cost(room.rig)
+        sigma = np.repeat(self.place_sigma, 3)
+        step = self.start.step_to(room)
+        for station in range(1, len(room.places)):
+            columns = room.place_columns(station)
+            deviation = step[columns] / sigma
+            cost += float(deviation @ deviation)
+            gradient[columns] += deviation / sigma
+            information[columns, columns] += np.diag(sigma**-2.0)
+        for pair in self.square:
+            normals = [room.planes[plane].normal for plane in pair]
+            slope = np.zeros(room.size)
+            for plane, own, other in zip(pair, normals, normals[::-1], strict=True):
+                columns = room.plane_columns(plane)
+                slope[columns.start : columns.start + 2] += tangent_basis(own).T @ other / self.square_sigma
+            deviation = float(normals[0] @ normals[1]) / self.square_sigma
+            cost += deviation**2
+            gradient += slope * deviation
+            information += np.outer(slope, slope)
+        return cost, gradient, information
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(Quadratic):
+    """A room with its cost, and each patch's `residuals` (M, 2) in projector px."""
+
+    room: Room
+    residuals: tuple[Floats, ...]
+
+
+def evaluate(
+    patches: Sequence[Patch],
+    room: Room,
+    prior: RoomPrior,
+    variances: Sequence[Floats],
+    contacts: Sequence[Contact] = (),
+) -> Fit:
+    """The cost of a room with its derivatives.
+
+    `variances`: (M,) for each patch, of each coordinate of each cell. A patch of which more than strays fall behind a
+    device costs the same wherever it is, and pulls at nothing.
+    """
+    cost, gradient, information = prior.cost(room)
+    own_columns, residuals = np.arange(PER_PATCH, dtype=np.int32), []
+    for patch, variance in zip(patches, variances, strict=True):
+        predicted, jacobian, depths = predict_patch(room, patch)
+        residual, seen = np.empty_like(predicted), np.ascontiguousarray(patch.cells.projector_px)
+        slope, curvature = np.zeros(PER_PATCH), np.zeros((PER_PATCH, PER_PATCH))
+        own = misfit(predicted, seen, jacobian, depths, variance, own_columns, residual, slope, curvature)
+        residuals.append(residual)
+        if not np.isfinite(own):
+            cost += _BEHIND * len(seen)
+            continue
+        cost += own
+        columns, by_room = columns_of(room, patch), carried(room, patch)
+        gradient[columns] += by_room.T @ slope
+        information[np.ix_(columns, columns)] += by_room.T @ curvature @ by_room
+    for contact in contacts:
+        own, slope, curvature = contact.misfit(room)
+        columns = contact.columns(room)
+        cost += own
+        gradient[columns] += slope
+        information[np.ix_(columns, columns)] += curvature
+    return Fit(cost, gradient, information, room, tuple(residuals))
+
+
+def minimise(
+    patches: Sequence[Patch],
+    room: Room,
+    prior: RoomPrior,
+    variances: Sequence[Floats],
+    free: Bools,
+    *,
+    contacts: Sequence[Contact] = (),
+    tolerance: float = CONVERGED,
+) -> Fit:
+    """The nearest minimum over the `free` columns (size,), by Levenberg and Marquardt.
+
+    Ends when a further step promises to lower the cost by less than `tolerance`.
+    """
+
+    def moved(fit: Fit, step: Floats) -> Fit:
+        return evaluate(patches, fit.room.moved(step), prior, variances, contacts)
+
+    def enough(_: float, decrement: float) -> bool:
+        return decrement < tolerance
+
+    start = evaluate(patches, room, prior, variances, contacts)
+    return descend(start, moved, enough, _DAMPING, _STEPS, free=np.flatnonzero(free))

@@ -1,0 +1,138 @@
+"""How noisy the cells of each station are, and how far from flat each plane is, measured on the residuals of a fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.geometry import normalisation
+from calib.numerics import MEDIAN_LENGTH, Bools, Floats, median
+from calib.refinement import CUBIC, Cells, Noise, long_waves, monomials, noise_of, overdispersion
+from calib.refinement.image_polynomial import TERMS
+from calib.refinement.match_cells import joined
+from calib.rooms.likelihood import Fit
+from calib.rooms.patches import OWN, Patch, predict_patch
+from calib.rooms.room import Room
+from calib.rooms.ties import tie_scores
+
+_LEAST_PX = 1e-3
+_OUT_OF_LINE = 4.0  # long waves of a patch over those of the station's median one: the plane's fault, not the decoder's
+_BENT = 0.999
+_UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # of a station without cells
+_LOUD = 10.0  # sigmas; a cell further off has no more influence on what is smooth
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """`stations`: the noise of each. `planes` (P,): by what factor the variances on a plane are larger, because it is
+    bent, or because not all that was taken for it is one plane; 1 for a flat one. `alike`: for how many stations each
+    counts whose smooth errors are the same in all, as those of lenses are: so much larger are variances of results.
+    """
+
+    stations: tuple[Noise, ...]
+    planes: Floats
+    alike: float
+
+    def variances(self, patches: Sequence[Patch]) -> list[Floats]:
+        """Of each coordinate of each cell, (M,) for each patch."""
+        return [self.planes[patch.plane] * self.stations[patch.station].variances(patch.cells) for patch in patches]
+
+
+def rough_levels(patches: Sequence[Patch], residuals: Sequence[Floats]) -> Floats:
+    """One variance for all cells of each patch, that of its station's residuals, robustly, (patches,)."""
+    stations = np.array([patch.station for patch in patches])
+    levels = np.empty(len(patches))
+    for station in np.unique(stations):
+        own = np.flatnonzero(stations == station).tolist()
+        sizes = np.concatenate([np.linalg.norm(residuals[i], axis=1) for i in own])
+        levels[own] = max(median(sizes) / MEDIAN_LENGTH, _LEAST_PX) ** 2
+    return levels
+
+
+def measured(
+    patches: Sequence[Patch], fit: Fit, variances: Sequence[Floats], free: Bools, repeats: Sequence[int]
+) -> Levels:
+    """From a fit under some variances of the cells. `repeats`: how many stations stand where each stands.
+
+    Long waves tell of smooth errors of a station, which all its patches show, and of planes that are not flat, which
+    all stations that see them show: a station's overdispersion is measured without the patches that are out of line.
+    Planes that are flat where a station sees them may yet differ between stations: so do ties. Smooth errors that are
+    the same at all stations are the lenses', so that together these count as one.
+    """
+    absorbed = np.count_nonzero(free) / len(patches)
+    waves = np.full(len(patches), np.nan)
+    stations = []
+    for station, times in enumerate(repeats):
+        own = [i for i, patch in enumerate(patches) if patch.station == station]
+        seen, residuals = [patches[i].cells for i in own], [fit.residuals[i] for i in own]
+        noise, waves[own] = _of_station(seen, residuals, absorbed) if own else (_UNKNOWN, np.nan)
+        stations.append(replace(noise, repeats=times))
+    alike = 1 + _coherence(patches, fit, stations) * (len({patch.station for patch in patches}) - 1)
+    flat = Levels(tuple(stations), np.ones(len(fit.room.planes)), alike)
+    of_stations = np.array([stations[patch.station].inflation for patch in patches])
+    by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.room)
+    scores, freedom = tie_scores(patches, fit, variances, free)
+    lowered = [used.mean() / own.mean() for used, own in zip(variances, flat.variances(patches), strict=True)]
+    by_ties = _of_planes(patches, scores * lowered, freedom, fit.room)
+    return replace(flat, planes=np.maximum(by_waves, by_ties))
+
+
+def _of_station(seen: Sequence[Cells], residuals: Sequence[Floats], absorbed: float) -> tuple[Noise, Floats]:
+    """From its patches' cells and residuals, with what of χ² is in each one's long waves, NaN for those too small."""
+    noise = noise_of(_together(seen), np.concatenate(residuals), absorbed * len(seen))
+    independent = replace(noise, inflation=1.0)
+    waves = np.array(
+        [
+            long_waves(cells, residual, independent.variances(cells))[0][0]
+            for cells, residual in zip(seen, residuals, strict=True)
+        ]
+    )
+    known = waves[np.isfinite(waves)]
+    usual = known[known <= _OUT_OF_LINE * np.median(known)] if len(known) else known
+    inflation = overdispersion(float(usual.sum()), len(usual) * (2 * CUBIC - absorbed))
+    return replace(noise, inflation=inflation), waves
+
+
+def _coherence(patches: Sequence[Patch], fit: Fit, stations: Sequence[Noise]) -> float:
+    """From 0 to 1, how far smooth errors across the epipolar lines are the same at all stations, all over the image.
+
+    Across them no plane's place can hide an error, and none that is not flat makes one. The share of what polynomials
+    of each station explain that common ones do, less what is chance; 0 where all of it is.
+    """
+    scale = normalisation(np.concatenate([patch.cells.camera_px for patch in patches]))
+    information, pull = np.zeros((len(stations), TERMS, TERMS)), np.zeros((len(stations), TERMS))
+    for patch, residual in zip(patches, fit.residuals, strict=True):
+        along = predict_patch(fit.room, patch)[1][:, :, OWN.stop - 1]
+        across = along[:, 1] * residual[:, 0] - along[:, 0] * residual[:, 1]
+        across /= np.linalg.norm(along, axis=1)
+        weight = 1 / replace(stations[patch.station], inflation=1.0, repeats=1).variances(patch.cells)
+        weight *= np.minimum(1.0, _LOUD / np.maximum(np.abs(across) * np.sqrt(weight), 1e-12))
+        terms = monomials(patch.cells.camera_px, scale)
+        information[patch.station] += (terms * weight[:, None]).T @ terms
+        pull[patch.station] += terms.T @ (weight * across)
+    told = np.array([_explained(*each) for each in zip(information, pull, strict=True)])
+    if overdispersion(float(told.sum()), float(TERMS * np.count_nonzero(told)), _BENT) == 1.0:
+        return 0.0
+    chance = 1 / np.count_nonzero(told)
+    share = _explained(information.sum(axis=0), pull.sum(axis=0)) / told.sum()
+    return float(np.clip((share - chance) / max(1 - chance, chance), 0.0, 1.0))
+
+
+def _explained(information: Floats, pull: Floats) -> float:
+    """χ² of what polynomials explain."""
+    return float(pull @ np.linalg.pinv(information, hermitian=True) @ pull)
+
+
+def _of_planes(patches: Sequence[Patch], totals: Floats, freedom: Floats, room: Room) -> Floats:
+    """By what factor each plane's patches vary more than their stations tell, (planes,), from χ² and its freedom."""
+    planes = np.array([patch.plane for patch in patches])
+    told = np.isfinite(totals)
+    sums, free = (np.bincount(planes[told], each[told], len(room.planes)) for each in (totals, freedom))
+    return np.array([overdispersion(*each, _BENT) for each in zip(sums.tolist(), free.tolist(), strict=True)])
+
+
+def _together(parts: Sequence[Cells]) -> Cells:
+    whole = parts[0]
+    for part in parts[1:]:
+        whole = joined(whole, part)
+    return whole

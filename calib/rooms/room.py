@@ -1,0 +1,72 @@
+"""A rig, its places in a room and the room's planes: minimal parameters, and steps in their tangent space.
+
+Lengths are in the rig's baselines. The room's frame is the camera's at the first station.
+
+Columns of every step, gradient and Hessian: the 15 of the rig, as in `calib.refinement`; for each station the rotation
+(3) about the room's axes and the translation (3) of its place; for each plane two tilts, along `tangent_basis` of its
+normal, and its offset.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Motion, rotation_about, tangent_basis
+from calib.numerics import Floats
+from calib.refinement import SHARED, State
+from calib.rooms.planes import RoomPlane
+
+PER_PLACE, PER_PLANE = 6, 3
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """`rig`: a state without corners. `places`: of the stations, X_room = rotation X_camera + translation."""
+
+    rig: State
+    places: tuple[Motion, ...]
+    planes: tuple[RoomPlane, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return SHARED + PER_PLACE * len(self.places) + PER_PLANE * len(self.planes)
+
+    def place_columns(self, station: int) -> slice:
+        """Columns of a station's place."""
+        return slice(SHARED + PER_PLACE * station, SHARED + PER_PLACE * (station + 1))
+
+    def plane_columns(self, plane: int) -> slice:
+        """Columns of a plane."""
+        start = SHARED + PER_PLACE * len(self.places) + PER_PLANE * plane
+        return slice(start, start + PER_PLANE)
+
+    def moved(self, step: Floats) -> "Room":
+        """The room after a step (size,) in the columns' coordinates."""
+        return Room(
+            self.rig.moved(step[:SHARED]),
+            tuple(_moved_place(place, step[self.place_columns(i)]) for i, place in enumerate(self.places)),
+            tuple(_moved_plane(plane, step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
+        )
+
+    def step_to(self, other: "Room") -> Floats:
+        """The step (size,) from here to a room of the same layout not too far away."""
+        step = np.zeros(self.size)
+        step[:SHARED] = self.rig.step_to(other.rig)
+        for i, (here, there) in enumerate(zip(self.places, other.places, strict=True)):
+            turn = Rotation.from_matrix(there.rotation @ here.rotation.T).as_rotvec()
+            step[self.place_columns(i)] = [*turn, *(there.translation - here.translation)]
+        for i, (plane, true) in enumerate(zip(self.planes, other.planes, strict=True)):
+            tilt = tangent_basis(plane.normal).T @ true.normal / (plane.normal @ true.normal)
+            step[self.plane_columns(i)] = [*tilt, true.offset - plane.offset]
+        return step
+
+
+def _moved_place(place: Motion, step: Floats) -> Motion:
+    return Motion(rotation_about(step[:3]) @ place.rotation, place.translation + step[3:])
+
+
+def _moved_plane(plane: RoomPlane, step: Floats) -> RoomPlane:
+    tilted = plane.normal + tangent_basis(plane.normal) @ step[:2]
+    return RoomPlane(tilted / np.sqrt(tilted @ tilted), plane.offset + float(step[2]))

@@ -1,0 +1,73 @@
+"""What shifts that no residual shows do to a room: to first order, as in `calib.refinement.systematic_shifts`."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.numerics import Bools, Floats
+from calib.refinement import CUBIC, Shifts, monomials
+from calib.rooms.likelihood import Fit
+from calib.rooms.noise import Levels
+from calib.rooms.patches import Patch, carried, columns_of, predict_patch
+from calib.rooms.room import Room
+
+_STEP_PX = 0.5
+
+
+def covariance_of_shifts(
+    patches: Sequence[Patch],
+    fit: Fit,
+    variances: Sequence[Floats],
+    free: Bools,
+    levels: Levels,
+    shifts: Sequence[Shifts],
+) -> Floats:
+    """The covariance (size, size) that a station's `shifts`, independent of the others', give the room.
+
+    Stations at one place err alike, so that together they are moved as one is.
+    """
+    columns = np.flatnonzero(free)
+    covariance = np.zeros_like(fit.information)
+    for station, of_station in enumerate(shifts):
+        every = (*of_station.likely, *of_station.possible)
+        together = np.zeros((fit.room.size, len(every)))
+        apart = []
+        for patch, variance in zip(patches, variances, strict=True):
+            if patch.station != station:
+                continue
+            if every:
+                at = patch.cells.camera_px, patch.cells.projector_px, _gradient(fit.room, patch)
+                together += _pull(fit.room, patch, variance, np.stack([shift(*at) for shift in every], axis=2))
+            if of_station.smooth_px:
+                apart.append(_pull(fit.room, patch, variance, of_station.smooth_px * _fields(patch)))
+        pull = np.concatenate([together, *apart], axis=1)[columns]
+        if pull.shape[1]:
+            moved = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull)
+            covariance[np.ix_(columns, columns)] += levels.stations[station].repeats * moved @ moved.T
+    return covariance
+
+
+def _fields(patch: Patch) -> Floats:
+    """Every polynomial up to the cubic ones over a patch, orthonormal in the mean, along either axis, (M, 2, 2 K)."""
+    modes, _ = np.linalg.qr(monomials(patch.cells.camera_px)[:, :CUBIC])
+    along = np.zeros((len(patch.cells), 2, 2 * modes.shape[1]))
+    along[:, 0, : modes.shape[1]] = along[:, 1, modes.shape[1] :] = np.sqrt(len(patch.cells)) * modes
+    return along
+
+
+def _pull(room: Room, patch: Patch, variance: Floats, fields: Floats) -> Floats:
+    """Σ Jᵀ s / v for fields s (M, 2, K), (size, K)."""
+    _, jacobian, _ = predict_patch(room, patch)
+    own = np.einsum("nac,nak->ck", jacobian / variance[:, None, None], fields, optimize=True)
+    pull = np.zeros((room.size, fields.shape[2]))
+    pull[columns_of(room, patch)] = carried(room, patch).T @ own
+    return pull
+
+
+def _gradient(room: Room, patch: Patch) -> Floats:
+    """Of the projector's pixels (rows) by the camera's, (M, 2, 2)."""
+    columns = []
+    for step in (np.array([_STEP_PX, 0.0]), np.array([0.0, _STEP_PX])):
+        after, before = (predict_patch(room, patch, patch.cells.camera_px + way * step)[0] for way in (1, -1))
+        columns.append((after - before) / (2 * _STEP_PX))
+    return np.stack(columns, axis=2)

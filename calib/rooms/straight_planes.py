@@ -1,0 +1,94 @@
+"""Segments of a cloud that are one plane each, by what needs no calibration: a plane's matches follow a homography.
+
+Segments found in a cloud of a rig that is roughly known hold surfaces that are nearly one plane, two cupboards side by
+side, say. What a homography, with a lens's distortion, does not explain is taken out, and is a plane of its own if it
+is large enough.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.geometry import Calibration, Intrinsics, Matches, TooFewMatchesError
+from calib.numerics import Bools, Floats, Ints, evenly
+from calib.refinement import follow_one_plane
+from calib.rooms.planes import RoomPlane
+from calib.rooms.segments import NO_PLANE
+from calib.rooms.station import StationView
+
+_LEAST_MATCHES, _LEAST_SHARE = 200, 0.02  # of a station's matches on planes
+_MOST_PIECES = 3
+_LEAST_OFF_PX = 0.1  # projector pixels: what a rough lens leaves
+_FITTED = 4000
+
+
+def split_planes(view: StationView, matches: Matches, calibration: Calibration) -> tuple[StationView, Ints]:
+    """The view with planes that are straight, and which of them each match (N,) is on, −1 for none.
+
+    `calibration`: the rig as it is known roughly; its lenses' distortions are taken out, its focals do not matter.
+    """
+    ideal, known = _undistorted(matches, calibration)
+    height, width = view.labels.shape
+    column, row = np.rint(matches.camera_px).astype(np.int64).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    pixel = np.where(inside, row * width + column, 0)
+    plane = np.where(inside & known, view.labels.ravel()[pixel], NO_PLANE)
+    straight = np.full(len(matches), NO_PLANE, np.int32)
+    fewest = max(_LEAST_MATCHES, int(_LEAST_SHARE * np.count_nonzero(plane != NO_PLANE)))
+    count = 0
+    for label in range(len(view.planes)):
+        left = np.flatnonzero(plane == label)
+        least = min(fewest, max(_LEAST_MATCHES, len(left) // 2))  # the segment itself may be small
+        for _ in range(_MOST_PIECES):
+            if len(left) < least:
+                break
+            try:
+                on = follow_one_plane(ideal[left], _LEAST_OFF_PX)
+            except TooFewMatchesError:
+                break
+            if np.count_nonzero(on) >= least:
+                straight[left[on]] = count
+                count += 1
+            left, least = left[~on], fewest
+    labels = np.full(height * width, NO_PLANE, np.int32)
+    there = inside & (straight != NO_PLANE)
+    labels[pixel[there]] = straight[there]
+    labels[~np.isfinite(view.points[..., 2]).ravel()] = NO_PLANE
+    return _with_labels(view, labels.reshape(height, width), straight, count)
+
+
+def _undistorted(matches: Matches, calibration: Calibration) -> tuple[Matches, Bools]:
+    """The same matches in devices of the same focal lengths without distortion, and which of them (N,) have a place."""
+    camera_px, projector_px = (
+        Intrinsics(device.width, device.height, device.focal_px, device.principal_point_px).project(
+            device.unproject(seen.astype(np.float64))
+        )
+        for device, seen in ((calibration.camera, matches.camera_px), (calibration.projector, matches.projector_px))
+    )
+    known: Bools = np.asarray(np.isfinite(np.hstack([camera_px, projector_px])).all(axis=1), np.bool_)
+    camera_px[~known], projector_px[~known] = 0.0, 0.0
+    return Matches(camera_px, projector_px, None, matches.sigma_px), known
+
+
+def _with_labels(view: StationView, labels: Ints, straight: Ints, count: int) -> tuple[StationView, Ints]:
+    """With planes through the points of each label; labels without points are left out."""
+    planes: list[RoomPlane] = []
+    renumbered = np.full(count + 1, NO_PLANE, np.int32)
+    flat = view.points.reshape(-1, 3)
+    for label in range(count):
+        own = evenly(labels.ravel() == label, _FITTED)
+        if len(own) < 3:
+            continue
+        renumbered[label] = len(planes)
+        planes.append(_through(flat[own].astype(np.float64)))
+    return replace(view, labels=renumbered[labels], planes=tuple(planes)), renumbered[straight]
+
+
+def _through(points: Floats) -> RoomPlane:
+    """Least squares by relative distance, the normal towards the camera."""
+    weight = 1 / points[:, 2] ** 2
+    centre = np.average(points, axis=0, weights=weight)
+    off = points - centre
+    normal = np.linalg.eigh((weight[:, None] * off).T @ off)[1][:, 0]
+    offset = float(normal @ centre)
+    return RoomPlane(normal, offset) if offset < 0 else RoomPlane(-normal, -offset)

@@ -1,0 +1,59 @@
+"""Stations that see nothing flat, a shell on a turntable say: one estimate from the surfaces that they share alone.
+
+The rig is what a calibration says of it, for surfaces of any shape tell little of a rig.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.geometry import Matches, Motion, unproject
+from calib.numerics import Floats
+from calib.refinement import Noise, State, covariance_of
+from calib.refinement.further_planes import depths
+from calib.refusal import RefusalError
+from calib.rooms.contacts import Contact, find_contacts
+from calib.rooms.estimate import NEAR, RoomEstimate, undetermined_in
+from calib.rooms.likelihood import RigPrior, RoomPrior, minimise, rig_of
+from calib.rooms.noise import Levels
+from calib.rooms.room import Room
+
+_MATCH_PX = 1 / np.sqrt(12.0)  # of plain Gray code, where matches do not state their noise
+_ANY_TURN = 1.0  # radians
+
+
+def estimate_without_planes(
+    loose: Sequence[Matches], places: Sequence[Motion], start: State, prior: RigPrior
+) -> RoomEstimate:
+    """From all matches of the stations, `places` as registered, and a calibrated rig, all in baselines.
+
+    Raises RefusalError if no two stations share a surface.
+    """
+    room = Room(rig_of(start), tuple(places), ())
+    reach = _reach(loose, room.rig)
+    known = RoomPrior.of(prior, (), 0.0, room, (_ANY_TURN, reach))
+    free = known.free(np.zeros(0, np.bool_))
+    contacts: tuple[Contact, ...] = ()
+    fit = minimise((), room, known, (), free)
+    for share in NEAR:
+        contacts = find_contacts(loose, fit.room, [_MATCH_PX] * len(loose), share * reach)
+        if not contacts:
+            raise RefusalError(
+                "The stations' surfaces do not lie on each other closely enough to be estimated together.",
+                "Let them share more of what they see.",
+            )
+        fit = minimise((), fit.room, known, (), free, contacts=contacts)
+    covariance = covariance_of(fit.information, free)
+    levels = Levels(tuple(Noise(_MATCH_PX, 0.0, 0.0, 1.0) for _ in loose), np.zeros(0), 1.0)
+    nothing = np.full(len(loose), np.nan)
+    loosely = undetermined_in(fit.room, covariance, reach)
+    return RoomEstimate(fit, covariance, levels, (), nothing, loosely, reach, np.zeros(0), contacts)
+
+
+def _reach(loose: Sequence[Matches], rig: State) -> float:
+    """Median distance of what was seen from the camera, in baselines."""
+    found: list[Floats] = []
+    for matches in loose:
+        some = matches[np.arange(0, len(matches), max(1, len(matches) // 1000))]
+        found.append(depths(rig, unproject(rig.camera, some.camera_px)[0], some.projector_px))
+    return float(np.median(np.concatenate(found)))

@@ -1,0 +1,199 @@
+"""A whole room whose four walls are unlike each other, and stations all round it whose views overlap."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from calib.numerics import Floats
+from hw.errors import DeviceError
+from hw.settings import SimulatedRigSettings
+from hw.simulated.device import PlacedDevice
+from hw.simulated.furniture import EMBEDDED_M, box, draw_other_end, overlap
+from hw.simulated.placement import SHORT_THROW, RigGeometry, draw_rig, look_at
+from hw.simulated.scene import Scene
+from hw.simulated.shapes import Block, Sphere
+from hw.simulated.view import lights_and_sees, seen
+
+_STREAM = 200  # random numbers apart from those of a single corner
+_OUTSIDE_M = 0.03  # linings reach so far beyond the room, and farther if it is crooked: no gap lets light through
+_FARTHER_M = 15.0  # per radian: three standard deviations along a wall of 5 m
+_LINING_M = 0.12
+_CLEARANCE_M = 0.25  # of the rig
+_OVERLAP = 0.3  # of a station's view, with that of the one before, at least
+_LIT = 0.25  # of a station's pixels, at least
+_ON_SPHERE = 3  # rays of a coarse grid
+_ALL_ROUND = 6  # stations that it takes at least to come back to the first; fewer make an open chain
+_ATTEMPTS = 60
+_ROUNDS = 60
+_UP = np.array([0.0, 0.0, 1.0])
+
+Station = tuple[PlacedDevice, PlacedDevice]
+
+
+@dataclass(frozen=True)
+class WholeRoom:
+    """The scene, and the rig's camera and projector at each of its stations, in the order in which they go round."""
+
+    scene: Scene
+    stations: tuple[Station, ...]
+
+
+def draw_whole_room(settings: SimulatedRigSettings, walls: Block) -> WholeRoom:
+    """Within `walls`, with a projector that throws wide. Raises DeviceError if the seed has no such room."""
+    fittings_rng, rng, rig_rng = (np.random.default_rng([settings.seed, _STREAM, stream]) for stream in range(3))
+    fittings = _fittings(fittings_rng, walls, np.radians(settings.walls_off_deg))
+    rig = draw_rig(rig_rng, settings.distortion, SHORT_THROW)
+    for _ in range(_ROUNDS):
+        scene = _furnish(rng, Scene(walls, fittings, all_round=True), settings)
+        stations = _draw_stations(rng, scene, rig, settings.stations) if scene else None
+        if scene and stations and _spheres_are_seen(scene, stations):
+            return WholeRoom(scene, stations)
+    raise DeviceError(
+        f"the simulated rig finds no {settings.stations} places round its room whose views overlap; use another seed "
+        f"than {settings.seed}, or another number of stations"
+    )
+
+
+def _fittings(rng: np.random.Generator, walls: Block, off: float) -> tuple[Block, ...]:
+    """Linings that keep opposite walls from being parallel, one of them with the recess of a door; a chimney breast."""
+    far_x, far_y, height = walls.lengths
+    left, width, top = rng.uniform((0.35 * far_y, 0.8, 1.95), (0.6 * far_y, 0.95, 2.1))
+    beyond = _OUTSIDE_M + _FARTHER_M * off
+    low, high = -beyond, height + beyond
+    tilts = off * rng.standard_normal((2, 2))
+    door_wall, other_wall = (_inner_frame(walls, axis, tilt) for axis, tilt in zip((0, 1), tilts, strict=True))
+    across, deep, place = rng.uniform((0.5, 0.2, 0.3), (0.8, 0.3, 0.6))
+    chimney = box(
+        np.array([across, deep + _LINING_M, high - low]),
+        np.array([far_x * place, far_y - (deep + _LINING_M) / 2]),
+        0.0,
+        low,
+    )
+    return (
+        _lining(door_wall, (-beyond, left), (low, high)),
+        _lining(door_wall, (left + width, far_y + beyond), (low, high)),
+        _lining(door_wall, (left, left + width), (top, high)),
+        _lining(other_wall, (-far_x - beyond, beyond), (low, high)),
+        chimney,
+    )
+
+
+def _inner_frame(walls: Block, axis: int, tilt: Floats) -> tuple[Floats, Floats]:
+    """Where a lining before the wall opposite along `axis` starts, and its directions (rows): outward, across, up."""
+    outward = walls.edges[axis] / walls.lengths[axis] + tilt[0] * walls.edges[1 - axis] / walls.lengths[1 - axis]
+    outward = outward + tilt[1] * _UP
+    outward /= np.linalg.norm(outward)
+    across = np.cross(_UP, outward)
+    across /= np.linalg.norm(across)
+    start = walls.origin + walls.edges[axis] - _LINING_M * outward
+    return start, np.stack([outward, across, np.cross(outward, across)])
+
+
+def _lining(frame: tuple[Floats, Floats], across: tuple[float, float], up: tuple[float, float]) -> Block:
+    start, (outward, sideways, upward) = frame
+    edges = np.stack([2 * _LINING_M * outward, (across[1] - across[0]) * sideways, (up[1] - up[0]) * upward])
+    return Block(start + across[0] * sideways + up[0] * upward, edges)
+
+
+def _furnish(rng: np.random.Generator, bare: Scene, settings: SimulatedRigSettings) -> Scene | None:
+    """The room with pieces along all four walls, boxes before them, one or two spheres; None if they do not fit."""
+    if not settings.furniture:
+        return bare
+    askew = np.radians(settings.furniture_askew_deg)
+    pieces = [*_along_the_walls(rng, bare.room, askew), *_boxes(rng, bare.room)]
+    sphere = Sphere(np.array([*_in_the_open(rng, bare.room), settings.sphere_radius_m]), settings.sphere_radius_m)
+    second = None if settings.ball_bar_m is None else draw_other_end(rng, sphere, settings.ball_bar_m)
+    spheres = [sphere] if second is None else [sphere, second]
+    solids: list[Block | Sphere] = [*pieces, *spheres]
+    blocked = any(overlap(first, other) for first, other in combinations(solids, 2))
+    outside = not all(_surrounded_by_air(bare, ball) for ball in spheres[1:])
+    if blocked or outside:
+        return None
+    return replace(bare, blocks=(*bare.blocks, *pieces), sphere=sphere, second_sphere=second)
+
+
+def _along_the_walls(rng: np.random.Generator, room: Block, askew: float) -> Iterator[Block]:
+    """A large piece and a small one at each wall, each turned from it by a normal number times `askew` radians."""
+    far_x, far_y = room.lengths[:2] - _LINING_M
+    for wall, length in ((0, far_y), (1, far_x), (2, far_y), (3, far_x)):
+        shares = rng.permutation([0.28, 0.72]) + rng.uniform(-0.08, 0.08, 2)
+        sizes = rng.uniform(((0.6, 0.3, 0.7), (0.3, 0.25, 0.3)), ((1.2, 0.45, 1.9), (0.6, 0.4, 0.9)))
+        for share, (width, depth, height) in zip(shares, sizes, strict=True):
+            turn = askew * rng.standard_normal()
+            away = (width * abs(np.sin(turn)) + depth * np.cos(turn)) / 2 - EMBEDDED_M
+            place = [(away, share * length), (share * length, away)][wall % 2]
+            if wall >= 2:
+                place = [(far_x - away, share * length), (share * length, far_y - away)][wall % 2]
+            heading = turn + (np.pi / 2 if wall % 2 == 0 else 0.0)
+            yield box(np.array([width, depth, height]), np.array(place), heading)
+
+
+def _boxes(rng: np.random.Generator, room: Block) -> Iterator[Block]:
+    for _ in range(3):
+        size = rng.uniform((0.2, 0.2, 0.15), (0.45, 0.4, 0.5))
+        yield box(size, _in_the_open(rng, room), rng.uniform(0, np.pi))
+
+
+def _in_the_open(rng: np.random.Generator, room: Block) -> Floats:
+    """A place (2,) on the floor, before the furniture at the walls and out of the middle."""
+    share = rng.uniform(0.2, 0.8, 2)
+    edge = rng.integers(2)
+    share[edge] = rng.choice([rng.uniform(0.2, 0.28), rng.uniform(0.72, 0.8)])
+    place: Floats = share * room.lengths[:2]
+    return place
+
+
+def _surrounded_by_air(scene: Scene, sphere: Sphere) -> bool:
+    reach = sphere.radius * np.concatenate([np.eye(3), -np.eye(3)])
+    return bool(scene.is_free((sphere.centre + reach).T).all())
+
+
+def _draw_stations(rng: np.random.Generator, scene: Scene, rig: RigGeometry, count: int) -> tuple[Station, ...] | None:
+    """One in each direction, evenly; None if there is no way round in which each sees enough of the one before."""
+    stations: list[Station] = []
+    for number in range(count):
+        for _ in range(_ATTEMPTS):
+            station = rig.placed(*_camera_pose(rng, scene.room, number / max(count, _ALL_ROUND)))
+            neighbours = [stations[-1]] if stations else []
+            neighbours += stations[:1] if number == count - 1 >= _ALL_ROUND - 1 else []
+            if _is_good(scene, station, neighbours):
+                stations.append(station)
+                break
+        else:
+            return None
+    return tuple(stations)
+
+
+def _camera_pose(rng: np.random.Generator, room: Block, turn: float) -> tuple[Floats, Floats]:
+    """Rotation from the world and centre of a camera that looks over the middle of the room, downwards a little.
+
+    `turn`: the share of a full turn from the direction of the first station, which looks at the corner at the origin.
+    """
+    middle = room.origin + room.edges.sum(axis=0) / 2
+    azimuth = np.arctan2(-middle[1], -middle[0]) + 2 * np.pi * turn + np.radians(rng.uniform(-7, 7))
+    ahead = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    back = rng.uniform(0.3, 0.55) * room.lengths[:2] / 2
+    centre = middle - ahead * [*back, 0.0] + [*rng.uniform(-0.1, 0.1, 2), 0.0]
+    centre[2] = rng.uniform(1.25, 1.65)
+    down = np.tan(np.radians(rng.uniform(10, 22)))
+    return look_at(centre, centre + ahead - down * _UP, _UP, rng.uniform(-6, 6)), centre
+
+
+def _is_good(scene: Scene, station: Station, neighbours: list[Station]) -> bool:
+    """The rig stands free, lights enough of its view, and sees enough of what its neighbours see."""
+    offsets = _CLEARANCE_M * np.concatenate([np.eye(3), -np.eye(3)]).T
+    if not all(scene.is_free(device.centre[:, None] + offsets).all() for device in station):
+        return False
+    points, surface, lit = seen(scene, *station)
+    if lit.mean() < _LIT:
+        return False
+    points, surface = points[:, lit], surface[lit]
+    return all(lights_and_sees(scene, *other, surface, points).mean() >= _OVERLAP for other in neighbours)
+
+
+def _spheres_are_seen(scene: Scene, stations: tuple[Station, ...]) -> bool:
+    """Each by a station at least."""
+    met = np.concatenate([surface[lit] for _, surface, lit in (seen(scene, *station) for station in stations)])
+    return all(np.count_nonzero(met == number) >= _ON_SPHERE for number in scene.spheres)

@@ -1,0 +1,71 @@
+"""`room.yaml`: where the stations of a room stood, its planes, and how sure of them one is."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from calib.geometry import Motion
+from scanner.errors import InputError
+from scanner.io.validation import Entry, Number, validate
+from scanner.io.yaml_text import flow_yaml, read_yaml
+
+_Cosine = Annotated[Number, Field(ge=-2, le=2)]
+_Length = Annotated[Number, Field(ge=-1e12, le=1e12)]
+_Row = tuple[_Cosine, _Cosine, _Cosine]
+_ROUNDED = 1e-6  # of a rotation that someone has written with few digits
+
+
+class _StationEntry(Entry):
+    name: str = Field(min_length=1, max_length=1000)
+    folder: str = Field(pattern=r"^captures/[0-9]{1,6}$")
+    rotation: tuple[_Row, _Row, _Row]
+    translation: tuple[_Length, _Length, _Length]
+
+
+class _RoomEntry(Entry):
+    unit: str = Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")
+    stations: list[_StationEntry] = Field(min_length=1, max_length=10_000)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredStation:
+    """A station's `name`, its `folder` relative to the result, and X_room = rotation X_camera + translation."""
+
+    name: str
+    folder: str
+    place: Motion
+
+
+@dataclass(frozen=True)
+class StoredRoom:
+    """What of a room other files need."""
+
+    unit: str
+    stations: tuple[StoredStation, ...]
+
+
+def write_room(path: Path, entries: dict[str, Any]) -> None:
+    """Write a room's entries, each item of a list on a line of its own. Raises OSError."""
+    lines = []
+    for key, value in entries.items():
+        if isinstance(value, list) and value:
+            lines += [f"{key}:", *(f"  - {flow_yaml(item)}" for item in value)]
+        else:
+            lines.append(f"{key}: {flow_yaml(value)}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_room(path: Path) -> StoredRoom:
+    """Raises InputError if the file is missing or malformed, or holds no rotation."""
+    entry = validate(_RoomEntry, read_yaml(path), str(path))
+    stations = []
+    for station in entry.stations:
+        rotation = np.array(station.rotation)
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDED:
+            raise InputError(f"{path}: the rotation of station {station.name} is none: its rows are not orthonormal")
+        place = Motion(rotation, np.array(station.translation))
+        stations.append(StoredStation(station.name, station.folder, place))
+    return StoredRoom(entry.unit, tuple(stations))

@@ -1,0 +1,93 @@
+"""What is known of a whole room: its stations, how they belong together, and the estimate of all of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.diagnostics import Uncertainty
+from calib.geometry import Calibration, Motion
+from calib.numerics import Floats
+from calib.pointcloud import Cloud
+from calib.rooms import Group, Pair, RoomEstimate, RoomPlane
+from scanner.results import Decoded
+
+
+@dataclass(frozen=True, eq=False)
+class RigStart:
+    """A rig before its room is known, in baselines. `corners`: the stations from whose corners it was calibrated, by
+    number, with their faces; empty where the calibration was `given`, in a unit of its own. `uncertainty`: None where a
+    given one states none.
+    """
+
+    calibration: Calibration
+    uncertainty: Uncertainty | None
+    corners: Mapping[int, Decoded]
+    given: Calibration | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """A capture at its place. `cloud` is in the camera's frame, `plane` (H, W) is which plane of the room a pixel is
+    on, −1 for none.
+
+    `place`: X_room = rotation X_camera + translation. `sigma_deg`, `sigma` (3,): of its turn about the room's axes and
+    of its translation, against the first station; NaN in a direction that nothing holds.
+    """
+
+    decoded: Decoded
+    cloud: Cloud
+    plane: NDArray[np.int32]
+    place: Motion
+    sigma_deg: Floats
+    sigma: Floats
+    residual_px: float
+
+    @property
+    def name(self) -> str:
+        """Which capture it is."""
+        return self.decoded.name
+
+    def to_room(self, points: Floats) -> Floats:
+        """Points (..., 3) of the camera's frame in the room's."""
+        return points @ self.place.rotation.T + self.place.translation
+
+
+@dataclass(frozen=True)
+class Stranger:
+    """A capture that is no station of this room, and why, in a sentence."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedRoom:
+    """All in the room's frame, z up, and the unit of `calibration`; `estimate` is as it was made, in baselines.
+
+    `stations` are those of `group`, in its order, `names` are of all captures; `pairs` are of these by number.
+    `uncertainty`: of the calibration, None where it is not known. `floor`: which plane it is. `areas` (P,): how much
+    was seen of each plane, in squares of the unit. `upright`: X_room = rotation X_estimate + translation, after which
+    lengths are multiplied by `factor`.
+    """
+
+    calibration: Calibration
+    uncertainty: Uncertainty | None
+    stations: tuple[Station, ...]
+    planes: tuple[RoomPlane, ...]
+    estimate: RoomEstimate
+    upright: Motion
+    factor: float
+    group: Group
+    pairs: tuple[Pair, ...]
+    names: tuple[str, ...]
+    strangers: tuple[Stranger, ...]
+    remarks: tuple[str, ...]
+    floor: int | None
+    areas: Floats
+
+    @property
+    def unit(self) -> str:
+        """Of all lengths."""
+        return self.calibration.unit

@@ -1,0 +1,107 @@
+"""A rig's calibration from the stations that happen to show a corner, good enough to register all of them.
+
+Each corner calibrates the rig by itself; what they say is put together as Gaussians, without those that contradict the
+others. The room's estimate is made from the same matches again and takes nothing of it but where to begin.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.diagnostics import Uncertainty, calibration_of
+from calib.geometry import Sigmas
+from calib.numerics import Floats
+from calib.refinement import SHARED, State, inverse_of
+from calib.refusal import RefusalError
+from scanner.configuration import Config
+from scanner.errors import InputError
+from scanner.reconstruction import label, solve
+from scanner.results import Decoded
+from scanner.rooms.contents import RigStart
+from scanner.ui import Progress
+
+# The sigmas of a single corner are those of walls that are off square: in real rooms they are a little too small.
+_CONTRADICTS = 5.0
+_SIGMAS_OF_CORNER = 2.0
+_HELD = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class SeenCorner:
+    """A capture with its faces labelled, and the rig as they alone have it."""
+
+    labelled: Decoded
+    uncertainty: Uncertainty
+
+
+def corner_in(capture: Decoded, config: Config) -> SeenCorner:
+    """Raises RefusalError if the capture shows no corner that calibrates the rig."""
+    (labelled,) = label([capture], [capture])
+    (solution,) = solve([labelled], config)
+    if solution.uncertainty is None:
+        raise InputError("'method: paper' calibrates from one capture: use 'method: refined' for a room")
+    return SeenCorner(labelled, solution.uncertainty)
+
+
+def rig_from_corners(stations: Sequence[Decoded], config: Config, progress: Progress) -> RigStart:
+    """Raises RefusalError if no station shows a corner that calibrates the rig."""
+    corners: dict[int, SeenCorner] = {}
+    refusals: list[str] = []
+    for number, capture in enumerate(progress.track(stations, len(stations), "Looking for corners")):
+        try:
+            corners[number] = corner_in(capture, config)
+        except RefusalError as refusal:
+            refusals.append(f"{capture.name}: {refusal.reason}")
+    if not corners:
+        raise RefusalError(
+            "No station shows a corner from which the rig can be calibrated. " + " ".join(refusals[:3]),
+            "Let one station look into a corner of the room, as scan check advises, or give the rig's --calibration.",
+        )
+    return rig_of(corners)
+
+
+def rig_of(corners: Mapping[int, SeenCorner]) -> RigStart:
+    """What corners, by the numbers of their stations, say together; at least one."""
+    kept, rig, covariance = _together({k: corner.uncertainty for k, corner in corners.items()})
+    facts = corners[kept[0]].labelled.facts
+    calibration = calibration_of(rig, facts.camera_size, facts.projector_size, Sigmas())
+    match_px = float(np.median([corners[k].uncertainty.match_px for k in kept]))
+    uncertainty = Uncertainty(rig, covariance, None, match_px)
+    return RigStart(calibration, uncertainty, {k: corners[k].labelled for k in kept})
+
+
+def _together(corners: dict[int, Uncertainty]) -> tuple[list[int], State, Floats]:
+    """Which corners agree, the rig that they agree on, and its covariance (15, 15)."""
+    kept = list(corners)
+    while True:
+        rig, covariance = _combined([corners[k] for k in kept])
+        off = {k: _distance(corners[k], rig) for k in kept}
+        worst = max(kept, key=lambda k: off[k])
+        if len(kept) < 3 or off[worst] < _CONTRADICTS * _SIGMAS_OF_CORNER:
+            return kept, rig, covariance
+        kept.remove(worst)
+
+
+def _combined(corners: Sequence[Uncertainty]) -> tuple[State, Floats]:
+    """The product of Gaussians, about the first one's rig."""
+    first = corners[0].rig
+    precision, pull = np.zeros((SHARED, SHARED)), np.zeros(SHARED)
+    free = np.diag(corners[0].covariance) > _HELD**2
+    for each in corners:
+        own = np.zeros_like(precision)
+        own[np.ix_(free, free)] = inverse_of(each.covariance[np.ix_(free, free)])
+        precision += own
+        pull += own @ first.step_to(each.rig)
+    covariance, step = np.zeros_like(precision), np.zeros(SHARED)
+    covariance[np.ix_(free, free)] = inverse_of(precision[np.ix_(free, free)])
+    step[free] = covariance[np.ix_(free, free)] @ pull[free]
+    return first.moved(step), covariance
+
+
+def _distance(corner: Uncertainty, rig: State) -> float:
+    """Root mean square deviation of a corner's rig from another, in its own sigmas."""
+    step = corner.rig.step_to(rig)
+    free = np.diag(corner.covariance) > _HELD**2
+    inverse = inverse_of(corner.covariance[np.ix_(free, free)])
+    return float(np.sqrt(step[free] @ inverse @ step[free] / np.count_nonzero(free)))

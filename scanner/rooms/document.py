@@ -1,0 +1,60 @@
+"""Stations that exist already: recorded captures, result folders and matches files of one unchanged rig."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from calib.geometry import Calibration
+from scanner.capture import CAPTURE_FILE, open_capture
+from scanner.configuration import Config
+from scanner.errors import InputError
+from scanner.io import read_calibration
+from scanner.pipeline import decode_recording
+from scanner.quantities import UNKNOWN_UNIT
+from scanner.reconstruction import read_captures
+from scanner.results import Decoded, read_uncertainty
+from scanner.rooms.contents import RigStart
+from scanner.ui import Progress
+
+
+def read_stations(paths: Sequence[Path], config: Config, progress: Progress) -> list[Decoded]:
+    """Captures are decoded; results and matches are read. In the order given.
+
+    Raises InputError if a file is damaged, belongs to images of another size, or is given twice.
+    """
+    twice = [path for number, path in enumerate(paths) if path.resolve() in [each.resolve() for each in paths[:number]]]
+    if twice:
+        raise InputError(f"{twice[0]}: given twice; a station counts once")
+    stations: list[Decoded] = []
+    for path in paths:
+        if (path / CAPTURE_FILE).is_file():
+            stations.append(_decoded(path, config, progress))
+        else:
+            stations += read_captures([path], config.camera_size, config.projector_size)
+    if len(stations) < 2:
+        raise InputError(f"a room needs two stations or more, found {len(stations)}")
+    return stations
+
+
+def _decoded(path: Path, config: Config, progress: Progress) -> Decoded:
+    recording = open_capture(path)
+    for name, size, expected in (
+        ("camera", recording.camera_size, config.camera_size),
+        ("projector", recording.projector_size, config.projector_size),
+    ):
+        if size != expected:
+            raise InputError(f"{path}: its {name} is {size}, but the configuration's is {expected}")
+    return decode_recording(recording, progress)
+
+
+def given_rig(path: Path, config: Config) -> RigStart:
+    """A calibration file of the rig, with its covariance if the file states one. Raises InputError."""
+    given = read_calibration(path)
+    for name, device, expected in (
+        ("camera", given.camera, config.camera_size),
+        ("projector", given.projector, config.projector_size),
+    ):
+        if device.size != expected:
+            raise InputError(f"{path}: its {name} is {device.size}, but the configuration's is {expected}")
+    in_baselines: Calibration = replace(given, translation=given.translation / given.baseline, unit=UNKNOWN_UNIT)
+    return RigStart(in_baselines, read_uncertainty(path, given), {}, given)

@@ -1,0 +1,84 @@
+"""The jobs of rooms: from stations that exist, and live."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from calib.refusal import RefusalError
+from scanner.configuration import Config
+from scanner.errors import InputError
+from scanner.results import REFUSAL_FILE, Verdict, new_result, provenance, verdict_entries, write_refusal
+from scanner.rooms.contents import SolvedRoom
+from scanner.rooms.corner_rig import rig_from_corners
+from scanner.rooms.document import given_rig, read_stations
+from scanner.rooms.live import check_stations, take_stations
+from scanner.rooms.open3d_module import open3d
+from scanner.rooms.save import save_room
+from scanner.rooms.solve import solve_room
+from scanner.rooms.verdict import verdict_on
+from scanner.ui import Terminal
+
+_SILENT = Terminal(quiet=True)
+
+
+def room(
+    stations: Sequence[Path],
+    config: Config,
+    out: Path,
+    *,
+    calibration: Path | None = None,
+    overwrite: bool = False,
+    terminal: Terminal = _SILENT,
+) -> SolvedRoom:
+    """Put stations of one unchanged rig together, in any order. With a `calibration`, none has to show a corner.
+
+    Raises InputError, RefusalError.
+    """
+    config.principal_point(config.camera_size)
+    open3d()  # or say at once that it is missing
+    known = given_rig(calibration, config) if calibration else None
+    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, _saying_why(folder, config):
+        captures = read_stations(stations, config, terminal)
+        start = known or rig_from_corners(captures, config, terminal)
+        solved = solve_room(captures, start, config, terminal)
+        save_room(solved, folder, config, terminal)
+        _refuse_ambiguous(solved)
+    return solved
+
+
+def scan_room(
+    config: Config, number: int, out: Path, *, overwrite: bool = False, terminal: Terminal = _SILENT
+) -> SolvedRoom:
+    """Scan a room from `number` stations, between which the rig is moved as a whole.
+
+    Raises InputError, DeviceError, RefusalError.
+    """
+    config.principal_point(config.camera_size)
+    if number < 2:
+        raise InputError(f"--stations: expected 2 or more, found {number}")
+    check_stations(config, number, terminal)
+    open3d()
+    made = new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note)
+    with made as folder, _saying_why(folder, config):
+        captures, start = take_stations(config, number, folder, terminal)
+        solved = solve_room(captures, start, config, terminal)
+        save_room(solved, folder, config, terminal)
+        _refuse_ambiguous(solved)
+    return solved
+
+
+@contextmanager
+def _saying_why(folder: Path, config: Config) -> Iterator[None]:
+    """After a RefusalError in the block the folder says why, for programs."""
+    try:
+        yield
+    except RefusalError as refusal:
+        verdict = Verdict("refused", refusal.reason, (), refusal.advice)
+        write_refusal(folder / REFUSAL_FILE, provenance(folder, config).entries({}) | verdict_entries(verdict))
+        raise
+
+
+def _refuse_ambiguous(solved: SolvedRoom) -> None:
+    verdict = verdict_on(solved)
+    if verdict.grade == "refused":
+        raise RefusalError(f"{verdict.headline} {verdict.reasons[0]}", verdict.advice)

@@ -1,0 +1,159 @@
+"""Stations one after the other with the configured rig: whether each overlaps the earlier ones, where to stand next."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from shutil import copy2
+
+import numpy as np
+
+from calib.geometry import Calibration, Motion
+from calib.numerics import Bools
+from calib.refusal import RefusalError
+from calib.rooms import Group, Pair, register
+from hw.errors import DeviceError
+from hw.moving import at_place, moves_by_itself
+from scanner.configuration import Config
+from scanner.errors import InputError
+from scanner.io import MATCHES_FILE, write_matches
+from scanner.pipeline import take
+from scanner.results import CAPTURES_FOLDER, TRUTH_FILE, Decoded
+from scanner.rooms.contents import RigStart
+from scanner.rooms.corner_rig import SeenCorner, corner_in, rig_of
+from scanner.rooms.solve import Seen, look_at
+from scanner.rooms.upright import moved_place, upright
+from scanner.ui import Terminal
+
+_BINS = 36
+_LEAST_OPEN_DEG = 30.0
+_LEAST_OVERLAP = 0.1
+_COMMON = 1 / 3  # of a view, that the next station should still see
+_COMPARED = 4  # earlier stations
+
+
+def check_stations(config: Config, number: int, terminal: Terminal) -> None:
+    """Raise InputError if the rig cannot go to so many places, or nobody could be asked to move it."""
+    if not moves_by_itself(config.required_rig) and not terminal.can_ask:
+        raise InputError(
+            f"--stations {number} asks you to move the rig between stations, but the input is no terminal: run it in "
+            "one, or scan several times and put the results together with scan room"
+        )
+    try:
+        at_place(config.required_rig, number - 1)
+    except DeviceError as error:
+        raise InputError(f"--stations {number}: {error}") from error
+
+
+def take_stations(config: Config, number: int, folder: Path, terminal: Terminal) -> tuple[list[Decoded], RigStart]:
+    """Capture from so many places, or from fewer if the operator has enough. Raises DeviceError, RefusalError."""
+    captures: list[Decoded] = []
+    corners: dict[int, SeenCorner] = {}
+    refusal: RefusalError | None = None
+    for step in range(number):
+        if step and not _ready(config, step, number, terminal):
+            break
+        place = folder / CAPTURES_FOLDER / str(step + 1)
+        place.mkdir(parents=True)
+        name = f"Station {step + 1}"
+        captures.append(take(at_place(config.required_rig, step), config, place, terminal, name))
+        write_matches(place / MATCHES_FILE, captures[-1].matches)  # should a later station fail
+        if (place / TRUTH_FILE).is_file() and step == 0:
+            copy2(place / TRUTH_FILE, folder / TRUTH_FILE)
+        try:
+            corners[step] = corner_in(captures[-1], config)
+        except RefusalError as error:
+            refusal = error
+        if corners:
+            with terminal.step("Comparing with earlier stations"):
+                told = _told(captures, rig_of(corners).calibration)
+            for sentence in told:
+                terminal.show(sentence)
+        else:
+            terminal.show(f"{name} shows no corner to calibrate from; one of the stations should.")
+    if not corners and refusal is not None:
+        raise refusal
+    return captures, rig_of(corners)
+
+
+def _ready(config: Config, step: int, number: int, terminal: Terminal) -> bool:
+    if moves_by_itself(config.required_rig):
+        return True
+    answer = terminal.ask(
+        f"Station {step} of {number} is done. Move the rig as a whole; then press Enter, or q and Enter to go on with "
+        "what there is: "
+    )
+    return not answer.strip().lower().startswith("q")
+
+
+def _told(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
+    """Whether the newest station overlaps the ones before it, and where to stand next."""
+    first = max(0, len(captures) - 1 - _COMPARED)
+    seen = [look_at(capture, calibration) for capture in captures[first:]]
+    newest = len(seen) - 1
+    if newest == 0:
+        return [f"Next: {_turn(calibration, 'to either side')}"]
+    found = register([each.view for each in seen])
+    group = next((each for each in found.groups if newest in each.stations), None)
+    if group is None:
+        return [
+            f"{captures[-1].name} overlaps none of the stations before it. It will be left out unless a later one "
+            f"connects them: go back to where {captures[-2].name} stood, and {_turn(calibration, 'to one side')}"
+        ]
+    shared = [pair for pair in found.pairs if newest in (pair.first, pair.second)]
+    told = [_overlaps(captures[first:], shared, newest)]
+    return [*told, _next(seen, group, newest, calibration)]
+
+
+def _overlaps(captures: Sequence[Decoded], shared: Sequence[Pair], newest: int) -> str:
+    others = [
+        f"{captures[pair.first if pair.second == newest else pair.second].name} by {pair.overlap:.0%}"
+        for pair in sorted(shared, key=lambda pair: -pair.overlap)
+    ]
+    weak = (
+        " That is little: put another station in between."
+        if max(each.overlap for each in shared) < _LEAST_OVERLAP
+        else ""
+    )
+    return f"{captures[newest].name} overlaps {', '.join(others)}.{weak}"
+
+
+def _next(seen: Sequence[Seen], group: Group, newest: int, calibration: Calibration) -> str:
+    """Which way to turn the rig, towards what nobody has seen yet."""
+    turn, _ = upright(group.places, group.planes, np.ones(len(group.planes)))
+    places = {k: moved_place(place, turn) for k, place in zip(group.stations, group.places, strict=True)}
+    middle = np.mean([place.translation[:2] for place in places.values()], axis=0)
+    open_bins = ~_seen_all_round(seen, places, middle)
+    width = 360.0 / _BINS
+    ahead = places[newest].rotation[:2, 2]
+    looked = int(np.degrees(np.arctan2(ahead[1], ahead[0])) % 360 / width)
+    left = next((k for k in range(_BINS) if open_bins[(looked + k) % _BINS]), None)
+    right = next((k for k in range(_BINS) if open_bins[(looked - k) % _BINS]), None)
+    if left is None or right is None or np.count_nonzero(open_bins) * width < _LEAST_OPEN_DEG:
+        return "All round has been seen: what follows closes the loop, or adds detail."
+    return f"Next: {_turn(calibration, 'to the left' if left <= right else 'to the right')}"
+
+
+def _seen_all_round(seen: Sequence[Seen], places: dict[int, Motion], middle: np.ndarray) -> Bools:
+    """Which directions from the middle (2,) have something that was seen, (bins,)."""
+    count = np.zeros(_BINS)
+    for k, place in places.items():
+        points = seen[k].view.points.reshape(-1, 3)[::50].astype(np.float64)
+        points = points[np.isfinite(points[:, 2])] @ place.rotation.T + place.translation
+        azimuth = np.degrees(np.arctan2(points[:, 1] - middle[1], points[:, 0] - middle[0])) % 360
+        count += np.bincount((azimuth * _BINS / 360).astype(np.int64) % _BINS, minlength=_BINS)
+    found: Bools = count > 0.1 * np.median(count[count > 0])
+    return found
+
+
+def _turn(calibration: Calibration, side: str) -> str:
+    """By how much, so that a third of the view stays the same."""
+    lit = min(
+        _field_deg(calibration.camera.width, calibration.camera.focal_px[0]),
+        _field_deg(calibration.projector.width, calibration.projector.focal_px[0]),
+    )
+    return (
+        f"turn the rig by about {5 * round((1 - _COMMON) * lit / 5)}° {side}; a third of what it sees stays the same."
+    )
+
+
+def _field_deg(width: int, focal_px: float) -> float:
+    return float(np.degrees(2 * np.arctan(width / (2 * focal_px))))

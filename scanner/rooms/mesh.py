@@ -1,0 +1,115 @@
+"""The room as one surface: all stations' depths fused on a grid of signed distances, in which they are averaged.
+
+Curless and Levoy, "A volumetric method for building complex models from range images", 1996; by Open3D.
+"""
+
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Intrinsics
+from calib.numerics import Floats
+from calib.pointcloud import NONE, without_gaps
+from scanner.exporting.triangles import Mesh
+from scanner.rooms.blended_cloud import grid_of, index_of
+from scanner.rooms.contents import SolvedRoom, Station
+from scanner.rooms.open3d_module import open3d
+
+_VOXELS = 1.5  # edges of the cloud's voxels
+_TRUNCATED = 4.0  # edges of this grid's voxels: signed distances are kept so far on either side of a surface
+_BLOCK, _MOST_BLOCKS = 16, 8000  # voxels to the edge of a block, of which each takes 80 kB
+_LEAST_PIECE = 200  # triangles
+_LEAST_WEIGHT = 0.5  # of a voxel: one station is enough
+_NO_NORMAL = np.array([0.0, -1.0, 0.0])  # of slivers
+# The room's axes (z up) as those of a camera that is held level, from which meshes are written.
+_CAMERA_FROM_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def fused(room: SolvedRoom) -> Mesh | None:
+    """The mesh, or None if nothing hangs together.
+
+    It is in the frame of a level camera at the room's origin: x along the room's x, y down, z along its y.
+    """
+    o3d = open3d()
+    views = [_view(o3d, station, room.calibration.camera) for station in room.stations]
+    voxel = _VOXELS * grid_of(room.stations, room.calibration)
+    while True:
+        volume = o3d.t.geometry.VoxelBlockGrid(
+            attr_names=("tsdf", "weight", "color"),
+            attr_dtypes=(o3d.core.float32,) * 3,
+            attr_channels=(1, 1, 3),
+            voxel_size=voxel,
+            block_resolution=_BLOCK,
+            block_count=_MOST_BLOCKS,
+        )
+        blocks = [volume.compute_unique_block_coordinates(*view.of_depth, *view.reach, _TRUNCATED) for view in views]
+        count = sum(len(each) for each in blocks)
+        if count <= _MOST_BLOCKS:
+            break
+        voxel *= 1.1 * float(np.sqrt(count / _MOST_BLOCKS))
+    for view, near in zip(views, blocks, strict=True):
+        depth, intrinsic, extrinsic = view.of_depth
+        volume.integrate(near, depth, view.colour, intrinsic, intrinsic, extrinsic, *view.reach, _TRUNCATED)
+    return _cleaned(volume.extract_triangle_mesh(_LEAST_WEIGHT).to_legacy(), room.unit)
+
+
+class _View(NamedTuple):
+    """What Open3D takes of a station: depth image, intrinsic and extrinsic matrix; colours; depth's unit and limit."""
+
+    of_depth: tuple[Any, Any, Any]
+    colour: Any
+    reach: tuple[float, float]
+
+
+def _view(o3d: Any, station: Station, camera: Intrinsics) -> _View:
+    ideal, depth, colour = _ideal(station, camera)
+    (fx, fy), (x0, y0) = ideal.focal_px, ideal.principal_point_px
+    intrinsic = np.array([[fx, 0.0, x0], [0.0, fy, y0], [0.0, 0.0, 1.0]])
+    images = (o3d.t.geometry.Image(o3d.core.Tensor(image)) for image in (depth[..., None], colour))
+    depth_image, colour_image = images
+    matrices = (o3d.core.Tensor(intrinsic), o3d.core.Tensor(_into_camera(station)))
+    return _View((depth_image, *matrices), colour_image, (1.0, 1.01 * float(depth.max())))
+
+
+def _ideal(station: Station, camera: Intrinsics) -> tuple[Intrinsics, NDArray[np.float32], NDArray[np.float32]]:
+    """What a camera without distortion sees of a station's points: depth (H, W), 0 for none, and colours up to 1."""
+    ideal = Intrinsics(camera.width, camera.height, camera.focal_px, camera.principal_point_px)
+    x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
+    pixels = camera.project(ideal.unproject(np.stack([x, y], axis=-1))).astype(np.float32)
+    depth = _filled(station.cloud.points[..., 2])
+    nearest = cv2.INTER_NEAREST  # between a surface and what is behind it there is nothing
+    column, row = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
+    seen = cv2.remap(depth, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    colour = cv2.remap(station.cloud.colours, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    return ideal, np.ascontiguousarray(seen, np.float32), (colour / 255.0).astype(np.float32)
+
+
+def _filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Depths (H, W), 0 for none; pixels between sparse points have the nearest one's."""
+    index = without_gaps(index_of(np.isfinite(depth)))
+    return np.where(index == NONE, np.float32(0.0), depth.ravel()[index]).astype(np.float32)
+
+
+def _into_camera(station: Station) -> Floats:
+    """X_camera from X_room, (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = station.place.rotation.T
+    matrix[:3, 3] = -station.place.rotation.T @ station.place.translation
+    return matrix
+
+
+def _cleaned(mesh: Any, unit: str) -> Mesh | None:
+    """Without crumbs, with normals."""
+    cluster, count, _ = mesh.cluster_connected_triangles()
+    mesh.remove_triangles_by_mask(np.asarray(count)[np.asarray(cluster)] < _LEAST_PIECE)
+    mesh.remove_degenerate_triangles()
+    if len(mesh.triangles) == 0:
+        return None
+    mesh.remove_unreferenced_vertices()
+    mesh.compute_vertex_normals()
+    points, normals = (np.asarray(each) @ _CAMERA_FROM_ROOM.T for each in (mesh.vertices, mesh.vertex_normals))
+    normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, _NO_NORMAL)
+    colours = np.rint(255 * np.asarray(mesh.vertex_colors)).astype(np.uint8)
+    return Mesh(points, normals, colours, np.asarray(mesh.triangles).astype(np.int64), unit)

@@ -1,0 +1,162 @@
+"""report.html of a room: whether it can be trusted, what was measured, how the stations hold each other."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.pointcloud import MergedCloud
+from scanner.quantities import device_quantities, percent, plain, pose_quantities, shown_unit
+from scanner.rendering import BLUE, environment, frustum, render
+from scanner.rendering.cloud_views import Wireframe, view_along
+from scanner.reporting import maps
+from scanner.reporting.sections import Picture, ScaledMap, picture
+from scanner.results import Provenance
+from scanner.rooms.contents import SolvedRoom, Station
+from scanner.rooms.floorplan import FloorPlan
+from scanner.rooms.floorplan_svg import plan_svg
+from scanner.rooms.verdict import verdict_on
+
+_VIEW, _HALF = (960, 640), 480
+_FRUSTUM_OF_SIZE = 0.05
+_SHOWN_SHARE = 99
+_FILES = {
+    "room.ply": "one cloud of the whole room, with normals and colours",
+    "room.glb": "one mesh of it",
+    "room.yaml": "where every station stood, the planes, and their sigmas",
+    "calibration.yaml": "intrinsics of both devices and the motion between them, from all stations together",
+    "floorplan.svg": "the plan below",
+    "floorplan.dxf": "the same for CAD programs",
+    "captures": "the stations, each a result of its own",
+    "truth.yaml": "the calibration of the simulated rig, as it really is",
+    "scan.log": "what the program did, step by step",
+}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Of the overlap matrix: what it says, and how dark it is, up to 1."""
+
+    text: str
+    shade: float
+
+
+def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud, made: Provenance) -> None:
+    """Write the page; it needs no network and no other file. Raises OSError."""
+    calibration = room.calibration
+    files = sorted({path.name for path in path.parent.iterdir()} - {path.name})
+    page = (
+        environment()
+        .get_template("room.html")
+        .render(
+            verdict=verdict_on(room),
+            provenance=made,
+            subtitle=f"{len(room.stations)} stations of one rig, {len(cloud.points):,} points.",
+            plan=plan_svg(plan),
+            views=_views(room, cloud),
+            lengths=list(_lengths(room, plan)),
+            stations=[_station_row(room, number, station) for number, station in enumerate(room.stations)],
+            names=[str(number) for number in range(1, len(room.stations) + 1)],
+            overlaps=_overlaps(room),
+            pairs=list(_pairs(room)),
+            residuals=[(station.name, _residual_map(station)) for station in room.stations],
+            tables=[
+                ("Camera", device_quantities("camera", calibration, None)),
+                ("Projector", device_quantities("projector", calibration, None)),
+                ("Between them", pose_quantities(calibration, None)),
+            ],
+            files=[(name, _FILES[name]) for name in files if name in _FILES],
+            unit=room.unit,
+        )
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def _views(room: SolvedRoom, cloud: MergedCloud) -> list[Picture]:
+    """From two sides above, and from straight above; walls that one would look at from behind are left out."""
+    size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    frusta = [
+        Wireframe(station.to_room(frustum(room.calibration.camera, _FRUSTUM_OF_SIZE * size)), BLUE)
+        for station in room.stations
+    ]
+    up = np.array([0.0, 0.0, 1.0])
+    views = {
+        "From one corner, above": (view_along(np.array([1.0, 0.8, -0.9]), up), _VIEW),
+        "From the opposite one": (view_along(np.array([-1.0, -0.8, -0.9]), up), (_HALF, _HALF)),
+        "From straight above": (view_along(-up, np.array([0.0, 1.0, 0.0])), (_HALF, _HALF)),
+    }
+    return [
+        picture(render(cloud, view, drawn, frusta), f"the room, {name.lower()}", caption=f"{name}.")
+        for name, (view, drawn) in views.items()
+    ]
+
+
+def _lengths(room: SolvedRoom, plan: FloorPlan) -> Iterator[tuple[str, str, str]]:
+    """What was measured: name, value with sigma, meaning."""
+    unit = shown_unit(room.unit)
+    for line in plan.lines:
+        if line.length is not None:
+            (a, b) = ((line.start + line.end) / 2).tolist()
+            where = f"along the floor, from corner to corner; its middle is at ({plain(a, 2)}, {plain(b, 2)})"
+            yield f"wall, plane {line.plane}", unit.length(line.length.value, line.length.sigma), where
+    for one, other, apart in plan.gaps:
+        yield f"between planes {one} and {other}", unit.length(apart.value, apart.sigma), "walls that face each other"
+    if plan.height is not None:
+        yield "height", unit.length(plan.height.value, plan.height.sigma), "from floor to ceiling"
+    for corner in plan.corners:
+        angle = f"{plain(corner.angle_deg.value, 4)} ± {plain(corner.angle_deg.sigma, 4)}°"
+        yield f"corner of planes {corner.planes[0]} and {corner.planes[1]}", angle, "inside the room"
+
+
+def _station_row(room: SolvedRoom, number: int, station: Station) -> tuple[str, ...]:
+    unit = shown_unit(room.unit)
+    place = ", ".join(unit.number(value) for value in station.place.translation.tolist())
+    sigma = "held" if number == 0 else unit.error(float(np.linalg.norm(station.sigma)))
+    turn = "held" if number == 0 else f"{float(np.linalg.norm(station.sigma_deg)):.2g}°"
+    return (
+        str(number + 1),
+        station.name,
+        f"{place} {unit.name}",
+        sigma,
+        turn,
+        f"{len(station.decoded.matches):,}",
+        "–" if np.isnan(station.residual_px) else f"{station.residual_px:.3f}",
+    )
+
+
+def _overlaps(room: SolvedRoom) -> list[list[Cell]]:
+    """Shares of surfaces that stations share, by station."""
+    shares = {frozenset((pair.first, pair.second)): pair.overlap for pair in room.pairs}
+    rows = []
+    for i in room.group.stations:
+        found = [shares.get(frozenset((i, j)), 0.0) if i != j else None for j in room.group.stations]
+        rows.append(
+            [Cell("", 0.0) if share is None else Cell(percent(share) if share else "·", share) for share in found]
+        )
+    return rows
+
+
+def _pairs(room: SolvedRoom) -> Iterator[tuple[str, ...]]:
+    """Each pair that overlaps: what it is worth as evidence, and what it would have said alone."""
+    unit = shown_unit(room.unit)
+    order = {station: str(number) for number, station in enumerate(room.group.stations, start=1)}
+    for pair in sorted(room.pairs, key=lambda pair: -pair.overlap):
+        if pair.first not in order or pair.second not in order:
+            continue
+        yield (
+            f"{order[pair.first]} – {order[pair.second]}",
+            percent(pair.overlap),
+            percent(pair.contradiction),
+            f"{100 * pair.residual:.3f} %",
+            unit.error(room.factor * pair.closure),
+            f"{pair.nats:.0f}",
+        )
+
+
+def _residual_map(station: Station) -> ScaledMap:
+    misses = station.cloud.residual_px
+    known = np.abs(misses[np.isfinite(misses)])
+    limit = float(np.percentile(known, _SHOWN_SHARE)) if len(known) and known.any() else 1e-3
+    painted, scale = maps.signed_map(misses, limit, "px", _HALF)
+    return ScaledMap(picture(painted, f"misses of the rays over the camera's image of {station.name}"), scale)

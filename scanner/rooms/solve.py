@@ -1,0 +1,235 @@
+"""Stations and a rig to begin with → a room: registered without a guess, then one estimate of all of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.diagnostics import Uncertainty, calibration_of, sigmas_of
+from calib.geometry import Calibration, Corner, Matches
+from calib.numerics import Floats, Ints
+from calib.pointcloud import build_cloud
+from calib.refinement import SHARED, Cells, Knowledge, into_cells
+from calib.refusal import RefusalError
+from calib.rooms import (
+    Group,
+    Registration,
+    RigPrior,
+    RoomEstimate,
+    StationView,
+    estimate_room,
+    estimate_without_planes,
+    register,
+    split_planes,
+    station_view,
+)
+from calib.rooms.lengths import vertex
+from scanner.configuration import Config
+from scanner.reconstruction import scaled, shifts_of
+from scanner.results import Decoded
+from scanner.rooms.contents import RigStart, SolvedRoom, Station, Stranger
+from scanner.rooms.rig_model import ideal_matches, ideal_rig, is_estimated, state_of
+from scanner.rooms.upright import moved_place, moved_plane, upright
+from scanner.ui import Progress
+
+_FEWEST_ON_A_PLANE = 200
+_MOST_ON_FACE = 0.5  # of a face's matches that have to be on one plane for the face to be that plane
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A capture by the rig as it was known at first: its planes, and which of them each match (N,) is on."""
+
+    decoded: Decoded
+    view: StationView
+    plane: Ints
+
+
+def look_at(capture: Decoded, calibration: Calibration) -> Seen:
+    """A capture's planes."""
+    cloud = build_cloud(capture.matches, None, calibration)
+    view = station_view(cloud.points, cloud.normals, calibration.camera)
+    return Seen(capture, *split_planes(view, capture.matches, calibration))
+
+
+def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedRoom:
+    """Raises RefusalError if no two stations belong together, or what they say contradicts itself."""
+    seen = [look_at(capture, start.calibration) for capture in progress.track(captures, len(captures), "Surfaces")]
+    with progress.step("Registering"):
+        registration = register([each.view for each in seen])
+    if not registration.groups:
+        raise RefusalError(
+            "No two stations show the same part of a room: " + _reasons(captures, registration),
+            "Let each station see about a third of what the one before saw, with more than a bare wall in it.",
+        )
+    group = registration.groups[0]
+    members = [seen[k] for k in group.stations]
+    with progress.step("Estimating"):
+        estimate = _estimate(members, group, start, config)
+    return _finished(seen, registration, estimate, start, config)
+
+
+def _reasons(captures: Sequence[Decoded], registration: Registration) -> str:
+    return "; ".join(f"{captures[left.station].name}: {left.reason}" for left in registration.left_out) + "."
+
+
+def _estimate(members: Sequence[Seen], group: Group, start: RigStart, config: Config) -> RoomEstimate:
+    state = state_of(start.calibration if is_estimated(start) else ideal_rig(start.calibration))
+    facts = members[0].decoded.facts
+    if start.corners:
+        point = config.principal_point(facts.camera_size)
+        squareness_deg = config.corner.squareness_deg
+        knowledge = Knowledge(facts.camera_size, facts.projector_size, point.px, point.sigma_px, squareness_deg)
+        prior = RigPrior.from_knowledge(knowledge, state)
+    elif start.uncertainty is not None:
+        prior = RigPrior.from_calibration(state, start.uncertainty.covariance)
+    else:
+        prior = RigPrior.exactly(state)
+    matches = [ideal_matches(each.decoded.matches, start) for each in members]
+    loose = [each[seen.plane < 0] for each, seen in zip(matches, members, strict=True)]
+    cells = [_cells(each, seen.plane) for each, seen in zip(matches, members, strict=True)]
+    if not any(len(each) for each in cells):
+        return estimate_without_planes(loose, group.places, state, prior)
+    return estimate_room(
+        cells,
+        group.plane_of,
+        group.places,
+        group.planes,
+        state,
+        prior,
+        square=_square_pairs(members, group, start),
+        squareness_deg=config.corner.squareness_deg,
+        shifts=[shifts_of(each.decoded) for each in members],
+        loose=loose,
+    )
+
+
+def _cells(matches: Matches, plane: Ints) -> Cells:
+    count = np.bincount(plane[plane >= 0])
+    labels = np.flatnonzero(count >= _FEWEST_ON_A_PLANE).tolist()
+    if not labels:
+        pixels, nothing = np.zeros((0, 2)), np.zeros(0)
+        return Cells(pixels, pixels, np.zeros(0, np.int32), nothing, nothing, np.nan, 0.0)
+    return into_cells(matches, labels, plane)
+
+
+def _square_pairs(members: Sequence[Seen], group: Group, start: RigStart) -> list[tuple[int, int]]:
+    """The faces of the corners that the rig was calibrated from, as pairs of the room's planes."""
+    pairs = []
+    for number, (station, seen) in enumerate(zip(group.stations, members, strict=True)):
+        faces = _faces(seen, group.plane_of[number], start.corners.get(station))
+        pairs += [
+            (a, b) for a, b in ((faces[0], faces[1]), (faces[1], faces[2]), (faces[0], faces[2])) if -1 < a != b > -1
+        ]
+    return pairs
+
+
+def _faces(seen: Seen, plane_of: Sequence[int], corner: Decoded | None) -> tuple[int, int, int]:
+    """Which planes of the room the faces of a station's corner are; −1 where none is."""
+    if corner is None:
+        return -1, -1, -1
+    found = []
+    for face in range(3):
+        on_face = seen.plane[corner.matches.labels == face]
+        count = np.bincount(on_face[on_face >= 0], minlength=1)
+        most = int(count.argmax())
+        found.append(plane_of[most] if plane_of and count[most] > _MOST_ON_FACE * len(on_face) else -1)
+    return found[0], found[1], found[2]
+
+
+def _finished(
+    seen: Sequence[Seen], registration: Registration, estimate: RoomEstimate, start: RigStart, config: Config
+) -> SolvedRoom:
+    """With its scale, upright, and the clouds by the rig as it is known now."""
+    group = registration.groups[0]
+    members = [seen[k] for k in group.stations]
+    facts = members[0].decoded.facts
+    padded = np.zeros((SHARED + 3, SHARED + 3))
+    padded[:SHARED, :SHARED] = estimate.rig_covariance
+    layout = replace(estimate.rig, off_square=np.zeros((1, 3)))
+    sigma = replace(sigmas_of(layout, padded), corner_angles_deg=None)
+    own = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, sigma)
+    known = start.given if start.given and not is_estimated(start) else _in_unit_of(start.given, own)
+    calibration = scaled(known, _corner(members, group, estimate, start), config.scale)
+    factor = calibration.baseline
+    areas = areas_of(members, group, len(estimate.planes))
+    turn, floor = upright(estimate.places, estimate.planes, areas)
+    stations = tuple(
+        Station(
+            each.decoded,
+            build_cloud(each.decoded.matches, each.decoded.texture, calibration),
+            np.array([*group.plane_of[i], -1], np.int32)[each.view.labels],
+            moved_place(estimate.places[i], turn, factor),
+            *_sigmas(estimate, i, turn.rotation, factor),
+            float(estimate.residual_px[i]),
+        )
+        for i, each in enumerate(members)
+    )
+    match_px = float(np.nanmedian([noise.match_px for noise in estimate.levels.stations]))
+    names = tuple(each.decoded.name for each in seen)
+    remarks = () if floor is not None else ("No floor was seen: upright is how the cameras were held.",)
+    return SolvedRoom(
+        calibration,
+        Uncertainty(estimate.rig, estimate.rig_covariance, None, match_px) if is_estimated(start) else None,
+        stations,
+        tuple(moved_plane(plane, turn, factor) for plane in estimate.planes),
+        estimate,
+        turn,
+        factor,
+        group,
+        registration.pairs,
+        names,
+        tuple(_strangers(registration, names)),
+        remarks,
+        floor,
+        factor**2 * areas,
+    )
+
+
+def _in_unit_of(given: Calibration | None, own: Calibration) -> Calibration:
+    """An estimate in baselines with the length of the baseline that a given calibration has."""
+    if given is None:
+        return own
+    sigma = replace(own.sigma, known_baseline=given.sigma.known_baseline)
+    return replace(own, translation=own.translation * given.baseline, unit=given.unit, sigma=sigma)
+
+
+def areas_of(members: Sequence[Seen], group: Group, planes: int) -> Floats:
+    """How much was seen of each plane of the room, (P,), in squared baselines, slant apart."""
+    areas = np.zeros(planes)
+    for seen, plane_of in zip(members, group.plane_of, strict=True):
+        labels = seen.view.labels
+        there = labels >= 0
+        own = np.bincount(labels[there], seen.view.points[..., 2][there] ** 2, minlength=len(plane_of))
+        for label, plane in enumerate(plane_of):
+            if plane >= 0:
+                areas[plane] += own[label] / float(np.prod(seen.view.camera.focal_px))
+    return areas
+
+
+def _corner(members: Sequence[Seen], group: Group, estimate: RoomEstimate, start: RigStart) -> Corner | None:
+    """The corner before the last station that shows one, in its camera's frame; only its vertex counts."""
+    for number in reversed(range(len(members))):
+        faces = _faces(members[number], group.plane_of[number], start.corners.get(group.stations[number]))
+        if min(faces) >= 0 and len(set(faces)) == 3:
+            place = estimate.places[number]
+            return Corner(place.rotation.T @ (vertex(estimate, *faces).position - place.translation), np.eye(3))
+    return None
+
+
+def _sigmas(estimate: RoomEstimate, station: int, turn: Floats, factor: float) -> tuple[Floats, Floats]:
+    """In degrees about the room's axes, and in its unit along them, (3,) each."""
+    covariance = estimate.place_covariance(station)
+    turning, moving = (np.diag(turn @ block @ turn.T) for block in (covariance[:3, :3], covariance[3:, 3:]))
+    return np.degrees(np.sqrt(turning)), factor * np.sqrt(moving)
+
+
+def _strangers(registration: Registration, names: Sequence[str]) -> list[Stranger]:
+    found = [Stranger(names[left.station], left.reason) for left in registration.left_out]
+    for other in registration.groups[1:]:
+        together = ", ".join(names[k] for k in other.stations)
+        found += [
+            Stranger(names[k], f"it is of another part, or of another room, with {together}: nothing seen connects it")
+            for k in other.stations
+        ]
+    return found

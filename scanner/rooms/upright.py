@@ -1,0 +1,70 @@
+"""Which way is up in a room: the frame that its results are in.
+
+Cameras are held upright, more or less; the floor is the lowest of the large planes that face up, and z is its normal.
+x runs along the wall of which most was seen. The origin is on the floor, below the first station's camera.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.geometry import Motion
+from calib.numerics import Floats
+from calib.rooms import RoomPlane
+
+_UPRIGHT, _LEVEL = float(np.cos(np.radians(30.0))), float(np.sin(np.radians(15.0)))
+_FLOOR_OF_LARGEST = 0.15
+_CAMERAS_UP = np.array([0.0, -1.0, 0.0])
+
+
+def upright(places: Sequence[Motion], planes: Sequence[RoomPlane], areas: Floats) -> tuple[Motion, int | None]:
+    """X_up = rotation X + translation, and which plane is the floor; None if there is none, and the cameras say it.
+
+    `areas` (P,): how much was seen of each plane.
+    """
+    cameras_up = np.sum([place.rotation @ _CAMERAS_UP for place in places], axis=0)
+    cameras_up /= np.linalg.norm(cameras_up)
+    floor = _floor(planes, areas, cameras_up)
+    up = cameras_up if floor is None else planes[floor].normal
+    along = _along_a_wall(planes, areas, up)
+    rotation = np.stack([along, np.cross(up, along), up])
+    foot = places[0].translation
+    height = 0.0 if floor is None else float(up @ foot) - planes[floor].offset
+    return Motion(rotation, -rotation @ foot + np.array([0.0, 0.0, height])), floor
+
+
+def moved_plane(plane: RoomPlane, motion: Motion, factor: float = 1.0) -> RoomPlane:
+    """A plane after X → factor · (rotation X + translation)."""
+    normal: Floats = motion.rotation @ plane.normal
+    return RoomPlane(normal, factor * (plane.offset + float(normal @ motion.translation)))
+
+
+def moved_place(place: Motion, motion: Motion, factor: float = 1.0) -> Motion:
+    """A station's place after the same."""
+    return Motion(motion.rotation @ place.rotation, factor * (motion.rotation @ place.translation + motion.translation))
+
+
+def ceiling_of(planes: Sequence[RoomPlane], areas: Floats) -> int | None:
+    """The highest large plane that faces down, in a frame whose z is up."""
+    found = [i for i, plane in enumerate(planes) if plane.normal[2] < -_UPRIGHT]
+    large = [i for i in found if areas[i] >= _FLOOR_OF_LARGEST * max(areas[k] for k in found)]
+    return max(large, key=lambda i: -planes[i].offset, default=None)
+
+
+def is_vertical(plane: RoomPlane) -> bool:
+    """In a frame whose z is up."""
+    return bool(abs(plane.normal[2]) < _LEVEL)
+
+
+def _floor(planes: Sequence[RoomPlane], areas: Floats, up: Floats) -> int | None:
+    facing_up = [i for i, plane in enumerate(planes) if plane.normal @ up > _UPRIGHT]
+    large = [i for i in facing_up if areas[i] >= _FLOOR_OF_LARGEST * max(areas[k] for k in facing_up)]
+    return min(large, key=lambda i: planes[i].offset, default=None)
+
+
+def _along_a_wall(planes: Sequence[RoomPlane], areas: Floats, up: Floats) -> Floats:
+    walls = [i for i, plane in enumerate(planes) if abs(plane.normal @ up) < _LEVEL]
+    normal = planes[max(walls, key=lambda i: areas[i])].normal if walls else np.eye(3)[np.argmin(np.abs(up))]
+    along = np.cross(normal, up)
+    unit: Floats = along / np.linalg.norm(along)
+    return unit

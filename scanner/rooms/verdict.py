@@ -1,0 +1,67 @@
+"""Can one trust this room? The answer in plain words, from the numbers."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from scanner.quantities import shown_unit
+from scanner.results import Verdict
+from scanner.rooms.contents import SolvedRoom
+
+AMBIGUOUS = "The stations fit together in more than one way"
+
+
+def verdict_on(room: SolvedRoom) -> Verdict:
+    """The most serious finding decides."""
+    names = [station.name for station in room.stations]
+    if room.group.ambiguous:
+        behind = min(each.behind_nats for each in room.group.alternatives)
+        return Verdict(
+            "refused",
+            f"{AMBIGUOUS}.",
+            (
+                f"Another arrangement of the stations is only {np.exp(behind):.3g} times less likely: the room looks "
+                "the same from different places, or too little of it was seen.",
+                "Both are in room.yaml; cloud, mesh and plan are of the likelier one.",
+            ),
+            "Put something into the room that makes its sides different, a box on the floor say, and scan again; or "
+            "add a station between two others.",
+        )
+    reasons = tuple(_reasons(room))
+    loose = sorted({names[each.station] for each in room.estimate.undetermined})
+    if loose:
+        return Verdict(
+            "fair",
+            f"{len(names)} stations are one room, but {', '.join(loose)} can slide or turn in it.",
+            reasons,
+            "Add a station between these and the others, from which something other than one wall is seen by both.",
+        )
+    if room.strangers:
+        left = ", ".join(each.name for each in room.strangers)
+        return Verdict("fair", f"{len(names)} stations are one room; left out: {left}.", reasons)
+    return Verdict("good", f"{len(names)} stations are one room, and every station is held by the others.", reasons)
+
+
+def _reasons(room: SolvedRoom) -> Iterator[str]:
+    unit = shown_unit(room.unit)
+    others = room.stations[1:]
+    if others:
+        worst = float(np.nanmax([np.linalg.norm(station.sigma) for station in others]))
+        turned = float(np.nanmax([np.linalg.norm(station.sigma_deg) for station in others]))
+        yield f"Where a station stood is known to ± {unit.error(worst)} and ± {turned:.2g}°, or better."
+    if np.isfinite(room.group.ahead_nats):
+        factor = np.exp(room.group.ahead_nats)
+        yield f"Any other arrangement of the stations is less likely by a factor of {factor:.0e}."
+    pairs = [pair for pair in room.pairs if {pair.first, pair.second} <= set(room.group.stations)]
+    if pairs:
+        weakest = min(pairs, key=lambda pair: pair.overlap)
+        shared = "1 pair of stations shares" if len(pairs) == 1 else f"{len(pairs)} pairs of stations share"
+        names = f"{room.names[weakest.first]} and {room.names[weakest.second]}"
+        yield f"{shared} surfaces; the least, {names}, {weakest.overlap:.0%} of what they saw."
+    residuals = np.array([station.residual_px for station in room.stations])
+    if np.isfinite(residuals).any():
+        residual = np.sqrt(np.nanmean(residuals**2))
+        yield f"With planes shared by all stations, cells of matches are off by {residual:.3f} projector px."
+    for stranger in room.strangers:
+        yield f"{stranger.name} is left out: {stranger.reason}."
+    yield from room.remarks

@@ -1,0 +1,208 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.geometry import Motion
+from calib.numerics import Floats
+from calib.refinement import SHARED, Shifts
+from calib.refusal import RefusalError
+from calib.rooms import RigPrior, Room, estimate_room
+from calib.rooms.patches import predict_patch
+from calib.rooms.room import PER_PLACE
+from calib.rooms.ties import tie_scores
+from calib.synthetic import RoomOptions
+from tests.calib.rooms.conftest import STATIONS, Case, case_of
+
+ROOMS = 3
+
+
+def deviations(case: Case) -> Floats:
+    """The truth's distance from what was found, in sigmas, (size,); NaN where something is held or unseen."""
+    variance = np.diag(case.found.covariance)
+    return case.found.room.step_to(case.truth) / np.sqrt(np.where(variance > 0, variance, np.nan))
+
+
+def millimetres(case: Case, room: Room) -> float:
+    """Root mean square error of the places."""
+    apart = [a.translation - b.translation for a, b in zip(room.places[1:], case.truth.places[1:], strict=True)]
+    return 1000 * case.made.calibration.baseline * float(np.sqrt(np.mean(np.sum(np.square(apart), axis=1))))
+
+
+def test_errors_are_as_large_as_their_sigmas() -> None:
+    cases = [case_of(seed) for seed in range(10, 10 + ROOMS)]
+    off = [deviations(case) for case in cases]
+    places = slice(SHARED + PER_PLACE, SHARED + PER_PLACE * STATIONS)
+    for part in (slice(0, SHARED), places, slice(places.stop, None)):
+        assert 0.6 < np.sqrt(np.nanmean(np.concatenate([each[part] for each in off]) ** 2)) < 1.4
+    assert all(case.found.residual_px.min() > 0.005 and case.found.residual_px.max() < 0.1 for case in cases)
+
+
+def test_a_far_start_ends_where_the_truth_does(case: Case) -> None:
+    assert 10 < millimetres(case, case.start) < 100
+    from_truth = estimate_room(
+        case.cells,
+        case.plane_of,
+        case.truth.places,
+        case.truth.planes,
+        case.truth.rig,
+        RigPrior.from_knowledge(case.knowledge, case.truth.rig),
+    )
+    sigma = np.sqrt(np.nan_to_num(np.diag(case.found.covariance)))
+    assert np.all(np.abs(case.found.room.step_to(from_truth.room)) <= 0.1 * sigma + 1e-9)
+
+
+def test_a_true_rig_that_is_held_makes_places_surer(case: Case) -> None:
+    found = estimate_room(
+        case.cells,
+        case.plane_of,
+        case.start.places,
+        case.start.planes,
+        case.truth.rig,
+        RigPrior.exactly(case.truth.rig),
+    )
+    assert np.all(found.rig_covariance == 0)
+    assert found.rig.camera == pytest.approx(case.truth.rig.camera)
+    for station in range(1, STATIONS):
+        surer, before = (np.trace(each.place_covariance(station)) for each in (found, case.found))
+        assert 0 < surer < before
+
+
+def test_a_station_that_sees_two_directions_slides_and_is_named(case: Case) -> None:
+    """Of station 1 only the floor and what is parallel to it, and one wall."""
+    normals = np.stack([plane.normal for plane in case.truth.planes])
+    shared = [plane for plane in case.plane_of[1] if 0 in case.found.stations_of[plane]]
+    first, second = min(
+        ((a, b) for a in shared for b in shared if a < b), key=lambda pair: abs(normals[pair[0]] @ normals[pair[1]])
+    )
+    along = np.cross(normals[first], normals[second])
+    along /= np.linalg.norm(along)
+    fewer = list(case.plane_of)
+    fewer[1] = tuple(plane if plane in (first, second) else -1 for plane in fewer[1])
+    found = case.estimate(fewer)
+    (open_one,) = (each for each in found.undetermined if each.station == 1)
+    assert not open_one.turning
+    assert abs(open_one.direction @ along) > 0.999
+    assert open_one.sigma > 0.5 * found.reach
+    apart = found.places[1].translation - case.truth.places[1].translation
+    across = apart - (apart @ along) * along
+    assert np.linalg.norm(across) * case.made.calibration.baseline < 0.01  # the rest is held
+
+
+def test_what_the_registration_knows_holds_a_station_that_slides(case: Case) -> None:
+    sigma = 0.01
+    alone = [tuple(-1 for _ in planes) if station == 3 else planes for station, planes in enumerate(case.plane_of)]
+    found = estimate_room(
+        case.cells,
+        alone,
+        case.start.places,
+        case.start.planes,
+        case.start.rig,
+        RigPrior.from_knowledge(case.knowledge, case.start.rig),
+        place_sigma=(np.radians(0.1), sigma),
+    )
+    assert not [each for each in found.undetermined if each.station == 3]
+    assert np.diag(found.place_covariance(3))[3:] == pytest.approx(sigma**2)
+    assert np.allclose(found.places[3].translation, case.start.places[3].translation)
+
+
+def test_a_station_without_cells_and_a_plane_without_are_said_to_be_unknown(case: Case) -> None:
+    unseen = [tuple(-1 for _ in case.plane_of[0]), *case.plane_of[1:]]
+    unseen[0], unseen[3] = case.plane_of[0], tuple(-1 for _ in case.plane_of[3])
+    found = case.estimate(unseen)
+    lost = [i for i, stations in enumerate(found.stations_of) if not stations]
+    of_lost = [each for each in found.undetermined if each.station == 3]
+    assert [each.turning for each in of_lost] == [True] * 3 + [False] * 3
+    assert np.isnan(found.residual_px[3])
+    for plane in range(len(case.truth.planes)):
+        columns = case.truth.plane_columns(plane)
+        assert np.isnan(found.covariance[columns, columns]).all() == (plane in lost)
+
+
+def test_a_view_of_another_plane_gets_one_of_its_own(case: Case) -> None:
+    """A box 4 cm before the wall that it is taken for by the one station that sees it."""
+    found, truth = case.found, case.truth
+    free = np.nan_to_num(np.diag(found.covariance)) > 0
+    _, freedom = tie_scores(found.patches, found.fit, found.levels.variances(found.patches), free)
+    tied = [each for each, ties in zip(found.patches, freedom, strict=True) if ties == 3 and each.station > 0]
+    patch = max(tied, key=lambda each: len(each.cells))
+    station, plane = patch.station, patch.plane
+    nearer = replace(truth.planes[plane], offset=truth.planes[plane].offset + 0.04 / case.made.calibration.baseline)
+    with_box = replace(truth, planes=(*truth.planes[:plane], nearer, *truth.planes[plane + 1 :]))
+    shift = predict_patch(with_box, patch)[0] - predict_patch(truth, patch)[0]
+    cells = list(case.cells)
+    projector_px = cells[station].projector_px.copy()
+    projector_px[cells[station].plane == case.plane_of[station].index(plane)] += shift
+    cells[station] = replace(cells[station], projector_px=projector_px)
+    found = replace(case, cells=cells).estimate()
+    (apart,) = (each for each in found.patches if each.plane >= len(truth.planes))
+    assert apart.station == station
+    assert station not in found.stations_of[plane]
+    step = found.places[station].translation - truth.places[station].translation
+    sigma = np.sqrt(np.linalg.eigvalsh(found.place_covariance(station)[3:, 3:])[-1])
+    assert np.linalg.norm(step) < 4 * sigma
+
+
+def test_walls_that_are_not_flat_cost_certainty() -> None:
+    flat, wavy = case_of(3, stations=3), case_of(3, stations=3, wavy=0.002)
+    assert np.count_nonzero(flat.found.waves) <= 1
+    assert np.count_nonzero(wavy.found.waves) >= 2
+    heights_m = wavy.found.waves[wavy.found.waves > 0] * wavy.made.calibration.baseline
+    assert 0.0003 < np.median(heights_m) < 0.01
+    assert 0.2 < np.sqrt(np.nanmean(deviations(wavy)[SHARED:] ** 2)) < 2.0
+
+
+def test_a_lens_with_terms_that_the_model_has_not_makes_stations_err_alike(case: Case) -> None:
+    options = RoomOptions()
+    camera = replace(options.camera, distortion=(-0.08, 0.02, 5e-4, -3e-4, 0.0))
+    projector = replace(options.projector, distortion=(-0.03, 0.0, -4e-4, 5e-4, 0.0))
+    odd = case_of(3, camera=camera, projector=projector)
+    assert case.found.levels.alike < 1.3
+    assert 2 < odd.found.levels.alike <= STATIONS
+    assert np.abs(deviations(odd)[[0, 5]]).max() < 4
+
+
+def test_smooth_errors_of_the_decoder_add_to_the_covariance(case: Case) -> None:
+    shift = Shifts(likely=(lambda camera, projector, gradient: 0.05 * gradient[:, :, 0],), smooth_px=0.02)
+    found = estimate_room(
+        case.cells,
+        case.plane_of,
+        case.start.places,
+        case.start.planes,
+        case.start.rig,
+        RigPrior.from_knowledge(case.knowledge, case.start.rig),
+        shifts=[shift] * STATIONS,
+    )
+    before, after = (np.sqrt(np.nan_to_num(np.diag(each.covariance))) for each in (case.found, found))
+    assert np.all(after >= before)
+    assert 1.2 < after[0] / before[0] < 100
+
+
+def test_a_prior_on_square_walls_makes_angles_surer(case: Case) -> None:
+    normals = np.stack([plane.normal for plane in case.truth.planes])
+    pair = min(
+        ((a, b) for a in range(len(normals)) for b in range(a)),
+        key=lambda pair: abs(normals[pair[0]] @ normals[pair[1]]),
+    )
+    found = estimate_room(
+        case.cells,
+        case.plane_of,
+        case.start.places,
+        case.start.planes,
+        case.start.rig,
+        RigPrior.from_knowledge(case.knowledge, case.start.rig),
+        square=[pair],
+        squareness_deg=0.0,
+    )
+    a, b = (found.planes[plane].normal for plane in pair)
+    assert abs(np.degrees(a @ b)) < 1e-3
+
+
+def test_what_does_not_fit_is_refused(case: Case) -> None:
+    prior = RigPrior.from_knowledge(case.knowledge, case.start.rig)
+    rest = case.start.planes, case.start.rig, prior
+    with pytest.raises(ValueError, match="3 places"):
+        estimate_room(case.cells, case.plane_of, case.start.places[:3], *rest)
+    behind = [Motion(place.rotation @ np.diag([-1.0, 1.0, -1.0]), place.translation) for place in case.start.places]
+    with pytest.raises(RefusalError, match="behind"):
+        estimate_room(case.cells, case.plane_of, behind, *rest)

@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from calib.refinement import SHARED, Knowledge
+from calib.rooms import RigPrior, Room
+from calib.rooms.likelihood import RoomPrior, evaluate
+from calib.rooms.patches import patches_of
+from tests.calib.rooms.conftest import Case
+from tests.support.numeric import gradient_of
+
+REACH = 7.0
+
+
+def prior_of(case: Case, rig: RigPrior | None = None) -> RoomPrior:
+    rig = rig or RigPrior.from_calibration(case.truth.rig, np.diag(np.geomspace(1e-6, 1e-2, SHARED)))
+    return RoomPrior.of(rig, [(0, 1), (2, 1), (1, 0)], 0.3, case.truth, (1.0, REACH))
+
+
+def test_gradient_is_that_of_the_cost(case: Case) -> None:
+    prior, patches = prior_of(case), patches_of(case.cells, case.plane_of)
+    variances = [np.full(len(patch.cells), 1e4) for patch in patches]  # no cell is beyond Huber's threshold
+    room = case.start
+    some = [*range(SHARED), *range(SHARED + 6, room.size, 5)]
+    fit = evaluate(patches, room, prior, variances)
+    exact, scale = fit.gradient[some], np.sqrt(np.diag(fit.information))[some]
+    numeric = gradient_of(lambda each: np.array(evaluate(patches, each, prior, variances).cost), room, some) / 2
+    assert np.max(np.abs(exact - numeric) / scale) < 1e-3 * np.max(np.abs(exact) / scale)
+
+
+def test_a_prior_costs_nothing_at_its_mean_and_one_at_a_sigma(case: Case) -> None:
+    sigma = np.geomspace(1e-4, 1e-2, SHARED)
+    prior = RigPrior.from_calibration(case.truth.rig, np.diag(sigma**2))
+    assert prior.cost(case.truth.rig)[0] == pytest.approx(0.0, abs=1e-12)
+    for column in range(SHARED):
+        assert prior.cost(case.truth.rig.moved(sigma * (np.arange(SHARED) == column)))[0] == pytest.approx(
+            1.0, rel=0.01
+        )
+
+
+def test_knowledge_of_a_rig_is_that_of_a_corner(case: Case) -> None:
+    knowledge = case.knowledge
+    prior = RigPrior.from_knowledge(knowledge, case.start.rig)
+    assert not prior.known.any()
+    sigma = 1 / np.sqrt(np.diag(prior.precision)[[1, 2, 3, 4]])
+    assert sigma == pytest.approx([knowledge.principal_point_sigma_px] * 2 + [0.1, 0.03])
+    assert np.diag(prior.precision)[[0, *range(10, SHARED)]] == pytest.approx(0.0)  # the camera's focal, the motion
+    assert prior.mean.camera[1:3] == pytest.approx(knowledge.principal_point_px)
+
+
+def test_what_is_exactly_known_is_held(case: Case) -> None:
+    size = case.made.calibration.camera.size
+    exact = Knowledge(size, case.made.calibration.projector.size, (600.0, 500.0), 0.0, 0.3)
+    prior = RigPrior.from_knowledge(exact, case.start.rig)
+    assert np.flatnonzero(prior.known).tolist() == [1, 2]
+    assert RigPrior.exactly(case.truth.rig).known.all()
+    free = prior_of(case, prior).free(np.ones(len(case.truth.planes), np.bool_))
+    assert not free[[1, 2]].any()
+    assert not free[case.truth.place_columns(0)].any()
+    assert free.sum() == case.truth.size - 2 - 6
+
+
+def test_a_patch_behind_the_camera_costs_but_does_not_pull(case: Case) -> None:
+    prior, patches = prior_of(case), patches_of(case.cells, case.plane_of)[:1]
+    variances = [np.full(len(patches[0].cells), 1.0)]
+    columns = case.truth.plane_columns(patches[0].plane)
+    step = np.zeros(case.truth.size)
+    step[columns.stop - 1] = 10 * REACH  # the plane is brought behind the camera
+    there: Room = case.truth.moved(step)
+    fit = evaluate(patches, there, prior, variances)
+    own = fit.cost - prior.cost(there)[0]
+    assert own == pytest.approx(100.0 * len(patches[0].cells))
+    assert fit.gradient == pytest.approx(prior.cost(there)[1])

@@ -1,0 +1,132 @@
+"""`scan room` on a simulated room: where the stations stood, the rig, the walls, and every file of the result."""
+
+from pathlib import Path
+
+import ezdxf
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Motion
+from calib.numerics import Floats
+from scanner.exporting import FORMATS
+from scanner.exporting.formats import Request
+from scanner.io import read_calibration, read_cloud
+from scanner.results import read_finished_room
+from scanner.rooms.floorplan import floor_plan
+from tests.scanner.rooms.conftest import ORDER, SolvedExample
+
+
+def to_world(example: SolvedExample) -> Motion:
+    """From the room's frame to the simulation's, by the first station."""
+    found, true = example.solved.stations[0].place, example.true[0].place
+    rotation = true.rotation @ found.rotation.T
+    return Motion(rotation, true.translation - rotation @ found.translation)
+
+
+def test_all_stations_are_where_they_stood(example: SolvedExample) -> None:
+    assert example.solved.group.stations == tuple(range(len(ORDER)))
+    assert example.solved.strangers == ()
+    world = to_world(example)
+    for found, true in zip(example.solved.stations[1:], example.true[1:], strict=True):
+        off = world.rotation @ found.place.translation + world.translation - true.place.translation
+        turned = Rotation.from_matrix(world.rotation @ found.place.rotation @ true.place.rotation.T)
+        assert 0 < np.linalg.norm(off) < 3e-3
+        assert 0 < np.degrees(turned.magnitude()) < 0.05
+        assert np.linalg.norm(off) < 5 * np.linalg.norm(found.sigma)
+        assert 1e-5 < np.linalg.norm(found.sigma) < 5e-3
+
+
+def test_the_rig_is_measured_by_the_room(example: SolvedExample) -> None:
+    found, true = read_calibration(example.out / "calibration.yaml"), example.true[0].calibration
+    for ours, theirs in ((found.camera, true.camera), (found.projector, true.projector)):
+        assert 0 < abs(ours.focal_px[0] / theirs.focal_px[0] - 1) < 1e-3
+    assert found.unit == "m"
+    assert found.baseline == pytest.approx(true.baseline)
+
+
+def test_z_is_up_from_the_floor(example: SolvedExample) -> None:
+    world = to_world(example)
+    assert np.degrees(np.arccos(min(1.0, (world.rotation @ [0, 0, 1])[2]))) < 0.05
+    heights = [station.place.translation[2] for station in example.solved.stations]
+    np.testing.assert_allclose(heights, [true.place.translation[2] for true in example.true], atol=3e-3)
+
+
+def distances_to_surfaces(example: SolvedExample, points: Floats) -> Floats:
+    """Of points (N, 3) in the room's frame from what the stations really saw."""
+    world = to_world(example)
+    seen = np.concatenate([true.points @ true.place.rotation.T + true.place.translation for true in example.true])
+    distance, _ = cKDTree(seen).query(points @ world.rotation.T + world.translation)
+    return np.asarray(distance)
+
+
+def test_cloud_and_mesh_are_on_the_surfaces(example: SolvedExample) -> None:
+    cloud = read_cloud(example.out / "room.ply")
+    assert 10_000 < len(cloud) < 200_000
+    np.testing.assert_allclose(np.linalg.norm(cloud.normals, axis=1), 1, atol=1e-3)
+    grid = np.unique(np.floor(cloud.points / 0.01), axis=0)
+    assert len(grid) > 0.8 * len(cloud)  # one point in a voxel, not one of each station
+    pixel = 0.013  # of the camera at 3 m: what is known of the surfaces
+    assert np.percentile(distances_to_surfaces(example, cloud.points[::50]), 95) < pixel
+    scene = trimesh.load(example.out / "room.glb", force="mesh")
+    assert isinstance(scene, trimesh.Trimesh)
+    x, y, z = np.asarray(scene.vertices).T
+    assert len(scene.faces) > 10_000
+    assert np.percentile(distances_to_surfaces(example, np.stack([x, -z, y], axis=1)[::50]), 90) < 2 * pixel
+
+
+def test_the_plan_has_the_walls_with_their_lengths(example: SolvedExample) -> None:
+    plan, world = floor_plan(example.solved), to_world(example)
+    scene = example.true[0].scene
+    assert len(plan.gaps) + len(plan.corners) >= 3
+    for line in plan.lines:
+        on = world.rotation @ [*((line.start + line.end) / 2), 0.0] + world.translation
+        if line.length is None:
+            continue
+        assert 1e-5 < line.length.sigma < 5e-3
+        assert 3 < line.length.value < 5.3
+        assert scene.room.contains(on[:, None] * 0.98 + 0.02)[0] or np.abs(on).min() < 0.2
+    for corner in plan.corners:
+        assert 0 < abs(corner.angle_deg.value - 90) < 1.5
+        assert 1e-4 < corner.angle_deg.sigma < 0.1
+
+
+def test_files_of_the_plan(example: SolvedExample) -> None:
+    plan = floor_plan(example.solved)
+    drawing = ezdxf.readfile(example.out / "floorplan.dxf")  # type: ignore[attr-defined]
+    lines = [entity for entity in drawing.modelspace() if entity.dxftype() == "LINE"]
+    assert len(lines) == len(plan.lines)
+    assert drawing.header["$INSUNITS"] == 6
+    text = (example.out / "floorplan.svg").read_text()
+    assert text.count('<circle class="camera"') == len(ORDER)
+
+
+def test_the_page_says_what_it_found(example: SolvedExample) -> None:
+    page = (example.out / "report.html").read_text()
+    assert f"{len(ORDER)} stations are one room" in page
+    assert page.count("<figcaption>") >= 4 + len(ORDER)
+    assert 'src="http' not in page
+
+
+def test_the_result_reads_back_and_exports(example: SolvedExample, tmp_path: Path) -> None:
+    room = read_finished_room(example.out)
+    assert room is not None
+    assert [station.name for station in room.stations] == [str(file) for file in example.files]
+    for stored, solved in zip(room.stations, example.solved.stations, strict=True):
+        np.testing.assert_allclose(stored.place.rotation, solved.place.rotation)
+        np.testing.assert_allclose(stored.place.translation, solved.place.translation)
+    pycolmap = pytest.importorskip("pycolmap")
+    FORMATS["colmap"].write(Request(example.out, tmp_path / "colmap", most_points=2000))
+    model = pycolmap.Reconstruction(tmp_path / "colmap")
+    assert model.num_images() == 2 * len(ORDER)
+    points = np.array([point.xyz for point in model.points3D.values()])
+    assert np.median(distances_to_surfaces(example, points)) < 5e-3
+    pye57 = pytest.importorskip("pye57")
+    FORMATS["e57"].write(Request(example.out, tmp_path / "room.e57"))
+    file = pye57.E57(str(tmp_path / "room.e57"))
+    assert file.scan_count == len(ORDER)
+    scan = file.read_scan(2, ignore_missing_fields=True, transform=True)
+    points = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], axis=1)[::100]
+    assert np.median(distances_to_surfaces(example, points)) < 5e-3

@@ -1,0 +1,103 @@
+"""What `scan room` and `--stations` say to people: of stations that do not belong, of wrong input, of where to go."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.geometry import Size
+from scanner.capture import CaptureFacts
+from scanner.commands.main import main
+from scanner.configuration import Config
+from scanner.io import write_calibration, write_matches
+from scanner.results import Decoded, GivenMatches
+from scanner.rooms import live
+from scanner.rooms.document import given_rig, read_stations
+from scanner.rooms.jobs import room
+from scanner.rooms.solve import solve_room
+from scanner.ui import Terminal
+from tests.scanner.rooms.conftest import CAMERA, SolvedExample
+from tests.support.whole_room import PROJECTOR, TrueStation, stations
+
+QUIET = Terminal(quiet=True)
+
+
+def test_a_station_of_another_room_is_named_and_left_out(example: SolvedExample, tmp_path: Path) -> None:
+    elsewhere = stations(6, 2, camera=CAMERA, furniture_askew_deg=4.0)[4]
+    truth = example.true[0].calibration
+    write_calibration(tmp_path / "rig.yaml", truth)
+    # The same rig in the other room: what its camera saw, as its projector would have lit it.
+    seen = elsewhere.calibration.camera.project(elsewhere.points)
+    inside = np.all((seen > 0) & (seen < np.array(CAMERA) - 1), axis=1)
+    thrown = truth.projector.project(elsewhere.points @ truth.rotation.T + truth.translation)
+    camera_px = truth.camera.project(elsewhere.points)
+    inside &= np.all((thrown > 0) & (thrown < np.array(PROJECTOR) - 1), axis=1) & np.all(
+        (camera_px > 0) & (camera_px < np.array(CAMERA) - 1), axis=1
+    )
+    matches = replace(
+        elsewhere.matches,
+        camera_px=camera_px[inside],
+        projector_px=thrown[inside] + 0.03 * np.random.default_rng(0).standard_normal((inside.sum(), 2)),
+        sigma_px=np.full(inside.sum(), 0.03),
+    )
+    write_matches(tmp_path / "elsewhere.npz", matches)
+    captures = read_stations([*example.files[:2], tmp_path / "elsewhere.npz", example.files[3]], example.config, QUIET)
+    solved = solve_room(captures, given_rig(tmp_path / "rig.yaml", example.config), example.config, QUIET)
+    assert [stranger.name for stranger in solved.strangers] == [str(tmp_path / "elsewhere.npz")]
+    assert len(solved.strangers[0].reason) > 20
+    assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 1, 3)}
+
+
+@pytest.mark.parametrize(
+    ("stations", "expected"),
+    [
+        (["nothing-there"], "nothing-there"),
+        (["station-0.npz"], "two stations or more, found 1"),
+        (["station-0.npz", "station-0.npz"], "given twice"),
+    ],
+)
+def test_wrong_input_is_said_in_a_sentence(
+    example: SolvedExample, tmp_path: Path, capsys: pytest.CaptureFixture[str], stations: Sequence[str], expected: str
+) -> None:
+    config = tmp_path / "rig.yaml"
+    config.write_text(f"camera: {{width: {CAMERA[0]}, height: {CAMERA[1]}}}\nprojector: {{width: 854, height: 480}}\n")
+    paths = [str(example.files[0].parent / name) for name in stations]
+    assert main(["room", *paths, "--config", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert expected in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_begun_without_open3d(
+    example: SolvedExample, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(name: str) -> object:
+        raise OSError("libGL.so.1: cannot open shared object file")
+
+    monkeypatch.setattr("scanner.rooms.open3d_module.import_module", missing)
+    with pytest.raises(Exception, match=r"libGL\.so\.1.*apt-get install libgl1 .*libgomp1"):
+        room(example.files, example.config, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_live_says_what_overlaps_and_where_to_turn(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    true = stations(6, 1, camera=CAMERA, furniture_askew_deg=4.0)[2:5]
+    rig = {"backend": "simulated", "room": "whole"}
+    sizes = {"camera": dict(zip(("width", "height"), CAMERA, strict=True)), "projector": {"width": 854, "height": 480}}
+    config = Config.model_validate({"rig": rig, **sizes})
+
+    def take(rig: object, config: object, folder: Path, progress: object, name: str) -> Decoded:
+        station: TrueStation = true[len(list(folder.parent.iterdir())) - 1]
+        return Decoded(CaptureFacts(Size(*CAMERA), Size(*PROJECTOR)), station.matches, GivenMatches(), name)
+
+    monkeypatch.setattr(live, "take", take)
+    captures, start = live.take_stations(config, 3, tmp_path, Terminal())
+    assert [capture.name for capture in captures] == ["Station 1", "Station 2", "Station 3"]
+    assert start.corners
+    told = " ".join(capsys.readouterr().out.split())
+    assert "Station 2 overlaps Station 1 by 3" in told
+    assert "Station 3 overlaps Station 2 by 2" in told
+    assert "to the left; a third of what it sees stays the same" in told  # they go round against the clock

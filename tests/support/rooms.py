@@ -1,0 +1,69 @@
+"""What is true of a synthetic room, and starts away from it."""
+
+import numpy as np
+
+from calib.geometry import Motion
+from calib.refinement import SHARED, Cells, Knowledge, State, into_cells
+from calib.rooms import Room, RoomPlane
+from calib.synthetic import SyntheticRoom
+from tests.support.states import device_of
+
+
+def true_room(made: SyntheticRoom) -> tuple[Room, list[dict[int, int]]]:
+    """In baselines and the first camera's frame, planes that a station sees in the order of the made-up room's.
+
+    With it, for each station, which of the room's planes a label of its matches is.
+    """
+    rig, first = made.calibration, made.stations[0]
+    unit = rig.baseline
+    places = tuple(
+        Motion(first.rotation.T @ station.rotation, first.rotation.T @ (station.translation - first.translation) / unit)
+        for station in made.stations
+    )
+    labels = [np.unique(station.matches.labels[station.matches.labels >= 0]) for station in made.stations]
+    seen = np.unique(np.concatenate(labels))
+    planes = tuple(
+        RoomPlane(first.rotation.T @ normal, float(offset - normal @ first.translation) / unit)
+        for normal, offset in zip(made.normals[seen], made.offsets[seen], strict=True)
+    )
+    state = State(
+        device_of(rig.camera),
+        device_of(rig.projector),
+        rig.rotation,
+        rig.translation / unit,
+        np.zeros((0, 3)),
+        (),
+    )
+    number = {int(label): i for i, label in enumerate(seen)}
+    return Room(state, places, planes), [{int(label): number[int(label)] for label in each} for each in labels]
+
+
+def cells_of(made: SyntheticRoom, numbers: list[dict[int, int]]) -> tuple[list[Cells], list[tuple[int, ...]]]:
+    """Cells by local labels 0, 1, …, and which plane of the room each is."""
+    stations = []
+    for station, number in zip(made.stations, numbers, strict=True):
+        local = np.full(max(number) + 2, -1, np.int32)
+        local[list(number)] = np.arange(len(number))
+        stations.append(into_cells(station.matches, range(len(number)), local[station.matches.labels]))
+    return stations, [tuple(number.values()) for number in numbers]
+
+
+def disturbed(rng: np.random.Generator, room: Room, made: SyntheticRoom) -> Room:
+    """Focals off by 1 %, places by 30 mm and 0.5°, planes by as much."""
+    step = np.zeros(room.size)
+    step[[0, 5]] = rng.normal(0, 0.01, 2)
+    step[[1, 2, 6, 7]] = rng.normal(0, 5.0, 4)
+    step[10:SHARED] = rng.normal(0, 0.003, 5)
+    unit = made.calibration.baseline
+    shift, turn = 0.03 / unit, np.radians(0.5)
+    for station in range(1, len(room.places)):
+        step[room.place_columns(station)] = rng.normal(size=6) * np.repeat([turn, shift], 3)
+    for plane in range(len(room.planes)):
+        step[room.plane_columns(plane)] = rng.normal(size=3) * [turn, turn, shift]
+    return room.moved(step)
+
+
+def knowledge_of(made: SyntheticRoom) -> Knowledge:
+    """The images' sizes, and the camera's principal point in its middle but for 50 px."""
+    camera, projector = made.calibration.camera.size, made.calibration.projector.size
+    return Knowledge(camera, projector, ((camera.width - 1) / 2, (camera.height - 1) / 2), 50.0, 0.3)
