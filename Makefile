@@ -17,7 +17,7 @@ help:
 	@echo "make fuzz           damage files at random for hours, and watch every reader (SEED=, INPUTS=, SECONDS=)"
 	@echo "make clean          remove $(VENV)/ and caches; scans/ is kept"
 
-setup: $(VENV)/.runtime
+setup: $(VENV)/.compiled
 
 scan: setup
 	$(BIN)/scan --config configs/room-sim.yaml --out scans/room-sim --overwrite
@@ -25,13 +25,13 @@ scan: setup
 room: setup
 	$(BIN)/scan --config configs/room-whole-sim.yaml --stations 6 --out scans/room-whole-sim --overwrite
 
-console: $(VENV)/.console
+console: setup $(VENV)/.console
 	$(BIN)/scan console --config configs/room-sim.yaml
 
 scan-loopback: rig
 	$(BIN)/python tools/on_loopback.py scan --config configs/room-loopback.yaml --out scans/room-loopback --overwrite
 
-rig: $(VENV)/.rig
+rig: setup $(VENV)/.rig
 
 # For tests: without these packages everything but the real devices is still to be tested.
 try-rig:
@@ -59,7 +59,7 @@ lint: $(VENV)/.dev
 check-types: $(VENV)/.dev
 	$(BIN)/mypy
 
-unit: $(VENV)/.dev try-rig try-browser
+unit: $(VENV)/.dev setup try-rig try-browser
 	$(BIN)/pytest -n auto --dist loadgroup
 
 benchmark: $(VENV)/.dev try-rig
@@ -80,6 +80,11 @@ $(BIN)/pip:
 $(VENV)/.runtime: pyproject.toml | $(BIN)/pip
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@tools/system-packages --open3d || echo "Everything but scan room works without them."
+	@touch $@
+
+# Machine code is kept for each file, so a change costs only what it touches.
+$(VENV)/.compiled: $(shell grep -rl '^@compiled' calib hw scanner --include=*.py) | $(VENV)/.runtime
+	$(BIN)/python tools/compile_ahead.py
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(BIN)/pip

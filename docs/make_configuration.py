@@ -17,6 +17,7 @@ _UNITS = {
     "deg": "degrees",
     "us": "µs",
     "m": "m",
+    "mm": "mm",
     "ms": "ms",
     "s": "s",
     "hz": "Hz",

@@ -59,10 +59,17 @@ class PasserSettings(_Part):
 
 
 class BoardSettings(_Part):
-    """A printed chessboard, held before the simulated rig."""
+    """A printed board, held before the simulated rig or lying in its room."""
 
-    columns: int = Field(default=9, ge=3, le=50, description="Inner corners in a row.")
+    kind: Literal["chessboard", "charuco"] = Field(default="chessboard", description="What is printed on it.")
+    columns: int = Field(
+        default=9, ge=3, le=50, description="Inner corners in a row; of a ChArUco board, squares in a row."
+    )
     rows: int = Field(default=7, ge=3, le=50, description="Rows of them.")
+    on_floor: bool = Field(
+        default=False,
+        description="Whether it lies flat on the floor, in a place that is drawn from the seed; else it is held.",
+    )
     square_m: float = Field(default=0.0, ge=0.0, le=1.0, description="Side of a square in metres; 0 is no board.")
     pose: int = Field(default=0, ge=0, description="How it is held: drawn from the seed and this number.")
     bend: float = Field(
@@ -202,7 +209,8 @@ class SimulatedRigSettings(BaseModel):
         default=PasserSettings(), description="{width_m: …, first_frame: …, last_frame: …}: somebody goes past."
     )
     board: BoardSettings = Field(
-        default=BoardSettings(), description="{square_m: …, pose: …}: a chessboard is held before the rig."
+        default=BoardSettings(),
+        description="{square_m: …, pose: …}: a board is held before the rig; with on_floor: true it lies on the floor.",
     )
     bump: BumpSettings = Field(
         default=BumpSettings(), description="{device: …, frame: …, px: …}: a device is knocked against once."

@@ -4,8 +4,11 @@ While modules are loaded nothing has been made that could be lost, and the proce
 all of them are KeyboardInterrupt. What must not be left half done waits for them to be over.
 """
 
+import _thread
 import os
 import signal
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import current_thread, main_thread
@@ -13,6 +16,10 @@ from types import FrameType
 
 EXIT_INTERRUPTED = 130
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Where `threading` waits, for as long as it takes; elsewhere in it, it is for microseconds.
+_WAITING = {"wait", "join", "_wait_for_tstate_lock"}
+_AGAIN_S, _MOST_PUT_OFF = 0.002, 100
+_put_off: list[tuple[str, int]] = []  # where the interruption that is to come has found the main thread so far
 
 Handler = Callable[[int, FrameType | None], object]
 
@@ -23,9 +30,34 @@ def end_at_once(_number: int, _frame: FrameType | None) -> None:
     os._exit(EXIT_INTERRUPTED)
 
 
-def interrupt(_number: int, _frame: FrameType | None) -> None:
-    """A handler that raises KeyboardInterrupt, whichever signal it was."""
+def interrupt(number: int, frame: FrameType | None) -> None:
+    """A handler that raises KeyboardInterrupt, whichever signal it was.
+
+    Not while `threading` takes a lock for the `with` of a condition, a semaphore, an event or a thread pool: that lock
+    would never be given back, and whoever wants it next waits for good. Then it comes a moment later.
+    """
+    if _among_locks(frame):
+        _thread.start_new_thread(_come_again, (number,))  # which takes no lock of `threading`
+        return
+    _put_off.clear()
     raise KeyboardInterrupt
+
+
+def _among_locks(frame: FrameType | None) -> bool:
+    """Whether the main thread, which executes `frame`, is within `threading` and does not just wait there."""
+    if frame is None or frame.f_globals is not vars(threading):
+        return False
+    place = frame.f_code.co_name, frame.f_lasti
+    waits = frame.f_code.co_name in _WAITING and place in _put_off[-1:]  # it was there a moment ago
+    _put_off.append(place)
+    return not waits and len(_put_off) < _MOST_PUT_OFF
+
+
+def _come_again(number: int) -> None:
+    time.sleep(_AGAIN_S)
+    thread = main_thread().ident
+    if thread is not None and callable(signal.getsignal(number)):
+        signal.pthread_kill(thread, number)
 
 
 def on_ending(handler: Handler | signal.Handlers) -> None:

@@ -18,9 +18,9 @@ from scanner.capture import CAPTURE_FILE, Recording, check_places, open_capture
 from scanner.configuration import Config, recorded_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
-from scanner.reconstruction import read_captures, read_masks, refuse_impossible
+from scanner.reconstruction import is_calibration, read_captures, read_masks, refuse_impossible
 from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Scan, new_result, read_uncertainty, settle, unused
-from scanner.ui import Terminal
+from scanner.ui import Progress, Terminal
 
 _SILENT = Terminal(quiet=True)
 _NOT_INCOMPLETE = re.compile(r"-incomplete(-\d+)?$")
@@ -34,10 +34,13 @@ def scan(
     masks: Path | None = None,
     overwrite: bool = False,
     terminal: Terminal = _SILENT,
+    progress: Progress | None = None,
 ) -> Scan:
     """Scan with the configured rig: capture, calibrate, reconstruct.
 
-    `captures` of the corner, between which the rig is moved as a whole. Raises InputError, DeviceError, RefusalError.
+    `captures` of the corner, between which the rig is moved as a whole. `progress` is told of it in place of the
+    `terminal`; what it raises ends the scan as Ctrl-C does: what was captured so far is kept. Raises InputError,
+    DeviceError, RefusalError.
     """
     # Whatever could be refused after the capture is asked before it.
     config.principal_point(config.camera_size)
@@ -50,7 +53,9 @@ def scan(
     earlier = read_captures(config.earlier, config.camera_size, config.projector_size)
     refuse_impossible(config, len(earlier) + captures)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
-        return pipeline.scan(config, folder, terminal, number=captures, masks=drawn, earlier=earlier)
+        return pipeline.scan(
+            config, folder, terminal, progress or terminal, number=captures, masks=drawn, earlier=earlier
+        )
 
 
 def resume(
@@ -131,10 +136,14 @@ def calibrate(
 ) -> Scan:
     """Calibrate from matches files or result folders of one unchanged rig, the newest last, and reconstruct.
 
-    Raises InputError, RefusalError.
+    One of them may be a calibration from boards: the estimate is then one over both. Raises InputError, RefusalError.
     """
     config.principal_point(config.camera_size)
     captures = read_captures(matches, config.camera_size, config.projector_size)
+    known = tuple(path for path in matches if is_calibration(path))
+    if not captures:
+        raise InputError(f"{known[0]}: expected captures of a corner to join with this calibration, found none")
+    config = config.model_copy(update={"earlier": known})
     refuse_impossible(config, len(captures))
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
         return pipeline.reconstruct(captures, config, folder, terminal)

@@ -28,9 +28,10 @@ from scanner.capture import (
     take_up,
 )
 from scanner.configuration import CONFIGURATION_KEY, Config
-from scanner.decoding import Decoder, usable
+from scanner.decoding import Decoder, Decoding, LightSwitch, LightSwitchedError, usable
 from scanner.errors import InputError
 from scanner.io import require_space, write_calibration
+from scanner.quantities import UNKNOWN_UNIT
 from scanner.reconstruction import (
     calibrate,
     label,
@@ -38,6 +39,7 @@ from scanner.reconstruction import (
     refusal_saved,
     save,
     scaled,
+    scaled_by_sheet,
     set_aside,
     triangulate,
 )
@@ -52,12 +54,16 @@ def scan(
     config: Config,
     folder: Path,
     terminal: Terminal,
+    progress: Progress,
     *,
     number: int = 1,
     masks: Bools | None = None,
     earlier: Sequence[Decoded] = (),
 ) -> Scan:
-    """Capture with the configured rig, from one place or from several, then reconstruct. Raises DeviceError too."""
+    """Capture with the configured rig, from one place or from several, then reconstruct. Raises DeviceError too.
+
+    The `terminal` is where the operator is asked to move the rig.
+    """
     captures = [*earlier]
     for step in range(number):
         rig = next_place(config.required_rig, step, number, terminal)
@@ -65,8 +71,8 @@ def scan(
             break
         if step:
             set_aside(captures, folder)
-        captures.append(take(rig, config, folder, terminal, f"Capture {len(captures) + 1}"))
-    return reconstruct(captures, config, folder, terminal, masks=masks)
+        captures.append(take(rig, config, folder, progress, f"Capture {len(captures) + 1}"))
+    return reconstruct(captures, config, folder, progress, masks=masks)
 
 
 def resume(
@@ -149,7 +155,11 @@ def replay_calibrated(
     with _saying_what_is_missing(recording):
         found = decode_recording(recording, terminal, calibration)
     with refusal_saved([found], folder, config) as reached:
-        given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
+        charuco = config.scale.charuco if config.scale and calibration.unit == UNKNOWN_UNIT else None
+        if charuco is not None:
+            given = GivenCalibration(found, *scaled_by_sheet(calibration, stated, [found], charuco))
+        else:
+            given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
         captures = triangulate([given], reached, terminal)
     return _finished(Scan(captures), config, folder, terminal)
 
@@ -195,7 +205,8 @@ def decode(
 ) -> Decoded:
     """Frames as they come → matches; no frame is kept. With a calibration one axis is enough.
 
-    `again` gives the frames once more, which it takes if each of them shows some of the picture before.
+    `again` gives the frames once more, which it takes if each of them shows some of the picture before, or if light was
+    switched on or off.
     """
     decoder = Decoder(stream.patterns, stream.projector_size, calibration)
     exposures_us = []
@@ -207,11 +218,33 @@ def decode(
         decoder = Decoder(stream.patterns, stream.projector_size, calibration, ghost=ghost)
         for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out a ghost"):
             decoder.add(frame.image)
-    with progress.step("Matching"):
-        decoding = decoder.finish()
+    try:
+        with progress.step("Matching"):
+            decoding = decoder.finish(once_more=again is not None)
+    except LightSwitchedError as found:
+        if again is None:
+            raise
+        decoding = _in_one_light(stream, found.switch, progress, calibration, again)
     about = identity({**stream.metadata, **stream.account()})
     facts = CaptureFacts(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
     return Decoded(facts, decoding.matches, decoding, name)
+
+
+def _in_one_light(
+    stream: Stream,
+    switch: LightSwitch,
+    progress: Progress,
+    calibration: Calibration | None,
+    again: Callable[[], Stream],
+) -> Decoding:
+    """The frames `again`, without light that was switched on or off, which takes them twice."""
+    decoder = Decoder(stream.patterns, stream.projector_size, calibration, switch=switch)
+    for place, (_, frame) in enumerate(progress.track(again().frames, len(stream.patterns), "Measuring light")):
+        decoder.measure_light(place, frame.image)
+    for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out light"):
+        decoder.add(frame.image)
+    with progress.step("Matching"):
+        return decoder.finish()
 
 
 def reconstruct(

@@ -1,4 +1,4 @@
-"""Text that came from files, made fit to be shown: a terminal obeys some characters instead of showing them."""
+"""Text made fit to be shown: a terminal obeys some characters of files, and lines must not break within numbers."""
 
 import re
 import reprlib
@@ -7,6 +7,11 @@ _MARK = "\N{REPLACEMENT CHARACTER}"
 # Control characters but for line breaks and tabs; those that turn the direction of what follows; lone surrogates.
 _OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
 _MOST_CHARACTERS = 60
+NO_BREAK = "\N{NO-BREAK SPACE}"
+# What belongs to a number: a sign before it, a unit or the other end of a range behind it.
+_WITHIN_NUMBERS = re.compile(
+    r"(?<=[±<>=×−+]) (?=[\d−])|(?<=\d) (?=(?:[±×%°‰]|[mµk]?m\b|px\b|sigma|to \d))|(?<=\d to) (?=\d)"
+)
 
 _REPR = reprlib.Repr()
 _REPR.maxlevel = 3
@@ -26,3 +31,8 @@ def shortened(text: str, most: int = _MOST_CHARACTERS) -> str:
 def shown(value: object) -> str:
     """A value as it stands in a message: on one line, and never all of a long one."""
     return shortened(harmless(_REPR.repr(value)))
+
+
+def unbroken(text: str) -> str:
+    """The text with spaces that no line is broken at within numbers and between them and their units."""
+    return _WITHIN_NUMBERS.sub(NO_BREAK, text)

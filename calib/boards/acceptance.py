@@ -135,21 +135,29 @@ def ray_sigmas(found: Estimate, sizes: tuple[Size, Size]) -> tuple[Floats, Float
     NaN where the other device does not see, at the boards' distance, what this one does. What a rotation of the device
     would do is no error of its lens: the motion between the devices makes up for it.
     """
-    state, (camera_size, projector_size) = found.state, sizes
+    every, state = (_grid(sizes[0]), _grid(sizes[1])), found.state
+    seen = _seen_by_both(state, every, sizes)
+    return (
+        _lens_sigmas(state.camera, every[0], found.covariance[CAMERA, CAMERA], seen[0]),
+        _lens_sigmas(state.projector, every[1], found.covariance[PROJECTOR, PROJECTOR], seen[1]),
+    )
+
+
+def rays_seen(state: State, sizes: tuple[Size, Size]) -> tuple[Floats, Floats]:
+    """Pixels (N, 2) of the camera, and of the projector (M, 2), over what both see at the boards' distance."""
+    every = _grid(sizes[0]), _grid(sizes[1])
+    camera, projector = _seen_by_both(state, every, sizes)
+    return every[0][camera], every[1][projector]
+
+
+def _seen_by_both(state: State, pixels: tuple[Floats, Floats], sizes: tuple[Size, Size]) -> tuple[Bools, Bools]:
+    """Which pixels of either device see, at the boards' distance, what the other one sees as well."""
     rotation, translation = state.motion.rotation, state.motion.translation
     depth = float(np.median([board.middle[2] for board in state.boards]))
     ahead = float(np.median([(rotation @ board.middle + translation)[2] for board in state.boards]))
-    camera, projector = _grid(camera_size), _grid(projector_size)
-    there = points_along(state.camera, camera, depth) @ rotation.T + translation
-    back = (points_along(state.projector, projector, ahead) - translation) @ rotation
-    return (
-        _lens_sigmas(
-            state.camera, camera, found.covariance[CAMERA, CAMERA], is_seen(state.projector, there, projector_size)
-        ),
-        _lens_sigmas(
-            state.projector, projector, found.covariance[PROJECTOR, PROJECTOR], is_seen(state.camera, back, camera_size)
-        ),
-    )
+    there = points_along(state.camera, pixels[0], depth) @ rotation.T + translation
+    back = (points_along(state.projector, pixels[1], ahead) - translation) @ rotation
+    return is_seen(state.projector, there, sizes[1]), is_seen(state.camera, back, sizes[0])
 
 
 def _grid(size: Size) -> Floats:

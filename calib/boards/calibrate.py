@@ -96,7 +96,7 @@ def calibrate_boards(views: Sequence[View], camera_size: Size, projector_size: S
     enlarged = straightness(found) * (surprise if surprise > _SURPRISING else 1.0)
     found = replace(found, covariance=found.covariance * enlarged**2)
     refuse_untrustworthy(found, _others(found, begun, views), coverage, (camera_size, projector_size))
-    calibration = _calibration_of(found, camera_size, projector_size, board.unit)
+    calibration = calibration_from(found, camera_size, projector_size, board.unit)
     tested = halves(found)
     return BoardCalibration(
         calibration,
@@ -156,7 +156,8 @@ def _others(found: Estimate, begun: Sequence[Fit], views: Sequence[View]) -> lis
     return further
 
 
-def _calibration_of(found: Estimate, camera_size: Size, projector_size: Size, unit: str) -> Calibration:
+def calibration_from(found: Estimate, camera_size: Size, projector_size: Size, unit: str) -> Calibration:
+    """An estimate's devices and motion, with its sigmas."""
     state, sigma = found.state, np.sqrt(found.covariance.diagonal())
     turn = np.degrees(sigma[ROTATION])
     sigmas = Sigmas(

@@ -1,6 +1,8 @@
 """What an estimate is worth: uncertainty, degenerate views, the verdict of the numbers, the next best view."""
 
 from calib.diagnostics.acceptance import USEFUL_SIGMA, no_corner, refuse_degenerate, refuse_untrustworthy
+from calib.diagnostics.comparison import Difference, compare
+from calib.diagnostics.contradiction import ContradictionError, refuse_contradiction
 from calib.diagnostics.error_propagation import (
     Budget,
     LinearFit,
@@ -14,12 +16,15 @@ from calib.diagnostics.error_propagation import (
 )
 from calib.diagnostics.notes import FROM_ONE_PLACE, FURTHER_CAPTURE, notes_on
 from calib.diagnostics.plane_form import plane_form
+from calib.diagnostics.sheet_size import SheetSize, size_of_sheet
 from calib.diagnostics.smooth_errors import footprint_offsets
 from calib.diagnostics.uncertainty import (
     NOWHERE,
     Along,
     Uncertainty,
     calibration_of,
+    moved_calibration,
     sigmas_of,
     uncertainty_of,
+    with_further_terms,
 )

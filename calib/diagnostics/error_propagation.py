@@ -5,7 +5,7 @@ each measurement as signed amounts, so that what they do to two faces, or to bot
 it is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,11 +13,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from calib.diagnostics.smooth_errors import smooth_error_px, smooth_modes
-from calib.diagnostics.uncertainty import Uncertainty, calibration_of
-from calib.geometry import Calibration, Matches, Sigmas, intersect
+from calib.diagnostics.uncertainty import Uncertainty, moved_calibration
+from calib.geometry import Calibration, Matches, intersect
 from calib.numerics import Floats, Ints
 from calib.pointcloud import Plane, by_projector_px
-from calib.refinement import SHARED
 
 _STEP_PX = 0.01  # of a projector pixel, for derivatives
 _AT_ONCE = 20_000  # points, whose derivatives are large
@@ -111,9 +110,17 @@ class SystematicErrors:
 
     @classmethod
     def of(cls, calibration: Calibration, uncertainty: Uncertainty | None, scale: float = 0.0) -> "SystematicErrors":
-        """`scale`: relative standard deviation of the baseline, which the scale is that of."""
-        causes = 0 if uncertainty is None else len(uncertainty.along.probability) + SHARED
-        return cls(calibration, uncertainty, np.append(np.zeros(causes + 1), scale))
+        """`scale`: relative standard deviation of the baseline, which the scale is that of.
+
+        What of it goes with the calibration's columns is part of these causes.
+        """
+        if uncertainty is None:
+            return cls(calibration, None, np.array([0.0, scale]))
+        gain, along = uncertainty.by_log_baseline, uncertainty.along
+        across = _directions(uncertainty) @ gain
+        with_causes = np.concatenate([np.sqrt(along.probability) * (along.steps @ gain), across])
+        rest = np.sqrt(max(scale**2 - float(np.sum(with_causes**2)), 0.0))
+        return cls(calibration, uncertainty, np.concatenate([with_causes, [0.0, rest]]))
 
     def anchored(self, distance: Spread, length: float, scale: float) -> "SystematicErrors":
         """The same where the known length, `scale` its relative sigma, is not the baseline but a measured distance.
@@ -135,6 +142,21 @@ class SystematicErrors:
                 moved[:, :, cause] += (intersect(matches, ahead).points - intersect(matches, behind).points) / 2
         return moved
 
+    def of_function(self, function: Callable[[Calibration], Floats]) -> Floats:
+        """What each cause of one sigma does to numbers (…) that follow from a calibration: (…, S)."""
+        here = function(self.calibration)
+        effects = np.zeros((*here.shape, len(self.log_scale)))
+        count = len(self._along)
+        for cause, (there, root) in enumerate(self._along):
+            effects[..., cause] = root * (function(_grown(there, self.log_scale[cause] / root)) - here)
+        for cause, pair in enumerate(self._across, start=count):
+            ahead, behind = (
+                function(_grown(there, sign * self.log_scale[cause])) for sign, there in zip((1, -1), pair, strict=True)
+            )
+            effects[..., cause] = (ahead - behind) / 2
+        effects[..., -1] = function(_grown(self.calibration, self.log_scale[-1])) - here
+        return effects
+
     @cached_property
     def _along(self) -> list[tuple[Calibration, float]]:
         """The calibrations along the valley, and the roots of their probabilities."""
@@ -142,7 +164,7 @@ class SystematicErrors:
             return []
         along = self.uncertainty.along
         return [
-            (self._moved(self.uncertainty, step), float(np.sqrt(probability)))
+            (moved_calibration(self.calibration, self.uncertainty, step), float(np.sqrt(probability)))
             for step, probability in zip(along.steps, along.probability, strict=True)
         ]
 
@@ -154,15 +176,22 @@ class SystematicErrors:
         """
         if self.uncertainty is None:
             return []
-        values, vectors = np.linalg.eigh(self.uncertainty.covariance - self.uncertainty.along.covariance)
-        steps = (vectors * np.sqrt(values.clip(0))).T
-        return [(self._moved(self.uncertainty, step), self._moved(self.uncertainty, -step)) for step in steps]
+        rig, uncertainty = self.calibration, self.uncertainty
+        return [
+            (moved_calibration(rig, uncertainty, step), moved_calibration(rig, uncertainty, -step))
+            for step in _directions(uncertainty)
+        ]
 
-    def _moved(self, uncertainty: Uncertainty, step: Floats) -> Calibration:
-        """The calibration a step (15,) of its columns away."""
-        size = self.calibration.camera.size, self.calibration.projector.size
-        there = calibration_of(uncertainty.rig.moved(step), *size, Sigmas())
-        return replace(there, translation=self.calibration.baseline * there.translation)
+
+def _grown(calibration: Calibration, log_scale: float) -> Calibration:
+    return replace(calibration, translation=calibration.translation * np.exp(log_scale))
+
+
+def _directions(uncertainty: Uncertainty) -> Floats:
+    """Steps (15, 15) of one sigma along the principal directions of what of the covariance is no curve."""
+    values, vectors = np.linalg.eigh(uncertainty.covariance - uncertainty.along.covariance)
+    steps: Floats = (vectors * np.sqrt(values.clip(0))).T
+    return steps
 
 
 def spread_of_points(matches: Matches, errors: SystematicErrors, sigma_px: Floats) -> Spread:

@@ -136,7 +136,7 @@ def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: floa
     prior = knowledge.prior(alone)
     for column in np.flatnonzero(~refinement.prior.free[:SHARED]):  # lens terms that are left out
         prior = prior.with_known(int(column))
-    flat = replace(prior, sigma=np.where(prior.free, np.inf, 0.0))
+    flat = replace(prior, sigma=np.where(prior.free, np.inf, 0.0), rig=None)
     new = evaluate([cells], alone, flat, [np.full(len(cells), variance)]).information
     kept = np.flatnonzero(prior.free)
     shared = kept[kept < alone.size - PER_POSE]

@@ -1,6 +1,6 @@
 """What the covariance means for a person: sigmas by name, the uncertainty of a point, the price of an assumption."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,7 +48,8 @@ class Uncertainty:
 
     `by_principal_point` (15, 2): how the columns move with the camera's principal point, per pixel, where that was
     taken as known; else None. `match_px`: scatter of a match where it states no sigma of its own. `along`: the part of
-    the covariance that is a curve.
+    the covariance that is a curve. `with_log_baseline` (15,): the columns' covariance with the logarithm of the
+    baseline, where what fixed the scale is not the baseline itself.
     """
 
     state: State
@@ -56,6 +57,17 @@ class Uncertainty:
     by_principal_point: Floats | None
     match_px: float
     along: Along = NOWHERE
+    with_log_baseline: Floats = field(default_factory=lambda: np.zeros(SHARED))
+
+    @property
+    def by_log_baseline(self) -> Floats:
+        """How the baseline's logarithm is expected to go with the columns, (15,)."""
+        scale = np.sqrt(self.covariance.diagonal())
+        scale = np.where(scale > 0, scale, 1.0)
+        gain: Floats = np.linalg.pinv(self.covariance / np.outer(scale, scale), hermitian=True) @ (
+            self.with_log_baseline / scale
+        )
+        return gain / scale
 
     @property
     def rig(self) -> State:
@@ -127,6 +139,30 @@ def calibration_of(
         state.rotation,
         state.translation,
         sigma=sigma,
+    )
+
+
+def with_further_terms(found: Intrinsics, lens: Intrinsics) -> Intrinsics:
+    """A device found with square pixels and two radial terms, with a lens's further terms and its pixels' shape."""
+    focal = found.focal_px[0]
+    return replace(
+        found,
+        focal_px=(focal, focal * lens.focal_px[1] / lens.focal_px[0]),
+        distortion=(*found.distortion[:2], *lens.distortion[2:]),
+    )
+
+
+def moved_calibration(calibration: Calibration, uncertainty: Uncertainty, step: Floats) -> Calibration:
+    """A calibration, to which the uncertainty belongs, a step (15,) of the columns away; its baseline stays."""
+    there = calibration_of(
+        uncertainty.rig.moved(step), calibration.camera.size, calibration.projector.size, calibration.sigma
+    )
+    return replace(
+        there,
+        camera=with_further_terms(there.camera, calibration.camera),
+        projector=with_further_terms(there.projector, calibration.projector),
+        translation=calibration.baseline * there.translation,
+        unit=calibration.unit,
     )
 
 

@@ -14,6 +14,7 @@ from functools import partial
 from typing import TypeVar, cast
 
 from numba import njit
+from numba.core import event
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -31,3 +32,21 @@ def compiled(function: Function) -> Function:
         return cast(Function, with_options(cache=True)(function))
     except RuntimeError:  # no folder to keep machine code in
         return cast(Function, with_options()(function))
+
+
+def when_compiling(tell: Callable[[], None]) -> None:
+    """Call `tell`, once, as soon as something has to be compiled because its machine code is not there yet."""
+    event.register("numba:compile", _First(tell))  # type: ignore[no-untyped-call]
+
+
+class _First(event.Listener):
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell: Callable[[], None] | None = tell
+
+    def on_start(self, _event: event.Event) -> None:
+        tell, self._tell = self._tell, None
+        if tell is not None:
+            tell()
+
+    def on_end(self, _event: event.Event) -> None:
+        """It has been told."""

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
+from calib.refinement.known_rig import KnownRig
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
 from calib.refusal import PHOTOS, RIG, Wording
@@ -26,11 +27,13 @@ class Prior:
     """Gaussian prior on the additive columns of the model: `mean`, `sigma` (size,); 0 = known, infinity = unknown.
 
     `held`: a column that stays where it is for now, though it is not known, so that it costs what the prior says.
+    `rig`: what other data say of the columns that all captures share, together.
     """
 
     mean: Floats
     sigma: Floats
     held: int | None = None
+    rig: KnownRig | None = None
 
     @cached_property
     def free(self) -> Bools:
@@ -73,7 +76,7 @@ class Knowledge:
     standard deviation (0: exactly known), and how square corners are (standard deviation of the angles; 0: exactly).
 
     `one_camera`: both images are photos by one unchanged camera, with one radial term. `focal_px`: the camera's focal
-    length with its standard deviation, where something is known of it.
+    length with its standard deviation, where something is known of it. `rig`: what other data say of it.
     """
 
     camera_size: tuple[int, int]
@@ -83,6 +86,7 @@ class Knowledge:
     squareness_deg: float
     one_camera: bool = False
     focal_px: tuple[float, float] | None = None
+    rig: KnownRig | None = None
 
     @property
     def words(self) -> Wording:
@@ -95,7 +99,8 @@ class Knowledge:
         Beside what is known of this rig, what holds for any lens that is sold: a projector's focal of one image width
         within a factor of two and its principal point within half an image height of the centre, k1 within 0.1 and k2
         within 0.03 of zero (1 sigma each). A capture that determines the focals to a few per cent does not feel it. The
-        camera's focal has no prior but the range that is swept, unless something is known of it.
+        camera's focal has no prior but the range that is swept, unless something is known of it. What other data say
+        of the rig takes the place of all this.
         """
         mean, sigma = np.zeros(layout.size), np.full(layout.size, np.inf)
         for device, (width, height) in ((CAMERA, self.camera_size), (PROJECTOR, self.projector_size)):
@@ -110,12 +115,14 @@ class Knowledge:
         if self.one_camera:
             sigma[CAMERA.stop - 1] = 0.0  # two photos hardly tell k2 from k1
             sigma[PROJECTOR] = 0.0  # those columns move with the camera's
+        if self.rig is not None:
+            sigma[:SHARED][sigma[:SHARED] > 0] = np.inf
         sigma[SHARED : layout.pose_columns(0).start] = np.radians(self.squareness_deg)
         for i, pose in enumerate(layout.poses):
             tilts = sigma[layout.pose_columns(i)][PER_POSE:].reshape(-1, PER_PLANE)
             for row, plane in zip(tilts, pose.planes, strict=True):
                 row[:2] = plane.tilt_sigma
-        return Prior(mean, sigma)
+        return Prior(mean, sigma, rig=self.rig)
 
 
 @dataclass(frozen=True)
@@ -134,6 +141,11 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
     deviation = prior.deviation(state)
     cost = float(deviation @ deviation)
     gradient, information = deviation * prior.root_precision, np.diag(prior.root_precision**2)
+    if prior.rig is not None:
+        told, slope, curvature = prior.rig.misfit(state)
+        cost += told
+        gradient[:SHARED] += slope
+        information[:SHARED, :SHARED] += curvature
     residuals = []
     for i, (cells, variance) in enumerate(zip(captures, variances, strict=True)):
         predicted, jacobian, depths = predict(state, cells.camera_px, cells.plane, i)

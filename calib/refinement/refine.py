@@ -38,7 +38,8 @@ class Refinement:
     `captures`: the cells, labelled alike where they show one corner, with the `noise` of each. `prior`: of the final
     fit. `covariance` (size, size) in the model's columns, zero for fixed ones. `others`: further minima, best first.
     `valley`: the cost along the camera's focal length. `tension`: what the assumption on the corner's angles costs.
-    `sameness`: whether the captures show one corner.
+    `sameness`: whether the captures show one corner. `apart`: the fit near by of these captures by themselves, where
+    other data say something of the rig.
     """
 
     captures: tuple[Cells, ...]
@@ -50,6 +51,7 @@ class Refinement:
     valley: Valley
     tension: float
     sameness: Sameness | None
+    apart: Fit | None = None
 
     def corner(self, capture: int) -> Corner:
         """The corner in the camera's frame of a capture, in baselines."""
@@ -103,7 +105,8 @@ def settle(
 
     None where none of them is left with all cells.
     """
-    unassuming = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG).prior(fits[0].state)
+    # Nor what other data say of the rig: what contradicts them may not pass for noise either.
+    unassuming = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG, rig=None).prior(fits[0].state)
     noise = _measured(captures, fits[0], unassuming)
     variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
     prior = knowledge.prior(fits[0].state)
@@ -111,7 +114,8 @@ def settle(
     if not fits:
         return None
     best, *others = fits
-    tension = best.cost - minimise(captures, best.state, unassuming, variances, tolerance=_ROUGH).cost
+    with_angles = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG).prior(best.state)
+    tension = best.cost - minimise(captures, best.state, with_angles, variances, tolerance=_ROUGH).cost
 
     if further is not None and not others:
         captures, best, prior = _with_planes(captures, best, knowledge, noise, further)
@@ -121,6 +125,12 @@ def settle(
     covariance = valley.covariance(best, prior.free)
     if sameness and sameness.same:
         covariance[:SHARED, :SHARED] += sameness.spread
+    apart = None
+    if knowledge.rig is not None:
+        usual = replace(knowledge, rig=None).prior(best.state)
+        apart = minimise(captures, best.state, usual, variances)
+        # What holds for any lens is no part of what the captures say.
+        apart = replace(apart, cost=apart.cost - float(np.sum(usual.deviation(apart.state)[:SHARED] ** 2)))
     return Refinement(
         tuple(captures),
         noise,
@@ -131,6 +141,7 @@ def settle(
         valley,
         tension,
         sameness,
+        apart,
     )
 
 

@@ -8,10 +8,12 @@ import numpy as np
 
 from calib.closed_form import Objective, objective_for, search
 from calib.diagnostics import (
+    ContradictionError,
     Uncertainty,
     calibration_of,
     no_corner,
     notes_on,
+    refuse_contradiction,
     refuse_degenerate,
     refuse_untrustworthy,
     sigmas_of,
@@ -21,6 +23,7 @@ from calib.diagnostics.uncertainty import along_valley
 from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
+    CAMERA,
     SQUARENESS_DEG,
     Knowledge,
     Refinement,
@@ -38,12 +41,14 @@ from calib.refinement import (
     with_further_planes,
 )
 from calib.refusal import RIG, RefusalError
+from calib.self_calibration.known_calibration import KnownCalibration
 
 Method = Literal["refined", "paper"]
 
 # Trial focals, in units of the longer side of the camera's image: from a 120° to a 14° field of view.
 _SHORTEST, _LONGEST = 0.3, 4.0
 _PAPER_TRIALS, _SWEEP_TRIALS = 64, 24
+_KNOWN_TRIALS, _AROUND_KNOWN, _AROUND_SIGMAS = 5, 0.05, 5.0  # of the camera's focal, where other data tell it
 
 _CLOSED_CYCLE = 0.1  # paper's objective, in camera focals
 
@@ -74,7 +79,7 @@ class SelfCalibration:
     for a method that knows none. `order_nats`: of captures of one corner, by how much its angles make the order in
     which the faces are numbered likelier than any other; 0 where they do not tell. `likely_percent`: what likely shifts
     of the matches may have done to the intrinsics, one standard deviation; `possible_percent`: the same of those that
-    nothing tells of. Both are part of the sigmas.
+    nothing tells of. Both are part of the sigmas. `known`: what it was joined with, if it was.
     """
 
     calibration: Calibration
@@ -88,6 +93,14 @@ class SelfCalibration:
     order_nats: float = 0.0
     likely_percent: float = 0.0
     possible_percent: float = 0.0
+    known: KnownCalibration | None = None
+
+    @property
+    def metric(self) -> Calibration:
+        """The calibration in the unit of what it was joined with; in baselines if that has none, or there is none."""
+        if self.known is None or self.uncertainty is None:
+            return self.calibration
+        return self.known.metric(self.calibration, self.uncertainty)
 
 
 @singular_refused(RIG)
@@ -139,6 +152,7 @@ def self_calibrate_jointly(
     same: bool = True,
     planes: Sequence[Ints] | None = None,
     shifts: Sequence[Shifts] = (),
+    known: KnownCalibration | None = None,
 ) -> tuple[SelfCalibration, ...]:
     """Calibrate one unchanged rig from several captures, by maximum likelihood; one result for each, all of one rig.
 
@@ -150,13 +164,33 @@ def self_calibrate_jointly(
 
     `shifts`: for each capture, by what its matches may be shifted; none is known if left out.
 
-    Raises RefusalError where no trustworthy answer can be had.
+    `known`: what other data say of the rig, boards say; the estimate is then one over both. `principal_point` counts
+    beside it only where it is exactly known.
+
+    Raises RefusalError where no trustworthy answer can be had, or captures and `known` cannot be of one rig.
     """
     knowledge = Knowledge(camera_size, projector_size, principal_point.px, principal_point.sigma_px, squareness_deg)
+
+    def joined_with(known: KnownCalibration | None) -> tuple[SelfCalibration, ...]:
+        told = knowledge if known is None else _knowing(knowledge, known)
+        return _by_refinement(captures, told, same=same, planes=planes, shifts=shifts, known=known)
+
     try:
-        return _by_refinement(captures, knowledge, same=same, planes=planes, shifts=shifts)
+        try:
+            return joined_with(known)
+        except ContradictionError:
+            if known is None or known.freer is None:
+                raise
+            return joined_with(known.freer)
     except TooFewMatchesError as error:
         raise _too_few(error) from error
+
+
+def _knowing(knowledge: Knowledge, known: KnownCalibration) -> Knowledge:
+    told = replace(knowledge, rig=known.rig)
+    if knowledge.principal_point_sigma_px == 0:
+        return told
+    return replace(told, principal_point_px=known.calibration.camera.principal_point_px)
 
 
 def _too_few(error: TooFewMatchesError) -> RefusalError:
@@ -232,8 +266,10 @@ def _by_refinement(
     same: bool,
     planes: Sequence[Ints] | None,
     shifts: Sequence[Shifts],
+    known: KnownCalibration | None,
 ) -> tuple[SelfCalibration, ...]:
-    cells = [into_cells(matches) for matches in captures]
+    plain = [known.without_further_terms(matches) if known else matches for matches in captures]
+    cells = [into_cells(matches) for matches in plain]
     families = [family_of(each, knowledge) for each in cells]
     if len(captures) > 1:
         vertices = [family.objective.camera_image.vertex for family in families]
@@ -241,13 +277,17 @@ def _by_refinement(
         cells = [reflected(each) if turn else each for each, turn in zip(cells, turned, strict=True)]
         families = [family_of(each, knowledge) for each in cells]
     refuse_degenerate(cells, [family.straightened for family in families], RIG)
-    trials = sweep_trials(knowledge.camera_size)
-    further = None if planes is None else lambda cells, state: with_further_planes(cells, captures, planes, state)
+    trials = sweep_trials(knowledge.camera_size) if known is None else _trials_around(known)
+    further = None if planes is None else lambda cells, state: with_further_planes(cells, plain, planes, state)
     refinement = refine(cells, families, trials, knowledge, same=same, further=further)
     if refinement is None:
         raise no_corner(cells, RIG)
+    by_curvature = refinement.covariance
     refinement = _with_smooth_errors(refinement, shifts)
     refinement, likely_percent = _with_shifts(refinement, [each.likely for each in shifts])
+    notes: tuple[str, ...] = ()
+    if known is not None:
+        notes = (_on_known(*refuse_contradiction(refinement, known.rig, refinement.covariance - by_curvature)),)
     refuse_untrustworthy(refinement, knowledge)
     refinement, possible_percent = _with_shifts(refinement, [each.possible for each in shifts])
     fit = refinement.fit
@@ -257,7 +297,9 @@ def _by_refinement(
         knowledge.projector_size,
         sigmas_of(fit.state, refinement.covariance),
     )
-    notes = notes_on(refinement, knowledge)
+    if known is not None:
+        calibration = known.with_further_terms(calibration)
+    notes += notes_on(refinement, knowledge)
     profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
     sameness = refinement.sameness
     order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
@@ -271,6 +313,9 @@ def _by_refinement(
         uncertainty = uncertainty_of(
             fit.state, refinement.covariance, fit.information, refinement.prior, refinement.noise[i].match_px, along
         )
+        if known is not None:
+            with_log_baseline = known.with_log_baseline(refinement.covariance)
+            uncertainty = replace(uncertainty, with_log_baseline=with_log_baseline)
         results.append(
             SelfCalibration(
                 calibration,
@@ -284,9 +329,25 @@ def _by_refinement(
                 order_nats,
                 likely_percent,
                 possible_percent,
+                known,
             )
         )
     return tuple(results)
+
+
+def _trials_around(known: KnownCalibration) -> Floats:
+    focal = float(known.calibration.camera.focal_px[0])
+    sigma = float(np.sqrt(known.uncertainty.covariance[CAMERA.start, CAMERA.start]))
+    reach = max(_AROUND_KNOWN, _AROUND_SIGMAS * sigma)
+    trials: Floats = focal * np.exp(np.linspace(-reach, reach, _KNOWN_TRIALS))
+    return trials
+
+
+def _on_known(raised: float, limit: float) -> str:
+    return (
+        "Calibrated together with boards of the same rig, which it agrees with: together they fit worse by "
+        f"{raised:.0f} in −2 log likelihood, where chance explains up to {limit:.0f}."
+    )
 
 
 def _with_shifts(refinement: Refinement, shifts: Sequence[Sequence[Shift]]) -> tuple[Refinement, float]:

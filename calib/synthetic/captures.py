@@ -82,12 +82,16 @@ def random_captures(
     options: CaptureOptions | None = None,
     *,
     same: bool = True,
+    rig: Calibration | None = None,
     attempts: int = 1000,
     **changes: Any,
 ) -> list[SyntheticCapture]:
-    """Captures by one rig of one corner from random places, or of different corners; faces in a random order each."""
+    """Captures by one rig of one corner from random places, or of different corners; faces in a random order each.
+
+    `rig`: of the options' devices, how they stand to each other; drawn if left out.
+    """
     options = replace(options or CaptureOptions(), **changes)
-    legs, rig = random_legs(rng, options.walls_off_deg), None
+    legs = random_legs(rng, options.walls_off_deg)
     captures: list[SyntheticCapture] = []
     while len(captures) < number:
         attempts -= 1

@@ -1,35 +1,41 @@
-"""A printed chessboard held before the rig: slightly bent, in a pose that is drawn from the seed.
+"""A printed board: held before the rig, slightly bent, in a pose that is drawn from the seed; or lying on the floor.
 
 Written on its own, not on top of the calibration's model of a board. It hides what is behind it, and gets the ambient
 and indirect light that this had; it throws no shadow on the room, and sends no light back to it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Image, Ints
 from hw.errors import DeviceError
 from hw.settings import BoardSettings
 from hw.simulated.device import PlacedDevice
+from hw.simulated.scene import Label, Scene
 
 _WHITE, _BLACK = 0.85, 0.06
-_RIM = 1.0  # white squares around the checks
+_RIM, _CHARUCO_RIM = 1.0, 0.25  # white squares around what is printed
 _STEPS = 5
 _ATTEMPTS = 4000
-_STREAM = 103  # apart from all other random numbers
+_STREAM, _FLOOR_STREAM = 103, 104  # apart from all other random numbers
 _TILT_DEG = (10.0, 40.0)
+_PAPER_M = 1e-4
+_FLOOR_M = (0.1, 2.5)  # from either wall
+_MODULES_PX = 100  # of a ChArUco board's square as it is drawn, of which the marker has 70: seven modules of 10
+_MARKER = 0.7
 _SHARE = (0.5, 1.0)  # of the projected picture's height that the board's longer side has
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """A board of `columns` × `rows` inner corners; `rotation` (3, 3) from its axes, `middle` (3,), in the world.
+    """A board of `columns` × `rows` squares; `rotation` (3, 3) from its axes, `middle` (3,), in the world.
 
     A point (u, v) of it, in metres from its middle, is `reach` (c₀ a² + c₁ ab + c₂ b²) off its plane, with
-    (a, b) = (u, v) / `reach` and c the `bend` (3,).
+    (a, b) = (u, v) / `reach` and c the `bend` (3,). `printed` (H, W): what is on it; None for a chessboard.
     """
 
     columns: int
@@ -38,22 +44,28 @@ class Sheet:
     bend: Floats
     rotation: Floats
     middle: Floats
+    printed: Image | None = None
 
     @property
     def half(self) -> Floats:
         """Half its size along u and v, with the rim, in metres."""
-        return self.square_m * (np.array([self.columns + 1, self.rows + 1]) / 2 + _RIM)
+        return self.square_m * (np.array([self.columns, self.rows]) / 2 + self.rim)
+
+    @property
+    def rim(self) -> float:
+        """In squares."""
+        return _RIM if self.printed is None else _CHARUCO_RIM
 
     @property
     def reach(self) -> float:
         """Half the longer side of the checks."""
-        return self.square_m * (max(self.columns, self.rows) + 1) / 2
+        return self.square_m * max(self.columns, self.rows) / 2
 
     @property
     def corners(self) -> Floats:
         """The inner corners (N, 2), row by row, in metres from the middle."""
-        column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        counts = np.array([self.columns - 1, self.rows - 1])
+        column, row = np.meshgrid(np.arange(self.columns - 1), np.arange(self.rows - 1))
+        counts = np.array([self.columns - 2, self.rows - 2])
         return (np.stack([column.ravel(), row.ravel()], axis=1) - counts / 2) * self.square_m
 
     def points(self, uv: Floats) -> Floats:
@@ -84,9 +96,13 @@ class Sheet:
 
     def albedo(self, uv: Floats) -> Floats:
         """Printed black and white, (n,)."""
-        counts = np.array([[self.columns + 1], [self.rows + 1]])
-        cell = np.floor(uv / self.square_m + counts / 2)
+        counts = np.array([[self.columns], [self.rows]])
+        place = uv / self.square_m + counts / 2
+        cell = np.floor(place)
         inside = np.all((cell >= 0) & (cell < counts), axis=0)
+        if self.printed is not None:
+            column, row = np.floor(place * _MODULES_PX).astype(np.int64).clip(0, _MODULES_PX * counts - 1)
+            return np.where(inside & (self.printed[row, column] == 0), _BLACK, _WHITE)
         albedo: Floats = np.where(inside & (cell.sum(axis=0) % 2 == 0), _BLACK, _WHITE)
         return albedo
 
@@ -98,12 +114,67 @@ class Sheet:
         return heights, np.stack([2 * c0 * a + c1 * b, c1 * a + 2 * c2 * b])
 
 
-def draw_board(settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice) -> Sheet:
-    """The board at its pose number `settings.pose`, wholly in both pictures. Raises DeviceError if there is none."""
+def draw_board(
+    settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice, scene: Scene
+) -> Sheet:
+    """The board at its pose number `settings.pose`, wholly in both pictures, or on the floor of a scene.
+
+    Raises DeviceError if there is no such place.
+    """
+    if settings.on_floor:
+        board = _lying(settings, seed, camera, projector, scene)
+    else:
+        board = _held(settings, seed, camera, projector)
+    if board is None:
+        raise DeviceError(
+            f"the simulated rig of seed {seed} sees no {settings.kind} of {settings.columns} × {settings.rows} with "
+            f"squares of {settings.square_m:g} m whole with both devices; use another seed or another board"
+        )
+    return board
+
+
+def _unplaced(settings: BoardSettings, bend: Floats) -> Sheet:
+    columns, rows = settings.columns, settings.rows
+    printed = None
+    if settings.kind == "charuco":
+        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
+        drawn = cv2.aruco.CharucoBoard((columns, rows), 1.0, _MARKER, dictionary)
+        printed = np.asarray(drawn.generateImage((_MODULES_PX * columns, _MODULES_PX * rows)), np.uint8)
+    else:
+        columns, rows = columns + 1, rows + 1
+    return Sheet(columns, rows, settings.square_m, bend, np.eye(3), np.zeros(3), printed)
+
+
+def _lying(
+    settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice, scene: Scene
+) -> Sheet | None:
+    """On the floor, where neither device's view of it is hidden: in the same place for all views that leave it free."""
+    rng = np.random.default_rng([seed, _FLOOR_STREAM])
+    sheet = _unplaced(settings, np.zeros(3))
+    for _ in range(_ATTEMPTS):
+        x, y = rng.uniform(*_FLOOR_M, 2)
+        heading = rng.uniform(-np.pi, np.pi)
+        cosine, sine = np.cos(heading), np.sin(heading)
+        # It is read from above, from where its z axis points away.
+        rotation = np.array([[cosine, sine, 0.0], [sine, -cosine, 0.0], [0.0, 0.0, -1.0]])
+        board = replace(sheet, rotation=rotation, middle=np.array([x, y, _PAPER_M]))
+        if all(_whole(board, device) and _free(board, device, scene) for device in (camera, projector)):
+            return board
+    return None
+
+
+def _free(board: Sheet, device: PlacedDevice, scene: Scene) -> bool:
+    """Whether nothing but the floor is behind or before any part of a board that lies there."""
+    around = np.stack(np.meshgrid(*(np.linspace(-half, half, 9) for half in board.half))).reshape(2, -1)
+    _, surface = scene.cast(device.centre[:, None], board.points(around) - device.centre[:, None])
+    return bool(np.all(scene.labels[surface] == Label.FLOOR))
+
+
+def _held(settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice) -> Sheet | None:
     shape = np.random.default_rng([seed, _STREAM])
-    bend = shape.normal(0.0, settings.bend, 3)
+    sheet = _unplaced(settings, shape.normal(0.0, settings.bend, 3))
     rng = np.random.default_rng([seed, _STREAM, settings.pose])
-    length = settings.square_m * (max(settings.columns, settings.rows) + 1)
+    length = 2 * sheet.reach
     optics = projector.optics
     for _ in range(_ATTEMPTS):
         distance = optics.focal_px * length / (optics.height * rng.uniform(*_SHARE))
@@ -112,22 +183,16 @@ def draw_board(settings: BoardSettings, seed: int, camera: PlacedDevice, project
         towards = rng.uniform(0, 2 * np.pi)
         tilt = np.radians(rng.uniform(*_TILT_DEG)) * np.array([np.cos(towards), np.sin(towards), 0.0])
         turn = Rotation.from_rotvec(tilt) * Rotation.from_rotvec([0, 0, rng.uniform(-np.pi, np.pi)])
-        board = Sheet(
-            *(settings.columns, settings.rows, settings.square_m, bend),
-            camera.rotation.T @ np.asarray(turn.as_matrix(), np.float64),
-            middle,
-        )
+        rotation = camera.rotation.T @ np.asarray(turn.as_matrix(), np.float64)
+        board = replace(sheet, rotation=rotation, middle=middle)
         if _whole(board, camera) and _whole(board, projector):
             return board
-    raise DeviceError(
-        f"the simulated rig of seed {seed} sees no board of {settings.columns} × {settings.rows} corners with squares "
-        f"of {settings.square_m:g} m whole with both devices; use another seed or another board"
-    )
+    return None
 
 
 def _whole(board: Sheet, device: PlacedDevice) -> bool:
     """Whether a device sees all of the checks from the front."""
-    reach = board.half - _RIM / 2 * board.square_m
+    reach = board.half - board.rim / 2 * board.square_m
     around = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]]) * reach[:, None]
     points = board.points(around)
     pixels, depths = device.project(points)

@@ -95,7 +95,9 @@ class Renderer:
     def with_board(self, settings: SimulatedRigSettings) -> "Renderer":
         """The view with the board of these settings, or none, before the room: only rays are cast anew."""
         camera, projector = self.caster.camera, self.caster.light.projector
-        board = draw_board(settings.board, settings.seed, camera, projector) if settings.board.square_m else None
+        board = None
+        if settings.board.square_m:
+            board = draw_board(settings.board, settings.seed, camera, projector, self.caster.light.scene)
         caster = replace(self.caster, board=board)
         return replace(self, caster=caster, footprints=caster.cast())
 

@@ -5,6 +5,7 @@ import hashlib
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from scanner.batch.place import Place
@@ -12,8 +13,10 @@ from scanner.capture import CAPTURE_FILE
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.results import CAPTURE_FOLDER
+from scanner.shown_text import shown
 
 _COLUMNS = {"capture", "name", "config", "calibration", "set"}
+_LONGEST_NAME_BYTES = 240  # common file systems have 255
 
 
 @dataclass(frozen=True)
@@ -38,12 +41,12 @@ class Asked:
 
     config: Path | None = None
     overrides: tuple[str, ...] = ()
-    calibration: Path | None = None
+    calibration: str | None = None  # may be far away, as the captures
 
-    def job(self, name: str, capture: str) -> Job:
-        """Raises InputError."""
-        known = None if self.calibration is None else Place(str(self.calibration)).read().decode("utf-8", "replace")
-        return Job(name, capture, load_config(self.config, self.overrides), known)
+    def of_any(self) -> Job:
+        """A job without a name and a capture. Raises InputError."""
+        known = None if self.calibration is None else Place(self.calibration).read().decode("utf-8", "replace")
+        return Job("", "", load_config(self.config, self.overrides), known)
 
 
 def list_jobs(sources: Sequence[str], asked: Asked) -> tuple[Job, ...]:
@@ -67,7 +70,7 @@ def list_jobs(sources: Sequence[str], asked: Asked) -> tuple[Job, ...]:
 
 
 def _from_folders(source: str, asked: Asked) -> Iterator[Job]:
-    template = asked.job("", "")
+    template = asked.of_any()
     for root in Place(source).glob() if "*" in source else [Place(source)]:
         if not root.exists:
             raise InputError(f"{root.url}: there is no such folder")
@@ -92,7 +95,14 @@ def _name(capture: str, root: str) -> str:
 
 
 def _from_list(file: Place, asked: Asked) -> Iterator[Job]:
-    rows = csv.DictReader(io.StringIO(file.read().decode("utf-8-sig", "replace")))
+    rows = csv.DictReader(io.StringIO(file.read().decode("utf-8-sig", "replace"), newline=None))
+    try:
+        yield from _from_rows(rows, file, asked)
+    except csv.Error as error:
+        raise InputError(f"{file.url}, line {rows.line_num + 1}: not a table of values: {error}") from error
+
+
+def _from_rows(rows: "csv.DictReader[str]", file: Place, asked: Asked) -> Iterator[Job]:
     columns = set(rows.fieldnames or ())
     if "capture" not in columns or columns - _COLUMNS:
         raise InputError(
@@ -100,6 +110,7 @@ def _from_list(file: Place, asked: Asked) -> Iterator[Job]:
             f"{', '.join(sorted(columns)) or 'none'}"
         )
     folder = file.url.rpartition("/")[0]
+    template_of = cache(Asked.of_any)  # a list may have thousands of lines that ask the same
     for number, row in enumerate(rows, start=2):
         if not row["capture"]:
             raise InputError(f"{file.url}, line {number}: no capture is named")
@@ -107,12 +118,17 @@ def _from_list(file: Place, asked: Asked) -> Iterator[Job]:
         own = Asked(
             Path(_beside(folder, row["config"])) if row.get("config") else asked.config,
             (*asked.overrides, *(part.strip() for part in (row.get("set") or "").split(";") if part.strip())),
-            Path(_beside(folder, row["calibration"])) if row.get("calibration") else asked.calibration,
+            _beside(folder, row["calibration"]) if row.get("calibration") else asked.calibration,
         )
         name = row.get("name") or _name(capture, capture)
-        if name.startswith("/") or ".." in name.split("/"):
-            raise InputError(f"{file.url}, line {number}: expected a name below the results, found '{name}'")
-        yield own.job(name, capture)
+        if not all(map(_may_be_a_name, name.split("/"))):
+            raise InputError(f"{file.url}, line {number}: expected a name below the results, found {shown(name)}")
+        yield replace(template_of(own), name=name, capture=capture)
+
+
+def _may_be_a_name(part: str) -> bool:
+    """Whether a folder, or a file with an ending, can be called so, and is then where its path says."""
+    return part not in ("", ".", "..") and "\0" not in part and len(part.encode()) <= _LONGEST_NAME_BYTES
 
 
 def _beside(folder: str, path: str) -> str:

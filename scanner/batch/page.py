@@ -10,11 +10,12 @@ from scanner.batch.work import RESULTS, THUMBNAILS
 from scanner.quantities import Quantity
 from scanner.rendering import environment, script, script_hash
 from scanner.results import REPORT_FILE, SIGNS
+from scanner.ui import EXIT_BUG, EXIT_INPUT, EXIT_REFUSED
 
 _SCRIPT = "batch.js"
 # A browser shows no more at once; the table has all.
 _MOST_ROWS = 5_000
-_WORDS = {0: "calibrated", 2: "unusable input", 4: "refused", 70: "crashed"}
+_WORDS = {0: "calibrated", EXIT_INPUT: "unusable input", EXIT_REFUSED: "refused", EXIT_BUG: "crashed"}
 
 
 def write_page(place: Place, rows: Sequence[Row]) -> None:
@@ -44,7 +45,7 @@ def _line(row: Row) -> dict[str, object]:
         "headline": _headline(row),
         "reason": row.reason or "",
         "report": f"{RESULTS}/{name}/{REPORT_FILE}" if row.grade else None,
-        "picture": f"{THUMBNAILS}/{name}.jpg" if row.exit_code != 70 else None,
+        "picture": f"{THUMBNAILS}/{name}.jpg" if row.exit_code != EXIT_BUG else None,
         "camera": _with_sigma(row.camera_focal_px, row.camera_focal_sigma_px),
         "projector": _with_sigma(row.projector_focal_px, row.projector_focal_sigma_px),
         "residual": "" if row.residual_px is None else f"{row.residual_px:.3f}",

@@ -11,7 +11,9 @@ import fsspec
 from fsspec.implementations.local import LocalFileSystem
 
 from scanner.errors import InputError
-from scanner.io import new_file
+from scanner.io import new_file, read_bytes
+
+_MOST_BYTES = 200_000_000  # a list of a million captures
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,13 @@ class Place:
 
     def read(self) -> bytes:
         """A file's content. Raises InputError."""
+        if (local := self.local) is not None:
+            return read_bytes(local, _MOST_BYTES)
         system, path = self._resolved()
         try:
             return bytes(system.cat_file(path))
-        except OSError as error:
-            raise InputError(f"{self.url}: cannot be read: {error.strerror or error}") from error
+        except (OSError, ValueError) as error:
+            raise InputError(f"{self.url}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
 
     def read_all(self, ending: str) -> Mapping[str, bytes]:
         """All files below a folder whose names end so: their content by their path in it, without the ending."""
@@ -117,7 +121,7 @@ class Place:
     def _resolved(self) -> tuple[fsspec.AbstractFileSystem, str]:
         try:
             system, path = fsspec.url_to_fs(self.url)
-        except (ImportError, ValueError) as error:
+        except (ImportError, ValueError, OSError) as error:
             raise InputError(f"{self.url}: cannot be reached: {error}") from error
         return system, str(path)
 

@@ -15,7 +15,7 @@ from scanner.batch.place import Place
 from scanner.batch.rows import ENDING, Row
 from scanner.batch.table import write_csv, write_parquet
 from scanner.batch.work import ROWS, Delivery, work
-from scanner.ui import Progress
+from scanner.ui import EXIT_BUG, Progress
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 TABLE, CSV, PAGE = "batch.parquet", "batch.csv", "index.html"
-EXIT_CRASHED = 70  # as of a bug: whatever ended the process
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ def pending(jobs: Sequence[Job], out: Place, *, retry: bool) -> tuple[dict[str, 
     kept = {
         name: row
         for name, row in found.items()
-        if asked.get(name) == row.asked and not (retry and row.exit_code == EXIT_CRASHED)
+        if asked.get(name) == row.asked and not (retry and row.exit_code == EXIT_BUG)
     }
     return kept, [job for job in jobs if job.name not in kept]
 
@@ -119,6 +118,6 @@ def _crashed(job: Job, delivery: Delivery, error: Exception) -> Row:
         reason = "the processes that worked on it were killed: out of memory, or a crash in a library"
     log.warning("%s: %s", job.name, reason)
     url = delivery.result(job.name).url
-    row = Row(job.name, job.capture, url, EXIT_CRASHED, reason=reason, asked=job.asked)
+    row = Row(job.name, job.capture, url, EXIT_BUG, reason=reason, asked=job.asked)
     delivery.row(job.name).write(row.to_json())
     return row

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 
 import cv2
 import numba
-import numpy as np
 
 from calib.geometry import Calibration
 from calib.numerics import use_processors
@@ -143,12 +142,10 @@ def _deliver_thumbnail(capture: Path, place: Place) -> None:
     """Of the first frame, which is mostly white. A frame that cannot be read is for the decoder to name."""
     try:
         recording = open_capture(capture)
-        picture = photograph(read_image(recording.folder / recording.files[0]))
+        picture = photograph(read_image(recording.folder / recording.files[0]), _THUMBNAIL_PX)
     except (InputError, IndexError):
         return
-    scale = _THUMBNAIL_PX / max(picture.shape[:2])
-    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    place.write(encode_jpeg(np.asarray(small, np.uint8)))
+    place.write(encode_jpeg(picture))
 
 
 def _use_one_processor() -> None:

@@ -9,17 +9,19 @@ from calib.boards import FEWEST_VIEWS, Board, BoardCalibration, View, calibrate_
 from calib.geometry import Matches, Size, TooFewMatchesError
 from calib.numerics import Image
 from calib.refinement import into_cells
-from scanner.boards.detection import Detected, NotFoundError, detect, on_board
-from scanner.boards.target import UNIT, Target
 from scanner.capture import Recording
 from scanner.errors import InputError
 from scanner.pipeline import decode
+from scanner.quantities import shown_unit
 from scanner.results import Decoded
+from scanner.targets.detection import Detected, NotFoundError, detect, on_board
+from scanner.targets.target import UNIT, Target
 from scanner.ui import Progress
 
 _FEWEST_MATCHES = 300
-# Boards, and the distance between the devices, outside these are more likely of another unit than real.
-_PLAUSIBLE_BOARD_MM, _PLAUSIBLE_BASELINE_MM = (50.0, 20_000.0), (10.0, 5_000.0)
+# A board's longer side, its distance, and that between the devices: outside these they are more likely of another unit
+# than real.
+_PLAUSIBLE_SIDE_MM, _PLAUSIBLE_AWAY_MM, _PLAUSIBLE_BASELINE_MM = (80.0, 1500.0), (120.0, 20_000.0), (30.0, 5_000.0)
 
 
 @dataclass(frozen=True)
@@ -137,11 +139,18 @@ def _on_scale(result: FromBoards) -> list[str]:
     """What the geometry can tell of the square's size: nothing but whether what follows from it can be."""
     distances = [float(np.linalg.norm(board.middle)) for board in result.found.estimate.state.boards]
     nearest, farthest, baseline = min(distances), max(distances), result.found.calibration.baseline
+    side, number = 2 * result.target.reach, shown_unit(UNIT).number
     told = (
-        f"Lengths are as true as the square: with {result.target.square:g} {UNIT}, camera and projector are "
-        f"{baseline:.4g} {UNIT} apart and the boards were {nearest:.4g} to {farthest:.4g} {UNIT} away."
+        f"Lengths are as true as the square: with {result.target.square:g} {UNIT}, the board is {number(side)} {UNIT} "
+        f"long, camera and projector are {number(baseline)} {UNIT} apart and the boards were {number(nearest)} to "
+        f"{number(farthest)} {UNIT} away."
     )
-    low, high = _PLAUSIBLE_BOARD_MM
-    if not (low < nearest and farthest < high and _PLAUSIBLE_BASELINE_MM[0] < baseline < _PLAUSIBLE_BASELINE_MM[1]):
+    plausible = (
+        (side, _PLAUSIBLE_SIDE_MM),
+        (nearest, _PLAUSIBLE_AWAY_MM),
+        (farthest, _PLAUSIBLE_AWAY_MM),
+        (baseline, _PLAUSIBLE_BASELINE_MM),
+    )
+    if not all(low < length < high for length, (low, high) in plausible):
         told += " That is hardly so: measure the square again, and mind the unit. The intrinsics do not depend on it."
     return [told]

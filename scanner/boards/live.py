@@ -9,11 +9,11 @@ from calib.boards import FEWEST_VIEWS, best_next_pose
 from calib.refusal import RefusalError
 from hw.settings import RigSettings, SimulatedRigSettings
 from scanner.boards.calibrate import FromBoards, Missing, Seen, calibrate_seen, look
-from scanner.boards.target import Target
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.pipeline import take
 from scanner.results import CAPTURES_FOLDER
+from scanner.targets.target import Target
 from scanner.ui import Terminal
 
 _WORTH_IT = 1.05  # times as sure
@@ -30,9 +30,9 @@ def check_live(config: Config, number: int, target: Target, terminal: Terminal) 
                 f"--captures {number} asks you to move the board between captures, but the input is no terminal: run "
                 "it in one, or capture with scan and give the recordings to scan board"
             )
-    elif not rig.board.square_m or (rig.board.columns, rig.board.rows) != (target.columns, target.rows):
+    elif not rig.board.square_m or f"{rig.board.kind}:{rig.board.columns}x{rig.board.rows}" != str(target):
         raise InputError(
-            f"the simulated rig holds no board like {target}: it has chessboards, as with "
+            f"the simulated rig holds no board like {target}: it has chessboards and ChArUco boards, as with "
             "--set rig.board.square_m=0.06 --board chessboard:9x7"
         )
 

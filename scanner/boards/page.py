@@ -4,16 +4,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from calib.boards import ray_sigmas
+from calib.boards import INTRINSIC_COLUMNS, ray_sigmas
 from calib.geometry import Size
 from calib.numerics import Floats
 from scanner.boards.calibrate import FromBoards, Seen
 from scanner.boards.verdict import verdict_on
 from scanner.quantities import Quantity, device_quantities, plain, pose_quantities
-from scanner.rendering import jpeg_uri, photograph
+from scanner.rendering import environment, jpeg_uri, photograph
 
 _DOTS = 2500
 _THUMB = 420
@@ -26,20 +25,13 @@ _HALVES = (
 
 def write_page(path: Path, result: FromBoards) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
-    from scanner.boards.result import rows  # which writes this page
-
-    environment = Environment(
-        loader=PackageLoader("scanner"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     found = result.found
     rays = ray_sigmas(found.estimate, (result.camera_size, result.projector_size))
-    page = environment.get_template("board.html").render(
+    template = environment().get_template("board.html")
+    page = template.render(
         verdict=verdict_on(result),
         subtitle=f"{result.target}, squares of {result.target.square:g} mm, {len(found.predictions)} captures",
+        warnings=(),
         notes=result.notes,
         tables=_tables(result),
         rows=rows(result),
@@ -55,9 +47,23 @@ def write_page(path: Path, result: FromBoards) -> None:
         pictures=[(seen.view.name, _picture(seen)) for seen in result.seen],
         tilt=f"{found.coverage.tilt_deg:.0f}",
         distances=f"{found.coverage.distances:.2f}",
-        plain=plain,
     )
     path.write_text(page, encoding="utf-8")
+
+
+def rows(result: FromBoards) -> list[tuple[str, ...]]:
+    """Each board, predicted by the others: name, error, what was expected, error in sigmas, moves of the focals."""
+    focals = [INTRINSIC_COLUMNS[0], INTRINSIC_COLUMNS[3]]
+    return [
+        (
+            each.name,
+            f"{each.error_px:.3f}",
+            f"{each.expected_px:.3f}",
+            f"{each.sigmas:.1f}",
+            *(f"{plain(100 * moved, 2, signed=True)} %" for moved in each.moved[focals]),
+        )
+        for each in result.found.predictions
+    ]
 
 
 def _tables(result: FromBoards) -> list[tuple[str, list[Quantity]]]:
@@ -106,9 +112,8 @@ def _coverage(pixels: list[Floats], size: Size, what: str) -> Markup:
 
 def _picture(seen: Seen) -> str:
     """The capture under white light with the corners that were found, small, as a data URI."""
-    image = np.ascontiguousarray(photograph(seen.texture))
-    scale = min(1.0, _THUMB / max(image.shape))
-    small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-    for x, y in np.rint(seen.view.corners_px * scale).astype(int):
-        cv2.circle(small, (int(x), int(y)), 1, (240, 140, 0), -1)
-    return jpeg_uri(small)
+    picture = photograph(seen.texture, _THUMB)
+    factor = np.divide(picture.shape[1::-1], seen.texture.shape[1::-1])
+    for x, y in np.rint((seen.view.corners_px + 0.5) * factor - 0.5).astype(int):
+        cv2.circle(picture, (int(x), int(y)), 1, (240, 140, 0), -1)
+    return jpeg_uri(picture)

@@ -6,13 +6,13 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from calib.boards import INTRINSIC_COLUMNS
+from calib.boards import rig_uncertainty, with_radial_terms
 from scanner.boards.calibrate import FromBoards
-from scanner.boards.page import write_page
-from scanner.boards.target import UNIT
+from scanner.boards.page import rows, write_page
 from scanner.boards.verdict import verdict_on
 from scanner.io import write_calibration
-from scanner.results import CALIBRATION_FILE, REPORT_FILE
+from scanner.results import CALIBRATION_FILE, FREER_FILE, REPORT_FILE, covariance_entries, verdict_entries
+from scanner.targets.target import UNIT
 
 _NAMES = (
     "camera_log_focal",
@@ -25,22 +25,21 @@ _NAMES = (
 
 
 def save_result(result: FromBoards, folder: Path) -> None:
-    """calibration.yaml and report.html. Raises OSError."""
+    """calibration.yaml and report.html, and what captures of a corner may need in its place. Raises OSError."""
     write_calibration(folder / CALIBRATION_FILE, result.found.calibration, _more(result))
+    freer = with_radial_terms(result.found, (result.camera_size, result.projector_size))
+    if freer is not None:
+        calibration, uncertainty = freer
+        write_calibration(folder / FREER_FILE, calibration, covariance_entries(uncertainty))
     write_page(folder / REPORT_FILE, result)
 
 
 def _more(result: FromBoards) -> dict[str, Any]:
     """Keys beside the calibration, for those who know them."""
-    found, verdict = result.found, verdict_on(result)
+    found = result.found
     halves = found.halves
     return {
-        "verdict": {
-            "grade": verdict.grade,
-            "headline": verdict.headline,
-            "reasons": [*verdict.reasons],
-            "advice": verdict.advice,
-        },
+        **verdict_entries(verdict_on(result)),
         "board": {
             "kind": str(result.target),
             f"square_{UNIT}": result.target.square,
@@ -64,6 +63,7 @@ def _more(result: FromBoards) -> dict[str, Any]:
             },
             "sigmas_enlarged_by": round(found.enlarged, 3),
         },
+        **covariance_entries(rig_uncertainty(found.estimate, (result.camera_size, result.projector_size))),
     }
 
 
@@ -78,18 +78,3 @@ def summary(result: FromBoards) -> Table:
     for row in rows(result):
         table.add_row(*row)
     return table
-
-
-def rows(result: FromBoards) -> list[tuple[str, ...]]:
-    """Of that table, as text."""
-    focals = [INTRINSIC_COLUMNS[0], INTRINSIC_COLUMNS[3]]
-    return [
-        (
-            each.name,
-            f"{each.error_px:.3f}",
-            f"{each.expected_px:.3f}",
-            f"{each.sigmas:.1f}",
-            *(f"{100 * moved:+.2f} %".replace("-", "−") for moved in each.moved[focals]),
-        )
-        for each in result.found.predictions
-    ]

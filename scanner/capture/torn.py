@@ -7,7 +7,7 @@ from typing import Any
 
 from scanner.capture.recorder import frame_file
 from scanner.errors import InputError
-from scanner.io import Entry, parse_yaml, read_image, read_text, validate
+from scanner.io import Entry, parse_mapping, read_image, read_text, validate
 from scanner.patterns import Pattern, PatternEntry
 
 # Of our own listings: beginnings of a line without a bracket yet, and lines that are whole when the last one is closed.
@@ -26,9 +26,7 @@ def read_listing(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     torn = _is_torn(last)
     if torn:
         text = whole + newline
-    value = parse_yaml(text, str(path)) or {}
-    if not isinstance(value, dict):
-        raise InputError(f"{path}: expected 'key: value' lines, found a {type(value).__name__}")
+    value = parse_mapping(text, str(path))
     if "sequence" in value and not value.get("frames"):
         raise InputError(f"{path}: no frame was recorded before the capture was broken off: capture again")
     return value, ((f"The last line of {path.name} is torn, and left out.",) if torn else ())

@@ -67,9 +67,7 @@ def _scan(parser: ArgumentParser) -> None:
 def _replay(parser: ArgumentParser) -> None:
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with a capture.yaml and its frames")
     _config(parser, required=False)
-    parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
-    )
+    _calibration(parser)
     _masks(parser)
     _out(parser, default="scans/<name of the capture>")
     _overwrite(parser)
@@ -84,9 +82,7 @@ def _batch(parser: ArgumentParser) -> None:
         help="every capture below it; or a name with * in it; or a list (.csv) with a column 'capture'",
     )
     _config(parser, required=False)
-    parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
-    )
+    _calibration(parser)
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
     parser.add_argument("--memory", metavar="SIZE", help="of each process, as in 4GB (default: an equal share of all)")
@@ -111,7 +107,8 @@ def _calibrate(parser: ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="MATCHES",
-        help="matches.npz, or a result folder; several of one unchanged rig are calibrated together, the newest last",
+        help="matches.npz, or a result folder; several of one unchanged rig are calibrated together, the newest last; "
+        "one may be a result of scan board",
     )
     _config(parser, required=True)
     _out(parser)
@@ -287,6 +284,19 @@ def _room(parser: ArgumentParser) -> None:
     _quiet(parser)
 
 
+def _compare(parser: ArgumentParser) -> None:
+    for name, which in (("first", "CAL_A"), ("second", "CAL_B")):
+        parser.add_argument(name, type=Path, metavar=which, help="calibration.yaml, or the folder of a result")
+    parser.add_argument(
+        "--depths",
+        metavar="D1,D2,…",
+        help="where to compare, as in 1m,2m,3m (default: the depths of CAL_A's scene, or around where both look)",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for compare.html and compare.json")
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier comparison there")
+    _quiet(parser)
+
+
 def _result(parser: ArgumentParser) -> None:
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
 
@@ -295,6 +305,12 @@ def _config(parser: ArgumentParser, *, required: bool) -> None:
     parser.add_argument("--config", type=Path, metavar="FILE", required=required, help="configuration (YAML)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override a key, as in camera.width=640"
+    )
+
+
+def _calibration(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
     )
 
 
@@ -401,6 +417,15 @@ Each station should see about a third of what another one saw, and one at least 
 another room, or of a rig that was changed, are named and left out. To take them: scan --config FILE --stations N.
 
 Exit codes: 4 if no two stations belong together, or if they fit together in more than one way, with both answers.
+""",
+    ),
+    "compare": Command(
+        "Compare two calibrations of one rig: where they differ, and whether their sigmas allow it.",
+        _compare,
+        "compare",
+        """
+Differences are told in projector pixels and as lengths, over the camera's picture and by depth, after the rigid motion
+is taken out that brings the two closest. Exit code 0 also where they differ: the sentence at the end says so.
 """,
     ),
     "import": Command("Make a capture of another program's frames, whose order is recognised.", _import, "import_"),

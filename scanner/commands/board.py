@@ -16,12 +16,13 @@ from scanner.boards import (
     verdict_on,
 )
 from scanner.boards.printing import printed_target, write_pdf
-from scanner.boards.target import UNIT
+from scanner.commands.outcome import conclusion
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.io import new_file
 from scanner.quantities import calibration_table, parse_length
-from scanner.results import default_out, new_result, refuse_occupied
+from scanner.results import CALIBRATION_FILE, REPORT_FILE, default_out, new_result, refuse_occupied
+from scanner.targets.target import UNIT
 from scanner.ui import Terminal
 
 _EXAMPLE = "as in: scan board CAPTURE… --board chessboard:9x7 --square 10mm"
@@ -40,12 +41,12 @@ def run(args: Namespace) -> None:
     target = parse_target(args.board, parse_length(args.square, UNIT))
     out: Path = args.out or default_out("board", overwrite=args.overwrite)
     result = _live(args, target, out, terminal) if args.config else _from_captures(args, target, out, terminal)
-    verdict = verdict_on(result)
-    terminal.show(f"{verdict.headline}.", *verdict.reasons, *([verdict.advice] if verdict.advice else []))
     terminal.show(calibration_table(result.found.calibration), summary(result))
     for note in result.notes:
         terminal.show(f"Note: {note}")
-    terminal.show(f"Written: {out} (calibration.yaml, report.html)")
+    terminal.show(f"Result: {out} ({REPORT_FILE}, {CALIBRATION_FILE})")
+    use = f"scan replay CAPTURE --calibration {out / CALIBRATION_FILE} reconstructs with it."
+    terminal.show(*conclusion(verdict_on(result), use))
 
 
 def _print(args: Namespace, terminal: Terminal) -> None:

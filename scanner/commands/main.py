@@ -33,11 +33,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             args = parser_of(name).parse_args(rest)
             run = _command(name).load()
             on_ending(interrupt)
+            _announce_compiling(quiet=getattr(args, "quiet", False))
             run(args)
         except (Exception, KeyboardInterrupt) as error:
             with finishing(ending=True):
                 return _told(error)
     return 0
+
+
+def _announce_compiling(*, quiet: bool) -> None:
+    """The first command after an installation takes longer: say so where progress is shown, too."""
+    jit = sys.modules.get("calib.numerics.jit")  # commands that compute nothing do not load it
+    if jit is not None and sys.stderr.isatty() and not quiet:
+        jit.when_compiling(lambda: print("Compiling for this machine, once: up to a minute …", file=sys.stderr))
 
 
 def _told(error: BaseException) -> int:

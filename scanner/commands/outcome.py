@@ -43,11 +43,11 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal, remarks: Sequence[st
     files = (REPORT_FILE, CLOUD_FILE, *((MERGED_FILE,) if scan.merged else ()), CALIBRATION_FILE)
     terminal.show(f"Result: {out} ({', '.join(files)})")
     if verdict := read_verdict(out / CALIBRATION_FILE):
-        terminal.show(*_conclusion(verdict, out))
+        terminal.show(*conclusion(verdict, f"scan view {out} shows it, scan measure {out} measures in it.", _DECISIVE))
 
 
-def _conclusion(verdict: Verdict, out: Path) -> Iterator[str]:
-    """The grade, what it rests on, and what to do next."""
+def conclusion(verdict: Verdict, otherwise: str, most: int | None = None) -> Iterator[str]:
+    """The grade, `most` of its reasons, the first of them, and what to do next: the advice, or `otherwise`."""
     yield f"{verdict.sign} {verdict.headline}"
-    yield from (f"  {reason}" for reason in verdict.reasons[:_DECISIVE])
-    yield f"→ {verdict.advice or f'scan view {out} shows it, scan measure {out} measures in it.'}"
+    yield from (f"  {reason}" for reason in verdict.reasons[:most])
+    yield f"→ {verdict.advice or otherwise}"

@@ -157,6 +157,36 @@ class CornerSettings(Section):
     same: Flag = Field(default=True, description="Whether several captures show the same corner.")
 
 
+class CharucoSettings(Section):
+    """A printed ChArUco board that lies flat somewhere in the scanned room, lit by the projector."""
+
+    board: str = Field(
+        default="6x9", pattern=r"^\d{1,2}x\d{1,2}$", description="Squares across and down, as scan board counts them."
+    )
+    square_mm: Number = Field(gt=0, le=1e4, description="Side of a square, as it was measured on the print.")
+    sigma_mm: Number | None = Field(
+        default=None, gt=0, le=1e3, description="Standard deviation of that side; left out, it counts as exact."
+    )
+
+    @model_validator(mode="after")
+    def _possible(self) -> "CharucoSettings":
+        if min(self.columns, self.rows) < 3:
+            raise ValueError(f"board must be 3x3 squares or more, found {self.board}")
+        if self.sigma_mm is not None and self.sigma_mm > 0.2 * self.square_mm:
+            raise ValueError(f"sigma_mm ({self.sigma_mm:g}) must be well below square_mm, which is {self.square_mm:g}")
+        return self
+
+    @property
+    def columns(self) -> int:
+        """Squares across."""
+        return int(self.board.partition("x")[0])
+
+    @property
+    def rows(self) -> int:
+        """Squares down."""
+        return int(self.board.partition("x")[2])
+
+
 class ScaleSettings(Section):
     """One length that is known; without one, lengths are in units of the baseline."""
 
@@ -167,11 +197,15 @@ class ScaleSettings(Section):
     sigma_m: Number | None = Field(
         default=None, gt=0, le=1e4, description="Standard deviation of that length; left out, it counts as exact."
     )
+    charuco: CharucoSettings | None = Field(
+        default=None, description="{square_mm: …, board: 6x9}: a printed sheet in the scene, in place of a length."
+    )
 
     @model_validator(mode="after")
     def _at_most_one(self) -> "ScaleSettings":
-        if self.baseline_m is not None and self.camera_to_corner_m is not None:
-            raise ValueError("give baseline_m or camera_to_corner_m, not both: one length fixes the scale")
+        given = [key for key in ("baseline_m", "camera_to_corner_m", "charuco") if getattr(self, key) is not None]
+        if len(given) > 1:
+            raise ValueError(f"give {' or '.join(given)}, not both: one length fixes the scale")
         length = self.baseline_m or self.camera_to_corner_m
         if self.sigma_m is not None and length is None:
             raise ValueError("sigma_m belongs to a length: give baseline_m or camera_to_corner_m with it")

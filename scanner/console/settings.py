@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from scanner.configuration import Config, load_config
 from scanner.patterns import Black, Pattern, Phase, White, draw
+from scanner.results import default_out
 
 _LONGEST_NAME = 80
 
@@ -45,6 +46,10 @@ class Settings:
         if self.gain is not None:
             changed.append(f"rig.gain={self.gain!r}")
         return load_config(self.config, [*self.overrides, *changed])
+
+    def destination(self) -> Path:
+        """Where the next result goes: a new folder in scans/, of the name that was typed, or of the configuration's."""
+        return default_out(self.name or self.config.stem, overwrite=False)
 
 
 def plain_name(text: str) -> str:

@@ -14,8 +14,8 @@ from scanner.checking.check import check
 from scanner.checking.devices import opened
 from scanner.checking.report import CheckReport, CheckRow
 from scanner.console.progress import CancelledError, Stage, StagedProgress
-from scanner.console.scanning import destination, scan
 from scanner.console.settings import Settings, drawn
+from scanner.jobs import scan
 from scanner.ui import failure_of
 
 _FRAME_S = 0.2  # no more live frames than this: a page and a network have to keep up
@@ -147,9 +147,9 @@ class Worker:
             case Activity.CHECKING:
                 self._page.on_report(check(self._settings.load(), progress, self._page.on_row))
             case Activity.SCANNING:
-                out = destination(self._settings)
+                out = self._settings.destination()
                 try:
-                    scan(self._settings, out, progress)
+                    scan(self._settings.load(), out, progress=progress)
                 finally:
                     if out.is_dir():  # a refused capture is a result, too
                         self._page.on_result(out)

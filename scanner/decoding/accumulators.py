@@ -186,6 +186,14 @@ class Accumulators:
         )
         self.plan, self.codes = replace(self.plan, x=x, y=y), list(codes)
 
+    def forget_fringes(self) -> None:
+        """Go on with the codes alone; white and black tell what is lit."""
+        x, y = (replace(axis, fringes=()) for axis in self.plan.axes)
+        self.plan, self.fringes = replace(self.plan, x=x, y=y), []
+        half = cv2.subtract(self.brightest, self.middle)
+        for fold in self.codes:
+            fold.contrast = cast(Image, cv2.add(half, half))
+
     def forget_contrasts(self) -> None:
         """Free the bits' distances from their thresholds where the fringes contradict wrong bits anyway."""
         for axis in self.plan.axes:

@@ -87,7 +87,7 @@ class AxisDecoder:
     """Turns signals into one coordinate.
 
     `ripple`: per fringe, what to add to its phase (a table over a cycle), or None. `finest`: the number of the shortest
-    fringe that is seen where there is light.
+    fringe that is seen where there is light. `blurred`: how many times weaker lenses make the longest fringe.
     """
 
     plan: AxisPlan
@@ -96,6 +96,7 @@ class AxisDecoder:
     ripple: tuple[Floats32 | None, ...]
     tolerances: Tolerances
     finest: int = 0
+    blurred: float = 1.0
 
     @cached_property
     def _units_px2(self) -> list[float]:
@@ -131,11 +132,12 @@ class AxisDecoder:
         against = np.empty(len(signals.middle), np.uint8)
         note_codes(interval.outside, interval.contradictory, against)
         note_orders(orders.agree, orders.unique, against)
-        note_indirect(powers[0], signals.brightest, signals.middle, against)
+        direct = powers[0] * np.float32(self.blurred**2)
+        note_indirect(direct, signals.brightest, signals.middle, against)
         note_light(variances[0], self._darkest_px2, self._saturated(signals), against)
         # No second period would contradict a bit that global light has turned over.
         for least in () if self.plan.corrects_bits else signals.least:
-            note_turned_over(least, powers[0], signals.brightest, signals.middle, against)
+            note_turned_over(least, direct, signals.brightest, signals.middle, against)
         return Measured(interval, powers, variances, orders, against)
 
     def positions(self, signals: Signals) -> Floats32:

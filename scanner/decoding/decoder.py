@@ -19,6 +19,7 @@ from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.cycle_checks import check_cycles
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
+from scanner.decoding.checks.roughness import check_roughness
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import coordinate_maps
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
@@ -30,6 +31,7 @@ from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.light.ghost import GhostRemover, ghost_share
 from scanner.decoding.light.noise_model import NoiseModel, needs_neighbours
 from scanner.decoding.light.saturation_level import saturation_level
+from scanner.decoding.light_switch import LightRemover, LightSwitch
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.memory import refuse_more_than_there_is
 from scanner.decoding.motion import (
@@ -86,8 +88,8 @@ class Decoder:
     Where each pattern follows itself as often as every other, its frames are those of several exposures, white first.
 
     Given the rig's calibration, patterns along one axis are enough. `ghost`: the share of the picture before that each
-    frame shows. Raises InputError if the patterns do not determine both coordinates of a projector of (width, height)
-    pixels.
+    frame shows. `switch`: of light that is taken out, once all frames were measured. Raises InputError if the patterns
+    do not determine both coordinates of a projector of (width, height) pixels.
     """
 
     def __init__(
@@ -97,6 +99,7 @@ class Decoder:
         calibration: Calibration | None = None,
         *,
         ghost: float = 0.0,
+        switch: LightSwitch | None = None,
     ) -> None:
         once, repeats = exposures_of(patterns)
         plan = plan_sequence(once, projector_size, calibrated=calibration is not None)
@@ -104,12 +107,18 @@ class Decoder:
         self._one_axis = one_axis(plan, calibration)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
         self._ghost, self._remover = ghost, GhostRemover(ghost) if ghost else None
+        self._switch, self._light = switch, LightRemover(self._plan, switch) if switch else None
         self._count = 0
         self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
         self._projector_size = projector_size
         self._held: tuple[Accumulators, Sample, TileSample] | None = None
         self._lit: EvenlyLit | None = None
         self._texture: Image | None = None
+
+    def measure_light(self, place: int, image: Image) -> None:
+        """See how much light a frame, in a place of the capture, has that was switched on; before any is added."""
+        if self._light is not None:
+            self._light.measure(place, _grey(image))
 
     def add(self, image: Image, exposure_us: float | None = None) -> None:
         """Fold in the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; its exposure matters if there are several.
@@ -126,8 +135,8 @@ class Decoder:
             self._fold(merged)
 
     def _fold(self, image: Image) -> None:
-        grey = cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
-        grey = self._remover.remove(grey) if self._remover else grey
+        grey = self._remover.remove(_grey(image)) if self._remover else _grey(image)
+        grey = self._light.remove(self._count, grey) if self._light else grey
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
             refuse_more_than_there_is(shape)
@@ -159,8 +168,11 @@ class Decoder:
         accumulators, sample, _ = self._held
         return ghost_share(self._plan, sample.levels, saturation_level(accumulators.peak))
 
-    def finish(self) -> Decoding:
-        """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""
+    def finish(self, *, once_more: bool = False) -> Decoding:
+        """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence.
+
+        `once_more`: the frames can be had again; raises LightSwitchedError where it takes a decoder that is told of it.
+        """
         if self._count < len(self._plan.shown):
             raise InputError(
                 f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "
@@ -176,10 +188,11 @@ class Decoder:
         oddities: list[Oddity] = []
         with blaming_motion(lambda: seen.motion, seen.broken):
             with suspecting(oddities):
-                learnt = learn(accumulators, sample, seen, oddities)
+                learnt = learn(accumulators, sample, seen, oddities, once_more=once_more and not self._mended)
                 del sample
                 maps = coordinate_maps(accumulators, learnt.decoders)
                 leave_out_stray_light(accumulators, maps)
+                check_roughness(accumulators.plan, maps)
                 with blaming_shifts(accumulators.plan, seen.code_shifts):
                     check_cycles(accumulators.plan, maps.projector_px)
                 motion = seen.motion
@@ -205,7 +218,7 @@ class Decoder:
             reasons,
             seen.noise,
             learnt.modulation,
-            (*odd, *self._said_of_ghost(), *seen.notes, *told, *remarks_on(motion)),
+            (*odd, *self._said_of_mending(), *seen.notes, *told, *remarks_on(motion)),
             flicker=seen.flicker,
             motion=motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
@@ -214,7 +227,14 @@ class Decoder:
             smooth_px=smooth_error_px(plan),
         )
 
-    def _said_of_ghost(self) -> Iterator[str]:
+    @property
+    def _mended(self) -> bool:
+        return bool(self._ghost or self._switch or self._merger)
+
+    def _said_of_mending(self) -> Iterator[str]:
+        if self._switch:
+            said = self._switch.said(self._plan)
+            yield f"{said[0].upper()}{said[1:]}, and was taken out. Better: leave the room's light as it is."
         if self._ghost:
             yield (
                 f"Each frame shows {self._ghost:.0%} of the picture before it, which was taken out. Let the camera "
@@ -242,6 +262,10 @@ class Decoder:
             self._texture = image.copy()
         elif self._plan.white is None:
             cv2.max(self._texture, image, dst=self._texture)
+
+
+def _grey(image: Image) -> Image:
+    return cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
 
 
 def _form(image: Image) -> str:

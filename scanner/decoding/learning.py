@@ -15,10 +15,12 @@ from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.frame_checks import check_frames
 from scanner.decoding.checks.map_checks import check_fringes
+from scanner.decoding.fringes.blur import leave_out_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
 from scanner.decoding.light.equalise import correction, out_of_line, swings_of
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
 from scanner.decoding.light.saturation_level import saturation_level
+from scanner.decoding.light_switch import LightSwitchedError
 from scanner.decoding.motion import (
     CodeShift,
     MotionFound,
@@ -63,7 +65,8 @@ def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projecto
     flicker = _equalise(accumulators, sample, tiles)
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(accumulators.plan, sample, saturation)
-    notes = tuple(resolve_bits(accumulators, noise, sample.pixels))
+    lost = tuple(leave_out_lost_fringes(accumulators, noise, sample.pixels))
+    notes = (*lost, *resolve_bits(accumulators, noise, sample.pixels))
     plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
     aside = ThreadPoolExecutor(1)
     motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
@@ -117,15 +120,23 @@ class Learnt:
     modulation: float | None
 
 
-def learn(accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list[Oddity]) -> Learnt:
-    """Check the frames, adding to the `oddities`, and learn tolerances from the sample. Raises InputError."""
+def learn(
+    accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list[Oddity], *, once_more: bool = False
+) -> Learnt:
+    """Check the frames, adding to the `oddities`, and learn tolerances from the sample.
+
+    Raises InputError; LightSwitchedError if they had better be decoded `once_more`, which is possible.
+    """
     plan = accumulators.plan
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin)
-        oddities += check_frames(plan, seen.levels.astype(np.float32), sample.levels, seen.noise, seen.saturation)
+        odd, switch = check_frames(plan, seen.levels.astype(np.float32), sample.levels, seen.noise, seen.saturation)
+        if once_more and switch is not None and switch.is_harmful:
+            raise LightSwitchedError(switch)
+        oddities += odd
         odd_codes = check_codes(plan, accumulators.codes, seen.noise, accumulators.middle)
         oddities += _passed_over(plan, odd_codes, oddities)
         decoders = calibrating.result()

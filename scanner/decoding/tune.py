@@ -12,6 +12,7 @@ from calib.numerics import Bools, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder, Measured, largest_variance
 from scanner.decoding.axis_signals import Signals
+from scanner.decoding.fringes.blur import weakened
 from scanner.decoding.fringes.gamma_ripple import can_ripple, straightening
 from scanner.decoding.fringes.phase_unwrapping import disagreements, measured_tolerances, widest_tolerances
 from scanner.decoding.light.noise_model import NoiseModel
@@ -71,7 +72,10 @@ def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:
     variances = measured.variances[:, chosen]
     found = disagreements(measured.orders, measured.interval, chosen)
     tolerances = measured_tolerances(decoder.plan, found, variances)
-    return replace(decoder, tolerances=tolerances, finest=_finest_seen(decoder.plan, variances))
+    lit, finest = measured.well_lit, _finest_seen(decoder.plan, variances)
+    least = signals.least[:, lit].min(axis=0) if len(signals.least) else np.empty(0, np.float32)
+    blurred = weakened(decoder.plan, least, np.sqrt(measured.powers[0][lit]))
+    return replace(decoder, tolerances=tolerances, finest=finest, blurred=blurred)
 
 
 def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:

@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import yaml
 from pydantic import BeforeValidator, Field, model_validator
 
 from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas
 from scanner.errors import InputError
 from scanner.io.given_file import LONGEST_SIDE_PX, refuse_more_pixels
 from scanner.io.validation import Entry, Number, Whole, validate
-from scanner.io.yaml_text import flow_yaml, read_yaml
+from scanner.io.yaml_text import block_yaml, flow_yaml, read_yaml
 
 # Far beyond any device and any unit of length, and near enough for the squares and products of them to be numbers.
 _LARGEST, _SMALLEST = 1e9, 1e-9
@@ -125,10 +124,7 @@ def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, A
     if sigma := _sigma_to_dict(calibration.sigma):
         lines.append(f"sigma: {flow_yaml(sigma)}")
     if more:
-        lines.append(
-            # Lists of plain values on one line each, the rest in blocks.
-            yaml.safe_dump(dict(more), default_flow_style=None, allow_unicode=True, sort_keys=False, width=math.inf)
-        )
+        lines.append(block_yaml(more))
     path.write_text("\n".join(lines).rstrip("\n") + "\n", encoding="utf-8")
 
 

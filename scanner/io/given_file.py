@@ -47,6 +47,8 @@ def opened(path: Path, most_bytes: int | None = None) -> Iterator[BinaryIO]:
                 raise InputError(f"{path}: is too large: {sizes}")
             refuse_bomb(path, file, found.st_size)
             yield file
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: cannot be read: no such file") from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: is a folder, expected a file") from error
     except (OSError, ValueError) as error:

@@ -1,6 +1,7 @@
-"""Reading YAML that a person wrote: nothing is executed, nothing is silently dropped, every error names its line."""
+"""YAML, written for people and read from them: nothing executed or silently dropped, every error with its line."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,16 @@ def parse_yaml(text: str, where: str) -> Any:
         raise InputError(f"{where}: not usable YAML: brackets are nested too deeply") from error
 
 
+def parse_mapping(text: str, where: str) -> dict[str, Any]:
+    """The mapping that a YAML text is, empty for an empty text. Raises InputError if it is no mapping."""
+    value = parse_yaml(text, where)
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise InputError(f"{where}: expected 'key: value' lines, found a {type(value).__name__}")
+    return value
+
+
 def _words(problem: str | None) -> str:
     """What the parser says, which may quote the file."""
     return shortened(harmless(" ".join(str(problem).split())), 200)
@@ -111,18 +122,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
     Raises InputError if the file is missing, unreadable, not UTF-8, larger than a megabyte, or holds no mapping.
     """
-    value = parse_yaml(read_text(path), str(path))
-    if value is None:
-        return {}
-    if not isinstance(value, dict):
-        raise InputError(f"{path}: expected 'key: value' lines, found a {type(value).__name__}")
-    return value
+    return parse_mapping(read_text(path), str(path))
 
 
 def read_text(path: Path) -> str:
     """The text of a small UTF-8 file. Raises InputError."""
-    if not path.exists():
-        raise InputError(f"{path}: no such file")
     try:
         return read_bytes(path, _MOST_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -133,3 +137,10 @@ def flow_yaml(value: object) -> str:
     """A value as YAML on one line; numbers are written so that they read back the same."""
     # In a list, because a lone number would be followed by a line with an end-of-document mark.
     return yaml.safe_dump([value], default_flow_style=True, sort_keys=False, width=float("inf")).strip()[1:-1]
+
+
+def block_yaml(mapping: Mapping[str, Any]) -> str:
+    """A mapping as YAML, lists of plain values on one line each and the rest in blocks; numbers read back the same."""
+    return yaml.safe_dump(
+        dict(mapping), default_flow_style=None, allow_unicode=True, sort_keys=False, width=float("inf")
+    )

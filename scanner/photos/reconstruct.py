@@ -14,7 +14,7 @@ from calib.geometry import Matches, Size
 from calib.numerics import Bools
 from calib.plane_segmentation import find_alike, find_sparse_faces
 from calib.pointcloud import Cloud, MergedCloud, View, build_cloud, merged
-from calib.self_calibration import PrincipalPoint, anywhere, calibrate_photos
+from calib.self_calibration import PrincipalPoint, SelfCalibration, anywhere, calibrate_photos
 from scanner.capture import CaptureFacts
 from scanner.configuration import Config, ScaleSettings
 from scanner.errors import InputError
@@ -149,7 +149,7 @@ def _labelled(pair: Decoded, masks: Bools | None, newest: Decoded | None) -> Dec
 
 
 def _calibrate(pairs: Sequence[Decoded], config: Config, focal_px: tuple[float, float] | None) -> list[SelfCalibrated]:
-    """Solutions for all pairs; lengths in metres, or each pair's in its own baseline."""
+    """Solutions for all pairs; lengths in metres, or in the baseline of the first two photos."""
     size = pairs[-1].facts.camera_size
     solutions = calibrate_photos(
         [pair.matches for pair in reversed(pairs)],
@@ -158,14 +158,31 @@ def _calibrate(pairs: Sequence[Decoded], config: Config, focal_px: tuple[float, 
         squareness_deg=config.corner.squareness_deg,
         focal_px=focal_px,
     )
-    scale = config.scale
-    calibrated = []
-    for pair, solution in zip(reversed(pairs), solutions, strict=True):
-        found = SelfCalibrated(pair, solution, scaled(solution.calibration, solution.corner, scale))
-        if scale is not None:  # a baseline is that of the first two photos; the corner is the same for all
-            scale = ScaleSettings(camera_to_corner_m=_distance(found))
-        calibrated.append(found)
-    return calibrated[::-1]
+    first = _scaled(pairs[-1], solutions[0], config.scale)
+    others = [
+        _alike(_scaled(pair, solution, None), first)
+        for pair, solution in zip(reversed(pairs[:-1]), solutions[1:], strict=True)
+    ]
+    return [first, *others][::-1]
+
+
+def _scaled(pair: Decoded, solution: SelfCalibration, scale: ScaleSettings | None) -> SelfCalibrated:
+    return SelfCalibrated(pair, solution, scaled(solution.calibration, solution.corner, scale))
+
+
+def _alike(pair: SelfCalibrated, first: SelfCalibrated) -> SelfCalibrated:
+    """The pair in the first one's unit: the corner is the same, and so is its distance from the first photo."""
+    calibration, distance, known = pair.calibration, _distance(first), first.calibration.sigma
+    translation = distance / _distance(pair) * calibration.translation
+    if known.known_camera_to_corner is not None:
+        sigma = replace(calibration.sigma, known_camera_to_corner=known.known_camera_to_corner)
+    elif known.known_baseline is not None:
+        relative = known.known_baseline / first.calibration.baseline
+        sigma = replace(calibration.sigma, known_camera_to_corner=relative * distance)
+    else:
+        sigma = calibration.sigma
+    unit = first.calibration.unit
+    return replace(pair, calibration=replace(calibration, translation=translation, unit=unit, sigma=sigma))
 
 
 def _distance(pair: SelfCalibrated) -> float:
@@ -188,9 +205,5 @@ def _triangulate(pairs: Sequence[SelfCalibrated], reached: list[Stage]) -> Scan:
 def _merged(pairs: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> MergedCloud:
     """All points in the corner's frame: every pair has the first photo's, so how they belong together is known."""
     newest = pairs[-1]
-    alike = [
-        replace(cloud, points=cloud.points * np.float32(_distance(newest) / _distance(pair)))
-        for pair, cloud in zip(pairs, clouds, strict=True)
-    ]
-    views = [View(cloud.points, None, newest.calibration.camera, newest.corner) for cloud in alike]
-    return merged(alike, views, (0,) * len(alike))
+    views = [View(cloud.points, None, newest.calibration.camera, newest.corner) for cloud in clouds]
+    return merged(clouds, views, (0,) * len(clouds))

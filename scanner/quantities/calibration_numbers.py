@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, DeviceSigmas, Intrinsics
 from calib.numerics import Floats
+from scanner.quantities.names import device_names
 
 _DISTORTION_NAMES = ("k₁", "k₂", "p₁", "p₂", "k₃")
 _DEFAULT_SIGNIFICANT = 5
@@ -126,7 +127,7 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
     """How the two devices stand to each other; lengths only against a truth of the same unit."""
     same_unit = truth is not None and truth.unit == calibration.unit
     turned = Rotation.from_matrix(calibration.rotation).magnitude()
-    first, second = ("first photo", "second photo") if calibration.one_camera else ("camera", "projector")
+    first, second = device_names(calibration)
     quantities = [
         Quantity(
             "baseline",

@@ -1,10 +1,11 @@
 """Captures → faces → one calibration of the rig; what does not deserve it is refused."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry import FACES, Matches
+from calib.geometry import FACES, Calibration, Matches
 from calib.numerics import Bools, Ints
 from calib.plane_segmentation import NO_PLANE, find_faces
 from calib.refusal import RefusalError
@@ -13,8 +14,10 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.reconstruction.face_margins import without_margins
 from scanner.reconstruction.face_masks import label_by_masks
+from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.reconstruction.metric_scale import scaled
 from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_doubt
+from scanner.reconstruction.sheet_scale import scaled_by_sheet
 from scanner.results import Decoded, SelfCalibrated, Stage, naming
 
 _FEWEST_FOR_A_HOMOGRAPHY = 4
@@ -26,6 +29,11 @@ def refuse_impossible(config: Config, count: int) -> None:
         raise InputError(
             f"'method: paper' calibrates from one capture, found {count}: use 'method: refined' for several"
         )
+    known = next((path for path in config.earlier if is_calibration(path)), None)
+    if known is not None and config.method == "paper":
+        raise InputError(f"'method: paper' joins nothing with the calibration in {known}: use 'method: refined'")
+    if known is not None and config.scale is not None:
+        raise InputError(f"{known}: the calibration gives the scale: leave out 'scale', as with --set scale=null")
 
 
 def label(captures: Sequence[Decoded], reached: list[Stage], masks: Bools | None = None) -> list[Decoded]:
@@ -68,12 +76,32 @@ def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrate
     solutions = solve(labelled, config)
     newest = solutions[-1]
     refuse_costly(labelled, newest)
-    calibration = scaled(newest.calibration, newest.corner, config.scale)
+    calibration, scaled_solutions = _scaled(labelled, solutions, config)
     return [
         SelfCalibrated(
             capture.with_matches(solution.matches, capture.plane), with_doubt(labelled, solution), calibration
         )
-        for capture, solution in zip(labelled, solutions, strict=True)
+        for capture, solution in zip(labelled, scaled_solutions, strict=True)
+    ]
+
+
+def _scaled(
+    labelled: Sequence[Decoded], solutions: Sequence[SelfCalibration], config: Config
+) -> tuple[Calibration, Sequence[SelfCalibration]]:
+    """The calibration with its scale, and the solutions, whose uncertainty may say what the scale goes with."""
+    newest = solutions[-1]
+    if newest.known is not None:
+        return newest.metric, solutions
+    if config.scale is None or config.scale.charuco is None:
+        return scaled(newest.calibration, newest.corner, config.scale), solutions
+    charuco = config.scale.charuco
+    calibration, uncertainty = scaled_by_sheet(newest.calibration, newest.uncertainty, labelled, charuco)
+    if uncertainty is None:
+        return calibration, solutions
+    return calibration, [
+        replace(each, uncertainty=replace(each.uncertainty, with_log_baseline=uncertainty.with_log_baseline))
+        for each in solutions
+        if each.uncertainty is not None
     ]
 
 
@@ -83,7 +111,8 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
     facts = labelled[-1].facts
     sizes, point = (facts.camera_size, facts.projector_size), config.principal_point(facts.camera_size)
     squareness_deg = config.corner.squareness_deg
-    if len(labelled) == 1:
+    known = read_known(config.earlier, facts.camera_size, facts.projector_size)
+    if len(labelled) == 1 and known is None:
         (alone,) = labelled
         found = self_calibrate(
             alone.matches,
@@ -103,6 +132,7 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
         same=config.corner.same,
         planes=[_planes_of(capture) for capture in labelled],
         shifts=[shifts_of(capture) for capture in labelled],
+        known=known,
     )
 
 

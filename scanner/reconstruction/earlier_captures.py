@@ -12,6 +12,7 @@ from scanner.capture import CAPTURE_FILE, CaptureFacts, Recording, open_capture
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_image, read_matches, read_planes, refuse_one_axis
 from scanner.patterns import White
+from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, GivenMatches
 
 # Undistorted or extrapolated pixels may lie outside of the image, but not far.
@@ -21,10 +22,12 @@ _MARGIN_OF_SIZE = 0.1
 def read_captures(paths: Sequence[Path], camera_size: Size, projector_size: Size) -> list[Decoded]:
     """The captures in matches files and result folders; a result of several captures stands for all of them.
 
-    Raises InputError, naming the file, if one is damaged, belongs to images of another size, or is given twice.
+    A calibration among them, as of boards, is no capture, and is only checked: `read_known`. Raises InputError, naming
+    the file, if one is damaged, belongs to images of another size, or is given twice.
     """
+    read_known(paths, camera_size, projector_size)
     captures: list[Decoded] = []
-    for path in paths:
+    for path in (path for path in paths if not is_calibration(path)):
         for place in _places(path):
             found = _read(place, camera_size, projector_size)
             for other in captures:

@@ -14,10 +14,12 @@ def scaled(calibration: Calibration, corner: Corner | None, scale: ScaleSettings
     """The calibration in metres if a length is known; as it is if none is, or if it has a unit already.
 
     `corner` is in the calibration's unit. The result's `sigma` says which length was known, and how well: 0 for
-    exactly. Raises InputError if the known length is that to a corner and there is none.
+    exactly. Raises InputError if the known length is that to a corner and there is none, or that of a sheet.
     """
     if scale is None or calibration.unit != UNKNOWN_UNIT:
         return calibration
+    if scale.charuco is not None:
+        raise InputError("scale.charuco is for captures of a rig, whose projector lights the sheet")
     known = scale.sigma_m or 0.0
     if scale.baseline_m is not None:
         sigma = replace(calibration.sigma, known_baseline=known)

@@ -154,6 +154,7 @@ def _rows(captures: Sequence[Reconstructed | Refused]) -> tuple[CaptureRow, ...]
         stage = capture.reached if isinstance(capture, Refused) else capture
         address = "" if index == count - 1 else (folder_of(Path(), index, count) / REPORT_FILE).as_posix()
         solution, matches = solution_of(stage), len(capture.decoded.matches)
-        statistics = stage.cloud.statistics if isinstance(stage, Reconstructed) else None
-        rows.append(CaptureRow(title, address, matches, solution.residual_px if solution else None, statistics))
+        residual_px = solution.residual_px if solution else None
+        found = (stage.cloud.statistics, stage.calibration) if isinstance(stage, Reconstructed) else (None, None)
+        rows.append(CaptureRow(title, address, matches, residual_px, *found))
     return tuple(rows)

@@ -1,6 +1,13 @@
 """Clouds, maps and photographs as pictures."""
 
-from scanner.rendering.cloud_views import frustum, frustum_lines, render, rig_frusta, standard_views
+from scanner.rendering.cloud_views import (
+    frustum,
+    frustum_lines,
+    frustum_of_projector,
+    render,
+    rig_frusta,
+    standard_views,
+)
 from scanner.rendering.colours import (
     BLACK,
     BLUE,

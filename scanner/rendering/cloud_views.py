@@ -74,10 +74,15 @@ def frustum_lines(corners: Floats) -> Floats:
     return np.concatenate([edges, np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)])
 
 
+def frustum_of_projector(calibration: Calibration, length: float) -> Floats:
+    """What the projector lights, (8, 2, 3), in the camera's frame."""
+    return (frustum(calibration.projector, length) - calibration.translation) @ calibration.rotation
+
+
 def rig_frusta(calibration: Calibration, length: float, camera_colour: RGB, projector_colour: RGB) -> list[Wireframe]:
     """Wireframes of both devices in the camera's frame."""
-    projector = (frustum(calibration.projector, length) - calibration.translation) @ calibration.rotation
-    return [Wireframe(frustum(calibration.camera, length), camera_colour), Wireframe(projector, projector_colour)]
+    projector = Wireframe(frustum_of_projector(calibration, length), projector_colour)
+    return [Wireframe(frustum(calibration.camera, length), camera_colour), projector]
 
 
 def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wireframes: list[Wireframe]) -> RGBA:

@@ -32,9 +32,10 @@ def _data_uri(kind: str, encoded: bytes) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(encoded).decode('ascii')}"
 
 
-def photograph(texture: Image) -> Pixels:
+def photograph(texture: Image, longest_side: int = LONGEST_SIDE) -> Pixels:
     """The camera's image of the lit scene for the eye: RGB (H, W, 3), reduced, stretched and brightened."""
-    small = cv2.resize(texture, reduced_size(texture.shape[1], texture.shape[0]), interpolation=cv2.INTER_AREA)
+    size = reduced_size(texture.shape[1], texture.shape[0], longest_side)
+    small = cv2.resize(texture, size, interpolation=cv2.INTER_AREA)
     levels = np.arange(np.iinfo(texture.dtype).max + 1)
     white = max(1.0, float(np.percentile(small[::2, ::2], 99.5)))
     shown = as_pixels(255 * np.clip(levels / white, 0, 1) ** (1 / 1.8))[small]

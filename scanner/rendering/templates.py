@@ -8,17 +8,21 @@ from importlib.resources import files
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from scanner.shown_text import unbroken
+
 
 @cache
 def environment() -> Environment:
     """Of all templates of this package."""
-    return Environment(
+    made = Environment(
         loader=PackageLoader("scanner"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.filters["unbroken"] = unbroken
+    return made
 
 
 @cache

@@ -21,8 +21,8 @@ _MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
 class CaptureRow:
     """One of several captures that were calibrated together.
 
-    `report` is where its own report is, relative to this one, '' for this one. `residual_px` and the cloud's
-    `statistics` are None where a refusal came first.
+    `report` is where its own report is, relative to this one, '' for this one. `residual_px`, the cloud's
+    `statistics` and its `calibration` are None where a refusal came first.
     """
 
     name: str
@@ -30,6 +30,7 @@ class CaptureRow:
     matches: int
     residual_px: float | None
     statistics: CloudStatistics | None
+    calibration: Calibration | None = None
 
 
 @dataclass(frozen=True)

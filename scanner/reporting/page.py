@@ -1,10 +1,7 @@
 """report.html: one self-contained page that says whether a result can be trusted, and shows why."""
 
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
-
-from jinja2 import Template
 
 from calib.numerics import in_parallel
 from scanner.quantities import plain
@@ -18,7 +15,6 @@ from scanner.reporting.residuals import face_residuals, misses
 from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
-from scanner.ui import unbroken
 
 _VIEWER = "viewer.js"
 _FILES = {
@@ -61,7 +57,8 @@ def write_report(path: Path, report: ReportInput) -> None:
     parts = dict(zip(PARTS, in_parallel(lambda part: part(report), PARTS.values()), strict=True))
     tables = sections.tables(report)
     decoding, solution, found = report.outcome.decoded.decoding, report.solution, report.reconstructed
-    page = _template().render(
+    template = environment().get_template("report.html")
+    page = template.render(
         **parts,
         subtitle=sections.subtitle(report.facts),
         provenance=report.provenance,
@@ -86,10 +83,3 @@ def write_report(path: Path, report: ReportInput) -> None:
         unit=found.calibration.unit if found else "",
     )
     path.write_text(page, encoding="utf-8")
-
-
-@cache
-def _template() -> Template:
-    made = environment()
-    made.filters["unbroken"] = unbroken
-    return made.get_template("report.html")

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import yaml
 
 from calib.numerics import Floats
 from calib.pointcloud import Cloud
 from scanner.capture import CaptureFacts
 from scanner.decoding import Decoding, MaskReason
+from scanner.io import block_yaml
 from scanner.patterns import Gray, Pattern, Phase, Xor
 from scanner.quantities import FACE_NAMES, Quantity, device_quantities, percent, pose_quantities
 from scanner.rendering import (
@@ -243,7 +243,7 @@ def configuration(provenance: Provenance | None) -> str:
     """What the configuration sets, as YAML; '' where nothing is known of it."""
     if provenance is None or not provenance.configuration:
         return ""
-    return yaml.safe_dump({**provenance.configuration}, default_flow_style=None, allow_unicode=True, sort_keys=False)
+    return block_yaml(provenance.configuration)
 
 
 def subtitle(capture: CaptureFacts) -> str:

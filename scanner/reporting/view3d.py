@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.geometry import Calibration
 from calib.numerics import Floats
 from calib.pointcloud import Cloud, MergedCloud
-from scanner.quantities import FACE_NAMES
-from scanner.rendering import FACE_COLOURS, Colour, css_colour, frustum
+from scanner.quantities import FACE_NAMES, device_names
+from scanner.rendering import FACE_COLOURS, Colour, css_colour, frustum, frustum_of_projector
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import FRUSTUM_LENGTH, typical_depth, upright
 from scanner.results import Reconstructed
@@ -110,8 +111,9 @@ def _orientation(report: ReportInput, cloud: Cloud | MergedCloud, points: Floats
 
 def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCloud) -> list[dict[str, object]]:
     """The faces as closed polygons with their letters, both devices as pyramids, in the cloud's frame."""
-    calibration = found.calibration
+    calibrations: list[Calibration | None] = [found.calibration]
     if isinstance(cloud, MergedCloud):
+        calibrations = [row.calibration for row in report.company.rows]
         length = FRUSTUM_LENGTH * float(np.linalg.norm(np.median(cloud.points, axis=0)))
         to_cloud = cloud.from_cameras
     else:
@@ -124,13 +126,16 @@ def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCl
             {"colour": css_colour(colour), "text": name, "closed": True, "at": _moved(outline, to_cloud[-1])}
             for name, colour, outline in _faces(report, found.cloud)
         ]
-    camera = frustum(calibration.camera, length)
-    projector = (frustum(calibration.projector, length) - calibration.translation) @ calibration.rotation
-    for number, pose in enumerate(to_cloud, start=1):
-        of = f" {number}" if len(to_cloud) > 1 else ""
-        for name, pyramid, colour in (("camera", camera, "--accent"), ("projector", projector, "--second")):
+    for number, (calibration, pose) in enumerate(zip(calibrations, to_cloud, strict=True), start=1):
+        if calibration is None:
+            continue
+        pyramids = frustum(calibration.camera, length), frustum_of_projector(calibration, length)
+        names = device_names(calibration, number, len(to_cloud))
+        for name, pyramid, colour in zip(names, pyramids, ("--accent", "--second"), strict=True):
             path = np.concatenate([pyramid[4:, 0], pyramid[4:5, 0]])
-            lines.append({"colour": colour, "text": name + of, "closed": False, "at": _moved(path, pose)})
+            named = any(line["text"] == name for line in lines)  # the first photo is of every pair
+            text = "" if named else name
+            lines.append({"colour": colour, "text": text, "closed": False, "at": _moved(path, pose)})
             lines += [{"colour": colour, "text": "", "closed": False, "at": _moved(edge, pose)} for edge in pyramid[:4]]
     return lines
 

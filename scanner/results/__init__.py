@@ -9,6 +9,7 @@ from scanner.results.names import (
     CAPTURES_FOLDER,
     CLOUD_FILE,
     DENSE_FILE,
+    FREER_FILE,
     LOG_FILE,
     MERGED_FILE,
     PLAN_DXF_FILE,
@@ -47,6 +48,7 @@ from scanner.results.stages import (
 )
 from scanner.results.stated_uncertainty import (
     confidence_entries,
+    covariance_entries,
     read_uncertainty,
     read_verdict,
     verdict_entries,

@@ -10,6 +10,8 @@ CALIBRATION_FILE = "calibration.yaml"
 TRUTH_FILE = "truth.yaml"
 CLOUD_FILE = "cloud.ply"
 REPORT_FILE = "report.html"
+# Of boards: the calibration with lens terms that they left out, for captures of a corner that contradict that.
+FREER_FILE = "calibration-freer.yaml"
 REFUSAL_FILE = "refused.yaml"
 CAPTURE_FOLDER = "capture"
 CAPTURES_FOLDER = "captures"
@@ -36,6 +38,7 @@ _OURS = {
     PLAN_DXF_FILE,
     DENSE_FILE,
     REPORT_FILE,
+    FREER_FILE,
     REFUSAL_FILE,
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,

@@ -1,12 +1,10 @@
 """What calibration.yaml says beside the calibration: how far a result can be trusted, and its covariance."""
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import yaml
 from pydantic import Field
 
 from calib.diagnostics import NOWHERE, Along, Uncertainty
@@ -14,7 +12,7 @@ from calib.geometry import Calibration, tangent_basis
 from calib.numerics import Floats
 from calib.refinement import ROTATION, SHARED, TRANSLATION, State
 from scanner.errors import InputError
-from scanner.io import Entry, Number, read_yaml, validate
+from scanner.io import Entry, Number, block_yaml, read_yaml, validate
 from scanner.results.verdict import Grade, Verdict
 
 _OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2")
@@ -46,6 +44,7 @@ class _CovarianceEntry(Entry):
     columns: list[str]
     match_px: Number = Field(gt=0)
     values: list[list[Number]]
+    with_log_baseline: list[Number] = Field(default_factory=list)
     along: _AlongEntry | None = None
 
 
@@ -56,20 +55,24 @@ class _ConfidenceEntry(Entry):
 
 def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dict[str, Any]:
     """Keys for a calibration file; `uncertainty` None where a method knows none."""
-    told = verdict_entries(verdict)
-    if uncertainty is None:
-        return told
+    return verdict_entries(verdict) | ({} if uncertainty is None else covariance_entries(uncertainty))
+
+
+def covariance_entries(uncertainty: Uncertainty) -> dict[str, Any]:
+    """A key for a calibration file."""
     to_file = _columns_of_file(uncertainty.state.translation)
     covariance = {
         "columns": [*COLUMNS],
         "match_px": float(uncertainty.match_px),
         "values": (to_file @ uncertainty.covariance @ to_file.T).tolist(),
     }
+    if uncertainty.with_log_baseline.any():
+        covariance["with_log_baseline"] = (to_file @ uncertainty.with_log_baseline).tolist()
     along = uncertainty.along
     if len(along.probability):
         steps = (along.steps @ to_file.T).tolist()
         covariance["along"] = {"probability": along.probability.tolist(), "steps": steps}
-    return {**told, "covariance": covariance}
+    return {"covariance": covariance}
 
 
 def verdict_entries(verdict: Verdict) -> dict[str, Any]:
@@ -85,8 +88,7 @@ def verdict_entries(verdict: Verdict) -> dict[str, Any]:
 
 def write_refusal(path: Path, entries: Mapping[str, Any]) -> None:
     """Write why a capture was refused, for programs: the page says it to people. Raises OSError."""
-    text = yaml.safe_dump(dict(entries), default_flow_style=None, allow_unicode=True, sort_keys=False, width=math.inf)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(block_yaml(entries), encoding="utf-8")
 
 
 def read_verdict(path: Path) -> Verdict | None:
@@ -121,7 +123,24 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
     to_file = _columns_of_file(direction)
     # The columns of `to_file` are orthonormal.
     covariance = to_file.T @ values @ to_file
-    return Uncertainty(state, covariance, None, entry.match_px, _along(path, entry.along, to_file))
+    along = _along(path, entry.along, to_file)
+    with_log_baseline = _with_log_baseline(path, entry.with_log_baseline, np.diag(values), calibration) @ to_file
+    return Uncertainty(state, covariance, None, entry.match_px, along, with_log_baseline)
+
+
+def _with_log_baseline(path: Path, told: list[float], variance: Floats, calibration: Calibration) -> Floats:
+    """In the file's columns, (16,). Raises InputError if it is malformed."""
+    if not told:
+        return np.zeros(len(COLUMNS))
+    if len(told) != len(COLUMNS):
+        raise InputError(f"{path}: 'covariance.with_log_baseline' must be {len(COLUMNS)} numbers, found {len(told)}")
+    found = np.array(told)
+    sigma = (calibration.sigma.known_baseline or 0.0) / calibration.baseline
+    if np.any(np.abs(found) > (1 + _ROUNDED) * sigma * np.sqrt(variance.clip(0)) + _NOTHING):
+        raise InputError(
+            f"{path}: 'covariance.with_log_baseline' is more than the columns' and the baseline's own sigmas allow"
+        )
+    return found
 
 
 def _is_covariance(values: Floats) -> bool:

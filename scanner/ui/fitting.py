@@ -1,6 +1,5 @@
 """Text and tables in a terminal as wide as it is: no line is broken inside a number, and no digit is left out."""
 
-import re
 import shutil
 import textwrap
 from collections.abc import Iterator
@@ -10,21 +9,12 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 
-_NO_BREAK = "\N{NO-BREAK SPACE}"
-# What belongs to a number: a sign before it, a unit or the other end of a range behind it.
-_WITHIN_NUMBERS = re.compile(
-    r"(?<=[±<>=×−+]) (?=[\d−])|(?<=\d) (?=(?:[±×%°‰]|[mµk]?m\b|px\b|sigma|to \d))|(?<=\d to) (?=\d)"
-)
+from scanner.shown_text import NO_BREAK, unbroken
 
 
 def for_screen(text: str, stream: TextIO) -> str:
     """The text, wrapped if the stream is a terminal: what reads from a pipe wants its lines whole."""
     return wrapped(text, shutil.get_terminal_size().columns) if stream.isatty() else text
-
-
-def unbroken(text: str) -> str:
-    """The text with spaces that no line is broken at within numbers and between them and their units."""
-    return _WITHIN_NUMBERS.sub(_NO_BREAK, text)
 
 
 def wrapped(text: str, width: int) -> str:
@@ -44,7 +34,7 @@ def _wrapped_line(line: str, width: int) -> str:
         break_long_words=False,
         break_on_hyphens=False,
     )
-    return "\n".join(pieces).replace(_NO_BREAK, " ")
+    return "\n".join(pieces).replace(NO_BREAK, " ")
 
 
 def fitted(table: Table, console: Console) -> Table | str:

@@ -18,6 +18,7 @@ from scanner.io import read_calibration, read_cloud, read_image, read_poses
 from scanner.measuring import Scene as MeasuredScene
 from scanner.measuring import read_scene
 from scanner.patterns import White
+from scanner.quantities import device_names
 from scanner.rendering import photograph
 from scanner.results import (
     CALIBRATION_FILE,
@@ -157,9 +158,13 @@ class ViewedResult:
             return {f"{n}: {each.name}": each.folder for n, each in enumerate(self._room.stations, start=1)}
         older = [path for path in (self.folder / CAPTURES_FOLDER).glob("*") if path.name.isdecimal() and path.is_dir()]
         older.sort(key=lambda path: int(path.name), reverse=True)
-        if not older:
-            return {"The capture": self.folder}
-        return {f"Capture {len(older) + 1}": self.folder} | {f"Capture {path.name}": path for path in older}
+        places = {len(older) + 1: self.folder} | {int(path.name): path for path in older}
+        return {self._title(number, len(places)): path for number, path in places.items()}
+
+    def _title(self, number: int, among: int) -> str:
+        if self.calibration.one_camera:
+            return " and ".join(device_names(self.calibration, number, among)).capitalize()
+        return f"Capture {number}" if among > 1 else "The capture"
 
     def _cloud(self, name: str) -> ViewedCloud:
         """What is called `name`. Raises InputError if its files are missing or damaged."""

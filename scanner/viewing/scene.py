@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.numerics import Floats
 from scanner.measuring import angle_cells
-from scanner.quantities import shown_unit
+from scanner.quantities import device_names, shown_unit
 from scanner.rendering import BLUE, FACE_COLOURS, VERMILION, frustum_lines
 from scanner.viewing.colouring import Colouring, coloured
 from scanner.viewing.corner import MeasuredCorner
@@ -69,8 +69,8 @@ class Scene:
         self._factor = _DRAWN_SIZE / typical_size(cloud)
         for parent in (CLOUD, RIGS, FACES, LABELS):
             self._scene.add_frame(parent, show_axes=False)
-        for number, rig in enumerate(cloud.rigs, start=1):
-            self._draw_rig(f"{RIGS}/{number}", rig, f" {number}" if len(cloud.rigs) > 1 else "")
+        for number, rig in enumerate(reversed(cloud.rigs), start=1):
+            self._draw_rig(f"{RIGS}/{number}", rig, device_names(rig.calibration, number, len(cloud.rigs)))
         if cloud.corner is not None:
             self._draw_corner(cloud.corner, cloud.rigs[0])
         self._draw_ruler(cloud)
@@ -142,7 +142,7 @@ class Scene:
     def _drawn(self, points: Floats) -> NDArray[np.float32]:
         return (self._factor * points).astype(np.float32)
 
-    def _draw_rig(self, name: str, rig: PlacedRig, which: str) -> None:
+    def _draw_rig(self, name: str, rig: PlacedRig, names: tuple[str, str]) -> None:
         calibration = rig.calibration
         depth = _FRUSTUM_OF_SIZE * _DRAWN_SIZE / self._factor
         of_camera = picture_corners(calibration.camera, depth)
@@ -154,8 +154,8 @@ class Scene:
         self._lines(f"{name}/projector", _pyramid(centre, of_projector), VERMILION)
         self._lines(f"{name}/baseline", np.stack([rig.position, centre])[None], _INK)
         self._draw_picture(f"{name}/picture", rig, of_camera)
-        self._label(f"{LABELS}/camera{which}", f"Camera{which}", rig.position, "bottom-right")
-        self._label(f"{LABELS}/projector{which}", f"Projector{which}", centre, "bottom-left")
+        for label, place, anchor in zip(names, (rig.position, centre), ("bottom-right", "bottom-left"), strict=True):
+            self._label(f"{LABELS}/{label}", label.capitalize(), place, anchor)
 
     def _draw_picture(self, name: str, rig: PlacedRig, corners: Floats) -> None:
         """The camera's picture where its frustum ends; a picture lies in its own x, y plane, y down."""

@@ -1,6 +1,8 @@
-"""Changes to files: of bytes, of YAML as text and as values, of numbers."""
+"""Changes to files: of bytes, of YAML as text and as values, of tables, of numbers."""
 
-from collections.abc import Callable
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,12 @@ _VALUES: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2**31, 2**53, -(2**63), 10**30, 0.0, -0.0, 1e308, -1e308, 1e-320, 1e9, float("inf"),
     float("nan"), 65535, 65536, 30000, "", "x" * 3000, "\x1b[31m", "[/red]", "../../etc/passwd", "/dev/zero", "a\0b",
     [], {}, [[]], [1], [1, 2], [1, 2, 3], ["a"] * 300, {"kind": "phase"}, {"a": {"b": {"c": [1]}}}, "é" * 70, "1",
+)  # fmt: skip
+_CELLS = (
+    "", " ", ".", "..", "../x", "/x", "x/", "x//y", "./x", "~", "a", "b", "room.yaml", "known.yaml", "name", "capture",
+    "x" * 300, "x" * 200_000, "x/" * 3000, "\x00", "a\0b", "\x1b[31m", "\u202e", "\n", '"', ",", ";", "é" * 200, "*",
+    "[a", "memory://x", "nothing://x", "://", "zip://a::b", "file:///dev/zero", "/dev/zero", "/etc/passwd", "method",
+    "method=", "=", "a.b.c=1", "method=[[[", "corner=1", "scale.baseline_m=1e999", "rig.backend=x",
 )  # fmt: skip
 
 
@@ -95,6 +103,19 @@ def _of_value(value: Any, rng: Random) -> Any:
     if isinstance(value, float | int) and rng.random() < 0.5:
         return extreme(float(value), rng)
     return _VALUES[int(rng.integers(len(_VALUES)))]
+
+
+def of_csv(rows: Sequence[Mapping[str, str]], rng: Random) -> bytes:
+    """A table with a line for each of `rows` and one of their keys, with cells replaced, left out and put in."""
+    table = [[*rows[0]], *([*row.values()] for row in rows)]
+    for _ in range(int(rng.integers(4))):
+        line = table[int(rng.integers(len(table)))]
+        at = int(rng.integers(len(line) + 1))
+        line[at : at + int(rng.integers(3))] = [_CELLS[int(rng.integers(len(_CELLS)))]] * int(rng.integers(3))
+    text = io.StringIO()
+    csv.writer(text).writerows(table)
+    data = text.getvalue().encode("utf-8", errors="replace")
+    return of_bytes(data, rng) if rng.random() < 0.3 else data
 
 
 def extreme(value: float, rng: Random) -> float:

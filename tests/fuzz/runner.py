@@ -119,7 +119,8 @@ def _watched(arguments: list[str], progress: _Progress, end: float) -> Iterator[
 def work(target: str, seed: int, inputs: int, shared: Path, hang_s: float) -> None:
     """Run inputs one after the other, and tell on stdout what was found."""
     os.environ["OPENCV_LOG_LEVEL"] = "SILENT"
-    from tests.fuzz.targets import PLANTED, TARGETS, RejectedError, rng_of
+    from tests.fuzz.guarded import RejectedError, rng_of
+    from tests.fuzz.targets import PLANTED, TARGETS
 
     with (
         os.fdopen(os.dup(1), "w") as told,

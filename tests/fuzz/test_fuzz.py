@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.fuzz.guarded import RejectedError, rng_of
 from tests.fuzz.runner import HANG_S, fuzz
-from tests.fuzz.targets import PLANTED, TARGETS, RejectedError, rng_of
+from tests.fuzz.targets import PLANTED, TARGETS
 
-_SLOW = {"calibrating": 4, "results": 6, "capture": 20}
+_SLOW = {"calibrating": 4, "results": 6, "capture": 20, "board": 4, "batch": 12}
 _INPUTS = 60
 _SEED = 2026
 

@@ -2,8 +2,10 @@
 
 import os
 import signal
-from collections.abc import Iterator
-from threading import Thread
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from threading import Condition, Event, Lock, Thread, get_ident
 
 import pytest
 
@@ -72,3 +74,49 @@ def test_other_threads_have_no_part_in_it() -> None:
     thread.start()
     thread.join()
     assert failed == []
+
+
+class LockTakenAsTheSignalComes:
+    """Its __enter__ has no Python frame, as a lock's has none: the signal is handled in that of `threading`."""
+
+    acquire = release = None
+    __enter__ = partial(signal.raise_signal, signal.SIGTERM)
+
+    def __init__(self) -> None:
+        self.given_back = False
+
+    def __exit__(self, *_: object) -> None:
+        self.given_back = True
+
+
+def test_a_lock_that_was_just_taken_is_given_back() -> None:
+    lock = LockTakenAsTheSignalComes()
+    with pytest.raises(KeyboardInterrupt), Condition(lock):  # type: ignore[arg-type]
+        time.sleep(10)
+    assert lock.given_back
+
+
+def joined() -> None:
+    thread = Thread(target=time.sleep, args=(3,), daemon=True)
+    thread.start()
+    thread.join()
+
+
+def contended() -> None:
+    lock = Lock()
+    with lock, Condition(lock):
+        raise AssertionError
+
+
+@pytest.mark.parametrize("waiting", [lambda: Event().wait(3), joined, contended])
+def test_waiting_is_interrupted(waiting: Callable[[], object]) -> None:
+    main, begun_s = get_ident(), time.monotonic()
+
+    def ask_to_end() -> None:
+        time.sleep(0.1)
+        signal.pthread_kill(main, signal.SIGTERM)
+
+    Thread(target=ask_to_end).start()
+    with pytest.raises(KeyboardInterrupt):
+        waiting()
+    assert 0.05 < time.monotonic() - begun_s < 2.5

@@ -31,6 +31,8 @@ NOT_RUN = {
     "scan photos": "needs two photographs",
     "scan accept": "needs scans of a ball bar",
     "scan board my-captures": "needs captures of a board",
+    "scan calibrate scans/room scans/board": "needs boards and a corner before one rig; its own tests do",
+    "scan compare scans/board scans/together": "needs two calibrations of one rig; its own tests do",
     "scan board --config configs/room.yaml": NEED_DEVICES,
     "scan room": "needs a room's stations; its own tests have them",
     "scan --config configs/room-whole-sim.yaml": "runs for minutes",

@@ -1,5 +1,8 @@
 """A loopback rig for tests, scans with it, and what its frames should show."""
 
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -79,6 +82,20 @@ def after_frames(count: int, config: Path, act: Callable[[], object]) -> None:
         act()
 
     Thread(target=watch, daemon=True).start()
+
+
+def broken_off(config: Path, number: signal.Signals) -> tuple[int, str]:
+    """Run a scan in a process of its own and send it a signal after five frames; its exit code and messages."""
+    command = [sys.executable, "-X", "faulthandler", "-m", "scanner"]
+    command += ["--config", str(config), "--out", str(config.with_name("result"))]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        after_frames(5, config, lambda: process.send_signal(number))
+        try:
+            message = process.communicate(timeout=60)[1]
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGABRT)  # it tells where it hangs, and lets go of the camera
+            message = process.communicate()[1]
+        return process.returncode, message
 
 
 def digits(room: SimulatedRoom, pattern: Pattern) -> np.ndarray:

@@ -4,9 +4,9 @@ Exchanged bits decode to numbers like any others. But between neighbouring cells
 where camera pixels next to each other differ in a single bit, their cells must be next to each other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import chain, combinations
 from math import sqrt
 
 import numpy as np
@@ -27,6 +27,8 @@ _FARTHEST_PX = 16
 _CERTAIN_SIGMAS = 3.0
 _LEAST_DIFFERENCE = 5.0
 _FEWEST_CHANGES = 30
+_FEWEST_BITS = 3
+_DIRECTIONS = 2
 # Where the camera samples the cells, nearly all changes are in a single bit; across stripes finer than its pixels they
 # are not, and say nothing.
 _MOSTLY_SINGLE = 0.8
@@ -74,8 +76,7 @@ def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel
     """
     found = []
     bases = {(fold.code.axis, fold.code.cell, fold.code.offset) for fold in folds if fold.code.base is not None}
-    for fold in folds:
-        changes = _changes(fold, noise, middle)
+    for fold, changes in chain.from_iterable(_sampled(fold, noise, middle) for fold in folds):
         wrong = changes[~changes.adjacent()]
         if len(wrong.bit) < _FEWEST_CHANGES:
             continue
@@ -94,8 +95,24 @@ def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel
     return found
 
 
-def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> _Changes:
-    """Single-bit changes along some rows and columns of the image, between certain pixels."""
+def _sampled(fold: GrayFold, noise: NoiseModel, middle: Image) -> Iterator[tuple[GrayFold, _Changes]]:
+    """The code and its changes; and the same of the code without as many of its finest bits as it takes for all pixels
+    to be smaller than cells. What is wrong with coarse bits shows where single cells cannot be told apart.
+    """
+    changes, are_single = _changes(fold, noise, middle)
+    yield fold, changes
+    coarser = fold
+    while not are_single and fold.code.base is None and coarser.code.bits > _FEWEST_BITS:
+        coarser = coarser.without_finest(1)
+        changes, are_single = _changes(coarser, noise, middle)
+    if coarser is not fold:
+        yield coarser, changes
+
+
+def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> tuple[_Changes, bool]:
+    """Single-bit changes along some rows and columns of the image, between certain pixels; of either, if most are, and
+    whether most of both are.
+    """
     before, after = [np.empty(0, np.uint32)], [np.empty(0, np.uint32)]
     for is_transposed in (False, True):
         words, least, level = (
@@ -109,7 +126,7 @@ def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> _Changes:
             after.append(next_one[:single])
     words_before, words_after = np.concatenate(before), np.concatenate(after)
     place = np.rint(np.log2(words_before ^ words_after)).astype(np.int64)
-    return _Changes(words_before, words_after, fold.code.bits - 1 - place)
+    return _Changes(words_before, words_after, fold.code.bits - 1 - place), len(before) == _DIRECTIONS + 1
 
 
 @compiled

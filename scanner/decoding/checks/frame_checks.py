@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.numerics import Bools, median
+from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.checks.contradictions import Oddity, Shown, contradictions
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.light_switch import light_switch
+from scanner.decoding.light_switch import LightSwitch, light_switch, may_be_switched
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.errors import InputError
@@ -43,8 +43,9 @@ _SAME_SHARE = 0.98
 
 def check_frames(
     plan: SequencePlan, levels: Floats32, alike: Floats32, noise: NoiseModel, saturation: float
-) -> list[Oddity]:
-    """What contradicts the sequence in the sample `levels` (frames, P), even after the frames were made `alike`.
+) -> tuple[list[Oddity], LightSwitch | None]:
+    """What contradicts the sequence in the sample `levels` (frames, P), even after the frames were made `alike`; and
+    the light that was switched on or off, if some was.
 
     Raises InputError if nothing is lit, or if frames were exchanged or doubled beyond doubt.
     """
@@ -54,27 +55,32 @@ def check_frames(
     lit = np.flatnonzero(_well_lit(swing, sigma, high >= saturation))
     lit = lit[:: max(1, len(lit) // _MOST_LIT)]
     shown = Shown(levels[:, lit], swing[lit], sigma[lit])
-    found = contradictions(plan, shown)
-    if not found:
-        return found
     made_alike = replace(shown, levels=alike[:, lit])
-    made_alike, switched = _in_one_light(plan, made_alike) if contradictions(plan, made_alike) else (made_alike, [])
+    found = contradictions(plan, shown)
+    if not found and not may_be_switched(plan, shown.levels):
+        return [], None
+    made_alike, switch = _in_one_light(plan, shown, made_alike)
+    if not found and switch is None:
+        return [], None
+    switched = [] if switch is None else [Oddity(switch.said(plan), (switch.frame,))]
     proof = _exchange(plan, shown, made_alike, found) or _double(plan, shown, found)
     if proof:
         said = "; ".join([*(oddity.said for oddity in found), proof])
         raise InputError(f"the frames do not show what the capture says: {said}")
-    return [*switched, *contradictions(plan, made_alike)]
+    return [*switched, *contradictions(plan, made_alike)], switch
 
 
-def _in_one_light(plan: SequencePlan, shown: Shown) -> tuple[Shown, list[Oddity]]:
-    """The same without light that was switched on or off, and that it was."""
-    switch = light_switch(plan, shown.levels, shown.swing, lambda levels: _contradiction(plan, levels, shown.swing))
-    if switch is None:
-        return shown, []
-    share = median(switch.light / shown.swing)
-    went = "on" if share > 0 else "off"
-    said = f"light of {abs(share):.0%} of the pattern's was switched {went} before {plan.name(switch.frame)}"
-    return replace(shown, levels=switch.undone(shown.levels)), [Oddity(said, (switch.frame,))]
+def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, LightSwitch | None]:
+    """The frames that were made alike, or as they are if that makes more sense, without light that was switched."""
+    best: tuple[Shown, LightSwitch | None] = alike, None
+    for one in (alike, shown):
+        if not contradictions(plan, one) and not may_be_switched(plan, one.levels):
+            continue
+        switch = light_switch(plan, one.levels, one.swing, lambda levels: _contradiction(plan, levels, shown.swing))
+        if switch is not None:
+            without = replace(one, levels=switch.undone(one.levels))
+            best = min(best, (without, switch), key=lambda each: _contradiction(plan, each[0].levels, shown.swing))
+    return best
 
 
 def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Oddity]) -> str:

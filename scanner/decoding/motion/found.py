@@ -13,6 +13,8 @@ from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 # More than this breaks fringes, so that single matches err; of a slow motion, each fringe sees a part only.
 _LARGEST_BUMP_PX = 0.35
 _LARGEST_DRIFT_PX = 3.0
+# Drifts explain 80 to 90 % of what contradicts rest. What is called one and explains a third is a bump of many px.
+_LEAST_EXPLAINED = 0.5
 # A device counts as moved if its motion is this share of the other's.
 _BOTH = 0.5
 # What is taken back is known to this share of itself.
@@ -88,7 +90,8 @@ class MotionFound:
     @property
     def is_too_large(self) -> bool:
         """Whether single matches can no longer be trusted."""
-        return self.significant and self.size_px > (_LARGEST_DRIFT_PX if self.slow else _LARGEST_BUMP_PX)
+        can_be_followed = self.slow and self.explained > _LEAST_EXPLAINED
+        return self.significant and self.size_px > (_LARGEST_DRIFT_PX if can_be_followed else _LARGEST_BUMP_PX)
 
     @property
     def shifts(self) -> Shifts:

@@ -6,10 +6,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from numba import njit
 
 from calib.numerics.array_types import Floats
 from calib.numerics.chunks import in_pieces
-from calib.numerics.jit import compiled
+from calib.numerics.jit import compiled, when_compiling
 from tests.support.places import ROOT
 
 SOURCES = sorted(path for package in ("calib", "hw", "scanner") for path in (ROOT / package).rglob("*.py"))
@@ -74,3 +75,11 @@ def test_a_borrowed_name_is_found() -> None:
         "import numpy as np\n@compiled\ndef f(x):\n    return STEP * np.sin(x)\n"
     )
     assert borrowed(source) == ["STEP"]
+
+
+def test_compiling_is_told_once() -> None:
+    told: list[str] = []
+    when_compiling(lambda: told.append("compiling"))
+    for _ in range(2):
+        njit(lambda number: number + 1)(1)
+    assert told == ["compiling"]

@@ -34,7 +34,7 @@ def test_it_is_seen_where_it_is(room: SimulatedRoom) -> None:
 
 def test_its_rays_meet_it_and_it_is_slightly_bent(room: SimulatedRoom) -> None:
     camera, projector = room.room.camera, room.room.projector
-    board = draw_board(BoardSettings(square_m=0.06, bend=0.01), 1, camera, projector)
+    board = draw_board(BoardSettings(square_m=0.06, bend=0.01), 1, camera, projector, room.room.scene)
     uv = np.random.default_rng(0).uniform(-1, 1, (2, 50)) * board.half[:, None]
     points = board.points(uv)
     met, hit = board.meet(camera.centre, points - camera.centre[:, None])
@@ -47,7 +47,7 @@ def test_its_rays_meet_it_and_it_is_slightly_bent(room: SimulatedRoom) -> None:
 
 def test_each_pose_is_another_and_the_board_stays_the_same(room: SimulatedRoom) -> None:
     first, again, other = (
-        draw_board(BoardSettings(square_m=0.06, pose=pose), 0, room.room.camera, room.room.projector)
+        draw_board(BoardSettings(square_m=0.06, pose=pose), 0, room.room.camera, room.room.projector, room.room.scene)
         for pose in (0, 0, 1)
     )
     assert np.array_equal(first.middle, again.middle)
@@ -59,5 +59,28 @@ def test_a_board_that_is_seen_by_nobody_is_refused(room: SimulatedRoom) -> None:
     settings = BoardSettings(square_m=0.06, columns=50, rows=3)
     hidden = room.room.projector
     turned = type(hidden)(hidden.optics, -hidden.rotation, hidden.centre)
-    with pytest.raises(DeviceError, match="sees no board"):
-        draw_board(settings, 0, room.room.camera, turned)
+    with pytest.raises(DeviceError, match="sees no chessboard"):
+        draw_board(settings, 0, room.room.camera, turned, room.room.scene)
+
+
+def test_a_sheet_lies_on_the_floor_where_both_devices_see_it(room: SimulatedRoom) -> None:
+    settings = BoardSettings(kind="charuco", columns=5, rows=4, square_m=0.08, on_floor=True)
+    camera, projector = room.room.camera, room.room.projector
+    board = draw_board(settings, 0, camera, projector, room.room.scene)
+    points = board.points(board.corners.T)
+    assert board.corners.shape == (12, 2)
+    assert np.abs(points[2]).max() < 1e-3
+    for device in (camera, projector):
+        pixels, depths = device.project(points)
+        assert device.optics.sees(pixels).all()
+        assert (depths > 0).all()
+    assert np.all(board.normals(board.corners.T)[2] > 0.99)
+    # Two squares of a ChArUco board's first row: one black, one white with the first marker in its middle.
+    first = (np.array([[0.5, 1.02], [0.5, 0.5]]) - np.array([[2.5], [2.0]])) * settings.square_m
+    assert board.albedo(first)[0] < board.albedo(first)[1]
+
+
+def test_a_sheet_that_finds_no_place_is_refused(room: SimulatedRoom) -> None:
+    settings = BoardSettings(kind="charuco", columns=9, rows=9, square_m=0.3, on_floor=True)
+    with pytest.raises(DeviceError, match="sees no charuco"):
+        draw_board(settings, 0, room.room.camera, room.room.projector, room.room.scene)

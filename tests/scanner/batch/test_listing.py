@@ -1,13 +1,16 @@
 """Which captures a batch consists of."""
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scanner.batch import listing
 from scanner.batch.listing import Asked, list_jobs
 from scanner.batch.rows import Row
+from scanner.configuration import load_config
 from scanner.errors import InputError
 
 
@@ -63,13 +66,28 @@ def test_a_list_says_what_is_asked_of_each(museum: Path) -> None:
     assert (yard.name, yard.config.corner.squareness_deg, yard.config.method) == ("yard", 0.2, "paper")
 
 
+def test_a_list_reads_what_many_ask_for_once(museum: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counted = Mock(wraps=load_config)
+    monkeypatch.setattr(listing, "load_config", counted)
+    (museum / "list.csv").write_text("capture,set\nhall/a,\nhall/b,\nyard,method=paper\n")
+    jobs = list_jobs([str(museum / "list.csv")], Asked())
+    assert [job.config.method for job in jobs] == ["refined", "refined", "paper"]
+    assert [read.args for read in counted.call_args_list] == [(None, ()), (None, ("method=paper",))]
+
+
 def test_what_is_asked_is_recognised_and_changes_with_everything_that_matters(museum: Path) -> None:
     plain = list_jobs([str(museum)], Asked())
     assert [job.asked for job in list_jobs([str(museum)], Asked())] == [job.asked for job in plain]
     (museum / "known.yaml").write_text("text")
-    for other in (Asked(overrides=("method=paper",)), Asked(calibration=museum / "known.yaml")):
+    for other in (Asked(overrides=("method=paper",)), Asked(calibration=str(museum / "known.yaml"))):
         changed = list_jobs([str(museum)], other)
         assert not {job.asked for job in changed} & {job.asked for job in plain}
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_lines_end_as_on_any_machine(museum: Path, end: str) -> None:
+    (museum / "list.csv").write_bytes(end.join(["capture,name", "hall/a,first", "yard,last", ""]).encode())
+    assert [job.name for job in list_jobs([str(museum / "list.csv")], Asked())] == ["first", "last"]
 
 
 @pytest.mark.parametrize(
@@ -80,6 +98,12 @@ def test_what_is_asked_is_recognised_and_changes_with_everything_that_matters(mu
         ("capture,name\n,x\n", "line 2: no capture is named"),
         ("capture,name\nhall/a,../../outside\n", r"expected a name below the results, found '\.\./\.\./outside'"),
         ("capture,name\nhall/a,/outside\n", "expected a name below the results"),
+        ("capture,name\nhall/a,.\n", "expected a name below the results"),
+        (f"capture,name\nhall/a,{'x' * 300}\n", "expected a name below the results"),
+        (f"capture\nhall/a\n{'x' * 200_000}\n", "line 3: not a table of values"),
+        (f"capture,config\nhall/a,{'x' * 300}.yaml\n", "yaml: cannot be read"),
+        ("capture,calibration\nhall/a,/dev/zero\n", "/dev/zero: is a device"),
+        ("capture,calibration\nhall/a,zip://a::b\n", "cannot be reached"),
         ("capture\n", "found none"),
         ("capture,set\nhall/a,cornr.same=1\n", "cornr"),
     ],

@@ -1,8 +1,10 @@
 """`scan board`: from captures, live, printed, and what it says of wrong input."""
 
 import re
+from base64 import b64decode
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,33 +12,62 @@ from calib.boards import Board, calibrate_boards
 from calib.synthetic import random_boards
 from scanner.boards.calibrate import FromBoards, Missing, Seen
 from scanner.boards.result import save_result
-from scanner.boards.target import Target
 from scanner.commands.main import main
 from scanner.io import read_calibration
 from scanner.results import read_verdict
-from tests.support.boards import photographed, views_of
+from scanner.targets.target import Target
+from tests.support.boards import views_of
 from tests.support.places import REAL_CAPTURES
 
 BOARDS = REAL_CAPTURES / "procam-calibration"
 TARGET = Target("chessboard", 9, 7, 30.0)
 
 
-def test_a_result_is_a_calibration_and_a_page(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def from_boards() -> FromBoards:
     boards = random_boards(np.random.default_rng(4), views=4, matches=3000)
     rig = boards.calibration
     found = calibrate_boards(views_of(boards), rig.camera.size, rig.projector.size, Board(boards.reach, 2, "mm"))
-    picture, _ = photographed(TARGET, seed=0)
-    seen = tuple(Seen(picture, view) for view in found.estimate.views)
+    white = np.full((rig.camera.height, rig.camera.width), 200, np.uint8)
+    seen = tuple(Seen(white, view) for view in found.estimate.views)
     missing = (Missing("view 9", "no chessboard:9x7 was found"),)
-    save_result(FromBoards(TARGET, seen, missing, found, rig.camera.size, rig.projector.size), tmp_path)
+    return FromBoards(TARGET, seen, missing, found, rig.camera.size, rig.projector.size)
+
+
+def test_a_result_is_a_calibration_and_a_page(from_boards: FromBoards, tmp_path: Path) -> None:
+    save_result(from_boards, tmp_path)
+    found = from_boards.found
     read = read_calibration(tmp_path / "calibration.yaml")
     assert read.camera == found.calibration.camera
     assert read.sigma.projector == found.calibration.sigma.projector
-    assert read_verdict(tmp_path / "calibration.yaml").grade in ("good", "fair")
+    verdict = read_verdict(tmp_path / "calibration.yaml")
+    assert verdict.grade in ("good", "fair")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    for told in ("Each board, predicted by the others", "view 3", "view 9 is not used", "Half of the boards"):
+    for told in (
+        f"{verdict.sign} {verdict.headline}",
+        "Each board, predicted by the others",
+        "view 3",
+        "view 9 is not used",
+        "Half of the boards",
+    ):
         assert told in page
     assert "://" not in re.sub(r"data:image/jpeg;base64,[^\"]*", "", page)
+
+
+def test_corners_of_a_wide_camera_are_drawn_where_they_are(from_boards: FromBoards, tmp_path: Path) -> None:
+    camera = from_boards.camera_size
+    assert camera.width > 1000
+    save_result(from_boards, tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    pictures = re.findall(r"data:image/jpeg;base64,([^\"]*)", page)
+    for encoded, seen in zip(pictures, from_boards.seen, strict=True):
+        picture = cv2.imdecode(np.frombuffer(b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)
+        assert picture.shape[0] < picture.shape[1] < 500
+        orange = np.argwhere(picture[..., 0] < 150)[:, ::-1]
+        there = (seen.view.corners_px + 0.5) * picture.shape[1] / camera.width - 0.5
+        away = np.linalg.norm(orange[:, None] - there, axis=-1)
+        assert 0 <= away.min(axis=0).max() < 1.5
+        assert 0.5 < away.min(axis=1).max() < 3.5
 
 
 @pytest.mark.parametrize("text", ["charuco:A4", "chessboard:9x7@A3 --square 25mm", "acircles:4x9@A4 --square 30mm"])
@@ -58,6 +89,8 @@ def test_a_printed_page_has_its_true_size(text: str, tmp_path: Path) -> None:
         ("nowhere --board chessboard:9x7", "which board"),
         ("nowhere --board chessboard:9x7 --square 10mm", "no such capture"),
         ("nowhere --board chessboard:9x7 --square 10ells", "ells"),
+        ("nowhere --board chessboard:9x7 --square 1e300m", "--square: expected 0.001 to 1e+06 mm"),
+        ("nowhere --board chessboard:9x7 --square 1e-300mm", "--square: expected 0.001 to 1e+06 mm"),
         ("--print charuco:A4 --square 60mm", "more than A4 leaves"),
         ("--print chessboard:9x7", "--square"),
     ],

@@ -118,7 +118,7 @@ def test_the_operator_is_asked_between_captures_and_may_stop(
     monkeypatch.setattr(pipeline, "reconstruct", lambda captures, *_, **__: taken.append(captures))
     opened.extend([SimulatedRigSettings()] * 2)  # so that none of those to come breaks
     operator = Operator("", "q")
-    pipeline.scan(load_config(config), tmp_path, operator, number=4)
+    pipeline.scan(load_config(config), tmp_path, operator, operator, number=4)
     assert len(operator.questions) == 2
     assert "Capture 2 of 4 is done" in operator.questions[1]
     assert [found.name for found in taken[0]] == ["Capture 1", "Capture 2"]

@@ -190,7 +190,7 @@ def test_a_scan_has_the_name_that_was_typed(worker: Worker, page: Notebook, tmp_
 
 
 def test_a_bug_is_a_message_with_a_file(worker: Worker, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def broken(*_: object) -> None:
+    def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("division by zero")
 
     monkeypatch.setattr(worker_module, "scan", broken)

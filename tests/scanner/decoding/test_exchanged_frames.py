@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calib.numerics.array_types import Image
+from calib.refusal import RefusalError
 from scanner.decoding.decoder import Decoder
 from scanner.errors import InputError
 from scanner.patterns.pattern import Black, Gray, Pattern, White, gray_sequence, sequence_for
@@ -121,6 +122,42 @@ def test_bits_exchanged_together_with_their_inverses(
     pairs = [(index(patterns, *first, inverted=i), index(patterns, *second, inverted=i)) for i in (False, True)]
     message = outcome(patterns, exchanged(SCENE.frames(patterns), *pairs))
     assert f"frame {pairs[0][0]} " in message or f"frame {pairs[0][1]} " in message
+
+
+FINE = sequence_for(SIZE, shifts=0, cell=1)
+
+
+@pytest.mark.parametrize("bits", [(1, 2), (2, 4), (3, 8), (6, 7)])
+def test_bits_exchanged_where_camera_pixels_see_several_cells(bits: tuple[int, int]) -> None:
+    scene = replace(SCENE, camera=(120, 90), indirect=0.15)
+    frames = scene.frames(FINE)
+    assert np.median(np.abs(scene.errors(decode(FINE, frames, SIZE)))) < 0.35
+    pairs = [tuple(index(FINE, "x", bit, inverted=inverted) for bit in bits) for inverted in (False, True)]
+    with pytest.raises(InputError, match=rf"frame {pairs[0][0]} |frame {pairs[0][1]} "):
+        decode(FINE, exchanged(frames, *((a, b) for a, b in pairs)), SIZE)
+
+
+@pytest.mark.parametrize("inverses", [True, False])
+def test_the_finest_bit_shown_by_the_one_before_it(inverses: bool) -> None:
+    patterns = sequence_for(SIZE, shifts=0, cell=1, inverses=inverses)
+    scene = replace(SCENE, camera=(300, 225), indirect=0.15)
+    frames = scene.frames(patterns)
+    last = max(p.bit for p in patterns if isinstance(p, Gray) and p.axis == "x")
+    for inverted in (False, True)[: 1 + inverses]:
+        frames[index(patterns, "x", last, inverted=inverted)] = frames[
+            index(patterns, "x", last - 1, inverted=inverted)
+        ]
+    with pytest.raises(InputError, match=rf"cells of the Gray code do not follow.*gray x bit {last}\)"):
+        decode(patterns, frames, SIZE)
+
+
+def test_a_projector_that_moves_before_the_finest_bit() -> None:
+    scene = replace(SCENE, camera=(300, 225), indirect=0.15)
+    moved = replace(scene, turn_deg=scene.turn_deg + 1.5)
+    first = index(FINE, "x", max(p.bit for p in FINE if isinstance(p, Gray) and p.axis == "x"))
+    frames = [(scene if number < first else moved).frame(p, number) for number, p in enumerate(FINE)]
+    with pytest.raises((InputError, RefusalError), match=r"gray x bit 8\)"):
+        decode(FINE, frames, SIZE)
 
 
 def test_x_and_y_exchanged() -> None:

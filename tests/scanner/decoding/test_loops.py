@@ -81,7 +81,7 @@ def test_only_bits_that_stand_out_of_the_noise_are_compared(gain: float, is_cert
     bright, dark = np.full(SHAPE, 60, np.uint8), np.full(SHAPE, 40, np.uint8)
     left = np.arange(SHAPE[1]) < 2
     fold = gray_fold([np.where(left, bright, dark), np.where(left, dark, bright), bright, dark], half=False)
-    found = _changes(fold, NoiseModel(1e-6, gain), np.full(SHAPE, 50, np.uint8))
+    found, _ = _changes(fold, NoiseModel(1e-6, gain), np.full(SHAPE, 50, np.uint8))
     assert found.bit.tolist() == ([0, 0, 0] if is_certain else [])  # bit 0, once in each row
 
 

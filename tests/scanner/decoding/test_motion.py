@@ -167,6 +167,13 @@ def test_the_first_axis_again_is_a_witness() -> None:
     assert 0.2 < motion.size_px < 0.4
 
 
+def test_a_drift_that_explains_little_of_what_is_seen_is_not_taken_back() -> None:
+    seen = found(bumped(STANDARD, 30, 0.1, 0.25))
+    drift = replace(seen, significant=True, slow=True, size_px=1.5, explained=0.9)
+    assert not drift.is_too_large
+    assert replace(drift, explained=0.3).is_too_large
+
+
 def test_a_bump_of_several_px_in_the_middle_of_a_fringe_is_named() -> None:
     patterns = PRESETS["concave"].patterns(SCENE.projector)
     assert isinstance(patterns[27], Phase)

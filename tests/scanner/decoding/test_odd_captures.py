@@ -121,6 +121,27 @@ def test_bits_that_are_not_resolved_are_left_out(scene: Scene) -> None:
     assert 0.2 < np.median(np.abs(ratio)) < 1.0, "evenly spread over cells of two, and averaged over their pixels"
 
 
+@pytest.mark.parametrize("blur_px", [3.0, 4.0])
+def test_a_lens_that_weakens_the_only_fringes_is_not_taken_for_stray_light(blur_px: float) -> None:
+    scene = replace(SCENE, projector_blur_px=blur_px)
+    decoding = scene.decode(QUICK)
+    errors = np.abs(scene.errors(decoding))
+    assert 0.03 < np.median(errors) < 0.25
+    assert np.quantile(errors, 0.99) < 1.0
+    assert np.mean(decoding.reasons[scene.well_lit()] == MaskReason.KEPT) > 0.9
+
+
+def test_where_the_only_fringes_are_blurred_away_the_code_is_decoded_alone() -> None:
+    scene = replace(SCENE, projector_blur_px=6.0)
+    decoding = scene.decode(QUICK)
+    assert any("blurred away" in warning and "of 8 px" in warning for warning in decoding.warnings)
+    assert 500 < len(decoding.matches) < 1200, "one for each cell"
+    assert decoding.matches.sigma_px is not None
+    errors = np.abs(scene.errors(decoding))
+    assert 0.03 < np.median(errors) < 0.2
+    assert 0.2 < np.median(errors / decoding.matches.sigma_px[:, None]) < 1.0
+
+
 @pytest.mark.parametrize("steps", [5, 7])
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
 def test_flicker_in_an_odd_number_of_steps_is_found_and_is_no_motion(steps: int, gamma: float) -> None:

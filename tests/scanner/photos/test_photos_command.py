@@ -14,6 +14,7 @@ from scanner.commands.main import main
 from scanner.io.calibration_file import read_calibration
 from scanner.io.matches_file import read_matches
 from scanner.io.ply import read_cloud
+from scanner.viewing.result import ViewedResult
 from tests.support.painted_corner import CAMERA, FIRST, SECOND, THIRD, Walls, painted, photo, write_photos
 
 pytestmark = pytest.mark.xdist_group("photos command")
@@ -139,6 +140,19 @@ def test_three_photos_are_calibrated_together(photos: list[Path], tmp_path: Path
     assert (out / "merged.ply").is_file()
     assert (out / "captures" / "1" / "matches.npz").is_file()
     assert len(read_cloud(out / "merged.ply")) > len(read_cloud(out / "cloud.ply"))
+    # Every pair is in the baseline of the first two photos, and called by the numbers of its own.
+    older = read_calibration(out / "captures" / "1" / "calibration.yaml")
+    assert older.unit == "baseline"
+    assert older.baseline == pytest.approx(np.linalg.norm(THIRD - FIRST) / np.linalg.norm(SECOND - FIRST), rel=0.01)
+    viewed = ViewedResult(out)
+    assert viewed.names == ("All captures, merged", "Photo 1 and photo 2", "Photo 1 and photo 3")
+    places = [rig.projector_centre for rig in viewed.cloud("All captures, merged").rigs]
+    apart = np.linalg.norm(places[0] - places[1]) / np.linalg.norm(
+        places[0] - viewed.cloud(viewed.names[0]).rigs[0].position
+    )
+    assert apart == pytest.approx(np.linalg.norm(THIRD - SECOND) / np.linalg.norm(SECOND - FIRST), rel=0.01)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert all(f'"text":"photo {number}"' in page for number in (1, 2, 3))
 
 
 def test_the_exif_focal_length_is_shown_and_used_only_if_asked_for(

@@ -67,10 +67,10 @@ def report(scene: Scene) -> ReportInput:
     view = View(cloud.points, None, CAMERA, solution.corner)
     decoded = Decoded(CaptureFacts(CAMERA.size, PROJECTOR.size), scene.matches, GivenMatches(scene.texture))
     rows = (
-        CaptureRow("capture 1", "captures/1/report.html", 1234, 0.0712, cloud.statistics),
+        CaptureRow("capture 1", "captures/1/report.html", 1234, 0.0712, cloud.statistics, calibration),
         CaptureRow("capture <2>", "", 5678, None, None),
     )
-    company = Company(2, rows, merged([cloud], [view], (0,)), ("The 2 clouds are merged.",))
+    company = Company(2, rows, merged([cloud, cloud], [view, view], (0, 0)), ("The 2 clouds are merged.",))
     return ReportInput(Reconstructed(SelfCalibrated(decoded, solution, calibration), cloud), company=company)
 
 

@@ -6,8 +6,6 @@ what to do, and every frame captured so far on disk.
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -24,7 +22,17 @@ from scanner.commands.main import main
 from scanner.configuration.schema import load_config
 from scanner.io.image_file import read_image, write_png
 from scanner.patterns.pattern import Black, White
-from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Keeper, Loopback, after_frames, check_frames, scan
+from tests.support.loopback_bench import (
+    CAMERA,
+    CONFIG,
+    PROJECTOR,
+    Keeper,
+    Loopback,
+    after_frames,
+    broken_off,
+    check_frames,
+    scan,
+)
 
 pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
 
@@ -130,11 +138,8 @@ def test_the_screen_dies(config: Path, rig: Loopback, room: SimulatedRoom, capsy
 
 
 def test_ctrl_c(config: Path, rig: Loopback, room: SimulatedRoom) -> None:
-    command = [sys.executable, "-m", "scanner", "--config", str(config), "--out", str(config.with_name("result"))]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    after_frames(5, config, lambda: process.send_signal(signal.SIGINT))
-    message = process.communicate(timeout=60)[1]
-    assert process.returncode == 130
+    code, message = broken_off(config, signal.SIGINT)
+    assert code == 130, message
     assert "interrupted" in message
     assert check_frames(config.with_name("result-incomplete") / "capture", room) >= 5
 
@@ -190,11 +195,8 @@ def resources() -> tuple[float, int, int]:
 def test_what_is_missing_is_taken(
     config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str], moved: bool
 ) -> None:
-    command = [sys.executable, "-m", "scanner", "--config", str(config), "--out", str(config.with_name("result"))]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    after_frames(5, config, process.terminate)  # killed, it would leave the camera to its heartbeat's time-out
-    process.communicate(timeout=60)
-    assert process.returncode == 130
+    code, message = broken_off(config, signal.SIGTERM)  # killed, it would leave the camera to its heartbeat's time-out
+    assert code == 130, message
     left, out = config.with_name("result-incomplete"), config.with_name("whole")
     before = len(open_capture(left / "capture").patterns)
     assert before >= 5

@@ -20,6 +20,7 @@ CHARUCO_A4 = (6, 9)
 _SHEETS = {"A4": CHARUCO_A4}
 TAG_SPACING = 0.3  # between the tags of an AprilGrid, as a share of their side: Kalibr's
 _MOST = 100
+_SQUARES = (1e-3, 1e6)  # in `UNIT`
 _MARGIN = 0.8  # of a square around the points, where the board still is
 
 
@@ -83,7 +84,10 @@ class Target:
 
 
 def parse_target(text: str, square: float) -> Target:
-    """'chessboard:9x7' → the board. Raises InputError."""
+    """'chessboard:9x7' → the board. Raises InputError, also for squares that no board has."""
+    least, most = _SQUARES
+    if not least <= square <= most:
+        raise InputError(f"--square: expected {least:g} to {most:g} {UNIT}, found {square:g} {UNIT}")
     kind, _, counts = text.partition(":")
     if kind not in KINDS:
         raise InputError(f"--board {text}: expected one of {', '.join(KINDS)}, as in chessboard:9x7")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from scanner.boards.detection import NotFoundError, detect, on_board
-from scanner.boards.target import Target, parse_target
 from scanner.errors import InputError
+from scanner.targets.detection import NotFoundError, detect, on_board
+from scanner.targets.target import Target, parse_target
 from tests.support.boards import photographed
 
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from calib.geometry import homography_between, mapped
 from calib.numerics import Bools, Floats, Image, Ints
-from scanner.boards.dots import corrected
-from scanner.boards.saddles import refined
-from scanner.boards.target import Target
+from scanner.targets.dots import corrected
+from scanner.targets.saddles import refined
+from scanner.targets.target import Target
 
 _SB = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _FEWEST = 12  # points
@@ -260,8 +260,8 @@ def _what_else(grey: Image, target: Target) -> str:
                 return f", but {_counted(grid)}"
     if target.kind in ("charuco", "aprilgrid"):
         seen = max(_markers(grey), default=0)
-        return f", but {seen} markers that do not fit it" if seen else ", and no markers either"
-    return ": is it wholly in the picture, lit, and counted as it should be?"
+        return f", but markers as it may have, {seen} of them" if seen else ", and no markers either"
+    return ": it has to be lit and wholly in the picture, and counted as given"
 
 
 def _markers(grey: Image) -> Iterator[int]:

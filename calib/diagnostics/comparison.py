@@ -1,0 +1,170 @@
+"""Where in the picture, and at what depth, two calibrations of one rig differ, beside what their covariances allow.
+
+Points along the first one's rays become matches, which the second triangulates. What a rigid motion makes up for, or a
+scale where a length is not known, is no difference of shape, and is taken out of differences and sigmas alike.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.diagnostics.error_propagation import SystematicErrors
+from calib.geometry import Calibration, Matches, cross, intersect
+from calib.numerics import Bools, Floats
+
+_SIGNIFICANT = 0.999
+_FEWEST = 8
+_ROUNDING = 1e-9
+_HARDLY_COUNTS = 0.02  # of the sigmas, root mean square
+_SAME_RAY = 1e-6  # in focals
+
+
+@dataclass(frozen=True)
+class Difference:
+    """At camera pixels (N, 2) and depths (N,), in the first calibration's unit, that both devices of the first see.
+
+    `length` (N,): how far apart the points are; `px` (N,): how far apart, in the projector's picture, a point so deep
+    in that camera pixel is expected. `length_sigma`, `px_sigma` (N,): what the covariances allow, root mean square; 0
+    where none is known. `chi2`: the squared difference in sigmas, all points together, where `freedom` is expected;
+    `unexplained`: root mean square of what is left of `length` when all that the sigmas speak of is made up for.
+    `scale`: by what the second one's lengths were multiplied; 1 where both have a unit.
+    """
+
+    camera_px: Floats
+    depth: Floats
+    length: Floats
+    length_sigma: Floats
+    px: Floats
+    px_sigma: Floats
+    chi2: float
+    freedom: int
+    unexplained: float
+    scale: float
+
+    @property
+    def limit(self) -> float:
+        """What chance leaves `chi2` below."""
+        return float(chi2.ppf(_SIGNIFICANT, self.freedom)) if self.freedom else 0.0
+
+    @property
+    def agree(self) -> bool:
+        """Whether the sigmas explain the difference."""
+        allowed = float(np.sqrt(np.mean(self.length_sigma**2)))
+        return self.chi2 <= self.limit and self.unexplained <= allowed
+
+    @property
+    def sigmas(self) -> Floats:
+        """Lengths in their sigmas, (N,); infinite where none is known."""
+        sigmas: Floats = self.length / np.maximum(self.length_sigma, 1e-300)
+        return sigmas
+
+
+def compare(
+    first: SystematicErrors, second: SystematicErrors, camera_px: Floats, depths: Floats, *, metric: bool
+) -> Difference | None:
+    """At camera pixels (N, 2), each at all depths (D,). None where the two see too little in common.
+
+    `metric`: both are in one unit of length. Otherwise the second is enlarged as fits best.
+    """
+    pixels = np.tile(camera_px, (len(depths), 1))
+    depth = np.repeat(depths, len(camera_px))
+    points, matches, by_first = _seen(first.calibration, pixels, depth)
+    met = intersect(matches, second.calibration)
+    seen = np.flatnonzero(by_first & met.in_front)
+    if len(seen) < _FEWEST:
+        return None
+    pixels, depth, points, matches = pixels[seen], depth[seen], points[seen], matches[seen]
+    weight = 1 / np.linalg.norm(points, axis=1)
+    turn, scale = _similarity(met.points[seen], points, weight, metric=metric)
+    difference = scale * (_centred(met.points[seen], weight) @ turn.T) - _centred(points, weight)
+
+    def triangulated(calibration: Calibration) -> Floats:
+        return intersect(matches, calibration).points
+
+    effects = np.concatenate(
+        [first.of_function(triangulated), scale * np.einsum("ij,njs->nis", turn, second.of_function(triangulated))],
+        axis=2,
+    )
+    weighted = weight[:, None, None] * effects
+    motions = weight[:, None, None] * _motions(points, metric=metric)
+    flat, basis = weighted.reshape(3 * len(points), -1), np.linalg.qr(motions.reshape(3 * len(points), -1))[0]
+    flat = flat - basis @ (basis.T @ flat)
+    off = (weight[:, None] * difference).ravel()
+    off = off - basis @ (basis.T @ off)
+    squared, freedom, rest = _in_sigmas(off, flat)
+    per_point = flat.reshape(len(points), 3, -1) / weight[:, None, None]
+    other = replace(second.calibration, translation=scale * second.calibration.translation)
+    grown = SystematicErrors(other, second.uncertainty, second.log_scale)
+    expected = _transfer(first.calibration, pixels, depth)
+    shifts = np.concatenate(
+        [each.of_function(lambda rig: _transfer(rig, pixels, depth)) for each in (first, grown)], axis=2
+    )
+    return Difference(
+        pixels,
+        depth,
+        np.linalg.norm(off.reshape(-1, 3), axis=1) / weight,
+        np.sqrt(np.sum(per_point**2, axis=(1, 2))),
+        np.linalg.norm(_transfer(other, pixels, depth) - expected, axis=1),
+        np.sqrt(np.sum(shifts**2, axis=(1, 2))),
+        squared,
+        freedom,
+        float(np.sqrt(np.mean(np.sum((rest.reshape(-1, 3) / weight[:, None]) ** 2, axis=1)))),
+        scale,
+    )
+
+
+def _transfer(rig: Calibration, pixels: Floats, depth: Floats) -> Floats:
+    """Where points so deep in camera pixels are expected in the projector, (N, 2)."""
+    points = depth[:, None] * rig.camera.unproject(pixels)
+    return rig.projector.project(points @ rig.rotation.T + rig.translation)
+
+
+def _seen(rig: Calibration, pixels: Floats, depth: Floats) -> tuple[Floats, Matches, Bools]:
+    """Points (N, 3), their matches, and which of them the projector sees as well, (N,)."""
+    points = depth[:, None] * rig.camera.unproject(pixels)
+    there = points @ rig.rotation.T + rig.translation
+    projected = rig.projector.project(there)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # A lens model that folds back brings what is far outside into the picture again: its rays are none.
+        off = np.linalg.norm(rig.projector.unproject(projected)[:, :2] - there[:, :2] / there[:, 2:], axis=1)
+        inside = np.all((projected >= 0) & (projected <= np.array(rig.projector.size) - 1), axis=1)
+    return points, Matches(pixels, projected), inside & (off < _SAME_RAY) & np.isfinite(points).all(axis=1)
+
+
+def _centred(points: Floats, weight: Floats) -> Floats:
+    centred: Floats = points - np.average(points, axis=0, weights=weight**2)
+    return centred
+
+
+def _similarity(points: Floats, onto: Floats, weight: Floats, *, metric: bool) -> tuple[Floats, float]:
+    """The rotation (3, 3) and the scale that bring points (N, 3) nearest to others: Umeyama 1991, IEEE PAMI 13, 376."""
+    here, there = weight[:, None] * _centred(points, weight), weight[:, None] * _centred(onto, weight)
+    left, singular, right = np.linalg.svd(there.T @ here)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    scale = 1.0 if metric else float(singular @ signs) / float(np.sum(here**2))
+    return (left * signs) @ right, scale
+
+
+def _motions(points: Floats, *, metric: bool) -> Floats:
+    """What small turns, shifts and, without a length, a scale do to points (N, 3): (N, 3, 6 or 7)."""
+    turns = cross(np.eye(3)[None], points[:, None]).transpose(0, 2, 1)
+    shifts = np.broadcast_to(np.eye(3), turns.shape)
+    return np.concatenate([turns, shifts, *([] if metric else [points[:, :, None]])], axis=2)
+
+
+def _in_sigmas(off: Floats, effects: Floats) -> tuple[float, int, Floats]:
+    """The squared length of differences (M,) in sigmas, given what causes of one sigma do, (M, S); how many directions
+    that is a sum of; and what is left that no cause makes.
+
+    Effects are taken as linear. What that leaves out is of second order in what the sigmas allow, and counts as noise;
+    so does a small part of all that they allow: a covariance is not true of directions that hardly count in it.
+    """
+    left, size, _ = np.linalg.svd(effects, full_matrices=False)
+    allowed = float(np.linalg.norm(size))
+    noise = allowed**2 / np.sqrt(len(off)) + _HARDLY_COUNTS * allowed + _ROUNDING
+    told = size > noise
+    along = left[:, told].T @ off
+    every = left[:, size > _ROUNDING]
+    rest: Floats = off - every @ (every.T @ off)
+    return float(np.sum(along**2 / (size[told] ** 2 + noise**2))), int(told.sum()), rest

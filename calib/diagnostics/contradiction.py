@@ -1,0 +1,91 @@
+"""Whether captures of a corner and other data can be of one unchanged rig."""
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.numerics import Bools, Floats
+from calib.refinement import (
+    CAMERA,
+    PROJECTOR,
+    ROTATION,
+    SHARED,
+    TRANSLATION,
+    Fit,
+    KnownRig,
+    Refinement,
+    covariance_of,
+)
+from calib.refusal import RefusalError
+
+_SIGNIFICANT = 0.9999
+_TOLD = 1e-3  # of a variance: corners that lower it by less say nothing along that direction
+_NAMED = 3
+_ROWS = (
+    ("the camera's focal length", (CAMERA.start,), "%"),
+    ("the camera's principal point", (CAMERA.start + 1, CAMERA.start + 2), "px"),
+    ("the camera's distortion", (CAMERA.start + 3, CAMERA.start + 4), ""),
+    ("the projector's focal length", (PROJECTOR.start,), "%"),
+    ("the projector's principal point", (PROJECTOR.start + 1, PROJECTOR.start + 2), "px"),
+    ("the projector's distortion", (PROJECTOR.start + 3, PROJECTOR.start + 4), ""),
+    ("the rotation between them", tuple(range(ROTATION.start, ROTATION.stop)), "°"),
+    ("the direction of the baseline", tuple(range(TRANSLATION.start, TRANSLATION.stop)), "°"),
+)
+
+
+class ContradictionError(RefusalError):
+    """Captures of a corner and other data are not of one unchanged rig."""
+
+
+def refuse_contradiction(refinement: Refinement, rig: KnownRig, systematic: Floats) -> tuple[float, float]:
+    """How much worse the captures fit with what is known of the rig, in −2 log likelihood, and what chance explains.
+
+    With true sigmas the first is χ² with as many degrees of freedom as there are directions of which captures and
+    known rig both say something. `systematic` (size, size): the part of the covariance that no residual shows. Where
+    it moves the joint solution, the sum of squares is wider than that: Satterthwaite's approximation (1946, Biometrics
+    Bulletin 2, 110). Raises ContradictionError where it is more than chance explains.
+    """
+    apart = refinement.apart
+    if apart is None:
+        return 0.0, np.inf
+    raised = max(refinement.fit.cost - apart.cost, 0.0)
+    limit = _limit(refinement, rig, systematic[:SHARED, :SHARED])
+    if raised > limit:
+        raise ContradictionError(
+            f"These captures and the boards are not of one unchanged rig: together they fit worse by {raised:.0f} in "
+            f"−2 log likelihood, where {limit:.0f} is the most that chance explains. Apart they differ in "
+            f"{_differences(apart, refinement.prior.free, rig)}.",
+            "Something was refocused, zoomed or moved between the two: calibrate from either alone, or capture both "
+            "again without a change.",
+        )
+    return raised, limit
+
+
+def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
+    scale = np.sqrt(rig.safe_covariance.diagonal())
+    root = np.linalg.cholesky(rig.safe_covariance / np.outer(scale, scale)) * scale[:, None]
+    inverse = np.linalg.inv(root)
+    joint = covariance_of(refinement.fit.information, refinement.prior.free)[:SHARED, :SHARED]
+    told, directions = np.linalg.eigh(np.eye(SHARED) - inverse @ joint @ inverse.T)
+    both = told > _TOLD
+    if not both.any():
+        return np.inf
+    # The joint solution's deviation from the known rig has the covariance `told`, and `systematic` beside it.
+    white = (directions[:, both] / np.sqrt(told[both])).T @ inverse
+    widths = np.linalg.eigvalsh(np.eye(int(both.sum())) + white @ systematic @ white.T)
+    factor = float(np.sum(widths**2) / np.sum(widths))
+    return factor * float(chi2.ppf(_SIGNIFICANT, float(np.sum(widths)) ** 2 / float(np.sum(widths**2))))
+
+
+def _differences(apart: Fit, free: Bools, rig: KnownRig) -> str:
+    """What differs most against its sigmas between the captures by themselves and the known rig."""
+    step = rig.step_to(apart.state)
+    variance = rig.covariance.diagonal() + covariance_of(apart.information, free).diagonal()[:SHARED]
+    sigmas = np.abs(step) / np.sqrt(np.maximum(variance, 1e-18))
+    rows = []
+    for name, columns, unit in _ROWS:
+        chosen = list(columns)
+        size = float(np.linalg.norm(step[chosen])) * {"%": 100.0, "°": 180 / np.pi}.get(unit, 1.0)
+        worst = float(sigmas[chosen].max())
+        rows.append((worst, f"{name} by {size:.2g}{' ' if unit not in ('', '°') else ''}{unit} ({worst:.1f} sigmas)"))
+    rows.sort(reverse=True)
+    return ", ".join(text for _, text in rows[:_NAMED])

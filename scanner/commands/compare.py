@@ -1,0 +1,32 @@
+"""Compare two calibrations of one rig: where in the picture they differ, and whether their sigmas allow it."""
+
+from argparse import Namespace
+
+from scanner.comparing import (
+    COMPARE_FILE,
+    COMPARE_PAGE,
+    compare_files,
+    summary,
+    table,
+    write_compare,
+    write_compare_page,
+)
+from scanner.io import new_file, refuse_existing
+from scanner.ui import Terminal
+
+
+def run(args: Namespace) -> None:
+    """Do the work. Raises InputError."""
+    terminal = Terminal(quiet=args.quiet)
+    if args.out:
+        for name in (COMPARE_FILE, COMPARE_PAGE):
+            refuse_existing(args.out / name, overwrite=args.overwrite)
+    depths = [depth for depth in (args.depths or "").split(",") if depth.strip()]
+    found = compare_files(args.first, args.second, depths)
+    terminal.show(table(found), *summary(found))
+    if args.out:
+        with new_file(args.out / COMPARE_FILE, overwrite=args.overwrite) as path:
+            write_compare(path, found)
+        with new_file(args.out / COMPARE_PAGE, overwrite=args.overwrite) as path:
+            write_compare_page(path, found)
+        terminal.show(f"Written: {args.out} ({COMPARE_PAGE}, {COMPARE_FILE})")

@@ -1,0 +1,146 @@
+"""Two calibration files → where they differ."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.diagnostics import Difference, SystematicErrors, compare
+from calib.geometry import Calibration, Intrinsics, Matches, Size, intersect
+from calib.numerics import Floats
+from scanner.errors import InputError
+from scanner.io import MATCHES_FILE, read_calibration, read_matches
+from scanner.measuring.scene_errors import rig_errors
+from scanner.quantities import UNKNOWN_UNIT, metres_per, parse_length
+from scanner.results import CALIBRATION_FILE, read_uncertainty
+
+_COLUMNS = 16
+_MOST_MATCHES = 20_000
+_QUANTILES = (0.1, 0.5, 0.9)  # of a scene's depths
+_AROUND, _USUAL_BASELINES = (0.7, 1.0, 1.4), 6.0
+_PLAUSIBLE_BASELINES = (2.0, 40.0)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One depth of a comparison; all arrays (H, W) over the camera's picture, NaN where not both devices see."""
+
+    depth: float
+    length: Floats
+    length_sigma: Floats
+    px: Floats
+    px_sigma: Floats
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """`names` as they were given; `known`: whether each says its covariance; `camera_px` (H, W, 2): the grid.
+
+    Lengths are in `unit`. `difference` is over all points, `sheets` are the same by depth.
+    """
+
+    names: tuple[str, str]
+    known: tuple[bool, bool]
+    unit: str
+    metric: bool
+    camera_size: Size
+    camera_px: Floats
+    difference: Difference
+    sheets: tuple[Sheet, ...]
+
+
+def compare_files(first: Path, second: Path, depths: Sequence[str] = ()) -> Comparison:
+    """Files, or folders of results; `depths` as lengths in words, by default some of the scene's.
+
+    Lengths are in the first one's unit; where only the second one has a known length, it comes first. Raises
+    InputError.
+    """
+    one, other = _read(first), _read(second)
+    if one.calibration.unit == UNKNOWN_UNIT != other.calibration.unit:
+        first, second, one, other = second, first, other, one
+    for name in ("camera", "projector"):
+        sizes = [getattr(each.calibration, name).size for each in (one, other)]
+        if sizes[0] != sizes[1]:
+            raise InputError(f"{second}: its {name} is {sizes[1]}, but that of {first} {sizes[0]}: these are two rigs")
+    units = [each.calibration.unit for each in (one, other)]
+    metric = UNKNOWN_UNIT not in units
+    if metric:
+        other = _in_unit(other, metres_per(units[1]) / metres_per(units[0]), units[0])
+    grid = _grid(one.calibration.camera.size)
+    at = np.array([parse_length(text, units[0]) for text in depths]) if depths else _depths(first, one.calibration)
+    found = compare(one, other, grid.reshape(-1, 2), at, metric=metric)
+    if found is None:
+        raise InputError(
+            f"{first} and {second} see next to nothing in common at depths of {', '.join(f'{d:.3g}' for d in at)} "
+            f"{units[0]}: they are not of one rig, or --depths is far from where both devices see"
+        )
+    return Comparison(
+        (str(first), str(second)),
+        (one.known, other.known),
+        units[0],
+        metric,
+        one.calibration.camera.size,
+        grid,
+        found,
+        tuple(_sheet(found, float(depth), grid) for depth in at),
+    )
+
+
+def _read(path: Path) -> SystematicErrors:
+    file = path / CALIBRATION_FILE if path.is_dir() else path
+    calibration = read_calibration(file)
+    if calibration.unit != UNKNOWN_UNIT:
+        metres_per(calibration.unit)  # or it is no length
+    return rig_errors(calibration, read_uncertainty(file, calibration))
+
+
+def _in_unit(errors: SystematicErrors, factor: float, unit: str) -> SystematicErrors:
+    calibration = errors.calibration
+    return SystematicErrors(
+        replace(calibration, translation=factor * calibration.translation, unit=unit),
+        errors.uncertainty,
+        errors.log_scale,
+    )
+
+
+def _grid(size: Size) -> Floats:
+    """Middles of squares that cover the camera's picture, (H, W, 2)."""
+    side = size.width / _COLUMNS
+    rows = max(1, round(size.height / side))
+    x, y = ((np.arange(n) + 0.5) / n * length - 0.5 for n, length in ((_COLUMNS, size.width), (rows, size.height)))
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def _depths(path: Path, calibration: Calibration) -> Floats:
+    """Those of the scene, where the result has one; else around where the middles of both pictures meet."""
+    if (path / MATCHES_FILE).is_file():
+        matches = read_matches(path)
+        met = intersect(matches[:: max(1, len(matches) // _MOST_MATCHES)], calibration)
+        if met.in_front.any():
+            scene: Floats = np.quantile(met.points[met.in_front, 2], _QUANTILES)
+            return scene
+    middles = [np.array([[(device.width - 1) / 2, (device.height - 1) / 2]]) for device in _devices(calibration)]
+    depth = float(intersect(Matches(middles[0], middles[1]), calibration).points[0, 2])
+    low, high = (times * calibration.baseline for times in _PLAUSIBLE_BASELINES)
+    if not low < depth < high:
+        depth = _USUAL_BASELINES * calibration.baseline
+    return depth * np.array(_AROUND)
+
+
+def _devices(calibration: Calibration) -> tuple[Intrinsics, Intrinsics]:
+    return calibration.camera, calibration.projector
+
+
+def _sheet(found: Difference, depth: float, grid: Floats) -> Sheet:
+    here = np.flatnonzero(found.depth == depth)
+    # Every pixel of the grid is unlike any other.
+    place = {tuple(pixel): i for i, pixel in enumerate(grid.reshape(-1, 2).tolist())}
+    index = [place[tuple(pixel)] for pixel in found.camera_px[here].tolist()]
+
+    def over(values: Floats) -> Floats:
+        filled = np.full(grid.shape[0] * grid.shape[1], np.nan)
+        filled[index] = values[here]
+        return filled.reshape(grid.shape[:2])
+
+    return Sheet(depth, over(found.length), over(found.length_sigma), over(found.px), over(found.px_sigma))

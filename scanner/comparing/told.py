@@ -1,0 +1,83 @@
+"""A comparison in words and as a table."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from rich import box
+from rich.table import Table
+
+from calib.numerics import Floats
+from scanner.comparing.comparison import Comparison, Sheet
+from scanner.quantities import ShownUnit, plain, shown_unit
+
+
+def summary(found: Comparison) -> Iterator[str]:
+    """The verdict first, then what it rests on, in sentences."""
+    difference, unit = found.difference, shown_unit(found.unit)
+    worst = int(np.argmax(difference.sigmas if any(found.known) else difference.length))
+    x, y = difference.camera_px[worst]
+    where = f"at camera pixel ({x:.0f}, {y:.0f}), {unit.length(float(difference.depth[worst]))} away"
+    size = f"{unit.error(float(difference.length[worst]))} and {difference.px[worst]:.2g} projector px"
+    if not any(found.known):
+        yield f"They differ by up to {size}, {where}. Neither says its covariance: nothing tells whether that is much."
+        return
+    allowed = unit.error(float(difference.length_sigma[worst]))
+    if difference.agree:
+        yield (
+            f"They agree: most against their sigmas they differ by {size}, {where}, where {allowed} is one sigma "
+            f"({difference.sigmas[worst]:.1f} sigmas)."
+        )
+    else:
+        yield (
+            f"They differ by more than their sigmas allow: most by {size}, {where}, where {allowed} is one sigma "
+            f"({difference.sigmas[worst]:.1f} sigmas)."
+        )
+    yield (
+        f"All differences together: χ² = {difference.chi2:.1f}, where {difference.freedom} is expected and chance "
+        f"explains up to {difference.limit:.0f}."
+    )
+    for name, known in zip(found.names, found.known, strict=True):
+        if not known:
+            yield f"{name} says nothing of its covariance: the sigmas are those of the other one."
+    if difference.unexplained > float(np.sqrt(np.mean(difference.length_sigma**2))):
+        yield (
+            f"{unit.error(difference.unexplained)} of it, root mean square, is of a kind that neither covariance "
+            "speaks of, as of lens terms that only one of them has."
+        )
+    if not found.metric:
+        yield "No length is known to both, so one of them was enlarged as fits best: differences are of shape."
+
+
+def headings(found: Comparison) -> tuple[str, ...]:
+    """Of the columns of `rows`."""
+    name = shown_unit(found.unit).name
+    return (f"depth, {name}", "px, rms", "max", "sigma", f"{name}, rms", "max", "sigma", "in sigmas")
+
+
+def rows(found: Comparison) -> list[tuple[str, ...]]:
+    """For each depth: differences in the projector's pixels and as lengths, and what one sigma of both allows."""
+    return [_row(sheet, shown_unit(found.unit), known=any(found.known)) for sheet in found.sheets]
+
+
+def _row(sheet: Sheet, unit: ShownUnit, *, known: bool) -> tuple[str, ...]:
+    if np.isnan(sheet.length).all():
+        return (unit.number(sheet.depth), *["–"] * 7)
+    px = (f"{_rms(sheet.px):.3f}", f"{np.nanmax(sheet.px):.3f}", f"{_rms(sheet.px_sigma):.3f}" if known else "–")
+    lengths = (unit.number(_rms(sheet.length)), unit.number(float(np.nanmax(sheet.length))))
+    allowed = unit.number(_rms(sheet.length_sigma)) if known else "–"
+    over = plain(_rms(sheet.length / sheet.length_sigma), 1) if known else "–"
+    return (unit.number(sheet.depth), *px, *lengths, allowed, over)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def table(found: Comparison) -> Table:
+    """Those rows, for the terminal."""
+    made = Table(title="Differences by depth", title_justify="left", box=box.SIMPLE, pad_edge=False)
+    for heading in headings(found):
+        made.add_column(heading, justify="right", no_wrap=True)
+    for row in rows(found):
+        made.add_row(*row)
+    return made

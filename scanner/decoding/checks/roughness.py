@@ -1,0 +1,77 @@
+"""Cells of a code that do not follow each other: bits that were shown before something moved, or twice, or exchanged.
+
+Where only codes tell a coordinate, a surface is a staircase, whose steps are as long as a cell: pixels are off what is
+smooth by the cell's length over √12, be it flat or in relief. Finest bits that do not belong to the others leave a
+jumble that is more than twice as rough, whatever each bit by itself looks like, and whether or not the camera resolves
+the single cells.
+"""
+
+import numpy as np
+
+from calib.numerics import Floats
+from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.errors import InputError
+
+_TILE_PX = 12
+_MOST_ALONG = 32
+_FEWEST_KNOWN = 0.6
+_FEWEST_TILES = 20
+# Variance off what is smooth, in those of a cell: 1 for a staircase, less where pixels average over cells, up to 3
+# where a bent camera curve and no inverse make every second stripe narrow; 5 and more for a jumble.
+_MOST = 4.0
+_SUSPECTED_BITS = 3
+
+
+def check_roughness(plan: SequencePlan, maps: Maps) -> None:
+    """Raise InputError if coordinates by codes alone are much rougher than their cells."""
+    if plan.fringes or plan.only_axis is not None:
+        return
+    for axis, relative in zip(plan.axes, _roughness(maps), strict=True):
+        if relative > _MOST:
+            raise InputError(
+                f"along {axis.axis} the cells of the Gray code do not follow each other: they are {axis.cell:g} px "
+                f"long, but pixels next to each other jump to and fro by {np.sqrt(relative / 12) * axis.cell:.1f} px. "
+                f"Did something move in between, or were frames exchanged or repeated? {plan.names(_finest(axis))}"
+            )
+
+
+def _roughness(maps: Maps) -> tuple[float, float]:
+    """Of x and y, the variance off smooth surfaces through small tiles, over that of cells; the median, 0 if few."""
+    height, width = maps.reason.shape
+    rows, columns = (np.linspace(0, n - _TILE_PX, min(_MOST_ALONG, n // _TILE_PX)).astype(int) for n in (height, width))
+    down, across = (np.arange(_TILE_PX)[:, None], np.arange(_TILE_PX)[None, :])
+    row = (rows[:, None, None, None] + down).repeat(len(columns), axis=1) + 0 * across
+    column = (columns[None, :, None, None] + across).repeat(len(rows), axis=0) + 0 * down
+    seen = maps.projector_px[row, column].reshape(-1, _TILE_PX**2, 2).astype(np.float64)
+    variance = maps.variance[row, column].reshape(-1, _TILE_PX**2)
+    known = np.isfinite(seen).all(axis=2) & (maps.reason[row, column].reshape(-1, _TILE_PX**2) == 0)
+    enough = known.mean(axis=1) > _FEWEST_KNOWN
+    if np.count_nonzero(enough) < _FEWEST_TILES:
+        return 0.0, 0.0
+    seen, variance, known = seen[enough], variance[enough], known[enough]
+    square = _off_smooth(np.where(known[..., None], seen, 0.0), known)
+    cells = np.sum(np.where(known, variance, 0), axis=1)
+    x, y = np.median(square / cells[:, None], axis=0)
+    return float(x), float(y)
+
+
+def _off_smooth(seen: Floats, known: np.ndarray) -> Floats:
+    """Sums of squares (T, 2) of what smooth surfaces, polynomials of second degree, through tiles leave of the `known`
+    (T, P) coordinates (T, P, 2).
+    """
+    v, u = np.mgrid[:_TILE_PX, :_TILE_PX] - (_TILE_PX - 1) / 2
+    u, v = u.ravel() / _TILE_PX, v.ravel() / _TILE_PX
+    terms = np.stack([np.ones(u.size), u, v, u * u, u * v, v * v], axis=1)
+    weighted = terms.T * known[:, None, :]
+    surfaces = np.linalg.solve(weighted @ terms, weighted @ seen)
+    left = (seen - terms @ surfaces) * known[..., None]
+    squares: Floats = np.sum(left**2, axis=1)
+    return squares
+
+
+def _finest(axis: AxisPlan) -> list[int]:
+    """The frames of the finest bits of an axis."""
+    code = min(axis.codes, key=lambda code: code.cell)
+    last = range(code.bits - _SUSPECTED_BITS, code.bits)
+    return [frames[bit] for bit in last for frames in (code.normal, code.inverse) if bit in frames]

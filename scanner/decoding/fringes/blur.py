@@ -1,0 +1,89 @@
+"""What lenses take from the longest fringe of an axis: how much weaker it is than stripes, and whether it is seen.
+
+Light from other surfaces weakens fringes and stripes alike, next to white. A lens weakens fringes more than the middle
+of a stripe, which tells the two apart.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.axis_decoder import largest_variance, least_contrasts
+from scanner.decoding.axis_signals import Signals, signals_of
+from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.sequence_plan import AxisPlan
+
+# So many of the pixels are nearer to an edge between two cells.
+_NEARER = 0.9
+_LARGEST_BLUR_CELLS = 2.0
+_STEPS = 200
+_FEWEST = 100
+_THIN = 4
+# What lenses in focus take is not made up for: with less direct light than there is, more doubtful bits are masked.
+_IN_FOCUS = 1.5
+# Fringes that fewer pixels see than this share of those that see all bits leave most of a picture out.
+_LEAST_SEEN = 0.5
+# Of half of the light that a pixel has from the projector.
+_FAINT = 0.1
+
+
+def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
+    """How many times weaker than without a lens its longest fringe is, given the smallest contrast (P,) of the bits and
+    the fringe's amplitude (P,) at lit pixels; at least 1.
+
+    A blur of σ leaves exp(−2π²σ²/λ²) of a fringe, and erf(d / √2 σ) of the contrast at a distance d from an edge.
+    """
+    if not len(least):
+        return 1.0
+    found = float(np.quantile(least / (2 * amplitude), _NEARER))
+    blur_px = np.linspace(_LARGEST_BLUR_CELLS * axis.cell / _STEPS, _LARGEST_BLUR_CELLS * axis.cell, _STEPS)
+    times = np.exp(2 * (np.pi * blur_px / axis.fringes[0].period) ** 2)
+    of_stripes = erf(_NEARER * axis.cell / 2 / (np.sqrt(2) * blur_px))
+    weaker = float(np.interp(found, of_stripes * times, times, left=1.0))
+    return weaker if weaker > _IN_FOCUS else 1.0
+
+
+def leave_out_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
+    """Go on without fringes where an axis has hardly any left but a code, judged by a sample (P,); says so."""
+    pixels = pixels[::_THIN]
+
+    def sample(image: NDArray[Any]) -> NDArray[Any]:
+        return image.reshape(1, -1)[:, pixels]
+
+    lost = [
+        axis
+        for axis, signals in zip(accumulators.plan.axes, signals_of(accumulators, sample), strict=True)
+        if axis.codes and axis.fringes and _is_lost(axis, signals, accumulators, noise, pixels)
+    ]
+    if lost and all(axis.codes for axis in accumulators.plan.axes):
+        accumulators.forget_fringes()
+        cell = max(axis.cell for axis in lost)
+        yield (
+            f"The fringes along {' and '.join(axis.axis for axis in lost)} are blurred away and were left out: cells "
+            f"of the Gray code of {cell:g} px are decoded. Focus camera and projector."
+        )
+
+
+def _is_lost(
+    axis: AxisPlan, signals: Signals, accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]
+) -> bool:
+    certain_from, seen_from = least_contrasts(noise, signals.middle)
+    folds = [fold for fold in accumulators.codes if fold.code in axis.codes]
+    least = np.min([fold.least.reshape(-1)[pixels] for fold in folds], axis=0)
+    # Light that was switched on decides bits in the dark, too.
+    half_lit = signals.brightest - signals.middle
+    decided = (least > certain_from) & (2 * half_lit > seen_from)
+    if np.count_nonzero(decided) < _FEWEST:
+        return False
+    cosine, sine = signals.fringe(0)
+    fringe = axis.fringes[0]
+    variance = (fringe.period / (2 * np.pi) * fringe.noise_gain) ** 2 * noise.variance(signals.middle)
+    power = cosine**2 + sine**2
+    # What moves in between makes noise and breaks fringes, but leaves them stronger.
+    seen = (variance <= largest_variance(fringe, with_gray=True) * power) | (power > (_FAINT * half_lit) ** 2)
+    return bool(np.mean(seen[decided]) < _LEAST_SEEN)

@@ -1,0 +1,136 @@
+"""`scan compare`, and boards and captures calibrated together, from files."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from scanner.commands.main import main
+from scanner.io import read_calibration, write_calibration, write_matches
+from scanner.results import covariance_entries, read_uncertainty
+from tests.support.known_rigs import Before, before, intrinsics_and_length, sigmas
+
+
+@pytest.fixture(scope="module")
+def case() -> Before:
+    return before(1)
+
+
+@pytest.fixture
+def folder(case: Before, tmp_path: Path) -> Path:
+    """A configuration, a result of boards, a capture, and the truth."""
+    camera, projector = case.truth.camera, case.truth.projector
+    settings = {
+        "camera": {"width": camera.width, "height": camera.height},
+        "projector": {"width": projector.width, "height": projector.height},
+    }
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(settings))
+    (tmp_path / "boards").mkdir()
+    written = tmp_path / "boards" / "calibration.yaml"
+    write_calibration(written, case.known.calibration, covariance_entries(case.known.uncertainty))
+    write_matches(tmp_path / "matches.npz", case.corner)
+    write_calibration(tmp_path / "truth.yaml", case.truth)
+    return tmp_path
+
+
+def test_a_covariance_comes_back_with_what_goes_with_the_length(case: Before, folder: Path) -> None:
+    file = folder / "boards" / "calibration.yaml"
+    read = read_uncertainty(file, read_calibration(file))
+    told = case.known.uncertainty
+    assert np.abs(told.with_log_baseline).max() > 0
+    assert np.allclose(read.covariance, told.covariance, rtol=1e-9, atol=1e-18)
+    assert np.allclose(read.with_log_baseline, told.with_log_baseline, rtol=1e-9, atol=1e-18)
+
+
+def test_boards_and_a_capture_are_calibrated_together(case: Before, folder: Path) -> None:
+    out = folder / "joint"
+    given = [str(folder / "matches.npz"), str(folder / "boards"), "--config", str(folder / "rig.yaml")]
+    assert main(["calibrate", *given, "--out", str(out), "--quiet"]) == 0
+    joint = read_calibration(out / "calibration.yaml")
+    assert joint.unit == "m"
+    errors = (intrinsics_and_length(joint) - intrinsics_and_length(case.truth)) / sigmas(joint)
+    assert 0.05 < np.sqrt(np.mean(errors**2)) < 2.5
+    assert np.all(sigmas(joint) < 1.02 * sigmas(case.known.calibration))
+    assert np.any(read_uncertainty(out / "calibration.yaml", joint).with_log_baseline)
+    assert "boards of the same rig, which it agrees with" in (out / "report.html").read_text(encoding="utf-8")
+    # In a configuration boards are an earlier result.
+    again = [str(folder / "matches.npz"), "--config", str(folder / "rig.yaml"), "--set", "method=paper"]
+    assert main(["calibrate", *again, str(folder / "boards"), "--out", str(folder / "paper")]) == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("boards", "expected captures of a corner to join with"),
+        ("matches.npz boards boards", "at most one calibration"),
+        ("matches.npz truth.yaml", "says nothing of its covariance"),
+        ("matches.npz boards --set scale.baseline_m=0.2", "leave out 'scale'"),
+        ("matches.npz boards --set camera.width=640", "expected: what is calibrated together comes from one"),
+    ],
+)
+def test_what_cannot_be_joined_is_told(
+    given: str, told: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    assert main(["calibrate", *given.split(), "--config", "rig.yaml", "--out", "out"]) == 2
+    assert told in capsys.readouterr().err
+    assert not Path("out").exists()
+
+
+def test_two_calibrations_are_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder / "compared"
+    assert main(["compare", str(folder / "boards"), str(folder / "truth.yaml"), "--out", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "They agree" in told
+    assert "truth.yaml says nothing of its covariance" in " ".join(told.split())
+    document = json.loads((out / "compare.json").read_text(encoding="utf-8"))
+    assert document["agree"] is True
+    assert document["unit"] == "m"
+    assert 0 < document["chi2"] < document["limit"]
+    assert len(document["depths"]) == 3
+    page = (out / "compare.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 9
+    assert document["verdict"] in page.replace("&#39;", "'")
+    assert main(["compare", str(folder / "boards"), str(folder / "truth.yaml"), "--out", str(out)]) == 2
+
+
+def test_a_difference_is_told_with_where_it_is(case: Before, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    focal = 1.01 * case.truth.projector.focal_px[0]
+    zoomed = replace(case.truth, projector=replace(case.truth.projector, focal_px=(focal, focal)))
+    write_calibration(folder / "zoomed.yaml", zoomed)
+    assert main(["compare", str(folder / "boards"), str(folder / "zoomed.yaml"), "--depths", "0.9m,100cm"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "They differ by more than their sigmas allow" in told
+    assert "at camera pixel" in told
+    free = replace(zoomed, translation=zoomed.translation / zoomed.baseline, unit="baseline")
+    write_calibration(folder / "free.yaml", free)
+    assert main(["compare", str(folder / "free.yaml"), str(folder / "boards")]) == 0
+    assert "No length is known to both" in " ".join(capsys.readouterr().out.split())
+    assert main(["compare", str(folder / "free.yaml"), str(folder / "truth.yaml")]) == 0
+    assert "Neither says its covariance" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ("boards nowhere.yaml", "no such file"),
+        ("boards truth.yaml --depths 1ell", "ell"),
+        ("boards truth.yaml --depths 1um", "next to nothing in common"),
+        ("boards other.yaml", "these are two rigs"),
+    ],
+)
+def test_what_cannot_be_compared_is_told(
+    arguments: str,
+    told: str,
+    case: Before,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(folder)
+    write_calibration(folder / "other.yaml", replace(case.truth, camera=replace(case.truth.camera, width=640)))
+    assert main(["compare", *arguments.split()]) == 2
+    assert told in capsys.readouterr().err

@@ -1,0 +1,78 @@
+"""A ChArUco sheet on a simulated room's floor gives the metres, with a sigma that is true."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.geometry import Calibration, Matches, Size
+from calib.refusal import RefusalError
+from hw.settings import SimulatedRigSettings
+from hw.simulated.rig import SimulatedCamera, SimulatedProjector
+from hw.simulated.simulation import SimulatedRoom
+from scanner.capture import CaptureFacts
+from scanner.configuration import CharucoSettings, ScaleSettings
+from scanner.errors import InputError
+from scanner.reconstruction import scaled
+from scanner.reconstruction.sheet_scale import scaled_by_sheet
+from scanner.results import Decoded, GivenMatches
+
+SQUARE_MM = 100.0
+CAMERA, PROJECTOR = (918, 768), (427, 240)
+NOISE_PX = 0.05
+
+
+@pytest.fixture(scope="module")
+def room() -> SimulatedRoom:
+    board = {"kind": "charuco", "columns": 5, "rows": 4, "square_m": SQUARE_MM / 1000, "on_floor": True}
+    settings = SimulatedRigSettings.model_validate(
+        {"seed": 2, "furniture": False, "interreflection": False, "board": board}
+    )
+    return SimulatedRoom(settings, CAMERA, PROJECTOR)
+
+
+@pytest.fixture(scope="module")
+def rig(room: SimulatedRoom) -> Calibration:
+    """In baselines."""
+    return replace(
+        room.calibration, translation=room.calibration.translation / room.calibration.baseline, unit="baseline"
+    )
+
+
+@pytest.fixture(scope="module")
+def capture(room: SimulatedRoom) -> Decoded:
+    projector = SimulatedProjector(room)
+    projector.show(np.full(PROJECTOR[::-1], 255, np.uint8))
+    picture = SimulatedCamera(room, projector).grab().image
+    projected = room.ground_truth().projector_px
+    row, column = np.nonzero(np.isfinite(projected).all(axis=2))
+    noise = np.random.default_rng(0).normal(0, NOISE_PX, (len(row), 2))
+    matches = Matches(np.stack([column, row], axis=1).astype(np.float64), projected[row, column] + noise)
+    facts = CaptureFacts(Size(*CAMERA), Size(*PROJECTOR))
+    return Decoded(facts, matches, GivenMatches(picture), "the room")
+
+
+def test_the_baseline_is_found(room: SimulatedRoom, rig: Calibration, capture: Decoded) -> None:
+    truth = room.calibration.baseline
+    exact, _ = scaled_by_sheet(rig, None, [capture], CharucoSettings(board="5x4", square_mm=SQUARE_MM))
+    assert exact.unit == "m"
+    assert 1e-5 * truth < exact.sigma.known_baseline < 2e-3 * truth
+    assert abs(exact.baseline - truth) < 3.5 * exact.sigma.known_baseline
+    # The sheet's own sigma is part of it, and captures without the sheet do no harm.
+    settings = CharucoSettings(board="5x4", square_mm=SQUARE_MM, sigma_mm=1.0)
+    blank = replace(capture, origin=GivenMatches(None), name="another")
+    unsure, _ = scaled_by_sheet(rig, None, [blank, capture], settings)
+    assert unsure.baseline == pytest.approx(exact.baseline)
+    assert 0.0099 < unsure.sigma.known_baseline / unsure.baseline < 0.0115
+
+
+def test_without_a_sheet_there_is_no_scale(rig: Calibration, capture: Decoded) -> None:
+    with pytest.raises(RefusalError, match="no charuco:7x9 was found") as refused:
+        scaled_by_sheet(rig, None, [capture], CharucoSettings(board="7x9", square_mm=30))
+    assert "scan calibrate" in refused.value.advice
+    unlit = replace(capture, matches=capture.matches[:100])
+    for other, told in ((replace(capture, origin=GivenMatches(None)), "no picture"), (unlit, "matches only")):
+        with pytest.raises(RefusalError, match=told):
+            scaled_by_sheet(rig, None, [other], CharucoSettings(board="5x4", square_mm=SQUARE_MM))
+    with pytest.raises(InputError, match="projector lights"):
+        scaled(rig, None, ScaleSettings(charuco=CharucoSettings(square_mm=30)))

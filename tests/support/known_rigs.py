@@ -1,0 +1,79 @@
+"""Boards and corners before one made-up rig, for tests of what joins them."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calib.boards import Board, BoardCalibration, calibrate_boards, rig_uncertainty, with_radial_terms
+from calib.diagnostics import SystematicErrors
+from calib.geometry import Calibration, Matches
+from calib.numerics import Floats
+from calib.self_calibration import KnownCalibration, PrincipalPoint, SelfCalibration, self_calibrate_jointly
+from calib.synthetic import random_boards
+from calib.synthetic.captures import random_captures
+from tests.support.boards import views_of
+
+
+@dataclass(frozen=True)
+class Before:
+    """`boards` with what they say, `known`; the `corner`'s matches; `truth` of the rig, in metres."""
+
+    truth: Calibration
+    boards: BoardCalibration
+    known: KnownCalibration
+    corner: Matches
+
+    @property
+    def guess(self) -> PrincipalPoint:
+        camera = self.truth.camera
+        return PrincipalPoint(((camera.width - 1) / 2, (camera.height - 1) / 2), 0.03 * camera.width)
+
+    def joint(self) -> SelfCalibration:
+        sizes = self.truth.camera.size, self.truth.projector.size
+        (found,) = self_calibrate_jointly([self.corner], *sizes, principal_point=self.guess, known=self.known)
+        return found
+
+
+def before(seed: int, *, zoom: float = 1.0, views: int = 5, **changes: Any) -> Before:
+    """`zoom`: by what the projector's focal length changes between boards and corner."""
+    rng = np.random.default_rng(seed)
+    boards = random_boards(rng, views=views, matches=2000, bend=0.0, **changes)
+    rig = boards.calibration
+    found = calibrate_boards(views_of(boards), rig.camera.size, rig.projector.size, Board(boards.reach, 2, "m"))
+    focal = zoom * rig.projector.focal_px[0]
+    (capture,) = random_captures(
+        rng,
+        1,
+        rig=rig,
+        camera=rig.camera,
+        projector=replace(rig.projector, focal_px=(focal, focal)),
+        count=20_000,
+        distance=(1.0, 2.0),
+        walls_off_deg=0.3,
+    )
+    sizes = rig.camera.size, rig.projector.size
+    freer = with_radial_terms(found, sizes)
+    known = KnownCalibration(
+        found.calibration, rig_uncertainty(found.estimate, sizes), KnownCalibration(*freer) if freer else None
+    )
+    return Before(rig, found, known, capture.matches)
+
+
+def errors_of(known: KnownCalibration) -> SystematicErrors:
+    calibration = known.calibration
+    sigma = (calibration.sigma.known_baseline or 0.0) / calibration.baseline
+    return SystematicErrors.of(calibration, known.uncertainty, sigma)
+
+
+def intrinsics_and_length(calibration: Calibration) -> Floats:
+    """Focal length and principal point of both devices, and the baseline, (7,)."""
+    devices = (calibration.camera, calibration.projector)
+    return np.array([*(x for d in devices for x in (d.focal_px[0], *d.principal_point_px)), calibration.baseline])
+
+
+def sigmas(calibration: Calibration) -> Floats:
+    """Of those, (7,)."""
+    own = calibration.sigma
+    devices = (own.camera, own.projector)
+    return np.array([*(x for d in devices for x in (d.focal_px[0], *d.principal_point_px)), own.known_baseline])
