@@ -13,10 +13,12 @@ import numpy as np
 from calib.geometry import Motion
 from calib.rooms.agreement import COARSE, DECIDED_NATS, FINE, NATS_OF_POSE, compare, compare_one, gain, nats_of_tilt
 from calib.rooms.alignment import composed, inverse, settled, settled_together
+from calib.rooms.cuts import held_together
 from calib.rooms.hypotheses import Hypothesis
 from calib.rooms.surfaces import Surfaces
 
 _BEAM, _TRIED, _SETTLED = 12, 60, 3
+_COMPARED = 4
 _PATCHES = 400
 _SAME_TURN, _SAME_PLACE = np.radians(4.0), 0.06
 
@@ -25,10 +27,18 @@ Edges = Mapping[tuple[int, int], Sequence[Hypothesis]]
 
 @dataclass(frozen=True)
 class Assembly:
-    """`places` by station, the frame being that of its first one, and what they are worth in nats."""
+    """`places` by station, in the order in which they came, the frame being that of the one with the least number; and
+    what they are worth in nats. `whole`: with the stations that fitted there, too, but were held by too little.
+    """
 
     places: dict[int, Motion]
     nats: float
+    whole: "Assembly | None" = None
+
+    @property
+    def loose(self) -> set[int]:
+        """Stations that were cut off."""
+        return self.whole.places.keys() - self.places.keys() if self.whole else set()
 
     def like(self, other: "Assembly", size: float) -> bool:
         """Whether the same stations are at the same places, relative to each other."""
@@ -45,7 +55,24 @@ class Assembly:
 
 
 def assemble(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[int]) -> list[Assembly]:
-    """Groups among some stations, the likeliest first; empty if no two of them belong together."""
+    """Groups among some stations, first those of the stations that are worth most together with the group that the
+    rest of them form: who is missed elsewhere does not belong here. That there is another room has to be decided, too.
+    Empty if no two belong together.
+    """
+    found = _groups(surfaces, edges, stations)
+    total: dict[frozenset[int], float] = {}
+    for each in found:
+        names = frozenset(each.places)
+        if names not in total and len(total) < _COMPARED:
+            others = _groups(surfaces, edges, [k for k in stations if k not in names])
+            total[names] = each.nats + (max(0.0, others[0].nats - DECIDED_NATS) if others else 0.0)
+    return sorted(found, key=lambda each: -total.get(frozenset(each.places), -np.inf))
+
+
+def _groups(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[int]) -> list[Assembly]:
+    """The likeliest first."""
+    if len(stations) < 2:
+        return []
     size = _SAME_PLACE * float(np.median([surfaces[k].distance for k in stations]))
     begun = [
         Assembly({i: _identity(), j: each.pose}, each.nats - NATS_OF_POSE)
@@ -63,7 +90,8 @@ def assemble(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[
             if each.nats > DECIDED_NATS and not grown:
                 finished.append(each)
         beam = _distinct(longer, size)
-    return _distinct([_together(surfaces, each) for each in _distinct(finished, size)], size)
+    together = _distinct([_together(surfaces, each) for each in _distinct(finished, size)], size)
+    return sorted((_without_loose(surfaces, each) for each in together), key=lambda each: -each.nats)
 
 
 def _identity() -> Motion:
@@ -143,7 +171,21 @@ def _together(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:
     places = settled_together(
         {k: surfaces[k] for k in members}, {k: composed(first, place) for k, place in members.items()}
     )
-    names, nats = list(group.places), 0.0
-    for n, k in enumerate(names[1:], 1):
-        nats += gain_of(surfaces, {m: places[m] for m in names[:n]}, k, places[k])
-    return Assembly(places, nats)
+    places = {k: places[k] for k in group.places}
+    return Assembly(places, _nats(surfaces, places))
+
+
+def _without_loose(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:
+    """What of a group is held together."""
+    held = held_together(surfaces, group.places)
+    if len(held) == len(group.places):
+        return group
+    first = inverse(held[min(held)])
+    places = {k: composed(first, place) for k, place in held.items()}
+    return Assembly(places, _nats(surfaces, places), group)
+
+
+def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> float:
+    """What a group is worth, station after station in the order of `places`."""
+    names = list(places)
+    return sum(gain_of(surfaces, {m: places[m] for m in names[:n]}, k, places[k]) for n, k in enumerate(names[1:], 1))

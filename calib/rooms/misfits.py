@@ -19,12 +19,15 @@ from calib.rooms.surfaces import Surfaces
 _MOST_CONTRADICTION = 0.05
 _MOST_TIMES_WORSE = 1.8
 _LEAST_PATCHES = 30
+# What is supposed before the others are asked: that a calibration is off by so much of the depth, as if so many patches
+# had said so.
+_OFF, _SUPPOSED_PATCHES = 0.002, 500.0
 
 
 @dataclass(frozen=True)
 class Misfit:
     """`contradiction`: share of what `station` and others could see of each other that was looked through;
-    `times_worse`: its surfaces' distances from the others', over those of the others among each other.
+    `times_worse`: its surfaces' distances from the others', over what those of the others among each other let expect.
     """
 
     station: int
@@ -32,9 +35,14 @@ class Misfit:
     times_worse: float
 
     @property
+    def of_another_shape(self) -> bool:
+        """Whether it belongs nowhere, for its surfaces are bent otherwise than all others'."""
+        return self.times_worse > _MOST_TIMES_WORSE
+
+    @property
     def reason(self) -> str:
         """Why it is to be left out, as a sentence; empty if it is not."""
-        if self.times_worse > _MOST_TIMES_WORSE:
+        if self.of_another_shape:
             return (
                 f"its surfaces lie {self.times_worse:.1f} times as far off the other stations' as those do among each "
                 "other: the rig was changed, or something was moved"
@@ -61,6 +69,7 @@ def worst_misfit(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion])
         own = sum((each for pair, each in sums.items() if k in pair), np.zeros(4))
         rest = sum((each for pair, each in sums.items() if k not in pair), np.zeros(4))
         if own[1] > 0 and rest[1] > 0:
-            worse = float(np.sqrt(own[0] / own[1] / max(rest[0] / rest[1], 1e-12)))
+            usual = (rest[0] + _SUPPOSED_PATCHES * _OFF**2) / (rest[1] + _SUPPOSED_PATCHES)
+            worse = float(np.sqrt(own[0] / own[1] / usual))
             found.append(Misfit(k, float(own[2] / (own[2] + own[3])), worse))
     return max(found, key=lambda each: (each.reason != "", each.times_worse), default=None)

@@ -87,7 +87,7 @@ class LeftOut:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """`groups`, the largest first: two are two rooms, or two parts of one that no station connects."""
+    """`groups`, those of most stations first: two are two rooms, or two parts of one that no station connects."""
 
     groups: tuple[Group, ...]
     pairs: tuple[Pair, ...]
@@ -106,29 +106,27 @@ def register(stations: Sequence[StationView]) -> Registration:
         if not assemblies:
             break
         best = assemblies[0]
-        misfit = _misfit(surfaces, best.places)
-        if misfit is not None:
-            station, reasons[station] = misfit
-            left.remove(station)
-            aside.append(station)
+        if best.loose:
+            reasons.update(dict.fromkeys(best.loose, _TOO_LITTLE))
+            left = [k for k in left if k not in best.loose]
+            aside += sorted(best.loose)
             continue
-        groups.append(_group(surfaces, best, assemblies[1:]))
+        worst = worst_misfit(surfaces, best.places)
+        if worst is not None and worst.reason:
+            reasons[worst.station] = worst.reason
+            left.remove(worst.station)
+            aside += [] if worst.of_another_shape else [worst.station]
+            continue
+        others = (each.whole or each for each in assemblies[1:])
+        rivals = [each for each in others if each.places.keys() == best.places.keys()]
+        groups.append(_group(surfaces, best, rivals))
         left = [k for k in left + aside if k not in best.places]
         aside = []
+    groups.sort(key=lambda group: -len(group.stations))
     pairs = [pair for group in groups for pair in _pairs(surfaces, group)]
     alone = [k for k in range(len(stations)) if not any(k in group.stations for group in groups)]
     left_out = tuple(LeftOut(k, reasons.get(k) or _reason(surfaces, edges, k)) for k in alone)
     return Registration(tuple(groups), tuple(pairs), left_out)
-
-
-def _misfit(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> tuple[int, str] | None:
-    """A station that does not belong to the others, and why; None if all do."""
-    worst = worst_misfit(surfaces, places)
-    if worst is not None and worst.reason:
-        return worst.station, worst.reason
-    held = _held(surfaces, places)
-    least = min(held, key=lambda k: held[k])
-    return (least, _TOO_LITTLE) if held[least] < DECIDED_NATS else None
 
 
 def _held(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, float]:
@@ -136,15 +134,15 @@ def _held(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dic
     return {k: gain_of(surfaces, {m: at for m, at in places.items() if m != k}, k, places[k]) for k in places}
 
 
-def _group(surfaces: Mapping[int, Surfaces], best: Assembly, others: Sequence[Assembly]) -> Group:
-    names = tuple(best.places)
-    rivals = [each for each in others if each.places.keys() == best.places.keys()]
+def _group(surfaces: Mapping[int, Surfaces], best: Assembly, rivals: Sequence[Assembly]) -> Group:
+    names = tuple(sorted(best.places))
     behind = [best.nats - each.nats for each in rivals]
     alternatives = [
         Alternative(tuple(each.places[k] for k in names), nats)
         for each, nats in zip(rivals, behind, strict=True)
         if nats < DECIDED_NATS
     ]
+    held = _held(surfaces, best.places)
     planes = shared_planes(surfaces, best.places)
     return Group(
         names,
@@ -153,7 +151,7 @@ def _group(surfaces: Mapping[int, Surfaces], best: Assembly, others: Sequence[As
         tuple(planes.plane_of[k] for k in names),
         tuple(alternatives[:_MOST_ALTERNATIVES]),
         min(behind, default=np.inf),
-        tuple(_held(surfaces, best.places).values()),
+        tuple(held[k] for k in names),
     )
 
 

@@ -1,0 +1,88 @@
+"""What holds two parts of a group together, each part taken as one rigid piece.
+
+Stations of one room hold each other, and so each of them seems well held even where half of a group is of another room:
+bare corners are all alike. A group is as sure as the weakest of its joints. Those that could be the weakest are found
+by taking apart the maximum spanning tree of all pairs, edge by edge (Gower and Ross, "Minimum spanning trees and single
+linkage cluster analysis", 1969).
+"""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+
+from calib.geometry import Motion
+from calib.numerics import Floats, Ints
+from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, Agreement, compare_one, gain, nats_of_tilt
+from calib.rooms.alignment import composed, inverse
+from calib.rooms.shared_planes import shared_planes
+from calib.rooms.surfaces import Surfaces
+
+
+@dataclass(frozen=True)
+class Cut:
+    """`part`: stations, at most half of a group; `nats`: how much likelier it is that they are where they are beside
+    the others than that they do not belong to them.
+    """
+
+    part: tuple[int, ...]
+    nats: float
+
+
+def held_together(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, Motion]:
+    """What is left of a group, at `places` in the room, when all parts that little holds are cut off."""
+    left = dict(places)
+    while len(left) > 1:
+        weakest = weakest_cut(surfaces, left)
+        if weakest.nats >= DECIDED_NATS:
+            break
+        left = {k: place for k, place in left.items() if k not in weakest.part}
+    return left
+
+
+def weakest_cut(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> Cut:
+    """Of a group of two stations or more, at `places` in the room."""
+    found = [Cut(part, _nats(surfaces, places, part)) for part in _parts(surfaces, places)]
+    return min(found, key=lambda cut: cut.nats)
+
+
+def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], part: Collection[int]) -> float:
+    plane_of = shared_planes(surfaces, {k: places[k] for k in part}).plane_of
+    planes = 1 + max((plane for own in plane_of.values() for plane in own), default=-1)
+    seen, tilts = [], []
+    for member in places:
+        if member in part:
+            continue
+        for k in part:
+            pose = composed(inverse(places[member]), places[k])
+            seen.append(_of_planes(compare_one(surfaces[member], surfaces[k], pose), plane_of[k], planes))
+            tilts.append(float(nats_of_tilt(pose.rotation[None])[0]))
+    return float(gain(seen)[0]) - min(tilts) - NATS_OF_POSE
+
+
+def _of_planes(seen: Agreement, plane_of: Sequence[int], planes: int) -> Agreement:
+    """With the second station's labels replaced by the planes they are on, of which there are so many."""
+    is_on: Ints = np.eye(planes + 1, dtype=np.int64)[[*plane_of, -1]]
+    matched: Ints = seen.matched @ is_on
+    return Agreement(matched, seen.contradicting, seen.hidden, seen.unlike)
+
+
+def _parts(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> Iterator[tuple[int, ...]]:
+    """Each station alone, and what each edge of the spanning tree holds."""
+    names = np.array(list(places))
+    yield from ((int(k),) for k in names)
+    worth: Floats = np.zeros((len(names), len(names)))
+    for i, j in combinations(range(len(names)), 2):
+        a, b = int(names[i]), int(names[j])
+        worth[i, j] = gain([compare_one(surfaces[a], surfaces[b], composed(inverse(places[a]), places[b]))])[0]
+    cost = np.triu(1 + worth.max() - worth, 1)  # a zero would be no edge at all
+    tree = minimum_spanning_tree(cost).toarray()
+    for edge in np.argwhere(tree):
+        rest = tree.copy()
+        rest[tuple(edge)] = 0
+        side = connected_components(rest, directed=False)[1].astype(np.bool_)
+        part = side if 2 * np.count_nonzero(side) <= len(side) else ~side
+        if np.count_nonzero(part) > 1:
+            yield tuple(int(k) for k in names[part])

@@ -1,0 +1,64 @@
+"""What holds parts of a group together, and who does not fit."""
+
+import numpy as np
+import pytest
+
+from calib.geometry import Motion
+from calib.rooms.agreement import DECIDED_NATS
+from calib.rooms.alignment import settled_together
+from calib.rooms.assembly import gain_of
+from calib.rooms.cuts import held_together, weakest_cut
+from calib.rooms.misfits import worst_misfit
+from calib.rooms.surfaces import Surfaces, surfaces_of
+from calib.synthetic.stations import moved_rig
+from tests.calib.rooms.test_registration import stations_in, view_of
+
+Scene = tuple[dict[int, Surfaces], dict[int, Motion]]
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """Four stations in a row, and where they stood."""
+    _, stations = stations_in(0, 4)
+    return {k: surfaces_of(view_of(station)) for k, station in enumerate(stations)}, {
+        k: station.place for k, station in enumerate(stations)
+    }
+
+
+def test_stations_of_a_room_are_held_together(scene: Scene) -> None:
+    surfaces, places = scene
+    cut = weakest_cut(surfaces, places)
+    assert 1 <= len(cut.part) <= 2
+    assert DECIDED_NATS < cut.nats < 60
+    assert held_together(surfaces, places) == places
+
+
+def test_halves_that_share_nothing_come_apart_though_each_station_is_held_by_its_half(scene: Scene) -> None:
+    surfaces, places = scene
+    far = {k: Motion(at.rotation, at.translation + np.array([100.0 * (k > 1), 0, 0])) for k, at in places.items()}
+    for k in far:
+        others = {m: at for m, at in far.items() if m != k}
+        assert gain_of(surfaces, others, k, far[k]) > DECIDED_NATS
+    cut = weakest_cut(surfaces, far)
+    assert cut.part in {(0, 1), (2, 3)}
+    assert -25 < cut.nats < -10  # nothing is shared, and a place costs 17
+    assert len(held_together(surfaces, far)) == 2
+
+
+def test_the_middle_one_of_three_in_a_row_is_no_misfit(scene: Scene) -> None:
+    surfaces, places = scene
+    worst = worst_misfit(surfaces, {k: places[k] for k in (1, 2, 3)})
+    assert worst is not None
+    assert worst.reason == ""
+    assert 0.5 < worst.times_worse < 1.5
+
+
+def test_a_rig_that_was_changed_is_the_misfit(scene: Scene) -> None:
+    surfaces, places = scene
+    _, stations = stations_in(0, 4)
+    changed = {**surfaces, 1: surfaces_of(view_of(moved_rig(stations[1], 0.08)))}
+    worst = worst_misfit(changed, settled_together(changed, places))
+    assert worst is not None
+    assert worst.station == 1
+    assert "the rig was changed" in worst.reason
+    assert 2 < worst.times_worse < 10
