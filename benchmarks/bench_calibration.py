@@ -103,7 +103,7 @@ def outcome(case: Case, seed: int, number: int) -> Outcome:
     values = [calibration.camera.focal_px[0], np.mean(calibration.projector.focal_px)]
     error = np.array([*values, *calibration.projector.principal_point_px]) - truth
     point = np.array(calibration.camera.principal_point_px) - PAPER_CAMERA.principal_point_px
-    if not sigma:
+    if sigma.camera.focal_px is None:  # as of `paper`
         return Outcome(seconds, error / truth)
     sigmas = np.array(
         [sigma.camera.focal_px[0], sigma.projector.focal_px[0], *sigma.projector.principal_point_px], np.float64
