@@ -9,7 +9,7 @@ from calib.diagnostics import Uncertainty, calibration_of, sigmas_of
 from calib.geometry import Calibration, Corner, Matches
 from calib.numerics import Floats, Ints
 from calib.pointcloud import build_cloud
-from calib.refinement import SHARED, Cells, Knowledge, into_cells
+from calib.refinement import Cells, Knowledge, into_cells
 from calib.refusal import RefusalError
 from calib.rooms import (
     Group,
@@ -144,10 +144,7 @@ def _finished(
     group = registration.groups[0]
     members = [seen[k] for k in group.stations]
     facts = members[0].decoded.facts
-    padded = np.zeros((SHARED + 3, SHARED + 3))
-    padded[:SHARED, :SHARED] = estimate.rig_covariance
-    layout = replace(estimate.rig, off_square=np.zeros((1, 3)))
-    sigma = replace(sigmas_of(layout, padded), corner_angles_deg=None)
+    sigma = sigmas_of(estimate.rig, estimate.rig_covariance)
     own = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, sigma)
     known = start.given if start.given and not is_estimated(start) else _in_unit_of(start.given, own)
     calibration = scaled(known, _corner(members, group, estimate, start), config.scale)

@@ -8,6 +8,9 @@ from scanner.quantities import shown_unit
 from scanner.results import Verdict
 from scanner.rooms.contents import SolvedRoom
 
+# Each station then counts for so many less: its smooth errors are those of all others, too.
+_MOST_ALIKE = 2.0
+
 AMBIGUOUS = "The stations fit together in more than one way"
 
 
@@ -35,6 +38,14 @@ def verdict_on(room: SolvedRoom) -> Verdict:
             f"{len(names)} stations are one room, but {', '.join(loose)} can slide or turn in it.",
             reasons,
             "Add a station between these and the others, from which something other than one wall is seen by both.",
+        )
+    if room.estimate.levels.alike > _MOST_ALIKE:
+        return Verdict(
+            "fair",
+            f"{len(names)} stations are one room, but the lenses bend light in a way that is not modelled.",
+            ("Smooth errors are the same at all stations, so lengths may err by more than their sigmas.", *reasons),
+            "Calibrate the rig with a printed board (scan board), which finds further lens terms, and give its result "
+            "with --calibration.",
         )
     if room.strangers:
         left = ", ".join(each.name for each in room.strangers)

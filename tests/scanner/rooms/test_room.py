@@ -1,5 +1,6 @@
 """`scan room` on a simulated room: where the stations stood, the rig, the walls, and every file of the result."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import ezdxf
@@ -16,6 +17,7 @@ from scanner.exporting.formats import Request
 from scanner.io import read_calibration, read_cloud
 from scanner.results import read_finished_room
 from scanner.rooms.floorplan import floor_plan
+from scanner.rooms.verdict import verdict_on
 from scanner.viewing.result import ViewedResult
 from tests.scanner.rooms.conftest import ORDER, SolvedExample
 
@@ -109,6 +111,16 @@ def test_the_page_says_what_it_found(example: SolvedExample) -> None:
     assert f"{len(ORDER)} stations are one room" in page
     assert page.count("<figcaption>") >= 4 + len(ORDER)
     assert 'src="http' not in page
+
+
+def test_lenses_that_are_not_as_modelled_are_said(example: SolvedExample) -> None:
+    estimate = example.solved.estimate
+    assert verdict_on(example.solved).grade == "good"
+    bent = replace(example.solved, estimate=replace(estimate, levels=replace(estimate.levels, alike=4.0)))
+    verdict = verdict_on(bent)
+    assert verdict.grade == "fair"
+    assert "lenses" in verdict.headline
+    assert "--calibration" in verdict.advice
 
 
 def test_the_result_reads_back_and_exports(example: SolvedExample, tmp_path: Path) -> None:
