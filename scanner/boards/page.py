@@ -11,7 +11,7 @@ from calib.geometry import Size
 from calib.numerics import Floats
 from scanner.boards.calibrate import FromBoards, Seen
 from scanner.boards.verdict import verdict_on
-from scanner.quantities import Quantity, device_quantities, plain, pose_quantities
+from scanner.quantities import plain, rig_quantities
 from scanner.rendering import environment, jpeg_uri, photograph
 
 _DOTS = 2500
@@ -33,7 +33,7 @@ def write_page(path: Path, result: FromBoards) -> None:
         subtitle=f"{result.target}, squares of {result.target.square:g} mm, {len(found.predictions)} captures",
         warnings=(),
         notes=result.notes,
-        tables=_tables(result),
+        tables=rig_quantities(result.found.calibration),
         rows=rows(result),
         halves=_halves(result),
         coverage=[
@@ -63,15 +63,6 @@ def rows(result: FromBoards) -> list[tuple[str, ...]]:
             *(f"{plain(100 * moved, 2, signed=True)} %" for moved in each.moved[focals]),
         )
         for each in result.found.predictions
-    ]
-
-
-def _tables(result: FromBoards) -> list[tuple[str, list[Quantity]]]:
-    calibration = result.found.calibration
-    return [
-        ("Camera", device_quantities("camera", calibration, None)),
-        ("Projector", device_quantities("projector", calibration, None)),
-        ("Between them", pose_quantities(calibration, None)),
     ]
 
 

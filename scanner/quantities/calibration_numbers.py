@@ -166,3 +166,12 @@ def intrinsic_errors_percent(calibration: Calibration, truth: Calibration) -> Fl
 
 def _at(sigmas: tuple[float, ...] | None, index: int) -> float | None:
     return sigmas[index] if sigmas and index < len(sigmas) else None
+
+
+def rig_quantities(calibration: Calibration) -> list[tuple[str, list[Quantity]]]:
+    """All of a calibration that has no truth, as tables with a heading each."""
+    return [
+        ("Camera", device_quantities("camera", calibration, None)),
+        ("Projector", device_quantities("projector", calibration, None)),
+        ("Between them", pose_quantities(calibration, None)),
+    ]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.pointcloud import MergedCloud
-from scanner.quantities import device_quantities, percent, plain, pose_quantities, shown_unit
+from scanner.quantities import percent, plain, rig_quantities, shown_unit
 from scanner.rendering import BLUE, environment, frustum, render
 from scanner.rendering.cloud_views import Wireframe, view_along
 from scanner.reporting import maps
@@ -44,7 +44,6 @@ class Cell:
 
 def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud, made: Provenance) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
-    calibration = room.calibration
     files = sorted({path.name for path in path.parent.iterdir()} - {path.name})
     page = (
         environment()
@@ -61,11 +60,7 @@ def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud
             overlaps=_overlaps(room),
             pairs=list(_pairs(room)),
             residuals=[(station.name, _residual_map(station)) for station in room.stations],
-            tables=[
-                ("Camera", device_quantities("camera", calibration, None)),
-                ("Projector", device_quantities("projector", calibration, None)),
-                ("Between them", pose_quantities(calibration, None)),
-            ],
+            tables=rig_quantities(room.calibration),
             files=[(name, _FILES[name]) for name in files if name in _FILES],
             unit=room.unit,
         )

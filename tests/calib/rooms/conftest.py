@@ -29,7 +29,7 @@ class Case:
     def knowledge(self) -> Knowledge:
         return knowledge_of(self.made)
 
-    def estimate(self, plane_of: list[tuple[int, ...]] | None = None) -> RoomEstimate:
+    def estimate(self, plane_of: list[tuple[int, ...]] | None = None, **more: Any) -> RoomEstimate:
         return estimate_room(
             self.cells,
             plane_of or self.plane_of,
@@ -37,6 +37,7 @@ class Case:
             self.start.planes,
             self.start.rig,
             RigPrior.from_knowledge(self.knowledge, self.start.rig),
+            **more,
         )
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Matches
-from calib.rooms import RigPrior, RoomEstimate, estimate_room
+from calib.rooms import RoomEstimate
 from calib.rooms.contacts import Contact, find_contacts
 from tests.calib.rooms.conftest import Case, case_of
 from tests.support.numeric import gradient_of
@@ -26,13 +26,7 @@ def contacts_of(case: Case) -> tuple[Contact, ...]:
 
 
 def with_balls(case: Case) -> RoomEstimate:
-    return estimate_room(
-        case.cells,
-        case.plane_of,
-        case.start.places,
-        case.start.planes,
-        case.start.rig,
-        RigPrior.from_knowledge(case.knowledge, case.start.rig),
+    return case.estimate(
         loose=loose_of(case),
     )
 

@@ -164,13 +164,7 @@ def test_a_lens_with_terms_that_the_model_has_not_makes_stations_err_alike(case:
 
 def test_smooth_errors_of_the_decoder_add_to_the_covariance(case: Case) -> None:
     shift = Shifts(likely=(lambda camera, projector, gradient: 0.05 * gradient[:, :, 0],), smooth_px=0.02)
-    found = estimate_room(
-        case.cells,
-        case.plane_of,
-        case.start.places,
-        case.start.planes,
-        case.start.rig,
-        RigPrior.from_knowledge(case.knowledge, case.start.rig),
+    found = case.estimate(
         shifts=[shift] * STATIONS,
     )
     before, after = (np.sqrt(np.nan_to_num(np.diag(each.covariance))) for each in (case.found, found))
@@ -184,13 +178,7 @@ def test_a_prior_on_square_walls_makes_angles_surer(case: Case) -> None:
         ((a, b) for a in range(len(normals)) for b in range(a)),
         key=lambda pair: abs(normals[pair[0]] @ normals[pair[1]]),
     )
-    found = estimate_room(
-        case.cells,
-        case.plane_of,
-        case.start.places,
-        case.start.planes,
-        case.start.rig,
-        RigPrior.from_knowledge(case.knowledge, case.start.rig),
+    found = case.estimate(
         square=[pair],
         squareness_deg=0.0,
     )
