@@ -82,12 +82,7 @@ def resume(
     settings = config or recorded_config(begun.metadata, str(begun.folder / CAPTURE_FILE), overrides)
     for note in begun.notes:
         terminal.note(note)
-    for device, size, expected in (
-        ("camera", settings.camera_size, begun.camera_size),
-        ("projector", settings.projector_size, begun.projector_size),
-    ):
-        if size != expected:
-            raise InputError(f"{folder}: its {device} is {expected}, but the configuration's is {size}")
+    settings.refuse_other_sizes(folder, begun.camera_size, begun.projector_size)
     settings.principal_point(settings.camera_size)
     drawn = read_masks(masks, settings.camera_size) if masks else None
     whole = [folder] if (folder / CAPTURES_FOLDER).is_dir() else []

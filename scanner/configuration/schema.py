@@ -256,6 +256,15 @@ class Config(Section):
         """Of the projector's image. Raises InputError if it is not configured."""
         return _required_size("projector", self.projector.size)
 
+    def refuse_other_sizes(self, path: Path, camera: Size, projector: Size) -> None:
+        """Raise InputError if what was read from `path` is of devices of other sizes than these."""
+        for name, size, expected in (
+            ("camera", camera, self.camera_size),
+            ("projector", projector, self.projector_size),
+        ):
+            if size != expected:
+                raise InputError(f"{path}: its {name} is {size}, but the configuration's is {expected}")
+
     def principal_point(self, camera_size: Size) -> PrincipalPoint:
         """What is known of the camera's principal point, for images of that size.
 

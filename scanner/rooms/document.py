@@ -38,23 +38,13 @@ def read_stations(paths: Sequence[Path], config: Config, progress: Progress) -> 
 
 def _decoded(path: Path, config: Config, progress: Progress) -> Decoded:
     recording = open_capture(path)
-    for name, size, expected in (
-        ("camera", recording.camera_size, config.camera_size),
-        ("projector", recording.projector_size, config.projector_size),
-    ):
-        if size != expected:
-            raise InputError(f"{path}: its {name} is {size}, but the configuration's is {expected}")
+    config.refuse_other_sizes(path, recording.camera_size, recording.projector_size)
     return decode_recording(recording, progress)
 
 
 def given_rig(path: Path, config: Config) -> RigStart:
     """A calibration file of the rig, with its covariance if the file states one. Raises InputError."""
     given = read_calibration(path)
-    for name, device, expected in (
-        ("camera", given.camera, config.camera_size),
-        ("projector", given.projector, config.projector_size),
-    ):
-        if device.size != expected:
-            raise InputError(f"{path}: its {name} is {device.size}, but the configuration's is {expected}")
+    config.refuse_other_sizes(path, given.camera.size, given.projector.size)
     in_baselines: Calibration = replace(given, translation=given.translation / given.baseline, unit=UNKNOWN_UNIT)
     return RigStart(in_baselines, read_uncertainty(path, given), {}, given)
