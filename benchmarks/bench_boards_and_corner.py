@@ -8,18 +8,18 @@ found.
 """
 
 import argparse
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from calib.boards import Board, View, calibrate_boards, rig_uncertainty, with_radial_terms
-from calib.geometry import Calibration, Matches
+from calib.geometry import Calibration
 from calib.numerics import Floats
-from calib.refinement import into_cells
 from calib.refusal import RefusalError
-from calib.self_calibration import KnownCalibration, PrincipalPoint, self_calibrate_jointly
-from calib.synthetic import random_boards
-from calib.synthetic.captures import random_captures
+
+sys.path.append(str(Path(__file__).parents[1]))
+from tests.support.known_rigs import Before, corner_before, from_boards
 
 _NAMES = ("f_c", "x_c", "y_c", "f_p", "x_p", "y_p", "baseline")
 _ZOOMS = (1.0005, 1.001, 1.002)
@@ -33,9 +33,10 @@ def main() -> None:
     found_out = dict.fromkeys(_ZOOMS, 0)
     for seed in range(count):
         rng = np.random.default_rng(1000 + seed)
-        rig, known = _boards(rng)
+        rig, boards, known = from_boards(rng, views=5, matches=3000)
+        before = Before(rig, boards, known, corner_before(rng, rig, 1.0))
         try:
-            joint = _joint(rng, rig, known, 1.0)
+            joint = before.joint().metric
         except RefusalError as refusal:
             print(f"rig {seed}: {refusal.reason}")
             refused += 1
@@ -44,7 +45,7 @@ def main() -> None:
         by_both.append((_numbers(joint) - _numbers(rig)) / _sigmas(joint))
         shares.append(_sigmas(joint) / _sigmas(known.calibration))
         for zoom in _ZOOMS:
-            found_out[zoom] += _is_refused(rng, rig, known, zoom)
+            found_out[zoom] += _is_refused(replace(before, corner=corner_before(rng, rig, zoom)))
     print(f"{len(shares)} of {count} rigs, {refused} refused\n{'':34}" + "".join(f"{name:>10}" for name in _NAMES))
     for what, rows in (("boards: error / sigma, rms", by_boards), ("together: error / sigma, rms", by_both)):
         print(f"{what:34}" + "".join(f"{value:10.2f}" for value in np.sqrt(np.mean(np.square(rows), axis=0))))
@@ -54,47 +55,9 @@ def main() -> None:
         print(f"projector zoomed by {100 * (zoom - 1):.2f} % in between: found {times} of {len(shares)} times")
 
 
-def _boards(rng: np.random.Generator) -> tuple[Calibration, KnownCalibration]:
-    boards = random_boards(rng, views=5, matches=3000, bend=0.0)
-    rig = boards.calibration
-    views = [
-        View(f"view {i}", view.points, view.corners_px, into_cells(_on_board(view.matches), (0,)))
-        for i, view in enumerate(boards.views)
-    ]
-    sizes = rig.camera.size, rig.projector.size
-    found = calibrate_boards(views, *sizes, Board(boards.reach, 2, "m"))
-    freer = with_radial_terms(found, sizes)
-    return rig, KnownCalibration(
-        found.calibration, rig_uncertainty(found.estimate, sizes), KnownCalibration(*freer) if freer else None
-    )
-
-
-def _on_board(matches: Matches) -> Matches:
-    return matches.with_faces(np.zeros(len(matches), np.int32))
-
-
-def _joint(rng: np.random.Generator, rig: Calibration, known: KnownCalibration, zoom: float) -> Calibration:
-    focal = zoom * rig.projector.focal_px[0]
-    (capture,) = random_captures(
-        rng,
-        1,
-        rig=rig,
-        camera=rig.camera,
-        projector=replace(rig.projector, focal_px=(focal, focal)),
-        count=20_000,
-        distance=(1.0, 2.0),
-        walls_off_deg=0.3,
-    )
-    width, height = rig.camera.size
-    centre = PrincipalPoint(((width - 1) / 2, (height - 1) / 2), 0.03 * width)
-    sizes = rig.camera.size, rig.projector.size
-    (found,) = self_calibrate_jointly([capture.matches], *sizes, principal_point=centre, known=known)
-    return found.metric
-
-
-def _is_refused(rng: np.random.Generator, rig: Calibration, known: KnownCalibration, zoom: float) -> bool:
+def _is_refused(before: Before) -> bool:
     try:
-        _joint(rng, rig, known, zoom)
+        before.joint()
     except RefusalError:
         return True
     return False

@@ -38,9 +38,27 @@ class Before:
 def before(seed: int, *, zoom: float = 1.0, views: int = 5, **changes: Any) -> Before:
     """`zoom`: by what the projector's focal length changes between boards and corner."""
     rng = np.random.default_rng(seed)
-    boards = random_boards(rng, views=views, matches=2000, bend=0.0, **changes)
+    rig, found, known = from_boards(rng, views=views, matches=2000, **changes)
+    return Before(rig, found, known, corner_before(rng, rig, zoom))
+
+
+def from_boards(
+    rng: np.random.Generator, *, views: int, matches: int, **changes: Any
+) -> tuple[Calibration, BoardCalibration, KnownCalibration]:
+    """A made-up rig, and what flat boards before it say."""
+    boards = random_boards(rng, views=views, matches=matches, bend=0.0, **changes)
     rig = boards.calibration
-    found = calibrate_boards(views_of(boards), rig.camera.size, rig.projector.size, Board(boards.reach, 2, "m"))
+    sizes = rig.camera.size, rig.projector.size
+    found = calibrate_boards(views_of(boards), *sizes, Board(boards.reach, 2, "m"))
+    freer = with_radial_terms(found, sizes)
+    known = KnownCalibration(
+        found.calibration, rig_uncertainty(found.estimate, sizes), KnownCalibration(*freer) if freer else None
+    )
+    return rig, found, known
+
+
+def corner_before(rng: np.random.Generator, rig: Calibration, zoom: float) -> Matches:
+    """A capture of a corner by the rig, its projector zoomed."""
     focal = zoom * rig.projector.focal_px[0]
     (capture,) = random_captures(
         rng,
@@ -52,12 +70,7 @@ def before(seed: int, *, zoom: float = 1.0, views: int = 5, **changes: Any) -> B
         distance=(1.0, 2.0),
         walls_off_deg=0.3,
     )
-    sizes = rig.camera.size, rig.projector.size
-    freer = with_radial_terms(found, sizes)
-    known = KnownCalibration(
-        found.calibration, rig_uncertainty(found.estimate, sizes), KnownCalibration(*freer) if freer else None
-    )
-    return Before(rig, found, known, capture.matches)
+    return capture.matches
 
 
 def errors_of(known: KnownCalibration) -> SystematicErrors:
