@@ -31,12 +31,12 @@ def main() -> int:
 def _serve(screen_file: Path, settings: LoopbackSettings) -> None:
     screen = XwdScreen(screen_file)
     room = SimulatedRoom(settings.room, settings.camera_size, screen.size)
-    with ScreenHistory(screen, room.electrons) as history:
+    with ScreenHistory(screen, room.electrons, settings.room.seed) as history:
         sensor = RoomSensor(room, history, settings.white_exposure_us)
         with LoopbackCamera(settings.address, settings.serial, settings.camera_size, sensor.expose) as camera:
             conditions = settings.conditions
             while True:
-                sensor.latency_s = conditions.latency_ms / 1e3
+                history.wall.conditions = conditions
                 camera.lose(conditions.lost_packets)
                 print("ready", flush=True)
                 line = sys.stdin.readline()

@@ -30,16 +30,15 @@ class Request:
 
 
 class RoomSensor:
-    """Takes pictures of a simulated room that is lit by a screen with a display latency.
+    """Takes pictures of a simulated room that is lit by a screen.
 
-    `latency_s`: how late the light follows the screen. The aperture is set so that white reaches 85 % of the range at
-    `white_exposure_us`, without gain. `screen` develops to expected electrons (H, W) of such an exposure.
+    The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, without gain. `screen` develops
+    to expected electrons (H, W) of such an exposure.
     """
 
     def __init__(self, room: SimulatedRoom, screen: ScreenHistory, white_exposure_us: float) -> None:
         self._sensor = room.sensor
         self._screen = screen
-        self.latency_s = 0.0
         self._white_exposure_us = white_exposure_us
         self._rng = np.random.default_rng()
 
@@ -50,11 +49,10 @@ class RoomSensor:
         self._screen.look()
         time.sleep(max(0.0, begin_s + exposure_s - time.monotonic()))
         self._screen.look()
-        first_s = begin_s - self.latency_s
         x, y, width, height = request.region
         part = np.s_[y : y + height, x : x + width]
         electrons = np.zeros((height, width), np.float32)
-        for share, light in self._screen.shares(first_s, first_s + exposure_s):
+        for share, light in self._screen.shares(begin_s, begin_s + exposure_s):
             electrons += np.float32(share * request.exposure_us / self._white_exposure_us) * light[part]
         return self._digits(electrons, request)
 

@@ -1,0 +1,302 @@
+"""Pictures in flight: the next ones are on their way to the wall while the camera exposes the one that is there.
+
+    screen      ▏1       ▏2       ▏3       ▏4
+    wall                      ▏1       ▏2       ▏3       ▏4
+    camera                     ▐ 1   ▌  ▐ 2   ▌  ▐ 3   ▌  ▐ 4   ▌
+
+An exposure fits between the light of its picture, as late as that can be, and the light of the next one, as soon as
+that can be. When that is follows from when the pictures were swapped in, which the process that did it tells. A frame
+counts if it was triggered in time, if the camera's clock agrees, and if its picture and its neighbours' light every
+place alike together (`hw/level_sums.py`). Any other is taken again of a picture at rest, and for a while so are those
+that follow: how long, and how much time there is between pictures, depends on how often that happens.
+"""
+
+import logging
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import count, takewhile
+from math import ceil
+
+from calib.numerics import Floats, Image
+from hw.errors import FrameLostError
+from hw.flashes import Latency
+from hw.level_sums import LevelSums
+from hw.rig import Frame
+from hw.timed_devices import BufferedProjector, Swap, TriggeredCamera
+from hw.turns import Tally, Turns
+
+log = logging.getLogger(__name__)
+
+_SLACK_S = 0.002  # what trigger and swap may be late without a picture being missed
+_CYCLE_FADES = 0.9  # of one frame to the next: the time that the slowest took lately
+_MOST_AT_REST = 32
+_CALM = 16  # so many frames in a row that were caught make up for a missed one
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Light comes `soonest_s` after the begin of a swap, or later, and is all there `latest_s` after its end, margins
+    included; swaps take `swapping_s`. `period_s`: how far apart pictures are at least.
+    """
+
+    soonest_s: float
+    latest_s: float
+    swapping_s: float
+    period_s: float
+
+    @property
+    def in_flight(self) -> int:
+        """How many pictures are on their way to the wall at most."""
+        return ceil((self.latest_s + self.swapping_s) / self.period_s)
+
+
+def pace(measured: Latency, exposure_s: float, margin_s: float) -> Pace:
+    """The shortest period for light that comes so soon, and so late, with a margin for either."""
+    soonest_s, latest_s = measured.soonest_s - margin_s, measured.latest_s + margin_s
+    uncertain_s = max(0.0, latest_s + measured.swapping_s - soonest_s)
+    return Pace(soonest_s, latest_s, measured.swapping_s, exposure_s + uncertain_s + _SLACK_S)
+
+
+class Flight:
+    """Frames of pictures that follow each other at a pace; those that fail are taken by `turns`."""
+
+    def __init__(
+        self, projector: BufferedProjector, camera: TriggeredCamera, turns: Turns, rhythm: Pace, sums: LevelSums
+    ) -> None:
+        self._projector = projector
+        self._camera = camera
+        self._turns = turns
+        self.rhythm = rhythm
+        self._sums = sums
+        self._exposure_s = camera.exposure_s
+        self._planned: dict[int, float] = {}  # appointments that have not been kept so far
+        self._swaps: dict[int, Swap] = {}
+        self._flip_s = 0.0
+        self._reference: tuple[int, float] | None = None  # a picture, and when its exposure was triggered
+        self.missed = 0
+        self.doubted = 0
+
+    @property
+    def tally(self) -> Tally:
+        """What the frames cost."""
+        return self._turns.tally
+
+    @property
+    def possible(self) -> bool:
+        """Whether the camera still exposes for as long as the pace was measured for."""
+        return self._camera.exposure_s == self._exposure_s
+
+    def frames(self, images: Iterable[Image], level: Sequence[range]) -> Iterator[Frame]:
+        """A frame of each image, when it is proven. `level`: the numbers of images that follow each other and light
+        every place alike together, in order; the images between them are taken at rest.
+
+        Raises DeviceError, and whatever `images` raises.
+        """
+        self.tally.begin()
+        self.missed = self.doubted = 0
+        proven, last = 0, None
+        taken: dict[int, Frame] = {}
+        for number, frame in self._series(images, level):
+            taken[number] = frame
+            while proven in taken:
+                group = self._groups.of(proven)
+                if number < group.stop and self._pictures.has(group.stop):
+                    break  # the frame after them is still to come
+                last = self._prove(group, taken, last)
+                for proven in group:
+                    self.tally.take()
+                    yield taken.pop(proven)
+                proven = group.stop
+                self._pictures.forget(proven)
+
+    def rehearse(self, images: Iterable[Image]) -> Iterator[Frame]:
+        """The same without any proof but that of time: somebody else looks at the frames."""
+        return (frame for _, frame in self._series(images, [range(2**31)]))
+
+    def _series(self, images: Iterable[Image], level: Sequence[range]) -> Iterator[tuple[int, Frame]]:
+        """Frames with their numbers; between them, others may be taken again after `_settle`."""
+        self._pictures = _Ahead(iter(images))
+        self._groups = _Groups(level)
+        self._cycle_s = 0.0
+        self._resting, self._penalty, self._caught_in_row = 0, 1, 0
+        self._rested = set[int]()
+        self._settle(0)
+        number = 0
+        while self._pictures.has(number):
+            stop = self._rests_until(number)
+            if stop > number:
+                for found in self._at_rest(number, stop):
+                    yield found
+                    number = found[0] + 1
+                self._settle(number)
+            elif caught := self._catch(number):
+                self._calm_down()
+                yield number, caught
+                number += 1
+            else:
+                self._slow_down()
+                self._settle(number)
+        self._settle(number)
+
+    def _at_rest(self, first: int, stop: int) -> Iterator[tuple[int, Frame]]:
+        self._settle(first)
+        pictures = (self._pictures[k] for k in takewhile(self._pictures.has, range(first, stop)))
+        for number, frame in enumerate(self._turns.at_rest(pictures), first):
+            self._rested.add(number)
+            self._resting = max(0, self._resting - 1)
+            self._interrupted = False
+            yield number, frame
+            if self._interrupted:
+                break  # the picture that was on its way is not there any more
+
+    def _rests_until(self, number: int) -> int:
+        """The first picture from there on that may fly."""
+        stop = number + self._resting
+        while self._pictures.has(stop) and len(self._groups.of(stop)) == 1:
+            stop += 1
+        return stop
+
+    def _catch(self, number: int) -> Frame | None:
+        """A frame of a picture on its way; None if its time was missed, or the frame lost."""
+        self._commit(number)
+        light_s = self._swap(number).done_s + self.rhythm.latest_s
+        time.sleep(max(0.0, light_s - time.monotonic()))
+        latest_s = self._latest_begin_s(number)
+        begin_s = time.monotonic()
+        if begin_s > latest_s:
+            log.info("picture %d was missed by %.1f ms", number, 1e3 * (begin_s - latest_s))
+            return None
+        triggered_s = self._camera.expose()
+        try:
+            frame = self._camera.collect()
+            late_s = triggered_s + self._camera.late_s - latest_s
+            if late_s > 0:
+                raise FrameLostError(f"{1e3 * late_s:.1f} ms too late for its picture")
+        except FrameLostError as lost:
+            log.info("frame %d was lost in flight (%s)", number, lost)
+            self.tally.retriggered += 1
+            return None
+        self._cycle_s = max(time.monotonic() - triggered_s, _CYCLE_FADES * self._cycle_s)
+        self._reference = number, triggered_s
+        return frame
+
+    def _commit(self, number: int) -> None:
+        """Appoint the pictures that have to leave before the one after this is exposed."""
+        period_s = max(self.rhythm.period_s, self._cycle_s + _SLACK_S / 2)
+        lead_s = self.rhythm.latest_s + self.rhythm.swapping_s
+        last = number + ceil(lead_s / period_s) + 1
+        while self._committed <= last and self._pictures.has(self._committed):
+            if len(self._groups.of(self._committed)) == 1:
+                break
+            when_s = max(self._flip_s + period_s, time.monotonic())
+            if self._reference is not None:
+                known, triggered_s = self._reference
+                when_s = max(when_s, triggered_s + (self._committed - known) * period_s - lead_s)
+            self._projector.show_at(self._pictures[self._committed], when_s)
+            self._planned[self._committed] = self._flip_s = when_s
+            self._committed += 1
+
+    def _swap(self, number: int) -> Swap:
+        """That of a picture, which is waited for."""
+        while number not in self._swaps:
+            self._hear(wait=True)
+        return self._swaps[number]
+
+    def _hear(self, *, wait: bool) -> bool:
+        swap = self._projector.shown(wait=wait)
+        if swap is None:
+            return False
+        number = min(self._planned)
+        del self._planned[number]
+        self._swaps[number] = swap
+        self._flip_s = max(self._flip_s, swap.done_s - self.rhythm.swapping_s)
+        return True
+
+    def _latest_begin_s(self, number: int) -> float:
+        """When an exposure has to have begun, lest it sees the next picture."""
+        while self._planned and self._hear(wait=False):
+            pass
+        if number + 1 in self._swaps:
+            next_s = self._swaps[number + 1].begun_s
+        elif number + 1 in self._planned:
+            next_s = self._planned[number + 1]  # it does not leave sooner
+        else:
+            return float("inf")
+        return next_s + self.rhythm.soonest_s - self._exposure_s
+
+    def _settle(self, number: int) -> None:
+        """Let everything that is on its way be shown; the next to be appointed is that picture."""
+        while self._planned:
+            self._hear(wait=True)
+        self._swaps.clear()
+        self._committed = number
+        self._reference = None
+        self._interrupted = True
+
+    def _slow_down(self) -> None:
+        """After a miss: some frames at rest, twice as many as after the last one."""
+        self.missed += 1
+        self._resting, self._penalty = self._penalty, min(_MOST_AT_REST, 2 * self._penalty)
+        self._caught_in_row = 0
+
+    def _calm_down(self) -> None:
+        self._caught_in_row += 1
+        if self._caught_in_row == _CALM:
+            self._penalty, self._caught_in_row = max(1, self._penalty // 2), 0
+
+    def _prove(self, group: range, taken: dict[int, Frame], before: Floats | None) -> Floats:
+        """See to it that the frames of a group are its pictures', and return what the last one shows."""
+        seen = [self._sums.seen(taken[k].image) for k in group]
+        pictures = [self._pictures[k] for k in group]
+        after = self._sums.seen(taken[group.stop].image) if group.stop in taken else None
+        if self._rested.issuperset(group) or self._sums.are_level(pictures, seen, before, after):
+            return seen[-1]
+        log.warning("frames %d to %d do not add up to even light: taken again", group.start, group[-1])
+        self.doubted += len(group)
+        self.tally.retriggered += len(group)
+        self._slow_down()
+        self._settle(max(taken) + 1)
+        taken.update(zip(group, self._turns.at_rest(pictures), strict=True))
+        return self._sums.seen(taken[group[-1]].image)
+
+
+class _Groups:
+    """Numbers that belong together; all others are on their own."""
+
+    def __init__(self, level: Sequence[range]) -> None:
+        self._level = level
+
+    def of(self, number: int) -> range:
+        """The group that a number is in."""
+        return next((group for group in self._level if number in group), range(number, number + 1))
+
+
+class _Ahead:
+    """Pictures by their numbers, read from an iterator as they are wanted, kept until they are forgotten."""
+
+    def __init__(self, images: Iterator[Image]) -> None:
+        self._images = images
+        self._numbers = count()
+        self._known: dict[int, Image] = {}
+        self._count = 0
+        self._ended = False
+
+    def __getitem__(self, number: int) -> Image:
+        return self._known[number]
+
+    def has(self, number: int) -> bool:
+        """Whether there is such a picture."""
+        while self._count <= number and not self._ended:
+            image = next(self._images, None)
+            if image is None:
+                self._ended = True
+            else:
+                self._known[self._count] = image
+                self._count += 1
+        return number < self._count
+
+    def forget(self, before: int) -> None:
+        """Pictures with smaller numbers are not wanted any more."""
+        for number in [known for known in self._known if known < before]:
+            del self._known[number]

@@ -1,0 +1,74 @@
+"""Pictures that prove each other: together they light every place alike, as a picture and its inverse do.
+
+Of frames that show what they should, the sum over such pictures is level. A frame that holds a share of the picture
+before or after it, or shows another one altogether, makes the differences between neighbours show in that sum.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Floats, Image
+
+_MOST_PIXELS = 20_000
+_LEAST_TOLERANCE = 0.015
+_LEAST_DIFFERENCE = 0.25  # of neighbours, rms; that of black and white is nothing but noise
+
+
+@dataclass(frozen=True)
+class LevelSums:
+    """Judges frames at pixels (N,) that the projector lights: `dark` (N,) and `contrast` (N,) are of black and white.
+
+    `tolerance`: the largest share of another picture that is not told from noise.
+    """
+
+    pixels: tuple[np.ndarray, np.ndarray]
+    dark: Floats
+    contrast: Floats
+    tolerance: float
+
+    def seen(self, image: Image) -> Floats:
+        """Brightness (N,) in a frame: 0 where black looks like this, 1 where white does."""
+        return (_grey(image[self.pixels]) - self.dark) / self.contrast
+
+    def are_level(
+        self, pictures: Sequence[Image], frames: Sequence[Floats], before: Floats | None, after: Floats | None
+    ) -> bool:
+        """Whether frames are of their pictures, which light every place alike together.
+
+        `before`, `after`: the frames of their neighbours, as far as there are any.
+        """
+        for picture, frame in zip(pictures, frames, strict=True):
+            lowest, highest = int(picture.min()), int(picture.max())
+            if lowest == highest and abs(frame.mean() - highest / 255) > self.tolerance:  # it is known how it looks
+                return False
+        return self.foreign_share(frames, before, after) <= self.tolerance
+
+    def foreign_share(self, frames: Sequence[Floats], before: Floats | None, after: Floats | None) -> float:
+        """About which share of a frame may be of a picture next to its own: what of the sum, where it is not level,
+        the differences between neighbours explain (least squares)."""
+        series = [each for each in (before, *frames, after) if each is not None]
+        steps = np.diff(np.stack(series), axis=0).T
+        steps = steps - steps.mean(axis=0)
+        total = np.sum(frames, axis=0)
+        explained = steps @ np.linalg.lstsq(steps, total - total.mean(), rcond=1e-3)[0]
+        largest = float(np.sqrt(np.mean(steps**2, axis=0).max()))
+        return float(np.sqrt(np.mean(explained**2))) / max(largest, _LEAST_DIFFERENCE)
+
+
+def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float) -> LevelSums:
+    """From frames of black and of white at rest, and the pixels (H, W) that tell them apart."""
+    rows, columns = np.nonzero(lit)
+    chosen = np.random.default_rng(0).permutation(len(rows))[:_MOST_PIXELS]
+    pixels = rows[chosen], columns[chosen]
+    levels = [np.stack([_grey(image[pixels]) for image in images]) for images in (dark, bright)]
+    contrast = levels[1].mean(axis=0) - levels[0].mean(axis=0)
+    # Noise is in a frame and in its differences to others alike, which looks as if they had to do with each other.
+    noise = float(np.mean(np.var(np.diff(levels[1], axis=0), axis=0) / 2 / contrast**2))
+    return LevelSums(pixels, levels[0].mean(axis=0), contrast, max(_LEAST_TOLERANCE, tolerance) + 4 * noise)
+
+
+def _grey(pixels: Image) -> Floats:
+    """Pixels (N,) or, of colour cameras, (N, 3) → their brightness (N,)."""
+    return pixels.mean(axis=1) if pixels.ndim == 2 else pixels.astype(np.float64)
