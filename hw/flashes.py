@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import cycle, islice
+from statistics import median
 
 import numpy as np
 
@@ -46,12 +47,14 @@ class _Arrival:
 @dataclass(frozen=True)
 class Latency:
     """Seconds until all light of a picture is there: not before `soonest_s` from the begin of its swap, nor after
-    `latest_s` from the swap's end, in any of several flashes. Swaps took up to `swapping_s`.
+    `latest_s` from the swap's end, in any of several flashes. Swaps took up to `swapping_s`, and the camera usually
+    `cycle_s` from a trigger until its frame was there.
     """
 
     soonest_s: float
     latest_s: float
     swapping_s: float
+    cycle_s: float
 
 
 class Flashes:
@@ -67,6 +70,7 @@ class Flashes:
         self._pictures = tuple(np.full((height, width), level, np.uint8) for level in (0, 255))
         dark, bright = self._resting(0), self._resting(1)
         self._shown = 1
+        self._cycles_s: list[float] = []
         self._lit = self._lit_pixels(dark, bright)
         levels = np.array([[self._level(image) for image in images] for images in (dark, bright)])
         self._dark, self._bright = levels.mean(axis=1)
@@ -94,6 +98,7 @@ class Flashes:
                     min(each.after_s + each.swapping_s for each in seen),
                     max(each.after_s for each in seen),
                     max(each.swapping_s for each in seen),
+                    median(self._cycles_s),
                 )
             first_s = max(0.0, arrival.after_s - self._camera.exposure_s / 2)
         raise DeviceError(
@@ -124,7 +129,9 @@ class Flashes:
         while time.monotonic() - flipped_s < _LONGEST_FLASH_S:
             begin_s = self._camera.expose()
             try:
-                missing = self._missing(self._camera.collect().image, self._shown)
+                frame = self._camera.collect()
+                self._cycles_s.append(time.monotonic() - begin_s)
+                missing = self._missing(frame.image, self._shown)
             except FrameLostError:
                 hidden = hidden or arrival is None
                 continue

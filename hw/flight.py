@@ -23,7 +23,7 @@ from hw.errors import FrameLostError
 from hw.flashes import Latency
 from hw.level_sums import LevelSums
 from hw.rig import Frame
-from hw.timed_devices import BufferedProjector, Swap, TriggeredCamera
+from hw.timed_devices import ATTEMPTS, BufferedProjector, Swap, TriggeredCamera
 from hw.turns import Tally, Turns
 
 log = logging.getLogger(__name__)
@@ -55,7 +55,8 @@ def pace(measured: Latency, exposure_s: float, margin_s: float) -> Pace:
     """The shortest period for light that comes so soon, and so late, with a margin for either."""
     soonest_s, latest_s = measured.soonest_s - margin_s, measured.latest_s + margin_s
     uncertain_s = max(0.0, latest_s + measured.swapping_s - soonest_s)
-    return Pace(soonest_s, latest_s, measured.swapping_s, exposure_s + uncertain_s + _SLACK_S)
+    period_s = max(exposure_s + uncertain_s, measured.cycle_s) + _SLACK_S
+    return Pace(soonest_s, latest_s, measured.swapping_s, period_s)
 
 
 class Flight:
@@ -73,6 +74,7 @@ class Flight:
         self._planned: dict[int, float] = {}  # appointments that have not been kept so far
         self._swaps: dict[int, Swap] = {}
         self._flip_s = 0.0
+        self._cycle_s = 0.0  # from a trigger to the next, as far as the camera goes
         self._reference: tuple[int, float] | None = None  # a picture, and when its exposure was triggered
         self.missed = 0
         self.doubted = 0
@@ -101,7 +103,7 @@ class Flight:
             taken[number] = frame
             while proven in taken:
                 group = self._groups.of(proven)
-                if number < group.stop and self._pictures.has(group.stop):
+                if number < group.stop - 1 or (number < group.stop and self._pictures.has(group.stop)):
                     break  # the frame after them is still to come
                 last = self._prove(group, taken, last)
                 for proven in group:
@@ -118,9 +120,7 @@ class Flight:
         """Frames with their numbers; between them, others may be taken again after `_settle`."""
         self._pictures = _Ahead(iter(images))
         self._groups = _Groups(level)
-        self._cycle_s = 0.0
         self._resting, self._penalty, self._caught_in_row = 0, 1, 0
-        self._rested = set[int]()
         self._settle(0)
         number = 0
         while self._pictures.has(number):
@@ -143,7 +143,6 @@ class Flight:
         self._settle(first)
         pictures = (self._pictures[k] for k in takewhile(self._pictures.has, range(first, stop)))
         for number, frame in enumerate(self._turns.at_rest(pictures), first):
-            self._rested.add(number)
             self._resting = max(0, self._resting - 1)
             self._interrupted = False
             yield number, frame
@@ -246,19 +245,28 @@ class Flight:
             self._penalty, self._caught_in_row = max(1, self._penalty // 2), 0
 
     def _prove(self, group: range, taken: dict[int, Frame], before: Floats | None) -> Floats:
-        """See to it that the frames of a group are its pictures', and return what the last one shows."""
-        seen = [self._sums.seen(taken[k].image) for k in group]
+        """See to it that the frames of a group are its pictures', and return what the last one shows.
+
+        Frames at rest can be wrong, too; and what twice looks the same is the scene's.
+        """
         pictures = [self._pictures[k] for k in group]
         after = self._sums.seen(taken[group.stop].image) if group.stop in taken else None
-        if self._rested.issuperset(group) or self._sums.are_level(pictures, seen, before, after):
-            return seen[-1]
-        log.warning("frames %d to %d do not add up to even light: taken again", group.start, group[-1])
-        self.doubted += len(group)
-        self.tally.retriggered += len(group)
-        self._slow_down()
-        self._settle(max(taken) + 1)
-        taken.update(zip(group, self._turns.at_rest(pictures), strict=True))
-        return self._sums.seen(taken[group[-1]].image)
+        earlier: float | None = None
+        for attempt in range(ATTEMPTS):
+            seen = [self._sums.seen(taken[k].image) for k in group]
+            foreign = self._sums.foreign_share(pictures, seen, before, after) if len(group) > 1 else 0.0
+            tolerance = self._sums.tolerance
+            if foreign <= tolerance or earlier is not None and abs(foreign - earlier) <= tolerance / 2:
+                break
+            log.info("frames %d to %d: %.1f %% are foreign", group.start, group[-1], 100 * foreign)
+            if attempt == 0:
+                self.doubted += len(group)
+                self._slow_down()
+            self.tally.retriggered += len(group)
+            earlier = foreign
+            self._settle(max(taken) + 1)
+            taken.update(zip(group, self._turns.at_rest(pictures), strict=True))
+        return seen[-1]
 
 
 class _Groups:

@@ -13,6 +13,7 @@ from calib.numerics import Floats, Image
 
 _MOST_PIXELS = 20_000
 _LEAST_TOLERANCE = 0.015
+_MOST_TERMS = 10  # differences between neighbours, times frames in the sum, of two or four frames
 _LEAST_DIFFERENCE = 0.25  # of neighbours, rms; that of black and white is nothing but noise
 
 
@@ -32,29 +33,26 @@ class LevelSums:
         """Brightness (N,) in a frame: 0 where black looks like this, 1 where white does."""
         return (_grey(image[self.pixels]) - self.dark) / self.contrast
 
-    def are_level(
+    def foreign_share(
         self, pictures: Sequence[Image], frames: Sequence[Floats], before: Floats | None, after: Floats | None
-    ) -> bool:
-        """Whether frames are of their pictures, which light every place alike together.
+    ) -> float:
+        """About which share of a frame is of another picture than its own, which light every place alike together.
 
-        `before`, `after`: the frames of their neighbours, as far as there are any.
+        What of the sum, where it is not level, the differences between neighbours explain (least squares); `before`
+        and `after` are the frames next to these. How a picture looks that is black or white everywhere is known.
         """
-        for picture, frame in zip(pictures, frames, strict=True):
-            lowest, highest = int(picture.min()), int(picture.max())
-            if lowest == highest and abs(frame.mean() - highest / 255) > self.tolerance:  # it is known how it looks
-                return False
-        return self.foreign_share(frames, before, after) <= self.tolerance
-
-    def foreign_share(self, frames: Sequence[Floats], before: Floats | None, after: Floats | None) -> float:
-        """About which share of a frame may be of a picture next to its own: what of the sum, where it is not level,
-        the differences between neighbours explain (least squares)."""
+        plain = [
+            abs(float(frame.mean()) - picture[0, 0] / 255)
+            for picture, frame in zip(pictures, frames, strict=True)
+            if picture.min() == picture.max()
+        ]
         series = [each for each in (before, *frames, after) if each is not None]
         steps = np.diff(np.stack(series), axis=0).T
         steps = steps - steps.mean(axis=0)
         total = np.sum(frames, axis=0)
         explained = steps @ np.linalg.lstsq(steps, total - total.mean(), rcond=1e-3)[0]
         largest = float(np.sqrt(np.mean(steps**2, axis=0).max()))
-        return float(np.sqrt(np.mean(explained**2))) / max(largest, _LEAST_DIFFERENCE)
+        return max([*plain, float(np.sqrt(np.mean(explained**2))) / max(largest, _LEAST_DIFFERENCE)])
 
 
 def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float) -> LevelSums:
@@ -65,8 +63,10 @@ def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, 
     levels = [np.stack([_grey(image[pixels]) for image in images]) for images in (dark, bright)]
     contrast = levels[1].mean(axis=0) - levels[0].mean(axis=0)
     # Noise is in a frame and in its differences to others alike, which looks as if they had to do with each other.
-    noise = float(np.mean(np.var(np.diff(levels[1], axis=0), axis=0) / 2 / contrast**2))
-    return LevelSums(pixels, levels[0].mean(axis=0), contrast, max(_LEAST_TOLERANCE, tolerance) + 4 * noise)
+    variance = float(np.mean(np.diff(levels[1], axis=0) ** 2 / 2 / contrast**2))
+    by_chance = 3 * np.sqrt(_MOST_TERMS * variance / len(chosen)) / _LEAST_DIFFERENCE
+    noise = 4 * variance + by_chance
+    return LevelSums(pixels, levels[0].mean(axis=0), contrast, max(_LEAST_TOLERANCE, tolerance) + float(noise))
 
 
 def _grey(pixels: Image) -> Floats:

@@ -25,7 +25,7 @@ _MARGIN_S = 0.004
 _ROUNDS = 8
 # In flight, a picture's time is short, and what it takes beside the exposure counts for every frame.
 _FLIGHT_MARGINS_S = (0.001, 0.003, 0.006, 0.012, 0.024)
-_REHEARSED_IN_FLIGHT = 12
+_REHEARSED_IN_FLIGHT = 8
 _MOST_AHEAD = 8  # frames that wait for whoever records and decodes them
 
 
@@ -61,7 +61,7 @@ def _rehearsed_in_turns(
     )
 
 
-def take_off(
+def _rehearsed_in_flight(
     flashes: Flashes, measured: Latency, projector: BufferedProjector, camera: TriggeredCamera, turns: Turns
 ) -> Flight | None:
     """Pictures in flight as densely as frames of black and white show that they may be; None if they may not at all.
@@ -70,7 +70,7 @@ def take_off(
     """
     for margin_s in _FLIGHT_MARGINS_S:
         rhythm = pace(measured, camera.exposure_s, margin_s)
-        if rhythm.period_s > camera.exposure_s + measured.latest_s:
+        if rhythm.period_s > turns.period_s(measured.cycle_s):
             break
         flight = Flight(projector, camera, turns, rhythm, flashes.sums)
         missing = flashes.largest_missing_share(flight.rehearse, _REHEARSED_IN_FLIGHT)
@@ -142,6 +142,6 @@ def synchronised(
     measured = flashes.latency()
     timing = _rehearsed_in_turns(flashes, projector, camera, measured.latest_s)
     turns = Turns(projector, camera, timing)
-    flight = take_off(flashes, measured, projector, camera, turns) if camera.on_time else None
+    flight = _rehearsed_in_flight(flashes, measured, projector, camera, turns) if camera.on_time else None
     known = identity | {"light after a flip": f"{1e3 * timing.latency_s:.1f} ms (measured)"}
     return SynchronisedRig(projector, camera, known, refresh_hz, timing=timing, turns=turns, flight=flight)

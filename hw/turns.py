@@ -74,6 +74,10 @@ class Turns:
         """The camera's exposure in seconds."""
         return self._camera.exposure_s
 
+    def period_s(self, cycle_s: float) -> float:
+        """How long a frame takes at least, if the camera has a frame so long after its trigger."""
+        return max(cycle_s, self.exposure_s + self._delay_s) if self._overlaps else cycle_s + self._delay_s
+
     def frames(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
         """A frame of each image, the exposures (if there are any) taking turns; taken when it is asked for.
 

@@ -33,12 +33,15 @@ class Bench:
         noise: float = 0.0,
         lost: frozenset[int] = frozenset(),
         gain: float = 1.0,
+        lag_s: float = 0.0,
+        late: frozenset[int] = frozenset(),
     ) -> None:
         self.now = 0.0
         self.exposure_s = exposure_s
         self._latency_s, self._transfer_s, self._readout_s, self._jitter_s = latency_s, transfer_s, readout_s, jitter_s
         self._noise, self._gain = noise, gain
         self._lost = lost
+        self._lag_s, self._late = lag_s, late
         self._rng = np.random.default_rng(0)
         self._prepared = np.zeros(SIZE[::-1], np.uint8)
         self._wall: list[tuple[float, Image]] = [(-1.0, self._prepared)]
@@ -80,6 +83,7 @@ class Bench:
 
     def _leave(self, image: Image, moment: float) -> None:
         light = moment + self._latency_s + self._jitter_s * self._rng.random()
+        light += 1 / 60 if len(self._wall) in self._late else 0.0  # a refresh was missed, and nobody tells
         self._wall.append((max(light, self._wall[-1][0]), image))
 
     def show(self, image: Image) -> None:
@@ -87,14 +91,16 @@ class Bench:
         self.flip()
 
     def expose(self) -> float:
-        self._begin = self.now
+        triggered = self.now
+        self.late_s = self._lag_s * self._rng.random()
+        self._begin = triggered + self.late_s
         self._sleep(self.exposure_s)
         self.exposures += 1
         self.log.append("expose")
-        return self._begin
+        return triggered
 
     def collect(self) -> Frame:
-        self._sleep(self._transfer_s)
+        self._sleep(self._transfer_s + self.late_s)
         self.log.append("collect")
         if self.exposures - 1 in self._lost:
             raise FrameLostError("incomplete: missing-packets")

@@ -1,0 +1,137 @@
+"""Pictures in flight, on a bench whose clock stands still while nothing happens."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hw.errors import DeviceError
+from hw.synchronisation import SynchronisedRig, synchronised
+from tests.support.rig_bench import SIZE, Bench
+
+COUNT = 40
+
+
+def pictures(count: int = COUNT) -> list[np.ndarray]:
+    """Each followed by its inverse."""
+    drawn = np.random.default_rng(1).choice(np.array([0, 255], np.uint8), (count // 2, *SIZE[::-1]))
+    return [each for picture in drawn for each in (picture, 255 - picture)]
+
+
+def pairs(count: int = COUNT) -> list[range]:
+    return [range(first, first + 2) for first in range(0, count, 2)]
+
+
+def expected(picture: np.ndarray) -> np.ndarray:
+    """What the bench's camera sees of a picture that rests."""
+    return 10 + 12 * np.where(np.arange(SIZE[0]) % 5 != 4, picture.astype(int), 0)
+
+
+def scanned(monkeypatch: pytest.MonkeyPatch, bench: Bench) -> SynchronisedRig:
+    """A rig that has taken pictures, each frame of which shows its own and at most 0.2 % of others."""
+    bench.install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    shown = pictures()
+    frames = list(rig.photograph(shown, level=pairs()))
+    assert len(frames) == len(shown)
+    for number, (picture, frame) in enumerate(zip(shown, frames, strict=True)):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=7, err_msg=f"frame {number}")
+    return rig
+
+
+@pytest.mark.parametrize("latency_ms", [0, 5, 20, 50, 120, 250])
+def test_a_frame_takes_its_exposure_and_a_margin_whatever_the_latency(
+    monkeypatch: pytest.MonkeyPatch, latency_ms: float
+) -> None:
+    bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001, lag_s=0.001)
+    rig = scanned(monkeypatch, bench)
+    assert rig.flight is not None
+    assert (rig.flight.missed, rig.flight.doubted) == (0, 0)
+    beside = latency_ms / 1e3 / COUNT  # the first picture's light is waited for
+    assert 1.1 < (rig.turns.tally.seconds_per_frame - beside) / bench.exposure_s < 1.3
+    assert rig.flight.rhythm.in_flight == pytest.approx(latency_ms / 40, abs=1.1)
+
+
+def test_a_slow_transfer_sets_the_pace(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = scanned(monkeypatch, Bench(0.12, transfer_s=0.045))
+    assert rig.flight is not None
+    assert rig.flight.missed <= 1
+    assert rig.turns.tally.seconds_per_frame == pytest.approx(1 / 30 + 0.045, rel=0.1)
+
+
+@pytest.mark.parametrize("lost", [frozenset({40, 41, 60}), frozenset(range(40, 200, 3))])
+@pytest.mark.parametrize("latency_ms", [0, 50, 120])
+def test_lost_frames_are_taken_again(monkeypatch: pytest.MonkeyPatch, latency_ms: float, lost: frozenset[int]) -> None:
+    rig = scanned(monkeypatch, Bench(latency_ms / 1e3, transfer_s=0.005, lost=lost))
+    assert rig.turns.tally.retriggered >= 2
+
+
+@pytest.mark.parametrize("latency_ms", [5, 50, 120])
+def test_pictures_that_came_late_without_a_word_are_found_out(
+    monkeypatch: pytest.MonkeyPatch, latency_ms: float
+) -> None:
+    late = frozenset(range(45, 400, 9))
+    rig = scanned(monkeypatch, Bench(latency_ms / 1e3, transfer_s=0.005, late=late))
+    assert rig.flight is not None
+    assert 4 <= rig.flight.doubted <= 20
+
+
+def test_jitter_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, jitter_s=0.015))
+    assert 1.3 < rig.turns.tally.seconds_per_frame * 30 < 3
+
+
+def test_exposures_that_begin_late_are_taken_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, lag_s=0.009))
+    assert rig.flight is not None
+    assert rig.flight.missed > 0
+
+
+def test_a_rolling_shutter_is_read_out_before_the_next_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = scanned(monkeypatch, Bench(0.02, readout_s=0.06, transfer_s=0.08))
+    assert 1 / 30 + 0.08 < rig.turns.tally.seconds_per_frame < 1.1 * (1 / 30 + 0.08)
+    rig = scanned(monkeypatch, Bench(0.05, readout_s=0.01, transfer_s=0.01))
+    assert 1 / 30 + 0.01 < rig.turns.tally.seconds_per_frame < 1.6 / 30
+
+
+def test_noise_casts_no_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.05, transfer_s=0.005, noise=60.0).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    shown = pictures()
+    for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=300)
+    assert rig.flight is not None
+    assert rig.flight.doubted <= 2
+
+
+def test_pictures_that_nothing_proves_are_taken_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    shown = pictures(12)
+    proven = [range(0, 2), range(8, 10)]
+    for picture, frame in zip(shown, rig.photograph(shown, level=proven), strict=True):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=2)
+    begun = bench.log[-bench.log[::-1].index("prepare") :]
+    assert begun  # the pictures in turns are flipped one by one
+    assert rig.turns.tally.seconds_per_frame > 0.06
+
+
+def test_a_camera_without_a_trigger_takes_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.05)
+    bench.on_time = False
+    bench.install(monkeypatch)
+    assert synchronised(bench, bench, {}).flight is None
+
+
+def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    bench._lost = frozenset(range(bench.exposures + 6, 10_000))
+    frames = rig.photograph(pictures(), level=pairs())
+    with pytest.raises(DeviceError, match="was lost 8 times"):
+        list(frames)
+
+
+def test_neighbours_are_never_alike() -> None:
+    """Otherwise frames of wrong pictures would pass."""
+    assert all(np.mean(one != other) > 0.2 for one, other in pairwise(pictures()))
