@@ -23,6 +23,7 @@ _AT_ONCE_S = 0.002  # the trigger comes a moment after the swap
 _EDGE = 0.05  # less than this share of the light missing: the exposure began after the light had come
 _LEAST_TOLERANCE = 0.005  # share of the light: with a fringe of 16 px in 8 steps, a hundredth of a projector pixel
 _REHEARSED = 4
+_BANDS = 8  # of the image, from top to bottom
 _CLIPPED = 254 / 255  # of the highest level; demosaicing mixes clipped pixels with others
 
 
@@ -72,9 +73,9 @@ class Flashes:
         self._shown = 1
         self._cycles_s: list[float] = []
         self._lit = self._lit_pixels(dark, bright)
-        levels = np.array([[self._level(image) for image in images] for images in (dark, bright)])
+        levels = np.array([[self._levels(image) for image in images] for images in (dark, bright)])
         self._dark, self._bright = levels.mean(axis=1)
-        noise = np.ptp(levels, axis=1).max() / (self._bright - self._dark)
+        noise = np.max(np.ptp(levels, axis=1) / (self._bright - self._dark))
         self.tolerance = max(_LEAST_TOLERANCE, 3.0 * float(noise))
         self.sums: LevelSums = level_sums(dark, bright, self._lit, self.tolerance)
 
@@ -110,10 +111,14 @@ class Flashes:
     def largest_missing_share(
         self, frames: Callable[[Iterable[Image]], Iterator[Frame]], count: int = _REHEARSED
     ) -> float:
-        """Take frames of black and white in turns by `frames`; the largest share by which one differs from rest."""
+        """Take frames of black and white in turns by `frames`; the largest share by which a part of one differs
+        from rest."""
         targets = list(islice(cycle((1 - self._shown, self._shown)), count))
         taken = frames(self._pictures[target] for target in targets)
-        shares = [abs(self._missing(frame.image, target)) for target, frame in zip(targets, taken, strict=True)]
+        shares = [
+            float(np.abs(self._missing(frame.image, target)).max())
+            for target, frame in zip(targets, taken, strict=True)
+        ]
         self._shown = targets[-1]
         return max(shares)
 
@@ -131,7 +136,7 @@ class Flashes:
             try:
                 frame = self._camera.collect()
                 self._cycles_s.append(time.monotonic() - begin_s)
-                missing = self._missing(frame.image, self._shown)
+                missing = float(self._missing(frame.image, self._shown).mean())
             except FrameLostError:
                 hidden = hidden or arrival is None
                 continue
@@ -184,13 +189,16 @@ class Flashes:
             )
         return lit
 
-    def _level(self, image: Image) -> float:
-        return float(_grey(image)[self._lit].mean())
+    def _levels(self, image: Image) -> Floats:
+        """How bright the lit pixels are, (B,), from the top to the bottom: a rolling shutter begins with the top."""
+        lit = _grey(image)[self._lit]
+        return np.array([part.mean() for part in np.array_split(lit, min(_BANDS, len(lit)))])
 
-    def _missing(self, image: Image, target: int) -> float:
-        """Which share of the way from the other picture to the target is missing: 0 at rest, 1 before any change."""
-        share = (self._level(image) - self._dark) / (self._bright - self._dark)
-        return float(1 - share if target == 1 else share)
+    def _missing(self, image: Image, target: int) -> Floats:
+        """Which share (B,) of the way from the other picture to the target is missing: 0 at rest, 1 before it."""
+        share = (self._levels(image) - self._dark) / (self._bright - self._dark)
+        missing: Floats = 1 - share if target == 1 else share
+        return missing
 
 
 def _grey(image: Image | Floats) -> Floats:

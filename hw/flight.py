@@ -89,37 +89,39 @@ class Flight:
         """Whether the camera still exposes for as long as the pace was measured for."""
         return self._camera.exposure_s == self._exposure_s
 
-    def frames(self, images: Iterable[Image], level: Sequence[range]) -> Iterator[Frame]:
-        """A frame of each image, when it is proven. `level`: the numbers of images that follow each other and light
-        every place alike together, in order; the images between them are taken at rest.
+    def frames(self, images: Iterable[Image], level: Sequence[Sequence[int]]) -> Iterator[Frame]:
+        """A frame of each image, when it is proven. `level`: the numbers of images that light every place alike
+        together; images that are in none of these are taken at rest.
 
         Raises DeviceError, and whatever `images` raises.
         """
         self.tally.begin()
         self.missed = self.doubted = 0
-        proven, last = 0, None
+        self._seen: dict[int, Floats] = {}
         taken: dict[int, Frame] = {}
+        unproven = {number: group for group in level for number in group}
+        following = 0
         for number, frame in self._series(images, level):
-            taken[number] = frame
-            while proven in taken:
-                group = self._groups.of(proven)
-                if number < group.stop - 1 or (number < group.stop and self._pictures.has(group.stop)):
-                    break  # the frame after them is still to come
-                last = self._prove(group, taken, last)
-                for proven in group:
-                    self.tally.take()
-                    yield taken.pop(proven)
-                proven = group.stop
-                self._pictures.forget(proven)
+            taken[number], self._seen[number] = frame, self._sums.seen(frame.image)
+            for group in dict.fromkeys(map(tuple, unproven.values())):
+                last = max(group)  # the frame after it, if there is one, may have to do with it
+                if number > last or (number == last and not self._pictures.has(number + 1)):
+                    self._prove(group, taken, number)
+                    unproven = {each: of for each, of in unproven.items() if each not in group}
+            while following in taken and following not in unproven:
+                self.tally.take()
+                yield taken.pop(following)
+                following += 1
+                self._pictures.forget(following)
 
     def rehearse(self, images: Iterable[Image]) -> Iterator[Frame]:
         """The same without any proof but that of time: somebody else looks at the frames."""
-        return (frame for _, frame in self._series(images, [range(2**31)]))
+        return (frame for _, frame in self._series(images, None))
 
-    def _series(self, images: Iterable[Image], level: Sequence[range]) -> Iterator[tuple[int, Frame]]:
-        """Frames with their numbers; between them, others may be taken again after `_settle`."""
+    def _series(self, images: Iterable[Image], level: Sequence[Sequence[int]] | None) -> Iterator[tuple[int, Frame]]:
+        """Frames and numbers; between them, others may be taken again after `_settle`. Without `level`, all fly."""
         self._pictures = _Ahead(iter(images))
-        self._groups = _Groups(level)
+        self._flying = None if level is None else {number for group in level for number in group}
         self._resting, self._penalty, self._caught_in_row = 0, 1, 0
         self._settle(0)
         number = 0
@@ -152,9 +154,12 @@ class Flight:
     def _rests_until(self, number: int) -> int:
         """The first picture from there on that may fly."""
         stop = number + self._resting
-        while self._pictures.has(stop) and len(self._groups.of(stop)) == 1:
+        while self._pictures.has(stop) and not self._may_fly(stop):
             stop += 1
         return stop
+
+    def _may_fly(self, number: int) -> bool:
+        return self._flying is None or number in self._flying
 
     def _catch(self, number: int) -> Frame | None:
         """A frame of a picture on its way; None if its time was missed, or the frame lost."""
@@ -185,9 +190,7 @@ class Flight:
         period_s = max(self.rhythm.period_s, self._cycle_s + _SLACK_S / 2)
         lead_s = self.rhythm.latest_s + self.rhythm.swapping_s
         last = number + ceil(lead_s / period_s) + 1
-        while self._committed <= last and self._pictures.has(self._committed):
-            if len(self._groups.of(self._committed)) == 1:
-                break
+        while self._committed <= last and self._pictures.has(self._committed) and self._may_fly(self._committed):
             when_s = max(self._flip_s + period_s, time.monotonic())
             if self._reference is not None:
                 known, triggered_s = self._reference
@@ -244,40 +247,27 @@ class Flight:
         if self._caught_in_row == _CALM:
             self._penalty, self._caught_in_row = max(1, self._penalty // 2), 0
 
-    def _prove(self, group: range, taken: dict[int, Frame], before: Floats | None) -> Floats:
-        """See to it that the frames of a group are its pictures', and return what the last one shows.
+    def _prove(self, group: Sequence[int], taken: dict[int, Frame], newest: int) -> None:
+        """See to it that the frames of a group are its pictures'.
 
         Frames at rest can be wrong, too; and what twice looks the same is the scene's.
         """
-        pictures = [self._pictures[k] for k in group]
-        after = self._sums.seen(taken[group.stop].image) if group.stop in taken else None
+        pictures = [self._pictures[number] for number in group]
         earlier: float | None = None
         for attempt in range(ATTEMPTS):
-            seen = [self._sums.seen(taken[k].image) for k in group]
-            foreign = self._sums.foreign_share(pictures, seen, before, after) if len(group) > 1 else 0.0
+            foreign = self._sums.foreign_share(group, pictures, self._seen)
             tolerance = self._sums.tolerance
-            if foreign <= tolerance or earlier is not None and abs(foreign - earlier) <= tolerance / 2:
-                break
-            log.info("frames %d to %d: %.1f %% are foreign", group.start, group[-1], 100 * foreign)
+            if foreign <= tolerance or (earlier is not None and abs(foreign - earlier) <= tolerance / 2):
+                return
+            log.info("frames %s: %.1f %% are foreign", group, 100 * foreign)
             if attempt == 0:
                 self.doubted += len(group)
                 self._slow_down()
             self.tally.retriggered += len(group)
             earlier = foreign
-            self._settle(max(taken) + 1)
-            taken.update(zip(group, self._turns.at_rest(pictures), strict=True))
-        return seen[-1]
-
-
-class _Groups:
-    """Numbers that belong together; all others are on their own."""
-
-    def __init__(self, level: Sequence[range]) -> None:
-        self._level = level
-
-    def of(self, number: int) -> range:
-        """The group that a number is in."""
-        return next((group for group in self._level if number in group), range(number, number + 1))
+            self._settle(newest + 1)
+            for number, frame in zip(group, self._turns.at_rest(pictures), strict=True):
+                taken[number], self._seen[number] = frame, self._sums.seen(frame.image)
 
 
 class _Ahead:

@@ -4,7 +4,7 @@ Of frames that show what they should, the sum over such pictures is level. A fra
 before or after it, or shows another one altogether, makes the differences between neighbours show in that sum.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,26 +33,26 @@ class LevelSums:
         """Brightness (N,) in a frame: 0 where black looks like this, 1 where white does."""
         return (_grey(image[self.pixels]) - self.dark) / self.contrast
 
-    def foreign_share(
-        self, pictures: Sequence[Image], frames: Sequence[Floats], before: Floats | None, after: Floats | None
-    ) -> float:
+    def foreign_share(self, group: Sequence[int], pictures: Sequence[Image], seen: Mapping[int, Floats]) -> float:
         """About which share of a frame is of another picture than its own, which light every place alike together.
 
-        What of the sum, where it is not level, the differences between neighbours explain (least squares); `before`
-        and `after` are the frames next to these. How a picture looks that is black or white everywhere is known.
+        `group`: their numbers in the series of all frames, of which `seen` has these and those next to them. What of
+        the sum, where it is not level, the differences between neighbours explain (least squares). How a picture
+        looks that is black or white everywhere is known.
         """
         plain = [
-            abs(float(frame.mean()) - picture[0, 0] / 255)
-            for picture, frame in zip(pictures, frames, strict=True)
+            abs(float(seen[number].mean()) - picture[0, 0] / 255)
+            for number, picture in zip(group, pictures, strict=True)
             if picture.min() == picture.max()
         ]
-        series = [each for each in (before, *frames, after) if each is not None]
-        steps = np.diff(np.stack(series), axis=0).T
-        steps = steps - steps.mean(axis=0)
-        total = np.sum(frames, axis=0)
+        changes = sorted({(first, first + 1) for number in group for first in (number - 1, number)})
+        steps = np.stack([seen[to] - seen[of] for of, to in changes if of in seen and to in seen], axis=1)
+        steps -= steps.mean(axis=0)
+        total = np.sum([seen[number] for number in group], axis=0)
         explained = steps @ np.linalg.lstsq(steps, total - total.mean(), rcond=1e-3)[0]
         largest = float(np.sqrt(np.mean(steps**2, axis=0).max()))
-        return max([*plain, float(np.sqrt(np.mean(explained**2))) / max(largest, _LEAST_DIFFERENCE)])
+        share = float(np.sqrt(np.mean(explained**2))) / max(largest, _LEAST_DIFFERENCE)
+        return float(max([share, *plain]))
 
 
 def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float) -> LevelSums:

@@ -90,7 +90,7 @@ class SynchronisedRig(Rig):
     _queue: list[Ahead[Frame]] = field(default_factory=list)
 
     def photograph(
-        self, images: Iterable[Image], exposures_us: Sequence[float] = (), level: Sequence[range] = ()
+        self, images: Iterable[Image], exposures_us: Sequence[float] = (), level: Sequence[Sequence[int]] = ()
     ) -> Iterator[Frame]:
         """A frame of each image, taken when its light is on the wall. Raises DeviceError.
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
-from hw.synchronisation import Timing, Turns, measure, synchronised
+from hw.synchronisation import measure, synchronised
+from hw.turns import Timing, Turns
 from tests.support.rig_bench import SIZE, Bench
 
 

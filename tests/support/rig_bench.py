@@ -34,14 +34,14 @@ class Bench:
         lost: frozenset[int] = frozenset(),
         gain: float = 1.0,
         lag_s: float = 0.0,
-        late: frozenset[int] = frozenset(),
     ) -> None:
         self.now = 0.0
         self.exposure_s = exposure_s
         self._latency_s, self._transfer_s, self._readout_s, self._jitter_s = latency_s, transfer_s, readout_s, jitter_s
         self._noise, self._gain = noise, gain
         self._lost = lost
-        self._lag_s, self._late = lag_s, late
+        self._lag_s = lag_s
+        self._late = range(0)
         self._rng = np.random.default_rng(0)
         self._prepared = np.zeros(SIZE[::-1], np.uint8)
         self._wall: list[tuple[float, Image]] = [(-1.0, self._prepared)]
@@ -81,9 +81,13 @@ class Bench:
         self.now = max(self.now, swap.done_s)
         return swap
 
+    def delay_every(self, count: int) -> None:
+        """From now on, of so many pictures one comes a refresh later than others, and nobody tells."""
+        self._late = range(len(self._wall) + 4, 10**9, count)
+
     def _leave(self, image: Image, moment: float) -> None:
         light = moment + self._latency_s + self._jitter_s * self._rng.random()
-        light += 1 / 60 if len(self._wall) in self._late else 0.0  # a refresh was missed, and nobody tells
+        light += 1 / 60 if len(self._wall) in self._late else 0.0
         self._wall.append((max(light, self._wall[-1][0]), image))
 
     def show(self, image: Image) -> None:

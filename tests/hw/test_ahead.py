@@ -1,0 +1,58 @@
+"""An iterator that runs on in a thread of its own."""
+
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from hw.ahead import Ahead
+
+
+def numbers(count: int, made: list[int], closed: list[bool]) -> Iterator[int]:
+    for number in range(count):
+        made.append(number)
+        yield number
+    closed.append(True)
+
+
+def test_all_items_come_in_order() -> None:
+    made, closed = list[int](), list[bool]()
+    assert list(Ahead(numbers(20, made, closed), 3)) == list(range(20))
+    assert closed == [True]
+
+
+def test_no_more_than_so_many_are_made_ahead() -> None:
+    made = list[int]()
+    ahead = Ahead(numbers(20, made, []), 3)
+    items = iter(ahead)
+    assert made == []
+    next(items)
+    until = time.monotonic() + 10
+    while len(made) < 3 and time.monotonic() < until:
+        time.sleep(0.001)
+    time.sleep(0.02)
+    assert made == [0, 1, 2]  # the first is still in the hands of who asked for it
+    assert list(items) == list(range(1, 20))
+    assert ahead.waited_s > 0.01
+
+
+def test_what_goes_wrong_is_raised_in_its_turn() -> None:
+    def items() -> Iterator[int]:
+        yield 1
+        raise ValueError("the second")
+
+    found = iter(Ahead(items(), 5))
+    assert next(found) == 1
+    with pytest.raises(ValueError, match="the second"):
+        next(found)
+
+
+def test_who_stops_asking_waits_until_it_has_stopped() -> None:
+    before = threading.active_count()
+    made = list[int]()
+    items = iter(Ahead(numbers(10**9, made, []), 4))
+    next(items)
+    del items
+    assert threading.active_count() == before
+    assert len(made) <= 5
