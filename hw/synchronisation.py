@@ -80,6 +80,14 @@ def _rehearsed_in_flight(
     return None
 
 
+@dataclass
+class _Lately:
+    """How the last frames were taken."""
+
+    flew: bool = False
+    ahead: Ahead[Frame] | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class SynchronisedRig(Rig):
     """A rig of real devices, which take turns, or whose pictures are in flight, where that was found to work."""
@@ -87,20 +95,24 @@ class SynchronisedRig(Rig):
     timing: Timing
     turns: Turns
     flight: Flight | None = None
-    _queue: list[Ahead[Frame]] = field(default_factory=list)
+    _lately: _Lately = field(default_factory=_Lately)
 
     def photograph(
         self, images: Iterable[Image], exposures_us: Sequence[float] = (), level: Sequence[Sequence[int]] = ()
     ) -> Iterator[Frame]:
         """A frame of each image, taken when its light is on the wall. Raises DeviceError.
 
-        In turns, when it is asked for; where images that are `level` together are in flight, some frames before.
+        Images of which some are `level` together are a capture: its frames are taken some ahead of who asks for them,
+        and its pictures are in flight, where that works. All others are taken in turns, when they are asked for.
         """
-        if self.flight is None or exposures_us or not level or not self.flight.possible:
-            self._queue.clear()
-            return self.turns.frames(images, exposures_us)
-        self._queue[:] = [Ahead(self.flight.frames(images, level), _MOST_AHEAD)]
-        return iter(self._queue[0])
+        flying = self.flight if level and not exposures_us else None
+        self._lately.flew = flying is not None and flying.possible
+        if flying is not None and self._lately.flew:
+            frames = flying.frames(images, level)
+        else:
+            frames = self.turns.frames(images, exposures_us)
+        self._lately.ahead = Ahead(frames, _MOST_AHEAD) if level else None
+        return iter(self._lately.ahead or frames)
 
     def account(self) -> Mapping[str, object]:
         """What synchronisation measured, and what the frames so far cost over what was unavoidable."""
@@ -118,19 +130,21 @@ class SynchronisedRig(Rig):
         }
 
     def _of_flight(self) -> dict[str, object]:
-        if self.flight is None or not self._queue:
-            return {}
-        return {
-            "pictures_in_flight": self.flight.rhythm.in_flight,
-            "missed_in_flight": self.flight.missed,
-            "doubted_frames": self.flight.doubted,
-            "waited_for_computer_s": round(self._queue[0].waited_s, 3),
-        }
+        found: dict[str, object] = {}
+        if self.flight is not None and self._lately.flew:
+            found |= {
+                "pictures_in_flight": self.flight.rhythm.in_flight,
+                "missed_in_flight": self.flight.missed,
+                "doubted_frames": self.flight.doubted,
+            }
+        if self._lately.ahead is not None:
+            found["waited_for_computer_s"] = round(self._lately.ahead.waited_s, 3)
+        return found
 
     @property
     def overhead(self) -> float:
         """Time per frame beyond exposure and (where pictures are not in flight) latency, relative to these."""
-        waited_s = 0.0 if self.flight is not None and self._queue else self.timing.latency_s
+        waited_s = 0.0 if self._lately.flew else self.timing.latency_s
         return self.turns.tally.seconds_per_frame / (self.turns.exposure_s + waited_s) - 1
 
 
