@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -51,6 +51,9 @@ class Ahead(Generic[T]):
             self._ready.put(error)
         else:
             self._ready.put(None)
+        finally:
+            if isinstance(self._items, Generator):
+                self._items.close()  # here, not wherever it is collected
 
     def _wait_for_room(self) -> bool:
         """Whether to go on, when there is room for one more."""

@@ -14,12 +14,13 @@ that follow: how long, and how much time there is between pictures, depends on h
 import logging
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count, takewhile
 from math import ceil
 
 from calib.numerics import Floats, Image
-from hw.errors import FrameLostError
+from hw.errors import DeviceError, FrameLostError
 from hw.flashes import Latency
 from hw.level_sums import LevelSums
 from hw.rig import Frame
@@ -31,6 +32,7 @@ log = logging.getLogger(__name__)
 _SLACK_S = 0.002  # what trigger and swap may be late without a picture being missed
 _CYCLE_FADES = 0.9  # of one frame to the next: the time that the slowest took lately
 _MOST_AT_REST = 32
+_MOST_UNFOUNDED = 3  # doubts that were the scene's own: with blur, flicker, or bounced light sums are never level
 _CALM = 16  # so many frames in a row that were caught make up for a missed one
 
 
@@ -120,31 +122,36 @@ class Flight:
 
     def _series(self, images: Iterable[Image], level: Sequence[Sequence[int]] | None) -> Iterator[tuple[int, Frame]]:
         """Frames and numbers; between them, others may be taken again after `_settle`. Without `level`, all fly."""
-        self._pictures = _Ahead(iter(images))
+        self._pictures = _Pictures(iter(images))
         self._flying = None if level is None else {number for group in level for number in group}
         self._resting, self._penalty, self._caught_in_row = 0, 1, 0
+        self._rested, self._unfounded = set[int](), 0
         self._settle(0)
         number = 0
-        while self._pictures.has(number):
-            stop = self._rests_until(number)
-            if stop > number:
-                for found in self._at_rest(number, stop):
-                    yield found
-                    number = found[0] + 1
-                self._settle(number)
-            elif caught := self._catch(number):
-                self._calm_down()
-                yield number, caught
-                number += 1
-            else:
-                self._slow_down()
-                self._settle(number)
-        self._settle(number)
+        try:
+            while self._pictures.has(number):
+                stop = self._rests_until(number)
+                if stop > number:
+                    for found in self._at_rest(number, stop):
+                        yield found
+                        number = found[0] + 1
+                    self._settle(number)
+                elif caught := self._catch(number):
+                    self._calm_down()
+                    yield number, caught
+                    number += 1
+                else:
+                    self._slow_down()
+                    self._settle(number)
+        finally:
+            with suppress(DeviceError):  # it is not the first then
+                self._settle(0)
 
     def _at_rest(self, first: int, stop: int) -> Iterator[tuple[int, Frame]]:
         self._settle(first)
         pictures = (self._pictures[k] for k in takewhile(self._pictures.has, range(first, stop)))
-        for number, frame in enumerate(self._turns.at_rest(pictures), first):
+        for number, frame in enumerate(self._turns.at_rest(pictures, numbers=count(first)), first):
+            self._rested.add(number)
             self._resting = max(0, self._resting - 1)
             self._interrupted = False
             yield number, frame
@@ -154,9 +161,14 @@ class Flight:
     def _rests_until(self, number: int) -> int:
         """The first picture from there on that may fly."""
         stop = number + self._resting
-        while self._pictures.has(stop) and not self._may_fly(stop):
+        while self._pictures.has(stop) and (self._grounded or not self._may_fly(stop)):
             stop += 1
         return stop
+
+    @property
+    def _grounded(self) -> bool:
+        """Whether the scene is such that sums prove nothing."""
+        return self._unfounded >= _MOST_UNFOUNDED
 
     def _may_fly(self, number: int) -> bool:
         return self._flying is None or number in self._flying
@@ -252,30 +264,34 @@ class Flight:
 
         Frames at rest can be wrong, too; and what twice looks the same is the scene's.
         """
+        if self._grounded and self._rested.issuperset(group):
+            return
         pictures = [self._pictures[number] for number in group]
         earlier: float | None = None
-        for attempt in range(ATTEMPTS):
+        for _ in range(ATTEMPTS):
             foreign = self._sums.foreign_share(group, pictures, self._seen)
             tolerance = self._sums.tolerance
-            if foreign <= tolerance or (earlier is not None and abs(foreign - earlier) <= tolerance / 2):
+            if foreign <= tolerance:
                 return
             log.info("frames %s: %.1f %% are foreign", group, 100 * foreign)
-            if attempt == 0:
+            if earlier is not None and abs(foreign - earlier) <= tolerance / 2:
+                self._unfounded += 1
+                return
+            if earlier is None:
                 self.doubted += len(group)
                 self._slow_down()
             self.tally.retriggered += len(group)
             earlier = foreign
             self._settle(newest + 1)
-            for number, frame in zip(group, self._turns.at_rest(pictures), strict=True):
+            for number, frame in zip(group, self._turns.at_rest(pictures, numbers=group), strict=True):
                 taken[number], self._seen[number] = frame, self._sums.seen(frame.image)
 
 
-class _Ahead:
+class _Pictures:
     """Pictures by their numbers, read from an iterator as they are wanted, kept until they are forgotten."""
 
     def __init__(self, images: Iterator[Image]) -> None:
         self._images = images
-        self._numbers = count()
         self._known: dict[int, Image] = {}
         self._count = 0
         self._ended = False

@@ -10,7 +10,7 @@ import logging
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, cycle
+from itertools import chain, count, cycle
 
 from calib.numerics import Image
 from hw.errors import DeviceError, FrameLostError
@@ -88,9 +88,11 @@ class Turns:
             self.tally.take()
             yield frame
 
-    def at_rest(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
-        """The same, as a part of something longer that counts its frames itself."""
-        exposures = cycle(exposures_us or (None,))
+    def at_rest(
+        self, images: Iterable[Image], exposures_us: Sequence[float] = (), numbers: Iterable[int] | None = None
+    ) -> Iterator[Frame]:
+        """The same, as a part of something longer that counts its frames itself: these have `numbers`."""
+        exposures, numbered = cycle(exposures_us or (None,)), iter(count() if numbers is None else numbers)
         upcoming: Iterator[Image | None] = chain(images, [None])
         image = self._prepare(next(upcoming))
         if image is not None:
@@ -101,7 +103,7 @@ class Turns:
             self._expose()
             if self._overlaps and following is not None:
                 self._flip()
-            yield self._collect(image, following)
+            yield self._collect(image, following, next(numbered))
             image = following
 
     def _prepare(self, image: Image | None) -> Image | None:
@@ -121,12 +123,12 @@ class Turns:
         time.sleep(max(0.0, self._flipped_s + self._delay_s - time.monotonic()))
         self._camera.expose()
 
-    def _collect(self, image: Image, following: Image | None) -> Frame:
+    def _collect(self, image: Image, following: Image | None, number: int) -> Frame:
         """The frame of `image`, taken again if it was lost; afterwards `following` is on its way to the wall."""
         try:
             frame = self._camera.collect()
         except FrameLostError as lost:
-            frame = self._again(image, lost)
+            frame = self._again(image, lost, number)
             self._prepare(following)
         else:
             if self._overlaps:
@@ -135,8 +137,7 @@ class Turns:
             self._flip()
         return frame
 
-    def _again(self, image: Image, lost: FrameLostError) -> Frame:
-        number = self.tally.taken
+    def _again(self, image: Image, lost: FrameLostError, number: int) -> Frame:
         for attempt in range(1, ATTEMPTS):
             log.warning("frame %d was lost (%s), attempt %d", number, lost, attempt)
             self.tally.retriggered += 1

@@ -146,6 +146,31 @@ def test_what_proves_a_picture_may_come_much_later(monkeypatch: pytest.MonkeyPat
     assert rig.flight.doubted >= 2
 
 
+def test_a_scan_that_is_given_up_leaves_no_picture_on_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.12, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    frames = rig.photograph(pictures(), level=pairs())
+    next(frames)
+    del frames
+    assert bench._swaps == []
+    (frame,) = rig.photograph(pictures()[:1])
+    np.testing.assert_allclose(frame.image, expected(pictures()[0]), atol=1)
+
+
+def test_in_a_scene_that_proves_nothing_pictures_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A picture's inverse is dark in this scene, where neighbouring pictures differ."""
+    bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    shown = pictures()
+    for number in range(1, len(shown), 2):
+        shown[number] = np.where(shown[number - 2] == 255, 0, shown[number]).astype(np.uint8)
+    for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=2)
+    assert rig.flight is not None
+    assert 6 <= rig.flight.doubted <= 8
+    assert rig.turns.tally.retriggered <= 8
+
+
 def test_neighbours_are_never_alike() -> None:
     """Otherwise frames of wrong pictures would pass."""
     assert all(np.mean(one != other) > 0.2 for one, other in pairwise(pictures()))
