@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from hashlib import blake2b
 from pathlib import Path
 from typing import Protocol, Self
 
@@ -66,13 +67,16 @@ class ScreenHistory:
     Any number of pictures are on their way to the wall at once, each with a delay of its own, in the order in which
     they were shown (`hw/loopback/wall.py`). A change is dated back to the last look that did not show it yet, however
     late the machine lets us look; it never falls into an exposure that was over before the change.
-    `develop` turns an image into light as soon as it is seen, so that it is ready when a camera wants it.
+    `develop` turns an image into light as soon as it is seen, so that it is ready when a camera wants it;
+    the last `album` ones are kept for when they come again.
     """
 
-    def __init__(self, screen: Pixels, develop: Callable[[Image], Light], seed: int = 0) -> None:
+    def __init__(self, screen: Pixels, develop: Callable[[Image], Light], seed: int = 0, album: int = 4) -> None:
         self._screen = screen
         self._develop = develop
         self._studio = ThreadPoolExecutor(max_workers=1)
+        self._album = album
+        self._developed: dict[bytes, Future[Light]] = {}
         self._last = screen.pixels()
         self._looked_s = time.monotonic()
         self.wall = Wall(self._light(), seed)
@@ -106,7 +110,13 @@ class ScreenHistory:
         return [(share, light.result()) for share, light in seen]
 
     def _light(self) -> Future[Light]:
-        return self._studio.submit(self._develop, green(self._last))
+        """Of what it shows; pictures that come again, as in a rehearsal, are developed once."""
+        key = blake2b(self._last.tobytes()).digest()
+        light = self._developed.pop(key, None) or self._studio.submit(self._develop, green(self._last))
+        self._developed[key] = light
+        while len(self._developed) > self._album:
+            del self._developed[next(iter(self._developed))]
+        return light
 
     def _settled(self, pixels: NDArray[np.uint32]) -> NDArray[np.uint32]:
         """What it shows when it has been redrawn; a real projector swaps whole pictures."""
