@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from hw.errors import DeviceError
 from hw.loopback.launcher import loopback_rig
 from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.open_rig import open_rig
@@ -52,7 +53,7 @@ def main() -> int:
     config = Config.model_validate(parse_yaml(CONFIG, "the rig"))
     conditions = Conditions(latency_ms=options.latency_ms, jitter_ms=options.jitter_ms, missed_refreshes=options.missed)
     room = SimulatedRoom(SimulatedRigSettings(seed=0), CAMERA, PROJECTOR)
-    frames = wrong = 0
+    frames = wrong = refused = 0
     with (
         loopback_rig(LoopbackSettings(camera_size=CAMERA, conditions=conditions), PROJECTOR),
         busy(options.busy),
@@ -60,14 +61,19 @@ def main() -> int:
     ):
         for scan in range(options.scans):
             recorded = Path(folder) / str(scan)
-            with open_rig(config.required_rig, CAMERA, PROJECTOR) as opened:
-                for _ in record(capture(opened.rig, PATTERNS), recorded).frames:
-                    pass
-                account = opened.rig.account()["synchronisation"]
+            try:
+                with open_rig(config.required_rig, CAMERA, PROJECTOR) as opened:
+                    for _ in record(capture(opened.rig, PATTERNS), recorded).frames:
+                        pass
+                    account = opened.rig.account()["synchronisation"]
+            except DeviceError as error:
+                refused += 1
+                print(f"scan {scan + 1}: {error}", flush=True)
+                continue
             found = wrong_frames(open_capture(recorded), room)
             frames, wrong = frames + len(PATTERNS), wrong + len(found)
             print(f"scan {scan + 1}: {len(PATTERNS)} frames, {len(found)} wrong {found}; {account}", flush=True)
-    print(f"{wrong} of {frames} frames wrong; load {os.getloadavg()[0]:.1f}")
+    print(f"{wrong} of {frames} frames wrong, {refused} scans refused; load {os.getloadavg()[0]:.1f}")
     return int(wrong > 0)
 
 

@@ -28,20 +28,35 @@ class Ahead(Generic[T]):
         for _ in range(most):
             self._room.put(None)
         self._stopping = False
+        self._thread = Thread(target=self._run, name="ahead", daemon=True)
         self.waited_s = 0.0
 
     def __iter__(self) -> Iterator[T]:
-        thread = Thread(target=self._run, name="ahead", daemon=True)
         with _punctual():
             try:
-                thread.start()
+                self._thread.start()
                 while (found := self._ready.get()) is not None:
                     if isinstance(found, BaseException):
                         raise found
                     yield found[0]
                     self._room.put(None)
             finally:
-                self._stop(thread)
+                self.stop()
+
+    def stop(self) -> None:
+        """Return when the iterator has stopped, however often that is interrupted: others are about to take away what
+        it works with.
+        """
+        self._stopping = True
+        self._room.put(None)
+        interrupted: BaseException | None = None
+        while self._thread.is_alive():
+            try:
+                self._thread.join()
+            except BaseException as error:
+                interrupted = error
+        if interrupted is not None:
+            raise interrupted
 
     def _run(self) -> None:
         try:
@@ -64,19 +79,6 @@ class Ahead(Generic[T]):
             self._room.get()
             self.waited_s += time.monotonic() - begin_s
         return not self._stopping
-
-    def _stop(self, thread: Thread) -> None:
-        """Wait for the thread, however often that is interrupted: others are about to take away what it works with."""
-        self._stopping = True
-        self._room.put(None)
-        interrupted: BaseException | None = None
-        while thread.is_alive():
-            try:
-                thread.join()
-            except BaseException as error:
-                interrupted = error
-        if interrupted is not None:
-            raise interrupted
 
 
 @contextmanager

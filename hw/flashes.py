@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import cycle, islice
+from math import inf
 from statistics import median
 
 import numpy as np
@@ -87,7 +88,7 @@ class Flashes:
         Raises DeviceError if the light does not come, or frames do not arrive.
         """
         seen: list[_Arrival] = []
-        first_s = 0.0
+        soonest_s, first_s = inf, 0.0
         for _ in range(_FLASHES_AT_MOST):
             arrival = self._flash(first_s)
             if arrival is None:
@@ -101,7 +102,8 @@ class Flashes:
                     max(each.swapping_s for each in seen),
                     median(self._cycles_s),
                 )
-            first_s = max(0.0, arrival.after_s - self._camera.exposure_s / 2)
+            soonest_s = min(soonest_s, arrival.after_s)  # exposures that begin late see it later than it was there
+            first_s = max(0.0, soonest_s - self._camera.exposure_s / 2)
         raise DeviceError(
             f"camera {self._camera.name}: {_FLASHES_AT_MOST} flashes did not tell when the projector's light comes: "
             "frames were lost, or the light does not come evenly. Check the camera's cable and network, turn off the "

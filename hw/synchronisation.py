@@ -114,6 +114,11 @@ class SynchronisedRig(Rig):
         self._lately.ahead = Ahead(frames, _MOST_AHEAD) if level else None
         return iter(self._lately.ahead or frames)
 
+    def stop(self) -> None:
+        """Return when no frame is being taken, before the devices are closed."""
+        if self._lately.ahead is not None:
+            self._lately.ahead.stop()
+
     def account(self) -> Mapping[str, object]:
         """What synchronisation measured, and what the frames so far cost over what was unavoidable."""
         tally = self.turns.tally

@@ -56,3 +56,24 @@ def test_who_stops_asking_waits_until_it_has_stopped() -> None:
     del items
     assert threading.active_count() == before
     assert len(made) <= 5
+
+
+def test_it_can_be_stopped_by_somebody_else() -> None:
+    before = threading.active_count()
+    made, closed = list[int](), list[bool]()
+
+    def items() -> Iterator[int]:
+        try:
+            yield from numbers(10**9, made, [])
+        finally:
+            closed.append(True)
+
+    ahead = Ahead(items(), 4)
+    ahead.stop()  # it has not begun
+    ahead = Ahead(items(), 4)
+    asking = iter(ahead)
+    next(asking)
+    ahead.stop()
+    assert closed == [True]
+    assert threading.active_count() == before
+    ahead.stop()
