@@ -20,6 +20,7 @@ from pathlib import Path
 from statistics import median
 from typing import cast
 
+from hw.ahead import beside
 from hw.errors import DeviceError
 from hw.loopback.launcher import loopback_rig
 from hw.loopback.settings import Conditions, LoopbackSettings
@@ -38,8 +39,9 @@ def one_capture(rig: SynchronisedRig, config: Config, folder: Path) -> tuple[flo
     patterns = config.sequence.patterns(config.projector_size)
     stream = record(capture(rig, patterns), folder)
     decoder = Decoder(patterns, config.projector_size)
-    for _, frame in stream.frames:
-        decoder.add(frame.image)
+    with beside(decoder.add) as add:
+        for _, frame in stream.frames:
+            add(frame.image)
     found = cast(dict[str, float], rig.account()["synchronisation"])
     exposures = found["ms_per_frame"] / 1e3 / rig.turns.exposure_s
     return exposures, (

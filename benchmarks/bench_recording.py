@@ -24,7 +24,7 @@ from rich.table import Table
 
 from calib.geometry import Size
 from calib.numerics import Image
-from hw.ahead import Ahead
+from hw.ahead import Ahead, beside
 from hw.rig import Frame
 from scanner.capture import Stream, record
 from scanner.capture import recorder as recorder_module
@@ -68,8 +68,9 @@ def capture(folder: Path, images: list[Image], size: Size, period_s: float) -> t
     stream = record(Stream(PATTERNS, PROJECTOR, size, iter(ahead)), folder)
     decoder = Decoder(PATTERNS, PROJECTOR)
     begin_s = time.monotonic()
-    for _, frame in stream.frames:
-        decoder.add(frame.image)
+    with beside(decoder.add) as add:
+        for _, frame in stream.frames:
+            add(frame.image)
     elapsed_s = time.monotonic() - begin_s
     shutil.rmtree(folder)
     return elapsed_s / len(PATTERNS), ahead.waited_s

@@ -1,14 +1,17 @@
-"""Work that must not wait: an iterator that runs on in a thread of its own, a bounded number of items ahead."""
+"""Work in threads of their own, with bounded queues: an iterator that runs on ahead, and what is done beside."""
 
 import sys
 import time
-from collections.abc import Generator, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import Generic, TypeVar
+from typing import Generic, ParamSpec, TypeVar
 
 T = TypeVar("T")
+P = ParamSpec("P")
 
 _PUNCTUAL_S = 0.0005  # a thread that keeps time gets its turn so soon, whatever Python code others run
 
@@ -79,6 +82,29 @@ class Ahead(Generic[T]):
             self._room.get()
             self.waited_s += time.monotonic() - begin_s
         return not self._stopping
+
+
+@contextmanager
+def beside(work: Callable[P, object], most: int = 2) -> Iterator[Callable[P, None]]:
+    """Call it in one thread, call after call, while the caller goes on; it waits where `most` calls are to be done.
+
+    All are done when the context ends. What one raises is raised by a later one, or at the end.
+    """
+    pending: deque[Future[object]] = deque()
+
+    def begin(*arguments: P.args, **named: P.kwargs) -> None:
+        while len(pending) >= most:
+            pending.popleft().result()
+        pending.append(pool.submit(work, *arguments, **named))
+
+    with ThreadPoolExecutor(1, thread_name_prefix="beside") as pool:
+        try:
+            yield begin
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        while pending:
+            pending.popleft().result()
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hw.ahead import Ahead
+from hw.ahead import Ahead, beside
 
 
 def numbers(count: int, made: list[int], closed: list[bool]) -> Iterator[int]:
@@ -77,3 +77,37 @@ def test_it_can_be_stopped_by_somebody_else() -> None:
     assert closed == [True]
     assert threading.active_count() == before
     ahead.stop()
+
+
+def test_what_is_done_beside_is_done_in_order_and_by_the_end() -> None:
+    done = list[int]()
+
+    def work(number: int) -> None:
+        time.sleep(0.002)
+        done.append(number)
+
+    with beside(work, 3) as begin:
+        for number in range(10):
+            begin(number)
+            assert number - len(done) < 3 + 1
+    assert done == list(range(10))
+
+
+def test_what_goes_wrong_beside_is_told() -> None:
+    def work(number: int) -> None:
+        if number == 1:
+            raise ValueError("the second")
+
+    def all_of(numbers: int, then: type[BaseException] | None = None) -> None:
+        with beside(work) as begin:
+            for number in range(numbers):
+                begin(number)
+            if then is not None:
+                raise then
+
+    with pytest.raises(ValueError, match="the second"):
+        all_of(2)
+    with pytest.raises(ValueError, match="the second"):
+        all_of(10)
+    with pytest.raises(KeyError):
+        all_of(1, then=KeyError)
