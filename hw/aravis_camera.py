@@ -21,6 +21,7 @@ from gi.repository import Aravis, GLib  # noqa: E402  # only after the version i
 from hw.cameras import CameraInfo, not_found  # noqa: E402
 from hw.errors import DeviceError, FrameLostError  # noqa: E402
 from hw.exposures import whole_periods  # noqa: E402
+from hw.frame_clock import FrameClock  # noqa: E402
 from hw.pixel_formats import PixelFormat, pixel_format  # noqa: E402
 from hw.rig import Frame  # noqa: E402
 from hw.settings import AravisRigSettings  # noqa: E402
@@ -88,6 +89,7 @@ class AravisCamera:
         self._offsets_s: dict[float, deque[float]] = defaultdict(lambda: deque(maxlen=2 * ATTEMPTS - 3))
         self._refresh_hz = refresh_hz
         self._discarded = _IN_FLIGHT
+        self._clock = FrameClock()
         self._arrived: Any | None = None
         self._camera = _open(settings.camera)
         with self._errors("cannot be set up"):
@@ -113,9 +115,9 @@ class AravisCamera:
         return float(1e6 * self.exposure_s)
 
     @property
-    def on_time(self) -> bool:
-        """Whether it is triggered by software."""
-        return not self._free_running
+    def wait_s(self) -> float:
+        """How long after `expose` its exposure begins at most: with the camera's next frame, if it is not told."""
+        return self._clock.interval_s if self._free_running else 0.0
 
     def expose_for(self, exposure_us: float) -> float:
         """Expose all frames from now on for the nearest whole number of refresh periods; returns how long that is.
@@ -138,6 +140,7 @@ class AravisCamera:
         self._expect("exposure in µs", exposure_us, found_us)
         self.exposure_s = found_us / 1e6
         self._discarded = _IN_FLIGHT + 1  # one more may have begun with the exposure before
+        self._clock = FrameClock()
         return self.exposure_us
 
     def expose(self) -> float:
@@ -150,11 +153,7 @@ class AravisCamera:
         self._drain()
         self._triggered_s = time.monotonic()
         if self._free_running:
-            for _ in range(self._discarded):
-                self._recycle(self._pop(self.exposure_s + _LATEST_FRAME_S))
-            self._arrived = self._pop(self.exposure_s + _LATEST_FRAME_S)
-            self._discarded = _IN_FLIGHT
-            return self._triggered_s
+            return self._follow()
         with self._errors("does not answer"):
             self._camera.software_trigger()
         self._disturbed = time.monotonic() - self._triggered_s > _SLOW_TRIGGER_S
@@ -164,6 +163,26 @@ class AravisCamera:
             self._drain()  # what has arrived before the exposure is over is of an earlier one
         time.sleep(max(0.0, end - time.monotonic()))
         return self._triggered_s
+
+    def _follow(self) -> float:
+        """Wait for a frame whose exposure begins now or later; when it did, as far as time stamps tell.
+
+        Where they do not, frames are counted: some may have begun before.
+        """
+        asked_s, discarded = time.monotonic(), self._discarded
+        patience_s = self.exposure_s + _LATEST_FRAME_S
+        while (buffer := self._pop(patience_s)) is not None:
+            came_s = buffer.get_system_timestamp() / 1e9 - time.time() + time.monotonic()
+            stamp_s = buffer.get_timestamp() / 1e9
+            begun_s = self._clock.begun_s(buffer.get_frame_id(), stamp_s, came_s, self.exposure_s)
+            tells = self._clock.tells and self._discarded <= _IN_FLIGHT
+            if begun_s >= asked_s if tells else discarded == 0:
+                break
+            self._recycle(buffer)
+            discarded -= 1
+        self._arrived = buffer
+        self._discarded = _IN_FLIGHT
+        return begun_s if buffer is not None and tells else asked_s
 
     def collect(self) -> Frame:
         """The frame that was exposed last. Raises FrameLostError if it does not arrive whole, DeviceError."""

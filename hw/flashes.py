@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import cycle, islice
-from math import inf
+from math import inf, isfinite
 from statistics import median
 
 import numpy as np
@@ -38,11 +38,12 @@ LOST_ADVICE = (
 class _Arrival:
     """When the light of a flash came: `seen` coming during an exposure, or else some time before the next began.
 
-    `after_s`: from the end of its swap, which took `swapping_s`.
+    `after_s`: from the end of its swap, which took `swapping_s`; not sooner than `soonest_s` after the swap's begin.
     """
 
     after_s: float
     seen: bool
+    soonest_s: float
     swapping_s: float
 
 
@@ -89,21 +90,26 @@ class Flashes:
         """
         seen: list[_Arrival] = []
         soonest_s, first_s = inf, 0.0
-        for _ in range(_FLASHES_AT_MOST):
-            arrival = self._flash(first_s)
+        for number in range(_FLASHES_AT_MOST):
+            waits_s = self._camera.wait_s if isfinite(self._camera.wait_s) else 0.0
+            # Light that comes soon may always be there before a camera that runs freely begins.
+            arrival = self._flash(first_s, _AT_ONCE_S + waits_s * (number > 2 * _FLASHES))
             if arrival is None:
                 continue
             if arrival.seen:
                 seen.append(arrival)
             if len(seen) == _FLASHES:
                 return Latency(
-                    min(each.after_s + each.swapping_s for each in seen),
+                    min(each.soonest_s for each in seen),
                     max(each.after_s for each in seen),
                     max(each.swapping_s for each in seen),
                     median(self._cycles_s),
                 )
             soonest_s = min(soonest_s, arrival.after_s)  # exposures that begin late see it later than it was there
-            first_s = max(0.0, soonest_s - self._camera.exposure_s / 2)
+            early_s = (
+                self._camera.exposure_s / 2 + waits_s * (number % _FLASHES) / _FLASHES
+            )  # when it begins, is chance
+            first_s = max(0.0, soonest_s - early_s)
         raise DeviceError(
             f"camera {self._camera.name}: {_FLASHES_AT_MOST} flashes did not tell when the projector's light comes: "
             "frames were lost, or the light does not come evenly. Check the camera's cable and network, turn off the "
@@ -124,7 +130,7 @@ class Flashes:
         self._shown = targets[-1]
         return max(shares)
 
-    def _flash(self, first_s: float) -> "_Arrival | None":
+    def _flash(self, first_s: float, at_once_s: float) -> "_Arrival | None":
         """Change the picture, and expose from `first_s` after the flip until it rests; None if a lost frame hid it."""
         self._shown = 1 - self._shown
         self._projector.prepare(self._pictures[self._shown])
@@ -144,9 +150,11 @@ class Flashes:
                 continue
             if arrival is None and missing < 1 - _EDGE:
                 late_s = self._camera.late_s + max(0.0, missing) * self._camera.exposure_s
-                at_once = begin_s - flipped_s < _AT_ONCE_S
-                seen = missing > _EDGE or at_once
-                arrival = _Arrival(begin_s - flipped_s + late_s, seen, flipped_s - swap.begun_s)
+                after_s, swapping_s = begin_s - flipped_s + late_s, flipped_s - swap.begun_s
+                if missing > _EDGE:
+                    arrival = _Arrival(after_s, True, after_s + swapping_s, swapping_s)
+                else:
+                    arrival = _Arrival(after_s, begin_s - flipped_s < at_once_s, 0.0, swapping_s)
             if arrival is not None and missing < _EDGE:
                 return arrival if arrival.seen or not hidden else None
         raise DeviceError(

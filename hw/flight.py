@@ -53,11 +53,14 @@ class Pace:
         return ceil((self.latest_s + self.swapping_s) / self.period_s)
 
 
-def pace(measured: Latency, exposure_s: float, margin_s: float) -> Pace:
-    """The shortest period for light that comes so soon, and so late, with a margin for either."""
+def pace(measured: Latency, camera: TriggeredCamera, margin_s: float) -> Pace:
+    """The shortest period for light that comes so soon, and so late, with a margin for either.
+
+    In the light of every picture there is time for a whole exposure, whenever the camera begins.
+    """
     soonest_s, latest_s = measured.soonest_s - margin_s, measured.latest_s + margin_s
     uncertain_s = max(0.0, latest_s + measured.swapping_s - soonest_s)
-    period_s = max(exposure_s + uncertain_s, measured.cycle_s) + _SLACK_S
+    period_s = max(camera.exposure_s + uncertain_s, measured.cycle_s) + camera.wait_s + _SLACK_S
     return Pace(soonest_s, latest_s, measured.swapping_s, period_s)
 
 
@@ -77,7 +80,7 @@ class Flight:
         self._swaps: dict[int, Swap] = {}
         self._flip_s = 0.0
         self._cycle_s = 0.0  # from a trigger to the next, as far as the camera goes
-        self._reference: tuple[int, float] | None = None  # a picture, and when its exposure was triggered
+        self._reference: tuple[int, float] | None = None  # a picture, and when the camera was ready for it
         self.missed = 0
         self.doubted = 0
 
@@ -193,8 +196,8 @@ class Flight:
             log.info("frame %d was lost in flight (%s)", number, lost)
             self.tally.retriggered += 1
             return None
-        self._cycle_s = max(time.monotonic() - triggered_s, _CYCLE_FADES * self._cycle_s)
-        self._reference = number, triggered_s
+        self._cycle_s = max(time.monotonic() - begin_s, _CYCLE_FADES * self._cycle_s)
+        self._reference = number, begin_s
         return frame
 
     def _commit(self, number: int) -> None:
@@ -205,8 +208,8 @@ class Flight:
         while self._committed <= last and self._pictures.has(self._committed) and self._may_fly(self._committed):
             when_s = max(self._flip_s + period_s, time.monotonic())
             if self._reference is not None:
-                known, triggered_s = self._reference
-                when_s = max(when_s, triggered_s + (self._committed - known) * period_s - lead_s)
+                known, begin_s = self._reference
+                when_s = max(when_s, begin_s + (self._committed - known) * period_s - lead_s)
             self._projector.show_at(self._pictures[self._committed], when_s)
             self._planned[self._committed] = self._flip_s = when_s
             self._committed += 1

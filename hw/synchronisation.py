@@ -8,6 +8,7 @@ picture leaves when the last one has been exposed (`hw/turns.py`).
 import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import isfinite
 
 from calib.numerics import Image
 from hw.ahead import Ahead
@@ -69,8 +70,8 @@ def _rehearsed_in_flight(
     What shows is what does in turns, and whatever makes pictures later, or sooner, when others are on their way, too.
     """
     for margin_s in _FLIGHT_MARGINS_S:
-        rhythm = pace(measured, camera.exposure_s, margin_s)
-        if rhythm.period_s > turns.period_s(measured.cycle_s):
+        rhythm = pace(measured, camera, margin_s)
+        if rhythm.period_s > turns.period_s(measured.cycle_s) + camera.wait_s:
             break
         flight = Flight(projector, camera, turns, rhythm, flashes.sums)
         missing = flashes.largest_missing_share(flight.rehearse, _REHEARSED_IN_FLIGHT)
@@ -161,6 +162,7 @@ def synchronised(
     measured = flashes.latency()
     timing = _rehearsed_in_turns(flashes, projector, camera, measured.latest_s)
     turns = Turns(projector, camera, timing)
-    flight = _rehearsed_in_flight(flashes, measured, projector, camera, turns) if camera.on_time else None
+    known_when = isfinite(camera.wait_s)
+    flight = _rehearsed_in_flight(flashes, measured, projector, camera, turns) if known_when else None
     known = identity | {"light after a flip": f"{1e3 * timing.latency_s:.1f} ms (measured)"}
     return SynchronisedRig(projector, camera, known, refresh_hz, timing=timing, turns=turns, flight=flight)

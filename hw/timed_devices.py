@@ -56,13 +56,16 @@ class TriggeredCamera(Camera, Protocol):
     camera's clock tells."""
 
     @property
-    def on_time(self) -> bool:
-        """Whether an exposure begins when `expose` says so, not with the camera's own next frame."""
+    def wait_s(self) -> float:
+        """How long after `expose` is called its exposure begins at most, where the camera does not wait to be told.
+
+        Infinite if nobody knows.
+        """
 
     def expose(self) -> float:
-        """Expose one frame, beginning now; returns when the exposure is over. Raises DeviceError.
+        """Expose one frame, beginning now or later; returns when the exposure is over. Raises DeviceError.
 
-        Returns the moment of the trigger, in seconds of the monotonic clock.
+        Returns the moment of the trigger, or of the begin where there is none, in seconds of the monotonic clock.
         """
 
     def collect(self) -> Frame:

@@ -117,10 +117,36 @@ def test_pictures_that_nothing_proves_are_taken_at_rest(monkeypatch: pytest.Monk
     assert rig.turns.tally.seconds_per_frame > 0.06
 
 
-def test_a_camera_without_a_trigger_takes_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench(0.05)
-    bench.on_time = False
-    bench.install(monkeypatch)
+@pytest.mark.parametrize(("latency_ms", "most"), [(0, 3.3), (20, 3.3), (50, 2.5), (120, 2.5)])
+def test_a_free_running_camera_has_one_frame_between_two_pictures(
+    monkeypatch: pytest.MonkeyPatch, latency_ms: float, most: float
+) -> None:
+    """Light that is there before its next frame begins is hard to time: pictures take turns then."""
+    bench = Bench(latency_ms / 1e3, transfer_s=0.005)
+    bench.wait_s = 1 / 29
+    rig = scanned(monkeypatch, bench)
+    beside = latency_ms / 1e3 / COUNT
+    assert 1.9 < (rig.turns.tally.seconds_per_frame - beside) / bench.exposure_s < most
+    assert (rig.flight is not None) == (latency_ms >= 50)
+
+
+def test_a_camera_of_which_nobody_knows_when_it_exposes_takes_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Untold(Bench):
+        """It exposes when it is told, and does not say that it will."""
+
+        @property
+        def wait_s(self) -> float:  # type: ignore[override]
+            return float("inf") if self.exposures in range(10**9) and self._asked else 0.0
+
+        _asked = False
+
+        def expose(self) -> float:
+            self._asked = False
+            moment = super().expose()
+            self._asked = True
+            return moment
+
+    bench = Untold(0.05).install(monkeypatch)
     assert synchronised(bench, bench, {}).flight is None
 
 

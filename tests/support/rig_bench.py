@@ -1,5 +1,6 @@
 """A projector and a camera on a clock that only they move: what real ones do with time, exactly and at once."""
 
+from math import ceil
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,7 @@ class Bench:
     name = "bench"
     size = SIZE
     highest_level = 4095
-    on_time = True
+    wait_s = 0.0
     late_s = 0.0
 
     def __init__(
@@ -98,7 +99,9 @@ class Bench:
         triggered = self.now
         self.late_s = self._lag_s * self._rng.random()
         self._begin = triggered + self.late_s
-        self._sleep(self.exposure_s)
+        if self.wait_s:  # it runs freely
+            self._begin = triggered = self.wait_s * ceil(self._begin / self.wait_s)
+        self._sleep(self._begin - self.now + self.exposure_s)
         self.exposures += 1
         self.log.append("expose")
         return triggered
