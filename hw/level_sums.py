@@ -16,6 +16,8 @@ _LEAST_TOLERANCE = 0.015
 _MOST_TERMS = 10  # differences between neighbours, times frames in the sum, of two or four frames
 _LEAST_DIFFERENCE = 0.25  # of neighbours, rms; that of black and white is nothing but noise
 
+_UNEVEN = 0.35  # rms of a sum; lenses and bounced light make 0.1 of right frames, and pictures that do not fit 0.5
+
 
 @dataclass(frozen=True)
 class LevelSums:
@@ -37,8 +39,9 @@ class LevelSums:
         """About which share of a frame is of another picture than its own, which light every place alike together.
 
         `group`: their numbers in the series of all frames, of which `seen` has these and those next to them. What of
-        the sum, where it is not level, the differences between neighbours explain (least squares). How a picture
-        looks that is black or white everywhere is known.
+        the sum, where it is not level, the differences between neighbours explain (least squares); those are none
+        where a picture stayed too long, so a sum that is far from level counts as it is. How a picture looks that is
+        black or white everywhere is known.
         """
         plain = [
             abs(float(seen[number].mean()) - picture[0, 0] / 255)
@@ -52,7 +55,8 @@ class LevelSums:
         explained = steps @ np.linalg.lstsq(steps, total - total.mean(), rcond=1e-3)[0]
         largest = float(np.sqrt(np.mean(steps**2, axis=0).max()))
         share = float(np.sqrt(np.mean(explained**2))) / max(largest, _LEAST_DIFFERENCE)
-        return float(max([share, *plain]))
+        uneven = float(total.std())
+        return float(max([share, uneven if uneven > _UNEVEN else 0.0, *plain]))
 
 
 def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float) -> LevelSums:

@@ -30,20 +30,15 @@ _REHEARSED_IN_FLIGHT = 8
 _MOST_AHEAD = 8  # frames that wait for whoever records and decodes them
 
 
-def measure(projector: BufferedProjector, camera: TriggeredCamera) -> Timing:
-    """Flash until it is known when light of a new picture is all there, and try it out. Takes about three seconds.
-
-    What shows in the rehearsal is a picture that came too late, or, where pictures and frames overlap, the next one
-    that came too early: into the last rows of a rolling shutter, or into an exposure that began late. Raises
-    DeviceError if the camera does not see the projector, or its light does not settle.
-    """
-    flashes = Flashes(projector, camera)
-    return _rehearsed_in_turns(flashes, projector, camera, flashes.latency().latest_s)
-
-
 def _rehearsed_in_turns(
     flashes: Flashes, projector: BufferedProjector, camera: TriggeredCamera, latency_s: float
 ) -> Timing:
+    """Pictures in turns, as soon after a flip as frames of black and white show that they may be.
+
+    What shows in the rehearsal is a picture that came too late, or, where pictures and frames overlap, the next one
+    that came too early: into the last rows of a rolling shutter, or into an exposure that began late. Raises
+    DeviceError if the light does not settle.
+    """
     timing = Timing(latency_s, latency_s + _MARGIN_S, overlaps=latency_s > TRIGGER_LAG_S)
     for _ in range(_ROUNDS):
         missing = flashes.largest_missing_share(Turns(projector, camera, timing).frames)
@@ -157,7 +152,10 @@ class SynchronisedRig(Rig):
 def synchronised(
     projector: BufferedProjector, camera: TriggeredCamera, identity: dict[str, str], refresh_hz: float | None = None
 ) -> SynchronisedRig:
-    """A rig whose latency has been measured. Raises DeviceError."""
+    """A rig whose latency has been measured, by flashes, and tried out, which takes about four seconds.
+
+    Raises DeviceError if the camera does not see the projector, or its light does not settle.
+    """
     flashes = Flashes(projector, camera)
     measured = flashes.latency()
     timing = _rehearsed_in_turns(flashes, projector, camera, measured.latest_s)
