@@ -14,9 +14,12 @@ from calib.numerics import Floats, Image
 _MOST_PIXELS = 20_000
 _LEAST_TOLERANCE = 0.015
 _MOST_TERMS = 10  # differences between neighbours, times frames in the sum, of two or four frames
-_LEAST_DIFFERENCE = 0.25  # of neighbours, rms; that of black and white is nothing but noise
+_LEAST_DIFFERENCE = 0.15  # of neighbours, rms; that of black and white is nothing but noise
 
-_UNEVEN = 0.35  # rms of a sum; lenses and bounced light make 0.1 of right frames, and pictures that do not fit 0.5
+_ALIKE = 0.2  # differences that differ by no more, relative to the largest, do so by noise
+# What is no sum of such pictures at all: rms, and brightness of each. Lenses and bounced light make 0.1 in sums of right
+# frames, pictures that do not fit 0.5; a pair is 0.5 bright, down to 0.35 of fine stripes, a fringe 0.35 by its gamma.
+_UNEVEN, _DARKEST, _BRIGHTEST = 0.35, 0.2, 0.7
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,8 @@ class LevelSums:
 
         `group`: their numbers in the series of all frames, of which `seen` has these and those next to them. What of
         the sum, where it is not level, the differences between neighbours explain (least squares); those are none
-        where a picture stayed too long, so a sum that is far from level counts as it is. How a picture looks that is
-        black or white everywhere is known.
+        where a picture stayed too long, so a sum that is far from level, or too dark, is not theirs at all. How a
+        picture looks that is black or white everywhere is known.
         """
         plain = [
             abs(float(seen[number].mean()) - picture[0, 0] / 255)
@@ -51,12 +54,13 @@ class LevelSums:
         changes = sorted({(first, first + 1) for number in group for first in (number - 1, number)})
         steps = np.stack([seen[to] - seen[of] for of, to in changes if of in seen and to in seen], axis=1)
         steps -= steps.mean(axis=0)
+        sizes = steps.std(axis=0)
         total = np.sum([seen[number] for number in group], axis=0)
-        explained = steps @ np.linalg.lstsq(steps, total - total.mean(), rcond=1e-3)[0]
-        largest = float(np.sqrt(np.mean(steps**2, axis=0).max()))
-        share = float(np.sqrt(np.mean(explained**2))) / max(largest, _LEAST_DIFFERENCE)
-        uneven = float(total.std())
-        return float(max([share, uneven if uneven > _UNEVEN else 0.0, *plain]))
+        if total.std() > _UNEVEN or not _DARKEST < total.mean() / len(group) < _BRIGHTEST:
+            return 1.0
+        told = steps[:, sizes > _LEAST_DIFFERENCE]
+        explained = told @ np.linalg.lstsq(told, total - total.mean(), rcond=_ALIKE)[0]
+        return float(max([0.0, *plain, explained.std() / max(sizes.max(), _LEAST_DIFFERENCE)]))
 
 
 def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float) -> LevelSums:
@@ -68,7 +72,7 @@ def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, 
     contrast = levels[1].mean(axis=0) - levels[0].mean(axis=0)
     # Noise is in a frame and in its differences to others alike, which looks as if they had to do with each other.
     variance = float(np.mean(np.diff(levels[1], axis=0) ** 2 / 2 / contrast**2))
-    by_chance = 3 * np.sqrt(_MOST_TERMS * variance / len(chosen)) / _LEAST_DIFFERENCE
+    by_chance = 6 * np.sqrt(_MOST_TERMS * variance / len(chosen))
     noise = 4 * variance + by_chance
     return LevelSums(pixels, levels[0].mean(axis=0), contrast, max(_LEAST_TOLERANCE, tolerance) + float(noise))
 
