@@ -17,8 +17,8 @@ _MOST_TERMS = 10  # differences between neighbours, times frames in the sum, of 
 _LEAST_DIFFERENCE = 0.15  # of neighbours, rms; that of black and white is nothing but noise
 
 _ALIKE = 0.2  # differences that differ by no more, relative to the largest, do so by noise
-# What is no sum of such pictures at all: rms, and brightness of each. Lenses and bounced light make 0.1 in sums of right
-# frames, pictures that do not fit 0.5; a pair is 0.5 bright, down to 0.35 of fine stripes, a fringe 0.35 by its gamma.
+# What is no sum of such pictures at all: rms, and brightness of each. Lenses and bounced light make 0.1 in sums of
+# right frames, pictures that do not fit 0.5; a pair is 0.5 bright, down to 0.35 of fine stripes, a fringe 0.35 by its gamma.
 _UNEVEN, _DARKEST, _BRIGHTEST = 0.35, 0.2, 0.7
 
 
