@@ -26,6 +26,7 @@ from calib.geometry import Size
 from calib.numerics import Image
 from hw.ahead import Ahead, beside
 from hw.rig import Frame
+from hw.synchronisation import MOST_AHEAD
 from scanner.capture import Stream, record
 from scanner.capture import recorder as recorder_module
 from scanner.decoding import Decoder
@@ -64,7 +65,7 @@ def exposed(images: list[Image], period_s: float) -> Iterator[tuple[Pattern, Fra
 
 def capture(folder: Path, images: list[Image], size: Size, period_s: float) -> tuple[float, float]:
     """Seconds per frame of a capture that is recorded and decoded, and how long the camera waited in all."""
-    ahead = Ahead(exposed(images, period_s), 8)
+    ahead = Ahead(exposed(images, period_s), MOST_AHEAD)
     stream = record(Stream(PATTERNS, PROJECTOR, size, iter(ahead)), folder)
     decoder = Decoder(PATTERNS, PROJECTOR)
     begin_s = time.monotonic()
@@ -88,6 +89,7 @@ def captures(out: Path, rounds: int) -> Table:
     )
     table = Table(*columns, title=f"{len(PATTERNS)} frames, recorded and decoded beside the capture")
     images_of = {size: render(PATTERNS, PROJECTOR, size) for size, _, _ in CAMERAS}
+    capture(out, images_of[CAMERAS[0][0]], CAMERAS[0][0], 0.1)  # loads what is compiled
     for size, exposure_s, transfer_s in CAMERAS:
         period_s = exposure_s + transfer_s
         for synced in (False, True):

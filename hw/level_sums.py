@@ -18,7 +18,8 @@ _LEAST_DIFFERENCE = 0.15  # of neighbours, rms; that of black and white is nothi
 
 _ALIKE = 0.2  # differences that differ by no more, relative to the largest, do so by noise
 # What is no sum of such pictures at all: rms, and brightness of each. Lenses and bounced light make 0.1 in sums of
-# right frames, pictures that do not fit 0.5; a pair is 0.5 bright, down to 0.35 of fine stripes, a fringe 0.35 by its gamma.
+# right frames, pictures that do not fit 0.5. A pair is 0.5 bright, down to 0.35 of fine stripes, and so is a fringe,
+# by the projector's response.
 _UNEVEN, _DARKEST, _BRIGHTEST = 0.35, 0.2, 0.7
 
 

@@ -27,7 +27,7 @@ _ROUNDS = 8
 # In flight, a picture's time is short, and what it takes beside the exposure counts for every frame.
 _FLIGHT_MARGINS_S = (0.001, 0.003, 0.006, 0.012, 0.024)
 _REHEARSED_IN_FLIGHT = 8
-_MOST_AHEAD = 8  # frames that wait for whoever records and decodes them
+MOST_AHEAD = 8  # frames that wait for whoever records and decodes them
 
 
 def _rehearsed_in_turns(
@@ -107,7 +107,7 @@ class SynchronisedRig(Rig):
             frames = flying.frames(images, level)
         else:
             frames = self.turns.frames(images, exposures_us)
-        self._lately.ahead = Ahead(frames, _MOST_AHEAD) if level else None
+        self._lately.ahead = Ahead(frames, MOST_AHEAD) if level else None
         return iter(self._lately.ahead or frames)
 
     def stop(self) -> None:
