@@ -170,8 +170,8 @@ class AravisCamera:
         Where they do not, frames are counted: some may have begun before.
         """
         asked_s, discarded = time.monotonic(), self._discarded
-        patience_s = self.exposure_s + _LATEST_FRAME_S
-        while (buffer := self._pop(patience_s)) is not None:
+        deadline_s = asked_s + (discarded + 1) * self.exposure_s + _LATEST_FRAME_S
+        while (buffer := self._pop(deadline_s - time.monotonic())) is not None:
             came_s = buffer.get_system_timestamp() / 1e9 - time.time() + time.monotonic()
             stamp_s = buffer.get_timestamp() / 1e9
             begun_s = self._clock.begun_s(buffer.get_frame_id(), stamp_s, came_s, self.exposure_s)
