@@ -1,7 +1,7 @@
 """The paper's tables and figures from simulated captures, with its own figures beside them, as docs/results.md.
 
     python benchmarks/bench_paper.py                                     all of it, an hour or two
-    python benchmarks/bench_paper.py --quick                             small pictures: minutes; the page in build/paper/
+    python benchmarks/bench_paper.py --quick                             small pictures; the page goes to build/paper/
     python benchmarks/bench_paper.py --only table1 figure7 --rooms 2     some of it, then the page of what there is
     python benchmarks/bench_paper.py --missing                           go on where it was broken off
     python benchmarks/bench_paper.py --page                              the page again, of what was measured before
@@ -41,7 +41,7 @@ class Places:
 FOR_GOOD = Places(
     ROOT / "benchmarks" / "paper" / "results", ROOT / "docs" / "results.md", ROOT / "docs" / "images" / "results"
 )
-FOR_A_LOOK = Places(SCRATCH / "quick-results", SCRATCH / "results.md", SCRATCH / "images")
+FOR_A_LOOK = Places(SCRATCH / "quick-results", SCRATCH / "results.md", SCRATCH / "images" / "results")
 
 
 def main() -> None:

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-
 from bench_rooms import decoded
+
 from calib.geometry import NO_FACE, Calibration, Intrinsics, Matches, Size
 from calib.numerics import Floats
 from calib.plane_segmentation import find_faces

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from cramer_rao import bound
 
 from calib.geometry import Calibration
 from calib.refinement import Knowledge
 from calib.self_calibration import PrincipalPoint
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, CaptureOptions, SyntheticCapture, random_captures
-from cramer_rao import bound
 from paper.captures import Setup, without_distortion
 from paper.experiment import Experiment, Figures
 from paper.methods import CENTRE_SIGMA_OF_WIDTH, by_paper, errors_of, known_point, refined
@@ -18,7 +18,9 @@ from paper.methods import CENTRE_SIGMA_OF_WIDTH, by_paper, errors_of, known_poin
 CORNERS, _QUICK_CORNERS = 16, 2
 _SEED = 0
 _CAMERA_SIZE, _PROJECTOR_SIZE = PAPER_CAMERA.size, PAPER_PROJECTOR.size
-_CENTRE = PrincipalPoint(((_CAMERA_SIZE[0] - 1) / 2, (_CAMERA_SIZE[1] - 1) / 2), CENTRE_SIGMA_OF_WIDTH * _CAMERA_SIZE[0])
+_CENTRE = PrincipalPoint(
+    ((_CAMERA_SIZE[0] - 1) / 2, (_CAMERA_SIZE[1] - 1) / 2), CENTRE_SIGMA_OF_WIDTH * _CAMERA_SIZE[0]
+)
 _BASE = CaptureOptions(distance=(2.5, 2.5), baseline=(0.5, 0.5))
 _MILD = (-0.02, -0.01)  # k1 of camera and projector
 # Of a normal deviate the mean size is √(2/π) of its sigma: the bound as a mean error.

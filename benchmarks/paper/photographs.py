@@ -5,14 +5,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
 from bench_photo_rooms import SIZE, rendered
+from peer_photos import PEERS, two_view
+
 from calib.geometry import Intrinsics, Size
 from paper.captures import Setup
 from paper.experiment import Experiment, Figures, room_of, rooms
-from peer_photos import PEERS, two_view
 from scanner.commands.main import main as scan
 from scanner.io import MATCHES_FILE, read_calibration, read_matches
+from scanner.io.image_file import read_image
 from scanner.results import CALIBRATION_FILE
 
 CUT_OFF = (0.2, 0.15)  # shares of width and height, on the left and at the top
@@ -26,7 +27,7 @@ def _measure(_: Setup, part: str) -> Figures:
         left, top = (round(share * side) for share, side in zip(CUT_OFF, SIZE, strict=True))
         for pose in range(2):
             camera = rendered(room_of(part), pose, 0.0, folder / "whole" / f"{pose}.png")
-            photo = cv2.imread(str(folder / "whole" / f"{pose}.png"), cv2.IMREAD_UNCHANGED)
+            photo = read_image(folder / "whole" / f"{pose}.png")
             cv2.imwrite(str(folder / "cropped" / f"{pose}.png"), photo[top:, left:])
         x, y = camera.principal_point_px
         smaller = Intrinsics(camera.width - left, camera.height - top, camera.focal_px, (x - left, y - top))

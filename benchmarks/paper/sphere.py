@@ -8,12 +8,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from colmap_two_view import HAS_COLMAP
 
 from calib.geometry import Calibration, Matches, intersect
 from calib.numerics import Floats
 from calib.pointcloud import fit_sphere
 from calib.refusal import RefusalError
-from colmap_two_view import HAS_COLMAP
 from hw.simulated.scene import Label
 from hw.simulated.simulation import place_room
 from paper.captures import Captured, Setup, captured, settings_of, thinned, without_distortion
@@ -24,7 +24,7 @@ from paper.two_views import MATCHES, centre_start, paper_start, variants
 
 CELLS = 40  # of a heat map, across the ball
 # At the rim a pixel sees what is behind, too.
-_FARTHEST_FROM_FACING_DEG = 70.0
+FACING_DEG = 70.0
 _STRAY = 0.2  # of the radius: a match of something else
 
 
@@ -57,7 +57,7 @@ def _facing(capture: Captured, setup: Setup, room: int) -> Matches:
     rays = capture.truth.camera.unproject(of_ball.camera_px)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     aside = np.linalg.norm(centre - (rays @ centre)[:, None] * rays, axis=1)
-    return of_ball[aside < np.sin(np.radians(_FARTHEST_FROM_FACING_DEG)) * placed.scene.sphere.radius]
+    return of_ball[aside < np.sin(np.radians(FACING_DEG)) * placed.scene.sphere.radius]
 
 
 def _calibrations(capture: Captured, room: int) -> dict[str, Callable[[], Calibration | None]]:

@@ -1,5 +1,7 @@
 """Tables 1 to 3 of the paper: what is measured in each room."""
 
+from functools import partial
+
 import numpy as np
 
 from calib.geometry import Calibration, Matches
@@ -96,9 +98,9 @@ def _downsampled(setup: Setup, part: str) -> Figures:
         corrected = without_distortion(some, truth)
         figures[str(rate)] = {
             "matches": len(some),
-            "paper": errors_of(lambda some=some: by_paper(some, truth), truth),
-            "paper, lenses corrected": errors_of(lambda corrected=corrected: by_paper(corrected, truth), truth),
-            "refined": errors_of(lambda some=some: refined([some], truth, known_point(truth)), truth),
+            "paper": errors_of(partial(by_paper, some, truth), truth),
+            "paper, lenses corrected": errors_of(partial(by_paper, corrected, truth), truth),
+            "refined": errors_of(partial(refined, [some], truth, known_point(truth)), truth),
         }
     return figures
 

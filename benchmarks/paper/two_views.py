@@ -1,9 +1,9 @@
 """COLMAP on the two views of a rig, in the paper's four variants."""
 
 import numpy as np
+from colmap_two_view import two_views, unknown_focal
 
 from calib.geometry import Calibration, Matches
-from colmap_two_view import two_views, unknown_focal
 from paper.published import RANDOM_START_SHORT_BY
 
 MATCHES = 10_000  # drawn of each capture for COLMAP, whose time grows with them and whose error does not depend on them
