@@ -51,8 +51,12 @@ def _focal_lengths(own: Parts, many_views: Parts) -> Iterator[str]:
 
 
 def _beaten(ours: Mapping[str, float | None], theirs: float | None) -> str:
-    worse = [f"“{key}” by {number(value)} %" for key, value in ours.items() if _is_worse(value, theirs)]
+    worse = [f"“{key}” {_stated(value, '%')}" for key, value in ours.items() if _is_worse(value, theirs)]
     return ", ".join(worse)
+
+
+def _stated(error: float | None, unit: str) -> str:
+    return "refuses" if error is None else f"by {number(error)} {unit}"
 
 
 def _is_worse(ours: float | None, theirs: float | None) -> bool:
@@ -71,7 +75,7 @@ def _matches(parts: Parts) -> Iterator[str]:
             if _is_worse(means[_REFINED], means[other]):
                 yield (
                     f"Table 3, one match in {rate}: “{method_name(other)}” errs by {number(means[other])} %, "
-                    f"“{_REFINED}” by {number(means[_REFINED])} %."
+                    f"“{_REFINED}” {_stated(means[_REFINED], '%')}."
                 )
 
 
@@ -83,8 +87,8 @@ def _sphere(parts: Parts) -> Iterator[str]:
             fits.pop("true calibration", None)
             for other, theirs in fits.items():
                 if _is_worse(ours, theirs):
-                    peer = f"“{method_name(other)}” {number(theirs)} mm"
-                    yield f"Figure 7, {room}, {of}: {peer}, “{_REFINED}” {number(ours)} mm."
+                    peer = f"“{method_name(other)}” errs by {number(theirs)} mm"
+                    yield f"Figure 7, {room}, {of}: {peer}, “{_REFINED}” {_stated(ours, 'mm')}."
 
 
 def _photos(parts: Parts) -> Iterator[str]:
@@ -95,7 +99,7 @@ def _photos(parts: Parts) -> Iterator[str]:
                 theirs = mean_size(figures[peer])
                 if _is_worse(ours, theirs):
                     off = f"“{peer}” is off by {number(theirs)} px"
-                    yield f"Figure 8, {room}, {photos}: {off}, `scan photos` by {number(ours)} px."
+                    yield f"Figure 8, {room}, {photos}: {off}, `scan photos` {_stated(ours, 'px')}."
 
 
 def _curves(parts: Parts) -> Iterator[str]:
@@ -103,8 +107,7 @@ def _curves(parts: Parts) -> Iterator[str]:
         for point in figures["points"]:
             ours, theirs = point[_REFINED], point.get("paper")
             if _is_worse(ours, theirs):
-                found = "is refused" if ours is None else f"errs by {number(ours)} %"
                 yield (
                     f"Beyond, {name} {point['at']:g}: the paper's method errs by {number(theirs)} % in the median, "
-                    f"“{_REFINED}” {found}."
+                    f"“{_REFINED}” {_stated(ours, '%')}."
                 )

@@ -54,11 +54,12 @@ def figure_8(parts: Parts) -> str:
             f, x, y = figures["truth_px"]
             about = f"{room}, {photos}, {width} × {height}"
             truth = f"{f:.0f}, ({x:.0f}, {y:.0f})"
-            sigma = figures["sigma_px"]
+            ours = _triple(figures["refined"], f"refused (exit code {figures['exit_code']})")
+            sigma = _triple(figures["sigma_px"], signed=False)
             peers = [_triple(figures.get(key)) for key in _peers(parts)]
-            rows.append([about, truth, _triple(figures["refined"]), _triple(sigma, signed=False), *peers])
+            rows.append([about, truth, ours, sigma, *peers])
     head = ["", "truth: f, PP", "`scan photos`: f, x₀, y₀ off by", "its σ", *_peers(parts)]
-    return table([f"{cell}" for cell in head], rows)
+    return table(head, rows)
 
 
 def _peers(parts: Parts) -> list[str]:
@@ -66,8 +67,8 @@ def _peers(parts: Parts) -> list[str]:
     return sorted(found, reverse=True)
 
 
-def _triple(errors: Sequence[float] | None, *, signed: bool = True) -> str:
-    return "no answer" if errors is None else ", ".join(number(error, signed=signed) for error in errors)
+def _triple(errors: Sequence[float] | None, none: str = NONE, *, signed: bool = True) -> str:
+    return none if errors is None else ", ".join(number(error, signed=signed) for error in errors)
 
 
 def beyond(parts: Parts) -> tuple[str, Pictures]:
