@@ -165,7 +165,7 @@ def _least_errors(case: Case, drawn: Drawn) -> np.ndarray:
     knowledge = Knowledge(_CAMERA_SIZE, _PROJECTOR_SIZE, point.px, point.sigma_px, case.off_deg)
     covariance = bound_covariance(drawn.captures, knowledge, case.options.noise_px)
     errors = np.random.default_rng(_SEED).multivariate_normal(np.zeros(4), covariance, _DRAWS)
-    return 100 * np.abs(errors).mean(axis=1)
+    return np.asarray(100 * np.abs(errors).mean(axis=1))
 
 
 def _cut(capture: SyntheticCapture, area: float) -> SyntheticCapture:

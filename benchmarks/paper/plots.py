@@ -30,7 +30,7 @@ _LEGEND_PX, _PER_LETTER_PX, _SAMPLE_PX = 24, 7.0, 22
 _MARGIN = 16  # at the right, for half of the last tick's number
 _PANEL, _GAP, _HEAD, _FOOT = 150, 14, 40, 46
 _SHADES = between((59, 76, 192), (221, 221, 221), (180, 4, 38))  # Moreland 2009
-_NO_POINT = (255, 255, 255)
+NO_POINT = "."  # in a row of a heat map
 _FONT = "font-family: system-ui, sans-serif; font-size: 13px; fill: #222;"
 _STYLE = (
     f"text {{ {_FONT} }} polyline {{ fill: none; stroke-width: 2; stroke-linejoin: round; }} "
@@ -109,8 +109,8 @@ def _standalone(svg: str, legend: list[tuple[str, str]]) -> str:
     return _framed(WIDTH + _MARGIN, round(y + _LEGEND_PX / 2), svg + "".join(parts), "")
 
 
-def heat_maps(panels: Mapping[str, Sequence[Sequence[int | None]]], titles: Mapping[str, str], alt: str) -> str:
-    """Maps of signed µm, all in one scale of colours, each below its name and title."""
+def heat_maps(panels: Mapping[str, Sequence[str]], titles: Mapping[str, str], alt: str) -> str:
+    """Maps of signed µm, rows of numbers, all in one scale of colours, each below its name and title."""
     maps = {name: _grid(panel) for name, panel in panels.items()}
     limit = max(1.0, float(np.nanpercentile(np.abs(np.concatenate([grid.ravel() for grid in maps.values()])), 98)))
     width = _GAP + len(maps) * (_PANEL + _GAP)
@@ -129,13 +129,13 @@ def heat_maps(panels: Mapping[str, Sequence[Sequence[int | None]]], titles: Mapp
     return _framed(width, _HEAD + _PANEL + _FOOT, "".join(parts), alt)
 
 
-def _grid(panel: Sequence[Sequence[int | None]]) -> np.ndarray:
-    return np.array([[np.nan if value is None else value for value in row] for row in panel], np.float64)
+def _grid(panel: Sequence[str]) -> np.ndarray:
+    return np.array([[np.nan if value == NO_POINT else float(value) for value in row.split()] for row in panel])
 
 
 def _coloured(grid: np.ndarray, limit: float) -> Pixels:
     colours = shaded(np.nan_to_num(np.clip(grid / (2 * limit) + 0.5, 0, 1)), _SHADES)
-    colours[np.isnan(grid)] = _NO_POINT
+    colours[np.isnan(grid)] = 255
     return colours
 
 

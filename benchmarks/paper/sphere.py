@@ -19,6 +19,7 @@ from hw.simulated.simulation import place_room
 from paper.captures import Captured, Setup, captured, settings_of, thinned, without_distortion
 from paper.experiment import Experiment, Figures, room_of, rooms
 from paper.methods import by_paper, known_point, refined
+from paper.plots import NO_POINT
 from paper.published import SPHERE_MM
 from paper.two_views import MATCHES, centre_start, paper_start, variants
 
@@ -121,17 +122,15 @@ def _start(points: Floats) -> tuple[Floats, float]:
     return middle + scale * solved[:3], float(scale * radius)
 
 
-def _heat_map(pixels: Floats, residual_mm: Floats) -> list[list[int | None]]:
-    """Means of the signed distances in µm over the cells of the ball's image, None where there are no points."""
+def _heat_map(pixels: Floats, residual_mm: Floats) -> list[str]:
+    """Means of the signed distances in µm over the cells of the ball's image, row by row; NO_POINT where none is."""
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     cell = np.minimum((CELLS * (pixels - low) / (high - low).max()).astype(int), CELLS - 1)
     index = cell[:, 1] * CELLS + cell[:, 0]
     count = np.bincount(index, minlength=CELLS**2).reshape(CELLS, CELLS)
     total = np.bincount(index, 1000 * residual_mm, CELLS**2).reshape(CELLS, CELLS)
-    return [
-        [round(total[row, column] / count[row, column]) if count[row, column] else None for column in range(CELLS)]
-        for row in range(CELLS)
-    ]
+    cells = [f"{t / n:.0f}" if n else NO_POINT for t, n in zip(total.flat, count.flat, strict=True)]
+    return [" ".join(cells[row : row + CELLS]) for row in range(0, CELLS**2, CELLS)]
 
 
 SPHERE = Experiment("figure7", rooms, _measure)
