@@ -16,6 +16,7 @@ _NAMES = {
     "paper": "the paper's method",
     "bound": "Cramér–Rao bound",
 }
+_STYLES = {"refined": "s0", "paper": "s1", "refined, told so": "s2", "bound": "bound"}
 
 
 def figure_7(parts: Parts) -> tuple[str, Pictures]:
@@ -80,10 +81,8 @@ def beyond(parts: Parts) -> tuple[str, Pictures]:
         lines = {_NAMES[key]: [(float(point["at"]), point.get(key)) for point in points] for key in keys}
         file = f"beyond-{name.replace(' ', '-')}.svg"
         log = curve.log and min(curve.values) > 0
-        drawn = curves(
-            Axis(curve.label, log), "median error (%)", lines, f"error over {name}", {_NAMES["bound"]: "bound"}
-        )
-        pictures[file] = drawn
+        styles = {shown: _STYLES[key] for key, shown in _NAMES.items()}
+        pictures[file] = curves(Axis(curve.label, log), "median error (%)", lines, f"error over {name}", styles)
         texts.append(f"**Error over {name}.**\n\n{image(f'images/results/{file}', f'error over {name}')}")
         rows += [[name, f"{point['at']:g}", *(_value(point, key) for key in _NAMES)] for point in points]
     numbers = table(["varied", "value", *_NAMES.values()], rows)

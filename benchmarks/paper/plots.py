@@ -53,7 +53,7 @@ Points = Sequence[tuple[float, float | None]]
 
 
 def curves(axis: Axis, vertical: str, lines: Mapping[str, Points], alt: str, kinds: Mapping[str, str]) -> str:
-    """Lines by name over a logarithmic vertical axis; those of `kinds` ('bound', 'published') in their own style.
+    """Lines by name over a logarithmic vertical axis; those of `kinds` ('bound', 'published', 's0' …) in that style.
 
     A point whose value is None, and a value that is not positive, is left out and breaks the line.
     """
