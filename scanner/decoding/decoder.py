@@ -141,7 +141,7 @@ class Decoder:
             shape = grey.shape[0], grey.shape[1]
             refuse_more_than_there_is(shape)
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
-            accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape))
+            accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape), sample.pixels)
             self._held = accumulators, sample, TileSample(shape)
             halves = halves_of(self._plan)
             self._lit = EvenlyLit(halves, shape) if halves else None

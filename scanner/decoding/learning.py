@@ -1,6 +1,6 @@
 """What a sample of the frames tells before pixels are decoded: noise, light, motion, tolerances, and what is odd."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -60,13 +60,13 @@ class Seen:
 
 def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projector_size: tuple[int, int]) -> Seen:
     """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
-    accumulators.finish()
+    notes = list(_finish(accumulators, sample))
     levels = sample.as_taken
     flicker = _equalise(accumulators, sample, tiles)
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(accumulators.plan, sample, saturation)
-    lost = tuple(leave_out_lost_fringes(accumulators, noise, sample.pixels))
-    notes = (*lost, *resolve_bits(accumulators, noise, sample.pixels))
+    notes += leave_out_lost_fringes(accumulators, noise, sample.pixels)
+    notes += resolve_bits(accumulators, noise, sample.pixels)
     plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
     aside = ThreadPoolExecutor(1)
     motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
@@ -78,8 +78,23 @@ def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projecto
         flicker,
         motion,
         shifts_of_codes(plan, (x, y), noise),
-        notes,
+        tuple(notes),
         lambda: broken_between(plan, tiles, noise),
+    )
+
+
+def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
+    """Fold in the last frames; if white is another one in the patterns, the sample has that one, and a sentence says so."""
+    white_frame = accumulators.brightest
+    white = accumulators.finish()
+    number = accumulators.plan.white
+    if white == 1 or number is None:
+        return
+    seen, of_patterns = (image.reshape(-1)[sample.pixels] for image in (white_frame, accumulators.brightest))
+    sample.divide(number, np.maximum(seen, 1) / np.maximum(of_patterns, 1))
+    yield (
+        f"White is {white:.2f} times as bright in the patterns as in the white frame, which was taken into account. "
+        "Switch off what makes the projector's or the camera's brightness depend on the picture."
     )
 
 
