@@ -84,7 +84,7 @@ def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projecto
 
 
 def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
-    """Fold in the last frames; if white is another one in the patterns, the sample has that one, and a sentence says so."""
+    """Fold in the last frames; if white is another one in the patterns, the sample has that one, and it is said."""
     white_frame = accumulators.brightest
     white = accumulators.finish()
     number = accumulators.plan.white
