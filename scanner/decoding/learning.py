@@ -18,6 +18,7 @@ from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.fringes.blur import leave_out_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
 from scanner.decoding.light.equalise import correction, out_of_line, swings_of
+from scanner.decoding.light.mosaic import log_mosaic
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.light_switch import LightSwitchedError
@@ -61,6 +62,12 @@ class Seen:
 def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projector_size: tuple[int, int]) -> Seen:
     """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
     notes = list(_finish(accumulators, sample))
+    mosaic = log_mosaic(accumulators.brightest) if accumulators.log_exposure is None else None
+    if mosaic is not None:
+        accumulators.log_exposure = mosaic
+        notes.append(
+            "The frames are raw ones of a colour camera, pixel by pixel behind filters; they are taken as grey."
+        )
     levels = sample.as_taken
     flicker = _equalise(accumulators, sample, tiles)
     saturation = saturation_level(accumulators.peak)

@@ -61,6 +61,11 @@ def passed_by(frames: list[Image]) -> list[np.ndarray]:
     return result
 
 
+def behind_filters(frames: list[Image]) -> list[np.ndarray]:
+    rows, columns = np.indices(frames[0].shape) % 2
+    return [frame * np.array([[0.5, 1.0], [1.0, 0.65]])[rows, columns] for frame in frames]
+
+
 def sharpened(frames: list[Image]) -> list[np.ndarray]:
     return [2.0 * frame - cv2.GaussianBlur(frame.astype(np.float64), (0, 0), 1.5) for frame in frames]
 
@@ -94,6 +99,7 @@ CASES = [
     Case(SCENE, STANDARD, lit_in_all_but_white, 0.03, 0.99),
     Case(SCENE, STANDARD, passed_by, 0.03, 0.7),
     Case(SCENE, STANDARD, sharpened, 0.04, 0.99),
+    Case(SCENE, QUICK, behind_filters, 0.06, 0.99),
 ]
 
 
@@ -107,6 +113,7 @@ def test_an_odd_capture_decodes(case: Case) -> None:
     assert np.mean(decoding.reasons[case.scene.well_lit()] == MaskReason.KEPT) > case.kept
     if case.change in (flickering, banded, the_10th_darker, a_step_darker):
         assert any("brightness of the frames varies" in warning for warning in decoding.warnings)
+    assert any("raw ones of a colour camera" in said for said in decoding.warnings) == (case.change is behind_filters)
     if case.change is passed_by:
         assert any("frame 6 (" in warning and "decoded all the same" in warning for warning in decoding.warnings)
 
