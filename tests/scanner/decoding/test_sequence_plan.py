@@ -101,7 +101,12 @@ def test_the_xor_code_counts_cells_by_stripes_of_at_most_two(length: int, cell: 
 
 
 def test_patterns_that_differ_on_a_part_of_the_projector_may_look_the_same() -> None:
-    patterns = (White(), *gray_sequence("y", 284, 8), *gray_sequence("x", 427, 8), *phase_sequence("x", 16.0, 12))
+    patterns: tuple[Pattern, ...] = (
+        White(),
+        *gray_sequence("y", 284, 8),
+        *gray_sequence("x", 427, 8),
+        *phase_sequence("x", 16.0, 12),
+    )
     plan = plan_sequence(patterns, (427, 284))
     number = {pattern: at for at, pattern in enumerate(patterns)}
     # Rows from 256 on are dark in it.
