@@ -19,7 +19,7 @@ from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.errors import InputError
 
 _TILE_PX = 12
-_MOST_ALONG, _MOST_ALONG_FRINGES = 32, 16
+_MOST_ALONG, _MOST_ALONG_FRINGES = 32, 10
 _FEWEST_KNOWN = 0.6
 _FEWEST_TILES = 20
 # Variance off what is smooth, in those of a cell: 1 for a staircase, less where pixels average over cells, up to 3

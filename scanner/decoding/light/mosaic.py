@@ -11,7 +11,7 @@ from scanner.decoding.arrays import Floats32
 _PERIOD = 2
 # Blocks that are lit: of the brightest few.
 _LIT, _BRIGHT = 0.25, 0.98
-_FEWEST_BLOCKS, _MOST_BLOCKS = 200, 20_000
+_FEWEST_BLOCKS, _MOST_BLOCKS = 200, 4000
 # Logarithms by which pixels of a block differ in the median, and how much less blocks differ from each other in that.
 _LEAST, _ALIKE = 0.1, 0.5
 
