@@ -59,13 +59,17 @@ class ExposureMerger:
         if len(self._frames) < self._count:
             return None
         frames, self._frames = self._frames, []
-        if self._alike is None:
-            self._alike = self._are_alike(name, frames)
-        return _mean([image for _, image in frames]) if self._alike else self._merged(name, frames)
-
-    def _are_alike(self, name: str, frames: Sequence[tuple[float | None, Image]]) -> bool:
-        """Whether the frames of the first pattern were exposed alike."""
         known = [exposure for exposure, _ in frames if exposure is not None]
+        if self._alike is None:
+            self._alike = self._are_alike(name, frames, known)
+        if not self._alike:
+            return self._merged(name, frames)
+        if known and np.ptp(known) > _SAME * max(known):
+            raise InputError(f"{name}: expected one exposure, as of the first pattern, found {_listed(known)}")
+        return _mean([image for _, image in frames])
+
+    def _are_alike(self, name: str, frames: Sequence[tuple[float | None, Image]], known: Sequence[float]) -> bool:
+        """Whether the frames of the first pattern, some of `known` exposure, were exposed alike."""
         are_unknown = len(known) < self._count
         if are_unknown or np.ptp(known) <= _SAME * max(known):
             means = np.array([float(np.mean(image)) for _, image in frames])

@@ -100,6 +100,12 @@ def test_white_comes_first() -> None:
         decoded([*frames[2:4], *frames[:2], *frames[4:]], twice((Black(), White(), *PATTERNS[2:])))
 
 
+def test_all_patterns_have_one_exposure_if_the_first_has() -> None:
+    frames = [(image, 500.0) for image in Scene().frames(PATTERNS)]
+    with pytest.raises(InputError, match=r"frame 2 .*expected one exposure.*500 and 600"):
+        decoded([frames[0], frames[0], frames[1], (frames[1][0], 600.0)], twice(PATTERNS))
+
+
 @pytest.mark.parametrize("exposure_us", [None, 2000.0])
 def test_frames_that_were_exposed_alike_are_averaged(exposure_us: float | None) -> None:
     scene = replace(Scene(read_noise=4.0), exposure=60.0)
