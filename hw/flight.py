@@ -178,6 +178,9 @@ class Flight:
 
     def _catch(self, number: int) -> Frame | None:
         """A frame of a picture on its way; None if its time was missed, or the frame lost."""
+        if self._reference is None:  # the first picture leaves when it is drawn, the others so much later
+            self._commit(number, number)
+            self._swap(number)
         self._commit(number)
         light_s = self._swap(number).done_s + self.rhythm.latest_s
         time.sleep(max(0.0, light_s - time.monotonic()))
@@ -200,11 +203,11 @@ class Flight:
         self._reference = number, begin_s
         return frame
 
-    def _commit(self, number: int) -> None:
-        """Appoint the pictures that have to leave before the one after this is exposed."""
+    def _commit(self, number: int, last: int | None = None) -> None:
+        """Appoint the pictures that have to leave before the one after this is exposed, or up to the `last`."""
         period_s = max(self.rhythm.period_s, self._cycle_s + _SLACK_S / 2)
         lead_s = self.rhythm.latest_s + self.rhythm.swapping_s
-        last = number + ceil(lead_s / period_s) + 1
+        last = number + ceil(lead_s / period_s) + 1 if last is None else last
         while self._committed <= last and self._pictures.has(self._committed) and self._may_fly(self._committed):
             when_s = max(self._flip_s + period_s, time.monotonic())
             if self._reference is not None:
