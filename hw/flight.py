@@ -32,6 +32,7 @@ log = logging.getLogger(__name__)
 _SLACK_S = 0.002  # what trigger and swap may be late without a picture being missed
 _CYCLE_FADES = 0.9  # of one frame to the next: the time that the slowest took lately
 _MOST_AT_REST = 32
+_MOST_EXTRA_S, _EXTRA_FADES = 0.02, 0.95  # after misses, and with every frame that is caught
 _MOST_UNFOUNDED = 3  # doubts that were the scene's own: with blur, flicker, or bounced light sums are never level
 _CALM = 16  # so many frames in a row that were caught make up for a missed one
 
@@ -79,6 +80,7 @@ class Flight:
         self._planned: dict[int, float] = {}  # appointments that have not been kept so far
         self._swaps: dict[int, Swap] = {}
         self._flip_s = 0.0
+        self._extra_s = 0.0  # slack that misses have asked for
         self._cycle_s = 0.0  # from a trigger to the next, as far as the camera goes
         self._reference: tuple[int, float] | None = None  # a picture, and when the camera was ready for it
         self.missed = 0
@@ -205,7 +207,7 @@ class Flight:
 
     def _commit(self, number: int, last: int | None = None) -> None:
         """Appoint the pictures that have to leave before the one after this is exposed, or up to the `last`."""
-        period_s = max(self.rhythm.period_s, self._cycle_s + _SLACK_S / 2)
+        period_s = max(self.rhythm.period_s, self._cycle_s + _SLACK_S / 2) + self._extra_s
         lead_s = self.rhythm.latest_s + self.rhythm.swapping_s
         last = number + ceil(lead_s / period_s) + 1 if last is None else last
         while self._committed <= last and self._pictures.has(self._committed) and self._may_fly(self._committed):
@@ -257,11 +259,13 @@ class Flight:
     def _slow_down(self) -> None:
         """After a miss: some frames at rest, twice as many as after the last one."""
         self.missed += 1
+        self._extra_s = min(_MOST_EXTRA_S, 2 * self._extra_s + _SLACK_S)
         self._resting, self._penalty = self._penalty, min(_MOST_AT_REST, 2 * self._penalty)
         self._caught_in_row = 0
 
     def _calm_down(self) -> None:
         self._caught_in_row += 1
+        self._extra_s *= _EXTRA_FADES
         if self._caught_in_row == _CALM:
             self._penalty, self._caught_in_row = max(1, self._penalty // 2), 0
 
