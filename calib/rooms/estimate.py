@@ -5,7 +5,7 @@ corner alone has to take them for square. A plane that one station sees counts, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -87,7 +87,7 @@ class RoomEstimate:
 
     @property
     def rig_covariance(self) -> Floats:
-        """(15, 15), as of a calibration."""
+        """(21, 21), as of a calibration."""
         return self.covariance[:SHARED, :SHARED]
 
     def place_covariance(self, station: int) -> Floats:
@@ -142,13 +142,18 @@ def estimate_room(
         variances = levels.variances(patches)
         fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.room, known, variances, free)
+    rig, without, of_terms = known.rig.chosen(fit.room.rig, covariance_of(fit.information, free))
+    if prior.terms:
+        known = replace(known, rig=rig)
+        free = known.free(seen(fit.room, patches))
+        fit = minimise(patches, replace(fit.room, rig=without), known, variances, free)
     contacts: tuple[Contact, ...] = ()
     for share in NEAR if loose else ():
         contacts = find_contacts(loose, fit.room, [noise.match_px for noise in levels.stations], share * reach)
         fit = minimise(patches, fit.room, known, variances, free, contacts=contacts)
 
     of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
-    covariance = levels.alike * (covariance_of(fit.information, free) + of_waves)
+    covariance = levels.alike * (covariance_of(fit.information, free) + of_terms + of_waves)
     covariance += covariance_of_shifts(patches, fit, variances, free, levels, shifts)
     for plane in range(len(fit.room.planes)):
         columns = fit.room.plane_columns(plane)

@@ -80,7 +80,7 @@ def _estimate(members: Sequence[Seen], group: Group, start: RigStart, config: Co
         point = config.principal_point(facts.camera_size)
         squareness_deg = config.corner.squareness_deg
         knowledge = Knowledge(facts.camera_size, facts.projector_size, point.px, point.sigma_px, squareness_deg)
-        prior = RigPrior.from_knowledge(knowledge, state)
+        prior = RigPrior.from_knowledge(knowledge.with_all_terms(len(members)), state)
     elif start.uncertainty is not None:
         prior = RigPrior.from_calibration(state, start.uncertainty.covariance)
     else:

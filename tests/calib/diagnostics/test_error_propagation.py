@@ -41,7 +41,7 @@ def matches() -> Matches:
 def state() -> State:
     rig = random_capture(np.random.default_rng(4), count=6_000, noise_px=0.02).calibration
     camera, projector = (
-        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion])
         for device in (rig.camera, rig.projector)
     )
     return State(camera, projector, rig.rotation, rig.translation / rig.baseline, np.zeros((0, 3)), ())

@@ -29,7 +29,7 @@ def scene() -> Scene:
 
 def uncertainty_of(calibration: Calibration, covariance: Floats) -> Uncertainty:
     camera, projector = (
-        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion])
         for device in (calibration.camera, calibration.projector)
     )
     translation = calibration.translation / calibration.baseline
