@@ -2,8 +2,8 @@
 
 Boards determine more terms of a lens than those: the pixels' shape, k3, p1 and p2. Their estimates are part of the
 calibration, but how unsure they are has to be said by the columns that corners have always: to first order an error of
-a further term is what a change of the columns comes nearest to, by least squares over what both devices see. A lens that has another
-term also points elsewhere, so a turn of the device is part of that change.
+a further term is what a change of the columns comes nearest to, by least squares over what both devices see. A
+lens that has another term also points elsewhere, so a turn of the device is part of that change.
 """
 
 from dataclasses import replace

@@ -134,8 +134,10 @@ def estimate_room(
     room = Room(rig_of(start), tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
     reach = _reach(room, in_front(room, patches))
-    known = RoomPrior.of(prior, square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
+    # Lens terms that there may not be would make up for ties that are wrong.
+    known = RoomPrior.of(prior.holding(prior.terms), square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
     patches, known, fit, variances = without_wrong_ties(*fit_roughly(patches, room, known))
+    known = replace(known, rig=prior)
     free = known.free(seen(fit.room, patches))
     for _ in range(_ROUNDS):
         levels = measured(patches, fit, variances, free, _repeats(fit.room, reach))

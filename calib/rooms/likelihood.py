@@ -86,11 +86,16 @@ class RigPrior:
         sigma[list(self.terms)] = np.diag(self.precision)[list(self.terms)] ** -0.5
         told = most_probable(found.additive(), covariance, sigma, LENS_CHOICES)
         left_out = list(told.zero)
-        step, known, precision = np.zeros(SHARED), self.known.copy(), self.precision.copy()
+        step = np.zeros(SHARED)
         step[left_out] = -found.additive()[left_out]
-        known[left_out] = True
-        precision[left_out] = precision[:, left_out] = 0.0
-        return replace(self, precision=precision, known=known, terms=()), found.moved(step), told.spread
+        return replace(self.holding(told.zero), terms=()), found.moved(step), told.spread
+
+    def holding(self, columns: Sequence[int]) -> "RigPrior":
+        """The same with some columns held where the start has them."""
+        known, precision = self.known.copy(), self.precision.copy()
+        known[list(columns)] = True
+        precision[list(columns)] = precision[:, list(columns)] = 0.0
+        return replace(self, precision=precision, known=known)
 
     def cost(self, rig: State) -> tuple[float, Floats, Floats]:
         """Of a rig, with half its gradient (21,) and Hessian (21, 21) in the coordinates of a step from it."""

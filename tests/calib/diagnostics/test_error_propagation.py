@@ -28,7 +28,31 @@ from calib.refinement import SHARED, State
 from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
 SIZES = (PAPER_CAMERA.size, PAPER_PROJECTOR.size)
-STEP = np.array([3e-3, 2, -1, 1e-3, 5e-4, -2e-3, 1, 2, -1e-3, 4e-4, 5e-4, -3e-4, 6e-4, 4e-4, -7e-4])
+STEP = np.array(
+    [
+        3e-3,
+        2,
+        -1,
+        1e-3,
+        5e-4,
+        2e-4,
+        -1e-4,
+        1e-4,
+        -2e-3,
+        1,
+        2,
+        -1e-3,
+        4e-4,
+        -2e-4,
+        1e-4,
+        1e-4,
+        5e-4,
+        -3e-4,
+        6e-4,
+        4e-4,
+        -7e-4,
+    ]
+)
 
 
 @pytest.fixture(scope="module")
