@@ -89,8 +89,13 @@ def calibrated(case: Case, captures: list[SyntheticCapture]) -> SelfCalibration:
 def outcome(case: Case, seed: int, number: int) -> Outcome:
     rng = np.random.default_rng([seed, number])
     camera, projector = (
-        replace(device, distortion=(*terms, *map(float, rng.normal(0, case.tangential, 2)), 0.0))
-        for device, terms in zip((PAPER_CAMERA, PAPER_PROJECTOR), lens_terms(case, rng), strict=True)
+        replace(device, distortion=(k1, k2, float(p1), float(p2), 0.0))
+        for device, (k1, k2), (p1, p2) in zip(
+            (PAPER_CAMERA, PAPER_PROJECTOR),
+            lens_terms(case, rng),
+            rng.normal(0, case.tangential, (2, 2)) if case.tangential else np.zeros((2, 2)),
+            strict=True,
+        )
     )
     captures = random_captures(
         rng, case.captures, camera=camera, projector=projector, walls_off_deg=case.off_deg, same=case.same

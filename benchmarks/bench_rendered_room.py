@@ -219,7 +219,7 @@ def lengths_in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) ->
 
 def true_planes(room: SolvedRoom, members: Sequence[int], truth: Truth) -> dict[int, tuple[Floats, float]]:
     """In the estimate's frame and baselines, by number: normals and offsets of what pixels on the planes truly see."""
-    first, on = truth.places[members[0]], {}
+    first, on = truth.places[members[0]], dict[int, list[Floats]]()
     for station, k in zip(room.stations, members, strict=True):
         for plane in np.unique(station.plane[station.plane >= 0]):
             points = (truth.in_world(k)[station.plane == plane] - first.translation) @ first.rotation

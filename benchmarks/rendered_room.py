@@ -47,7 +47,7 @@ class Device:
     def project(self, points: Array) -> Array:
         zero = np.zeros(3)
         pixels, _ = cv2.projectPoints(points.reshape(-1, 1, 3), zero, zero, self.matrix, np.array(self.lens))
-        return pixels.reshape(-1, 2)
+        return pixels.reshape(-1, 2).astype(np.float64)
 
     def rays(self, pixels: Array) -> Array:
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
@@ -145,7 +145,8 @@ def room(rng: np.random.Generator, size: Array) -> tuple[dict[str, object], list
 
 
 def _texture(rng: np.random.Generator, albedo: float, spread: float) -> dict[str, object]:
-    waves = sum(gaussian_filter(rng.normal(size=(256, 256)), s, mode="wrap") * s for s in (2.0, 6.0, 20.0))
+    scales = 2.0, 6.0, 20.0
+    waves = np.sum([gaussian_filter(rng.normal(size=(256, 256)), s, mode="wrap") * s for s in scales], axis=0)
     values = np.clip(albedo * (1 + spread * waves / max(float(waves.std()), 1e-9)), 0.1, 0.9).astype(np.float32)
     bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(values[..., None]), "raw": True}
     return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": bitmap}}
@@ -192,12 +193,13 @@ def trace(scene: "mi.Scene", origins: Array, directions: Array) -> Hits:
     for start in range(0, len(origins), _CHUNK):
         o, d = origins[start : start + _CHUNK], directions[start : start + _CHUNK]
         si = scene.ray_intersect(mi.Ray3f(mi.Point3f(o.T), mi.Vector3f(d.T)))
-        found = si.is_valid()
-        albedo = np.array(si.bsdf().eval_diffuse_reflectance(si, found), np.float64).reshape(-1)
+        hit = si.is_valid()
+        albedo = np.array(si.bsdf().eval_diffuse_reflectance(si, hit), np.float64).reshape(-1)
         normal = np.array(si.n, np.float64).T
         normal *= -np.sign(np.sum(normal * d, axis=1, keepdims=True))
-        parts.append((np.array(si.p, np.float64).T, normal, albedo, np.array(found)))
-    return Hits(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        parts.append((np.array(si.p, np.float64).T, normal, albedo, np.array(hit)))
+    points, normals, albedo, found = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Hits(points, normals, albedo, found.astype(np.bool_))
 
 
 def lit(scene: "mi.Scene", hits: Hits, rig: Rig, place: Place) -> tuple[Array, Array]:
@@ -263,7 +265,7 @@ def bounced_light(
     for first in range(0, paths, per_round):
         many = min(per_round, paths - first)
         pixel = np.repeat(np.arange(count), many)
-        at = Hits(*(part[pixel] for part in (seen.points, seen.normals, seen.albedo, seen.found)))
+        at = Hits(seen.points[pixel], seen.normals[pixel], seen.albedo[pixel], seen.found[pixel])
         weight = np.full(len(pixel), 1 / paths)
         for _ in range(2):
             # The estimator of the irradiance over π: radiance along cosine-weighted directions.
@@ -282,7 +284,8 @@ def _cosine_weighted(normals: Array, rng: np.random.Generator) -> Array:
     directions = rng.normal(size=normals.shape)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     directions += (1 + 1e-6) * normals
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return directions
 
 
 def spread(coarse: Hits, fine: Hits, size: tuple[int, int]) -> csr_array:
@@ -325,7 +328,8 @@ def capture(
         between = np.interp(np.arange(_FINE * len(light)) / _FINE, np.arange(len(light)), light)
         direct = np.mean(between[at[..., axis].clip(max=len(between) - 1)] * bright, axis=2)
         bounced = to_pixels @ (by_axis[axis] @ light) * seen.albedo
-        return direct + bounced.reshape(height, width)
+        light_of_pixels: Array = direct + bounced.reshape(height, width)
+        return light_of_pixels
 
     described = yaml.safe_load((sequence / "sequence.yaml").read_text())
     white = np.full(rig.projector.size[::-1], 255, np.uint8)
@@ -334,7 +338,7 @@ def capture(
     (out / "frames").mkdir(parents=True)
     frames = []
     for number, entry in enumerate(described["frames"]):
-        pattern = cv2.imread(str(sequence / entry["file"]), cv2.IMREAD_GRAYSCALE)
+        pattern = np.array(cv2.imread(str(sequence / entry["file"]), cv2.IMREAD_GRAYSCALE), np.uint8)
         light = picture(pattern, 1 if entry["pattern"].get("axis") == "y" else 0) * exposure + _AMBIENT
         electrons = rng.poisson(np.clip(light, 0, 1.2) * _FULL_WELL) + rng.normal(0, _READ_NOISE, light.shape)
         grey = np.clip(np.rint(electrons / _FULL_WELL * 255), 0, 255).astype(np.uint8)
@@ -349,6 +353,10 @@ def capture(
     (out / "capture.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
     in_camera = (seen.points - place.translation) @ place.rotation
     return {"points": in_camera.reshape(height, width, 3).astype(np.float32)}
+
+
+def _told(device: Device) -> Array:
+    return np.array([*device.size, device.focal, *device.centre, *device.lens])
 
 
 def main() -> None:
@@ -372,20 +380,17 @@ def main() -> None:
             capture(scene, rig, place, args.sequence, args.out / str(number), 1000 * args.seed + number, args.paths)
         )
         print(f"station {number} rendered", flush=True)
-    devices = {
-        name: np.array([*device.size, device.focal, *device.centre, *device.lens])
-        for name, device in (("camera", rig.camera), ("projector", rig.projector))
-    }
     np.savez_compressed(
         args.out / "truth.npz",
         rotation=rig.rotation,
         translation=rig.translation,
+        camera=_told(rig.camera),
+        projector=_told(rig.projector),
         rotations=np.stack([place.rotation for place in places]),
         translations=np.stack([place.translation for place in places]),
         points=np.stack([each["points"] for each in seen]),
         balls=balls,
         diagonal=np.linalg.norm(size),
-        **devices,
     )
 
 

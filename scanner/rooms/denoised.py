@@ -53,7 +53,5 @@ def _smoothed(points: NDArray[np.float32], on: Bools, plane: Floats) -> Floats:
 
 def _summed(values: Floats) -> Floats:
     """Over the window around each pixel."""
-    summed: Floats = cv2.boxFilter(
-        values, cv2.CV_64F, (_WINDOW, _WINDOW), normalize=False, borderType=cv2.BORDER_CONSTANT
-    )
-    return summed
+    window = (_WINDOW, _WINDOW)
+    return cv2.boxFilter(values, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT).astype(np.float64)
