@@ -20,7 +20,7 @@ from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.reconstruction import is_calibration, read_captures, read_masks, refuse_impossible
 from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Scan, new_result, read_uncertainty, settle, unused
-from scanner.ui import Progress, Terminal
+from scanner.ui import Operator, Progress, Terminal
 
 _SILENT = Terminal(quiet=True)
 _NOT_INCOMPLETE = re.compile(r"-incomplete(-\d+)?$")
@@ -34,13 +34,14 @@ def scan(
     masks: Path | None = None,
     overwrite: bool = False,
     terminal: Terminal = _SILENT,
+    operator: Operator | None = None,
     progress: Progress | None = None,
 ) -> Scan:
     """Scan with the configured rig: capture, calibrate, reconstruct.
 
-    `captures` of the corner, between which the rig is moved as a whole. `progress` is told of it in place of the
-    `terminal`; what it raises ends the scan as Ctrl-C does: what was captured so far is kept. Raises InputError,
-    DeviceError, RefusalError.
+    `captures` of the corner, between which the rig is moved as a whole, for which the `operator` is asked in place of
+    the `terminal`. `progress` is told of it in place of the `terminal`; what it raises ends the scan as Ctrl-C does:
+    what was captured so far is kept. Raises InputError, DeviceError, RefusalError.
     """
     # Whatever could be refused after the capture is asked before it.
     config.principal_point(config.camera_size)
@@ -49,12 +50,12 @@ def scan(
     if masks and captures > 1:
         raise InputError("--masks are of one view of the corner, and --captures takes several: give one of them")
     drawn = read_masks(masks, config.camera_size) if masks else None
-    check_places(config.required_rig, captures, terminal)
+    check_places(config.required_rig, captures, operator or terminal)
     earlier = read_captures(config.earlier, config.camera_size, config.projector_size)
     refuse_impossible(config, len(earlier) + captures)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         return pipeline.scan(
-            config, folder, terminal, progress or terminal, number=captures, masks=drawn, earlier=earlier
+            config, folder, operator or terminal, progress or terminal, number=captures, masks=drawn, earlier=earlier
         )
 
 

@@ -34,6 +34,7 @@ from scanner.io import require_space, write_calibration
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.reconstruction import (
     calibrate,
+    guide,
     label,
     merge,
     refusal_saved,
@@ -44,7 +45,7 @@ from scanner.reconstruction import (
     triangulate,
 )
 from scanner.results import CAPTURE_FOLDER, TRUTH_FILE, Decoded, GivenCalibration, Scan
-from scanner.ui import Progress, Terminal
+from scanner.ui import Operator, Progress, Terminal
 
 # Of matches and cloud, for each pixel of the camera.
 _RESULT_BYTES_PER_PIXEL = 75
@@ -53,7 +54,7 @@ _RESULT_BYTES_PER_PIXEL = 75
 def scan(
     config: Config,
     folder: Path,
-    terminal: Terminal,
+    operator: Operator,
     progress: Progress,
     *,
     number: int = 1,
@@ -62,16 +63,22 @@ def scan(
 ) -> Scan:
     """Capture with the configured rig, from one place or from several, then reconstruct. Raises DeviceError too.
 
-    The `terminal` is where the operator is asked to move the rig.
+    Between them the `operator` is told what they are worth by now, and asked to move the rig.
     """
     captures = [*earlier]
+    enough = False
     for step in range(number):
-        rig = next_place(config.required_rig, step, number, terminal)
+        rig = next_place(config.required_rig, step, number, operator, enough=enough)
         if rig is None:
             break
         if step:
             set_aside(captures, folder)
         captures.append(take(rig, config, folder, progress, f"Capture {len(captures) + 1}"))
+        if step + 1 < number:
+            with progress.step("Working out where to go next"):
+                told, captures = guide(captures, config)
+            operator.tell(*told.sentences)
+            enough = told.enough
     return reconstruct(captures, config, folder, progress, masks=masks)
 
 

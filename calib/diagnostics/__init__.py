@@ -1,6 +1,12 @@
 """What an estimate is worth: uncertainty, degenerate views, the verdict of the numbers, the next best view."""
 
-from calib.diagnostics.acceptance import USEFUL_SIGMA, no_corner, refuse_degenerate, refuse_untrustworthy
+from calib.diagnostics.acceptance import (
+    FROM_ONE_PLACE,
+    USEFUL_SIGMA,
+    no_corner,
+    refuse_degenerate,
+    refuse_untrustworthy,
+)
 from calib.diagnostics.comparison import Difference, compare
 from calib.diagnostics.contradiction import ContradictionError, refuse_contradiction
 from calib.diagnostics.error_propagation import (
@@ -14,7 +20,8 @@ from calib.diagnostics.error_propagation import (
     spread_of_vertex,
     stacked,
 )
-from calib.diagnostics.notes import FROM_ONE_PLACE, FURTHER_CAPTURE, notes_on
+from calib.diagnostics.next_best_view import NextView, best_next_view
+from calib.diagnostics.notes import FURTHER_CAPTURE, WORTH_A_CAPTURE, notes_on
 from calib.diagnostics.plane_form import plane_form
 from calib.diagnostics.sheet_size import SheetSize, size_of_sheet
 from calib.diagnostics.smooth_errors import footprint_offsets

@@ -11,6 +11,9 @@ from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR, Cells, Fit, Knowledge, Refinement, Straightened, intrinsic_distance
 from calib.refusal import RefusalError, Wording
 
+# How the note on captures between which the rig was not moved begins.
+FROM_ONE_PLACE = "Taken from the same place: captures"
+
 USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley either
 _CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
 _TENSION_SIGMAS = 4.0
@@ -49,7 +52,7 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
             raise RefusalError(
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
                 + _because(_reasons(refinement, words)),
-                _where_to_go(refinement, knowledge)
+                " ".join([*on_repeats(refinement), _where_to_go(refinement, knowledge)])
                 + " A principal point that is known, or a corner that is known to be square, also helps.",
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
@@ -67,6 +70,20 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
             )
     _refuse_misfit(refinement, words)
     _refuse_skew(refinement, knowledge)
+
+
+def on_repeats(refinement: Refinement) -> list[str]:
+    """A sentence on each group of captures between which the rig was not moved."""
+    state, count = refinement.fit.state, len(refinement.noise)
+    if state.one_camera:
+        return []
+    groups = {tuple(j + 1 for j in range(count) if state.same_place(i, j)) for i in range(count)}
+    return [
+        f"{FROM_ONE_PLACE} {', '.join(map(str, group[:-1]))} and {group[-1]}. What errs smoothly is the same in each, "
+        "so together they count as one. Move the rig between captures."
+        for group in sorted(groups)
+        if len(group) > 1
+    ]
 
 
 def _where_to_go(refinement: Refinement, knowledge: Knowledge) -> str:
@@ -109,8 +126,19 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
             )
             + f": with the angles free, −2 log likelihood is lower by {refinement.tension:.0f}.",
             "Choose another corner, or allow for walls farther from square (a larger squareness_deg)."
+            + _given_centre(knowledge)
             + knowledge.words.shape,
         )
+
+
+def _given_centre(knowledge: Knowledge) -> str:
+    """The suspicion that a principal point without a sigma deserves."""
+    if knowledge.principal_point_sigma_px > 0:
+        return ""
+    (x, y), (width, height) = knowledge.principal_point_px, knowledge.camera_size
+    inside = 0 <= x < width and 0 <= y < height
+    place = "" if inside else f", outside of the image of {width} × {height} pixels"
+    return f" Make sure of the camera's principal point, too: ({x:.0f}, {y:.0f}) was given as known{place}."
 
 
 def signed(values: Floats) -> str:

@@ -37,13 +37,15 @@ _LEAST_SHARE = 0.03  # of the rays that both devices see, on each face
 @dataclass(frozen=True)
 class NextView:
     """A capture that would help: the rig goes round the corner to the `right_deg` and `up_deg` (negative: left, down)
-    and to `distance` times today's; the relative sigma of the camera's focal length becomes `sigma`.
+    and to `distance` times today's; the relative sigma of the camera's focal length becomes `sigma`. `step` (3,): where
+    the camera goes in its own frame of today (right, down, forward), in baselines.
     """
 
     right_deg: float
     up_deg: float
     distance: float
     sigma: float
+    step: Floats
 
     @property
     def words(self) -> str:
@@ -68,6 +70,9 @@ def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | N
     state = refinement.fit.state
     cells, level = refinement.captures[-1], refinement.noise[-1]
     variance = float(np.median(level.variances(cells)) * len(cells))
+    # What a view gains is told from curvature alone; smooth errors of the matches, which further captures have as well,
+    # go with it.
+    beyond = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]) / _sigma_by_curvature(refinement))
     best: NextView | None = None
     for right, up, distance in product(_TURNS_DEG, _TURNS_DEG, _DISTANCES):
         if right == up == 0:
@@ -76,17 +81,33 @@ def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | N
         seen = _seen(replace(state, poses=(*state.poses, pose)), knowledge)
         if seen is None:
             continue
-        sigma = _sigma_with(refinement, pose, seen, variance / len(seen), knowledge)
+        sigma = beyond * _sigma_with(refinement, pose, seen, variance / len(seen), knowledge)
         if best is None or sigma < best.sigma:
-            best = NextView(right, up, distance, sigma)
+            best = NextView(right, up, distance, sigma, step_taken(state.poses[-1], right, up, distance))
     return best
 
 
 def moved_pose(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Pose:
     """The corner's pose after the rig went round it: seen from the rig, the corner turns the other way about itself."""
-    # Camera's axes: x right, y down. Walking to the right turns the corner about y, climbing turns it about x.
-    turn = Rotation.from_euler("yx", [right_deg, up_deg], degrees=True).as_matrix()
+    turn = _turn(right_deg, up_deg)
     return replace(pose, frame=pose.frame @ turn.T, vertex=distance * pose.vertex, planes=())
+
+
+def _turn(right_deg: float, up_deg: float) -> Floats:
+    """Camera's axes: x right, y down. Walking to the right turns the corner about y, climbing turns it about x."""
+    turn: Floats = Rotation.from_euler("yx", [right_deg, up_deg], degrees=True).as_matrix()
+    return turn
+
+
+def step_taken(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Floats:
+    """Where the camera of that move stands in today's frame: X = vertex + turn (X_today − vertex_today) is 0 there."""
+    step: Floats = pose.vertex - distance * _turn(right_deg, up_deg).T @ pose.vertex
+    return step
+
+
+def _sigma_by_curvature(refinement: Refinement) -> float:
+    """Relative sigma of the camera's focal length now, without what smooth errors and a curved valley add to it."""
+    return float(np.sqrt(covariance_of(refinement.fit.information, refinement.prior.free)[CAMERA.start, CAMERA.start]))
 
 
 def _seen(state: State, knowledge: Knowledge) -> Cells | None:

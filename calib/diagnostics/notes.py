@@ -2,25 +2,22 @@
 
 import numpy as np
 
-from calib.diagnostics.acceptance import signed
-from calib.diagnostics.next_best_view import best_next_view
+from calib.diagnostics.acceptance import on_repeats, signed
+from calib.diagnostics.next_best_view import NextView
 from calib.refinement import CAMERA, Knowledge, Refinement
 
 # How the note on what a further capture would gain begins.
 FURTHER_CAPTURE = "A further capture of this corner"
 
-# How the note on captures between which the rig was not moved begins.
-FROM_ONE_PLACE = "Taken from the same place: captures"
-
-_WORTH_A_CAPTURE = 0.7
+WORTH_A_CAPTURE = 0.7  # of the sigma without it
 
 
-def notes_on(refinement: Refinement, knowledge: Knowledge) -> tuple[str, ...]:
-    """Assumptions, what the data said about them, and what stays unexplained."""
+def notes_on(refinement: Refinement, knowledge: Knowledge, further: NextView | None = None) -> tuple[str, ...]:
+    """Assumptions, what the data said about them, what a `further` view would bring, and what stays unexplained."""
     return (
         *_on_squareness(refinement, knowledge),
-        *_on_repeats(refinement),
-        *(() if knowledge.one_camera else _on_next_view(refinement, knowledge)),
+        *on_repeats(refinement),
+        *_on_next_view(refinement, further),
         *_on_noise(refinement, knowledge),
     )
 
@@ -46,24 +43,10 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
     return notes
 
 
-def _on_repeats(refinement: Refinement) -> list[str]:
-    state, count = refinement.fit.state, len(refinement.noise)
-    if state.one_camera:
-        return []
-    groups = {tuple(j + 1 for j in range(count) if state.same_place(i, j)) for i in range(count)}
-    return [
-        f"{FROM_ONE_PLACE} {', '.join(map(str, group[:-1]))} and {group[-1]}. What errs smoothly is the same in each, "
-        "so together they count as one. Move the rig between captures."
-        for group in sorted(groups)
-        if len(group) > 1
-    ]
-
-
-def _on_next_view(refinement: Refinement, knowledge: Knowledge) -> list[str]:
+def _on_next_view(refinement: Refinement, view: NextView | None) -> list[str]:
     """What a further capture would gain, where there is something to gain."""
     sigma = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]))
-    view = best_next_view(refinement, knowledge)
-    if view is None or view.sigma > _WORTH_A_CAPTURE * sigma:
+    if view is None or view.sigma > WORTH_A_CAPTURE * sigma:
         return []
     return [
         f"{FURTHER_CAPTURE}, the rig moved {view.words}, would lower the sigma of the camera's focal "

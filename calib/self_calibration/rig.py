@@ -9,7 +9,9 @@ import numpy as np
 from calib.closed_form import Objective, objective_for, search
 from calib.diagnostics import (
     ContradictionError,
+    NextView,
     Uncertainty,
+    best_next_view,
     calibration_of,
     no_corner,
     notes_on,
@@ -79,7 +81,8 @@ class SelfCalibration:
     for a method that knows none. `order_nats`: of captures of one corner, by how much its angles make the order in
     which the faces are numbered likelier than any other; 0 where they do not tell. `likely_percent`: what likely shifts
     of the matches may have done to the intrinsics, one standard deviation; `possible_percent`: the same of those that
-    nothing tells of. Both are part of the sigmas. `known`: what it was joined with, if it was.
+    nothing tells of. Both are part of the sigmas. `known`: what it was joined with, if it was. `next_view`: from where
+    a further capture would help most; None where none would see the corner, or the method does not know.
     """
 
     calibration: Calibration
@@ -94,6 +97,7 @@ class SelfCalibration:
     likely_percent: float = 0.0
     possible_percent: float = 0.0
     known: KnownCalibration | None = None
+    next_view: NextView | None = None
 
     @property
     def metric(self) -> Calibration:
@@ -299,7 +303,8 @@ def _by_refinement(
     )
     if known is not None:
         calibration = known.with_further_terms(calibration)
-    notes += notes_on(refinement, knowledge)
+    next_view = best_next_view(refinement, knowledge)
+    notes += notes_on(refinement, knowledge, next_view)
     profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
     sameness = refinement.sameness
     order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
@@ -330,6 +335,7 @@ def _by_refinement(
                 likely_percent,
                 possible_percent,
                 known,
+                next_view,
             )
         )
     return tuple(results)

@@ -4,12 +4,12 @@ from hw.errors import DeviceError
 from hw.moving import at_place, moves_by_itself
 from hw.settings import RigSettings
 from scanner.errors import InputError
-from scanner.ui import Terminal
+from scanner.ui import Operator
 
 
-def check_places(settings: RigSettings, number: int, terminal: Terminal) -> None:
+def check_places(settings: RigSettings, number: int, operator: Operator) -> None:
     """Raise InputError if the rig cannot go to so many places, or nobody could be asked to move it."""
-    if number > 1 and not moves_by_itself(settings) and not terminal.can_ask:
+    if number > 1 and not moves_by_itself(settings) and not operator.can_ask:
         raise InputError(
             f"--captures {number} asks you to move the rig between captures, but the input is no terminal: run it in "
             "one, or scan several times and put the results together with scan calibrate"
@@ -20,13 +20,19 @@ def check_places(settings: RigSettings, number: int, terminal: Terminal) -> None
         raise InputError(f"--captures {number}: {error}") from error
 
 
-def next_place(settings: RigSettings, step: int, number: int, terminal: Terminal) -> RigSettings | None:
-    """The rig where it takes capture `step` of `number` from; None if the operator has had enough."""
+def next_place(
+    settings: RigSettings, step: int, number: int, operator: Operator, *, enough: bool = False
+) -> RigSettings | None:
+    """The rig where it takes capture `step` of `number` from; None if the operator has had enough.
+
+    `enough`: so much is known by now that a further capture is not needed.
+    """
     if step and not moves_by_itself(settings):
+        way = "Enter" if not enough else "Enter for one more"
         question = (
             f"Capture {step} of {number} is done. Move the rig as a whole, so that it sees the same corner from "
-            "another side; then press Enter, or q and Enter to go on with what there is: "
+            f"another side; then press {way}, or q and Enter to go on with what there is: "
         )
-        if terminal.ask(question).strip().lower().startswith("q"):
+        if operator.ask(question).strip().lower().startswith("q"):
             return None
     return at_place(settings, step)

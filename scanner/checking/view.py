@@ -19,6 +19,7 @@ from scanner.decoding import Decoding, MaskReason
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Preset, PresetName
 from scanner.pipeline import decode
+from scanner.quantities import relative_focal_sigmas
 from scanner.reconstruction import label, solve
 from scanner.results import Decoded
 from scanner.ui import Progress
@@ -188,7 +189,7 @@ def view_row(
         solution = predict(seen.decoded, config, earlier)
     except RefusalError as refusal:
         return CheckRow(_VIEW, State.FAILED, refusal.reason, refusal.advice), refusal
-    sigmas = relative_sigmas(solution)
+    sigmas = relative_focal_sigmas(solution.calibration)
     shown = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
     finding = f"focal lengths will be known to about {shown}"
     if max(sigmas.values()) > _RISKY_SIGMA:
@@ -213,12 +214,3 @@ def nothing_lit() -> CheckRow:
 def refusal_of(row: CheckRow) -> RefusalError:
     """A failed row as the reason why a scan would be refused."""
     return RefusalError(f"{row.finding[:1].upper()}{row.finding[1:].rstrip('.')}.", row.advice)
-
-
-def relative_sigmas(solution: SelfCalibration) -> dict[str, float]:
-    """Of both focal lengths, by device."""
-    found, sigma = solution.calibration, solution.calibration.sigma
-    devices = {"camera": (found.camera, sigma.camera), "projector": (found.projector, sigma.projector)}
-    return {
-        name: sigmas.focal_px[0] / device.focal_px[0] for name, (device, sigmas) in devices.items() if sigmas.focal_px
-    }

@@ -7,6 +7,7 @@ from scanner.quantities.calibration_numbers import (
     percent,
     plain,
     pose_quantities,
+    relative_focal_sigmas,
     rig_quantities,
 )
 from scanner.quantities.calibration_table import calibration_table, truth_line

@@ -154,6 +154,17 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
     return quantities
 
 
+def relative_focal_sigmas(calibration: Calibration) -> dict[str, float]:
+    """Of the devices' focal lengths, by device, the larger of two axes; without those that are not known."""
+    devices = {
+        "camera": (calibration.camera, calibration.sigma.camera),
+        "projector": (calibration.projector, calibration.sigma.projector),
+    }
+    return {
+        name: max(sigmas.focal_px) / device.focal_px[0] for name, (device, sigmas) in devices.items() if sigmas.focal_px
+    }
+
+
 def intrinsic_errors_percent(calibration: Calibration, truth: Calibration) -> Floats:
     """Relative errors of f_c, f_p, x_p and y_p, (4,), in per cent of the truth: those that the paper reports."""
 

@@ -3,6 +3,7 @@
 from scanner.reconstruction.calibrate import calibrate, label, refuse_few, refuse_impossible, solve
 from scanner.reconstruction.earlier_captures import read_captures
 from scanner.reconstruction.face_masks import label_by_masks, read_masks
+from scanner.reconstruction.guidance import Guidance, guide
 from scanner.reconstruction.known_calibrations import is_calibration
 from scanner.reconstruction.merge_clouds import brightness, consistency, merge
 from scanner.reconstruction.metric_scale import scaled

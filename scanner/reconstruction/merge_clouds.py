@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Image
+from calib.numerics import Bools, Floats, Image
 from calib.pointcloud import Cloud, MergedCloud, Order, View, find_order, merged
 from scanner.results import SelfCalibrated
 
@@ -25,6 +25,24 @@ def merge(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> tuple[
         return None, (_why_not(order),)
     cloud = merged(clouds, views, order.turns)
     return cloud, (_how_well(clouds, views, cloud),)
+
+
+def overlap(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> float | None:
+    """The share of what the newest capture saw that an earlier one saw as well; None where it is not certain how they
+    belong together.
+    """
+    if not _one_corner(captures):
+        return None
+    views = [_view(capture, cloud) for capture, cloud in zip(captures, clouds, strict=True)]
+    order = find_order(views, captures[-1].solution.order_nats)
+    if not order.decided:
+        return None
+    points = _sample(clouds[-1])
+    seen = np.zeros(len(points), bool)
+    for view, turn in zip(views[:-1], order.turns, strict=False):
+        moved = view.in_camera(views[-1].in_corner(points, order.turns[-1]), turn)
+        seen |= _sees(view, moved)
+    return float(np.mean(seen)) if len(seen) else 0.0
 
 
 def _one_corner(captures: Sequence[SelfCalibrated]) -> bool:
@@ -77,8 +95,7 @@ def consistency(clouds: Sequence[Cloud], views: Sequence[View], turns: Sequence[
     """
     apart = []
     for i, (cloud, view) in enumerate(zip(clouds, views, strict=True)):
-        points = cloud.points[cloud.there].astype(np.float64)
-        points = points[:: max(1, len(points) // _CONSISTENCY_SAMPLE)]
+        points = _sample(cloud)
         for j, other in enumerate(views):
             if j != i:
                 moved = other.in_camera(view.in_corner(points, turns[i]), turns[j])
@@ -86,11 +103,22 @@ def consistency(clouds: Sequence[Cloud], views: Sequence[View], turns: Sequence[
     return np.concatenate(apart)
 
 
-def _from_surface(cloud: Cloud, view: View, points: Floats) -> Floats:
-    """Of points (N, 3) in a view's frame those that it saw, (M,): their distance along its normals, relative."""
+def _sample(cloud: Cloud) -> Floats:
+    points: Floats = cloud.points[cloud.there].astype(np.float64)
+    return points[:: max(1, len(points) // _CONSISTENCY_SAMPLE)]
+
+
+def _sees(view: View, points: Floats) -> Bools:
+    """Which points (N, 3) of its frame a view saw, (N,), and nothing before or behind them."""
     nearest, farthest, sees = view.depths_around(points)
     with np.errstate(invalid="ignore"):
-        seen = points[sees & (nearest < 1.01 * points[:, 2]) & (farthest > 0.99 * points[:, 2])]
+        seen: Bools = sees & (nearest < 1.01 * points[:, 2]) & (farthest > 0.99 * points[:, 2])
+    return seen
+
+
+def _from_surface(cloud: Cloud, view: View, points: Floats) -> Floats:
+    """Of points (N, 3) in a view's frame those that it saw, (M,): their distance along its normals, relative."""
+    seen = points[_sees(view, points)]
     column, row = np.rint(view.camera.project(seen)).astype(np.int64).T
     along = np.sum((seen - cloud.points[row, column]) * cloud.normals[row, column], axis=1)
     apart = np.abs(along) / np.linalg.norm(seen, axis=1)

@@ -12,6 +12,7 @@ from scanner.reporting.flatness import flatness
 from scanner.reporting.focal import focal_length
 from scanner.reporting.joint import joint_rows, merged_views
 from scanner.reporting.residuals import face_residuals, misses
+from scanner.reporting.sheet import on_paper
 from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
@@ -73,6 +74,7 @@ def write_report(path: Path, report: ReportInput) -> None:
         tables=tables,
         has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),
         plain=plain,
+        on_paper=on_paper,
         has_truth=report.truth is not None,
         photos=report.facts.photos,
         captures=joint_rows(report),

@@ -10,13 +10,11 @@ from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
 from scanner.decoding import UNSEEN_MOTION
 from scanner.patterns import Axis
-from scanner.quantities import intrinsic_errors_percent, percent
+from scanner.quantities import intrinsic_errors_percent, percent, relative_focal_sigmas
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.principal_point import price_of_principal_point
-from scanner.results import Reconstructed, Refused, SelfCalibrated, Verdict
+from scanner.results import MEASUREMENT_GRADE, Reconstructed, Refused, SelfCalibrated, Verdict
 
-# A focal length that errs by one per cent bends a room by about as much as its walls are off square.
-_MEASUREMENT_GRADE = 0.01
 _SYSTEMATIC_MISS_PX = 1.0
 # Smooth misses beyond the noise bend a cloud for all to see; a tenth of a pixel is left by good decoders in bad light.
 _LEAST_SYSTEMATIC_PX, _SYSTEMATIC_OF_NOISE = 0.1, 2.5
@@ -124,14 +122,14 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
         return Verdict("fair", "Calibrated, but with errors that show", tuple(reasons), _LOOK_AT_THE_MISSES)
     price = price_of_principal_point(calibrated.solution)
     reasons += price.sentences
-    if price.per_px * _CALIBRATED_CENTRE_PX > _MEASUREMENT_GRADE:
+    if price.per_px * _CALIBRATED_CENTRE_PX > MEASUREMENT_GRADE:
         headline = "Calibrated, as well as the principal point that was given"
         return Verdict("fair", headline, (*price.sentences, *reasons[: -len(price.sentences)]), _FREE_THE_CENTRE)
     reasons += [note for note in calibrated.solution.notes if note.startswith(FROM_ONE_PLACE)]
     unseen = [note for note in calibrated.solution.notes if note.startswith(UNSEEN_MOTION)]
     if unseen or calibrated.solution.possible_percent > _MOST_BY_MOTION_PERCENT:
         return Verdict("fair", _IF_NOTHING_MOVED, (*unseen, *reasons), _WITNESS)
-    if worst is not None and worst <= _MEASUREMENT_GRADE:
+    if worst is not None and worst <= MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
     advice = _ONE_MORE if report.company.count > 1 else _THREE_CAPTURES
     if facts.photos:
@@ -150,15 +148,8 @@ def _doubtful_centre(calibration: Calibration) -> str | None:
 
 def _worst_focal_sigma(calibration: Calibration) -> float | None:
     """The larger relative sigma of the two focal lengths; None unless both are known."""
-    relative = []
-    for device, sigmas in (
-        (calibration.camera, calibration.sigma.camera),
-        (calibration.projector, calibration.sigma.projector),
-    ):
-        if sigmas.focal_px is None:
-            return None
-        relative.append(max(sigmas.focal_px) / device.focal_px[0])
-    return max(relative)
+    known = relative_focal_sigmas(calibration)
+    return max(known.values()) if len(known) == 2 else None
 
 
 def _about_cloud(statistics: CloudStatistics, pixels: str) -> Iterator[str]:

@@ -3,6 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal
 
+# A focal length that errs by one per cent bends a room by about as much as its walls are off square.
+MEASUREMENT_GRADE = 0.01
+
 Grade = Literal["good", "fair", "refused"]
 SIGNS: dict[str, str] = {"good": "✓", "fair": "◐", "refused": "✕"}
 

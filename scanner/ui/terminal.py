@@ -55,6 +55,10 @@ class Terminal:
             else:
                 self._out.print(shown)
 
+    def tell(self, *sentences: str) -> None:
+        """Print what an operator is to know now."""
+        self.show(*sentences)
+
     def note(self, text: str) -> None:
         """Say what is to be known whether or not the command succeeds."""
         if not self._quiet:

@@ -28,6 +28,7 @@ from scanner.decoding.motion import Fit
 from scanner.patterns.presets import PRESETS
 from scanner.patterns.projector_response import ProjectorResponse
 from scanner.pipeline import decode
+from scanner.quantities import relative_focal_sigmas
 from scanner.reconstruction.calibrate import label, solve
 from scanner.ui.terminal import Terminal
 from tests.support.check_bench import PERIOD_US, PROJECTOR, changed, config, rig_in, row
@@ -217,7 +218,7 @@ def test_the_predicted_sigma_is_that_of_the_scan(room: SimulatedRoom, usual: Che
     whole = changed(room, exposure_us=PERIOD_US)
     found = decode(capture(rig_in(whole), config().sequence.patterns(PROJECTOR)), QUIET, "")
     (solution,) = solve(label([found], [found]), config())
-    truth = view.relative_sigmas(solution)
+    truth = relative_focal_sigmas(solution.calibration)
     predicted = [float(word) / 100 for word in row(usual, "view").finding.split() if word[0].isdigit()]
     for sigma, device in zip(predicted, ("camera", "projector"), strict=True):
         assert 0.5 < sigma / truth[device] < 3

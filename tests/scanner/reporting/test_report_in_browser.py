@@ -166,6 +166,21 @@ def test_on_paper_it_is_light_with_a_still_picture(pages: Any, reports: dict[str
     assert page.pdf(format="A4").startswith(b"%PDF")
 
 
+@pytest.mark.parametrize("name", ["calibrated", "refused", "refused-with-faces"])
+def test_the_first_page_of_paper_says_all_that_matters(pages: Any, reports: dict[str, Path], name: str) -> None:
+    page = pages(reports[name])
+    sheet = page.locator(".sheet")
+    assert not sheet.is_visible()
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 690, "height": 1000})
+    assert 250 < sheet.bounding_box()["height"] < 1010  # of an A4's 1017 px within its margins
+    assert page.locator(".sheet .verdict h2").is_visible()
+    assert page.locator(".sheet img").first.is_visible()
+    assert page.locator("h1:visible").count() == 1
+    told = sheet.inner_text()
+    assert ("focal length" in told) == (name == "calibrated")
+
+
 def test_without_javascript_there_is_a_still_picture(pages: Any, reports: dict[str, Path]) -> None:
     page = pages(reports["calibrated"], java_script_enabled=False)
     assert page.locator(".viewer .still img").is_visible()

@@ -1,0 +1,20 @@
+"""The person at the rig, who is told things, and asked to move it."""
+
+from typing import Protocol
+
+
+class Operator(Protocol):
+    """At a terminal, or at a page in the browser."""
+
+    @property
+    def can_ask(self) -> bool:
+        """Whether there is a person to answer."""
+
+    def ask(self, question: str) -> str:
+        """What the operator answers; 'q' is enough."""
+
+    def tell(self, *sentences: str) -> None:
+        """Say what is to be known now."""
+
+    def note(self, text: str) -> None:
+        """Say what is to be known whether or not what is being done succeeds."""
