@@ -38,7 +38,7 @@ def bound(captures: list[SyntheticCapture], knowledge: Knowledge, noise_px: floa
             Pose(capture.corner.legs, capture.corner.vertex / truth.baseline, i) for i, capture in enumerate(captures)
         ),
     )
-    prior = knowledge.with_all_terms(len(captures)).prior(state)
+    prior = knowledge.with_all_terms(1).prior(state)
     for device, columns in ((state.camera, CAMERA), (state.projector, PROJECTOR)):
         for column in np.flatnonzero(device[3:] == 0) + 3:
             prior = prior.with_known(columns.start + int(column))

@@ -93,13 +93,13 @@ class Knowledge:
     rig: KnownRig | None = None
     terms: tuple[int, ...] = ()
 
-    def with_all_terms(self, captures: int) -> "Knowledge":
-        """The same for lenses that may have every term that so many captures of corners can tell of.
+    def with_all_terms(self, views: int) -> "Knowledge":
+        """The same for lenses that may have every term that so many views of one corner, or of a room, can tell of.
 
         Two photos hardly tell even k2; of boards' rigs the boards have told. To one view of a corner, tangential terms
         do what angles do that are not known.
         """
-        tell = captures > 1 or self.squareness_deg == 0
+        tell = views > 1 or self.squareness_deg == 0
         return replace(self, terms=FURTHER_TERMS) if tell and not self.one_camera and self.rig is None else self
 
     @property

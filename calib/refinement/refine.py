@@ -107,7 +107,7 @@ def settle(
     None where none of them is left with all cells.
     """
     # Nor what other data say of the rig: what contradicts them may not pass for noise either.
-    every = knowledge.with_all_terms(len(captures))
+    every = knowledge.with_all_terms(_views(fits[0].state, len(captures)))
     unassuming = replace(every, squareness_deg=_ANY_ANGLE_DEG, rig=None).prior(fits[0].state)
     noise = _measured(captures, fits[0], unassuming)
     variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
@@ -162,7 +162,7 @@ def _with_lens_terms(
     """Knowledge and fits with the further lens terms that the cells give evidence for; and what the other choices'
     answers add to the covariance, (SHARED, SHARED).
     """
-    every = knowledge.with_all_terms(len(captures))
+    every = knowledge.with_all_terms(_views(fits[0].state, len(captures)))
     if every.terms == knowledge.terms:
         return knowledge, fits, np.zeros((SHARED, SHARED))
     free = _fitted(captures, [fit.state for fit in fits], every, variances)
@@ -240,6 +240,12 @@ def _repeats(state: State, count: int) -> tuple[int, ...]:
     if state.one_camera:
         return (1,) * count
     return tuple(sum(state.same_place(i, j) for j in range(count)) for i in range(count))
+
+
+def _views(state: State, count: int) -> int:
+    """From how many places the corner that was captured most often was seen."""
+    corner = np.array([state.pose(i).corner for i in range(count)])
+    return round(float(np.bincount(corner, 1 / np.array(_repeats(state, count))).max()))
 
 
 def _levels(fit: Fit) -> list[Floats]:

@@ -8,7 +8,7 @@ import numpy as np
 from calib.diagnostics import Uncertainty, with_further_terms
 from calib.geometry import Calibration, Intrinsics, Matches
 from calib.numerics import Floats
-from calib.refinement import SHARED, KnownRig
+from calib.refinement import FURTHER_TERMS, SHARED, KnownRig
 from calib.refinement.parameters import TANGENTIAL, THIRD_RADIAL
 
 
@@ -31,7 +31,9 @@ class KnownCalibration:
         rig = self.uncertainty.rig
         camera, projector = (device.copy() for device in (rig.camera, rig.projector))
         camera[[*TANGENTIAL, *THIRD_RADIAL]] = projector[[*TANGENTIAL, *THIRD_RADIAL]] = 0.0
-        return KnownRig(replace(rig, camera=camera, projector=projector), self.uncertainty.covariance)
+        covariance, further = self.uncertainty.covariance.copy(), list(FURTHER_TERMS)
+        covariance[further] = covariance[:, further] = 0.0
+        return KnownRig(replace(rig, camera=camera, projector=projector), covariance)
 
     def without_further_terms(self, matches: Matches) -> Matches:
         """The matches as devices with square pixels and two radial terms would have them."""
