@@ -94,7 +94,7 @@ class Knowledge:
     terms: tuple[int, ...] = ()
 
     def with_all_terms(self, views: int) -> "Knowledge":
-        """The same for lenses that may have every term that so many views of one corner, or of a room, can tell of.
+        """The same for lenses that may have every term that so many views of corners, or of a room, can tell of.
 
         Two photos hardly tell even k2; of boards' rigs the boards have told. To one view of a corner, tangential terms
         do what angles do that are not known.

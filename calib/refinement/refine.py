@@ -243,9 +243,8 @@ def _repeats(state: State, count: int) -> tuple[int, ...]:
 
 
 def _views(state: State, count: int) -> int:
-    """From how many places the corner that was captured most often was seen."""
-    corner = np.array([state.pose(i).corner for i in range(count)])
-    return round(float(np.bincount(corner, 1 / np.array(_repeats(state, count))).max()))
+    """From how many places so many captures were taken."""
+    return round(sum(1 / times for times in _repeats(state, count)))
 
 
 def _levels(fit: Fit) -> list[Floats]:
