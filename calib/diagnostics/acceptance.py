@@ -129,10 +129,9 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
             + knowledge.words.shape,
         )
 
-
 def signed(values: Floats) -> str:
-    """Numbers with their signs, for a sentence."""
-    return ", ".join(f"{value:+.2f}" for value in values)
+    """Numbers with their signs, for a sentence; none before what is shown as zero."""
+    return ", ".join(f"{value:+z.2f}".replace("+0.00", "0.00").replace("-", "−") for value in values)
 
 
 def _refuse_ambiguous(best: Fit, others: Sequence[Fit], sigmas: Floats, words: Wording) -> None:

@@ -11,7 +11,7 @@ from scanner.console.worker import Activity, Status, Worker
 from scanner.viewing.view_controls import PLAIN
 
 _MOST_CAPTURES = 8
-_KEYS = "Keys: Shift+S scan, Shift+C check, Shift+L live image, Shift+X cancel, Shift+1 to 3 pages."
+_KEYS = "Keys: Shift+S scan, Shift+C check, Shift+L live image, Shift+X cancel, Shift+I capture, Shift+R result, Shift+H history."
 
 
 class Operating:

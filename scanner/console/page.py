@@ -24,6 +24,7 @@ from scanner.viewing.server import Serving, add_style
 _WIDTH_PX = 380
 _LOOKED_EVERY_S = 1.0
 _PAGES = CAPTURE, RESULT, HISTORY = ("Capture", "Result", "History")
+_KEYS = ("I", "R", "H")  # with Shift; digits with it are other characters on every keyboard
 
 
 class ConsolePage:
@@ -52,8 +53,8 @@ class ConsolePage:
         self._result = ResultPanel(served.server, self._pages[RESULT], served.shelf.link, self._set_scale)
         with self._pages[HISTORY]:
             self._history = History(gui, self._open, served.shelf.link)
-        for number, name in enumerate(_PAGES, start=1):
-            self._add_key(gui, name, str(number))
+        for name, key in zip(_PAGES, _KEYS, strict=True):
+            self._add_key(gui, name, key)
 
     def start(self) -> None:
         """Open the rig and show what its camera sees."""

@@ -21,7 +21,7 @@ from scanner.viewing.texts import bar_html, bold
 _PARTS = {"Devices": RIGS, "Faces, ruler": FACES, "Names": LABELS}
 _WHOLE_PERCENT = 100
 _POINTS, _SURFACE = "Points", "Surface"
-_STEPS = 200  # of a slider, at least
+_STEPS = 200  # in a range, at least
 PLAIN = (90, 98, 106)  # of buttons that are not what one usually presses next
 
 
@@ -46,7 +46,12 @@ class ViewControls:
             self._add_part(label, part)
         gui.add_button("Back to the first view", color=PLAIN).on_click(lambda _: scene.look())
         with gui.add_folder("Cut out a part", expand_by_default=False):
-            self._ranges = [self._add_range(axis) for axis in range(3)]
+            gui.add_markdown("Of each, from where to where:")
+            self._ends = [self._range(axis) for axis in range(3)]
+            self._ranges = [
+                gui.add_vector2(f"{name}, {shown_unit(cloud.unit).name}", ends)
+                for name, ends in zip(self._frame.names, self._ends, strict=True)
+            ]
             gui.add_button("The whole again", color=PLAIN).on_click(lambda _: self._uncut())
             gui.add_button("Download this part", color=PLAIN).on_click(self._download)
             self._told = gui.add_markdown("")
@@ -56,11 +61,11 @@ class ViewControls:
     @property
     def box(self) -> Box:
         """What is cut out."""
-        chosen = np.array([slider.value for slider in self._ranges])
-        ends = np.array([[slider.min, slider.max] for slider in self._ranges])
-        # A slider at its end is at the end of the cloud, whatever was rounded.
+        chosen = np.array([field.value for field in self._ranges])
+        # What was not changed is the end of the cloud, whatever was rounded.
         whole = np.stack([self._frame.low, self._frame.high], axis=1)
-        return box_within(self._frame, np.where(chosen == ends, whole, chosen / shown_unit(self._cloud.unit).factor))
+        factor = shown_unit(self._cloud.unit).factor
+        return box_within(self._frame, np.where(chosen == np.array(self._ends), whole, chosen / factor))
 
     def draw(self) -> None:
         """Draw it as the controls are now; of many changes in a row, those that are outdated are skipped."""
@@ -98,17 +103,18 @@ class ViewControls:
         box = self._gui.add_checkbox(label, initial_value=True)
         box.on_update(lambda _: self._scene.set_visible(part, box.value))
 
-    def _add_range(self, axis: int) -> viser.GuiMultiSliderHandle[float]:
-        unit = shown_unit(self._cloud.unit)
-        low, high = (unit.factor * float(end[axis]) for end in (self._frame.low, self._frame.high))
+    def _range(self, axis: int) -> tuple[float, float]:
+        """Of the cloud along an axis, outwards to round numbers of the unit that is shown."""
+        low, high = (
+            shown_unit(self._cloud.unit).factor * float(end[axis]) for end in (self._frame.low, self._frame.high)
+        )
         step = float(10.0 ** np.floor(np.log10(max(high - low, 1e-9) / _STEPS)))
-        low, high = float(np.floor(low / step) * step), float(np.ceil(high / step) * step)
-        label = f"{self._frame.names[axis]}, {unit.name}"
-        return self._gui.add_multi_slider(label, min=low, max=high, step=step, initial_value=(low, high))
+        digits = max(0, -int(np.floor(np.log10(step))))
+        return round(float(np.floor(low / step) * step), digits), round(float(np.ceil(high / step) * step), digits)
 
     def _uncut(self) -> None:
-        for slider in self._ranges:
-            slider.value = (slider.min, slider.max)
+        for field, ends in zip(self._ranges, self._ends, strict=True):
+            field.value = ends
         self.draw()
 
     def _download(self, event: viser.GuiEvent[Any]) -> None:

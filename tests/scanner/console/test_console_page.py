@@ -146,7 +146,7 @@ def test_a_refused_capture_made_elsewhere_appears_and_says_why(console: Console)
 def test_an_earlier_result_is_opened_by_keyboard(console: Console) -> None:
     visit = console.visit
     visit.page.mouse.click(1000, 900)  # keys are the page's outside of its fields
-    visit.page.keyboard.press("Shift+Digit3")
+    visit.page.keyboard.press("Shift+H")
     visit.choose("Result", "scans/room")
     visit.page.get_by_role("button", name="Scan", exact=True).focus()
     for _ in range(60):
