@@ -126,8 +126,20 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
             )
             + f": with the angles free, −2 log likelihood is lower by {refinement.tension:.0f}.",
             "Choose another corner, or allow for walls farther from square (a larger squareness_deg)."
+            + _given_centre(knowledge)
             + knowledge.words.shape,
         )
+
+
+def _given_centre(knowledge: Knowledge) -> str:
+    """The suspicion that a principal point without a sigma deserves."""
+    if knowledge.principal_point_sigma_px > 0:
+        return ""
+    (x, y), (width, height) = knowledge.principal_point_px, knowledge.camera_size
+    inside = 0 <= x < width and 0 <= y < height
+    place = "" if inside else f", outside of the image of {width} × {height} pixels"
+    return f" Make sure of the camera's principal point, too: ({x:.0f}, {y:.0f}) was given as known{place}."
+
 
 def signed(values: Floats) -> str:
     """Numbers with their signs, for a sentence; none before what is shown as zero."""

@@ -3,7 +3,7 @@
 import csv
 import hashlib
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -66,7 +66,19 @@ def list_jobs(sources: Sequence[str], asked: Asked) -> tuple[Job, ...]:
                 number += 1
                 name = f"{job.name}-{number}"
             jobs[name] = replace(job, name=name)
+    _refuse_nested(jobs)
     return tuple(jobs[name] for name in sorted(jobs))
+
+
+def _refuse_nested(names: Collection[str]) -> None:
+    for name in names:
+        parts = name.split("/")
+        for outer in ("/".join(parts[:count]) for count in range(1, len(parts))):
+            if outer in names:
+                raise InputError(
+                    f"two captures would be called {shown(outer)} and {shown(name)}, one result inside of the other: "
+                    "give one of them another name, in a list's column 'name'"
+                )
 
 
 def _from_folders(source: str, asked: Asked) -> Iterator[Job]:

@@ -82,7 +82,7 @@ def _batch(parser: ArgumentParser) -> None:
         help="every capture below it; or a name with * in it; or a list (.csv) with a column 'capture'",
     )
     _config(parser, required=False)
-    _calibration(parser)
+    _calibration(parser, kind=str)  # may be far away, as the captures
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
     parser.add_argument("--memory", metavar="SIZE", help="of each process, as in 4GB (default: an equal share of all)")
@@ -308,9 +308,9 @@ def _config(parser: ArgumentParser, *, required: bool) -> None:
     )
 
 
-def _calibration(parser: ArgumentParser) -> None:
+def _calibration(parser: ArgumentParser, kind: type[Path] | type[str] = Path) -> None:
     parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
+        "--calibration", type=kind, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
     )
 
 

@@ -21,7 +21,7 @@ def run(args: Namespace) -> None:
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers: expected 1 or more, found {args.workers}")
     terminal = Terminal(quiet=args.quiet)
-    asked = Asked(args.config, tuple(args.set), args.calibration and str(args.calibration))
+    asked = Asked(args.config, tuple(args.set), args.calibration)
     with terminal.step("Looking for captures"):
         jobs = list_jobs(args.sources, asked)
     with ExitStack() as opened:

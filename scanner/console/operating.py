@@ -11,7 +11,7 @@ from scanner.console.worker import Activity, Status, Worker
 from scanner.viewing.view_controls import PLAIN
 
 _MOST_CAPTURES = 8
-_KEYS = "Keys: Shift+S scan, Shift+C check, Shift+L live image, Shift+X cancel, Shift+I capture, Shift+R result, Shift+H history."
+_KEYS = "Keys, each with Shift: S scan, C check, L live image, X cancel; pages: I capture, R result, H history."
 
 
 class Operating:

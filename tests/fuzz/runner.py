@@ -181,13 +181,13 @@ def main() -> int:
     from tests.fuzz.targets import TARGETS
 
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
-    parser.add_argument("target", nargs="*", default=[*TARGETS], choices=[*TARGETS], metavar="TARGET")
+    parser.add_argument("target", nargs="*", default="all", choices=[*TARGETS, "all"], metavar="TARGET")
     parser.add_argument("--seconds", type=float, default=3600.0, help="for each target")
     parser.add_argument("--inputs", type=int, default=50_000, help="for each target")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     failed = False
-    for target in args.target:
+    for target in TARGETS if "all" in args.target else args.target:
         outcome = fuzz(target, seed=args.seed, inputs=args.inputs, seconds=args.seconds)
         print(f"{target}: {outcome.inputs:,} inputs, {outcome.accepted:,} accepted, {len(outcome.findings)} findings")
         for finding in outcome.findings:

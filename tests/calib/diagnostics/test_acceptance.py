@@ -126,6 +126,12 @@ def test_angles_that_are_not_those_assumed_are_refused(good: Refinement) -> None
     refusal = refusal_of(replace(good, tension=21.2))
     assert "where they should be" in refusal.reason
     assert "lower by 21" in refusal.reason
+    x, y = KNOWLEDGE.principal_point_px
+    assert f"({x:.0f}, {y:.0f}) was given as known." in refusal.advice
+    elsewhere = refusal_of(replace(good, tension=21.2), replace(KNOWLEDGE, principal_point_px=(-5.0, y)))
+    assert f"(-5, {y:.0f}) was given as known, outside of the image of 2448 × 2048 pixels." in elsewhere.advice
+    unsure = refusal_of(replace(good, tension=21.2), replace(KNOWLEDGE, principal_point_sigma_px=30.0))
+    assert "given as known" not in unsure.advice
 
     loose = replace(KNOWLEDGE, squareness_deg=0.3)
 
@@ -135,7 +141,7 @@ def test_angles_that_are_not_those_assumed_are_refused(good: Refinement) -> None
 
     refuse_untrustworthy(skewed(1.19), loose)
     refusal = refusal_of(skewed(1.21), loose)
-    assert "they seem to be off by +1.21, +0.00, +0.00 degrees" in refusal.reason
+    assert "they seem to be off by +1.21, 0.00, 0.00 degrees" in refusal.reason
     assert "where 0.3 degrees were allowed for" in refusal.reason
 
 

@@ -171,6 +171,7 @@ def test_another_scheduler_comes_to_the_same_table(museum: Path, tmp_path: Path)
         (("--scheduler", "tcp://127.0.0.1:9", "--workers", "2"), "give one of them"),
         (("--workers", "0"), "expected 1 or more"),
         (("--calibration", "nothing.yaml"), "nothing.yaml: cannot be read"),
+        (("--calibration", "memory://nothing.yaml"), "memory://nothing.yaml"),
     ],
 )
 def test_mistakes_are_messages(

@@ -104,6 +104,7 @@ def test_lines_end_as_on_any_machine(museum: Path, end: str) -> None:
         (f"capture,config\nhall/a,{'x' * 300}.yaml\n", "yaml: cannot be read"),
         ("capture,calibration\nhall/a,/dev/zero\n", "/dev/zero: is a device"),
         ("capture,calibration\nhall/a,zip://a::b\n", "cannot be reached"),
+        ("capture,name\nhall/a,hall\nyard,hall/yard\n", "'hall' and 'hall/yard', one result inside of the other"),
         ("capture\n", "found none"),
         ("capture,set\nhall/a,cornr.same=1\n", "cornr"),
     ],
