@@ -56,7 +56,9 @@ class ConfigurationView:
         self._telling(self._written)
 
     def _written(self) -> str:
-        backup = write_text(self._path, self._text.value)
+        text = self._text.value
+        backup = write_text(self._path, text)
+        self._as_read = text
         return f"Saved. The file as it was at first is {escaped(str(backup))}."
 
     def _telling(self, action: Callable[[], str]) -> bool:

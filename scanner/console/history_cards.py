@@ -4,12 +4,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from scanner.capture import open_capture
 from scanner.errors import InputError
-from scanner.io import read_image
-from scanner.patterns import White
-from scanner.rendering import jpeg_uri, photograph
-from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, LOG_FILE, REFUSAL_FILE, Grade, read_verdict
+from scanner.rendering import jpeg_uri
+from scanner.results import CALIBRATION_FILE, LOG_FILE, REFUSAL_FILE, Grade, read_verdict
+from scanner.viewing.white_picture import white_picture
 
 _SIDE = 192
 
@@ -38,13 +36,5 @@ def _read(folder: Path, made_s: float) -> Card:
     except InputError:
         verdict = None
     grade, headline = (verdict.grade, verdict.headline) if verdict else (None, "")
-    return Card(folder.name, made_s, grade, headline, _picture(folder))
-
-
-def _picture(folder: Path) -> str:
-    try:
-        recording = open_capture(folder / CAPTURE_FOLDER)
-        white = next(path for path, shown in zip(recording.files, recording.patterns, strict=True) if shown == White())
-        return jpeg_uri(photograph(read_image(recording.folder / white), _SIDE))
-    except (InputError, StopIteration):
-        return ""
+    picture = white_picture(folder, _SIDE)
+    return Card(folder.name, made_s, grade, headline, "" if picture is None else jpeg_uri(picture))

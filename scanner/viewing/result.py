@@ -13,17 +13,14 @@ from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Matches
 from calib.numerics import Floats
 from calib.pointcloud import point_covariances
-from scanner.capture import open_capture
 from scanner.errors import InputError
-from scanner.io import read_calibration, read_cloud, read_image, read_poses
+from scanner.io import read_calibration, read_cloud, read_poses
 from scanner.measuring import Scene as MeasuredScene
 from scanner.measuring import read_scene
-from scanner.patterns import White
 from scanner.quantities import FACE_NAMES, device_names
 from scanner.rendering import photograph
 from scanner.results import (
     CALIBRATION_FILE,
-    CAPTURE_FOLDER,
     CAPTURES_FOLDER,
     MERGED_FILE,
     POSES_FILE,
@@ -40,6 +37,7 @@ from scanner.results import (
 )
 from scanner.viewing.corner import MeasuredCorner, measured_corner
 from scanner.viewing.decimation import shuffled
+from scanner.viewing.white_picture import white_picture
 
 ALL_CAPTURES, WHOLE_ROOM = "All captures, merged", "The whole room"
 _PLACING_POINTS = 100_000
@@ -245,12 +243,10 @@ def _up(corner: MeasuredCorner | None) -> Floats:
 
 def _picture(folder: Path, scan: FinishedScan) -> NDArray[np.uint8]:
     """The camera's picture of the lit scene, RGB, reduced: the recording's white one, or else the points' colours."""
-    try:
-        recording = open_capture(folder / CAPTURE_FOLDER)
-        white = next(path for path, shown in zip(recording.files, recording.patterns, strict=True) if shown == White())
-        return photograph(read_image(recording.folder / white))
-    except (InputError, StopIteration):
-        camera = scan.calibration.camera
-        seen = np.zeros((camera.height, camera.width, 3), np.uint8)
-        seen[scan.pixel[:, 1], scan.pixel[:, 0]] = scan.colours[:, ::-1]
-        return photograph(seen)
+    recorded = white_picture(folder)
+    if recorded is not None:
+        return recorded
+    camera = scan.calibration.camera
+    seen = np.zeros((camera.height, camera.width, 3), np.uint8)
+    seen[scan.pixel[:, 1], scan.pixel[:, 0]] = scan.colours[:, ::-1]
+    return photograph(seen)

@@ -39,8 +39,6 @@ _POINT_OF_SIZE = 0.9
 _BALL_OF_SIZE = 0.006
 
 CLOUD, RIGS, FACES, LABELS, PICKED, BOX = "/cloud", "/rigs", "/faces", "/labels", "/picked", "/box"
-
-
 _MESH = f"{CLOUD}/mesh"
 
 
