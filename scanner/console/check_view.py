@@ -21,9 +21,9 @@ class CheckView:
         self._rows: list[CheckRow] = []
         self._maps: list[viser.GuiImageHandle] = []
         self._exposure_us: float | None = None
-        self._folder = gui.add_folder("Check")
+        self._folder = gui.add_folder("Check", visible=False)
         with self._folder:
-            self._grade = gui.add_markdown("Not checked yet. A check takes seconds and says what to improve.")
+            self._grade = gui.add_markdown("")
             self._found = gui.add_markdown("")
             self._use = gui.add_button("Use this exposure", visible=False, color=PLAIN)
             self._save = gui.add_button("Write it into the configuration", visible=False, color=PLAIN)
@@ -33,6 +33,7 @@ class CheckView:
 
     def begin(self) -> None:
         """Forget the last check."""
+        self._folder.visible = True
         self._rows, self._exposure_us = [], None
         for image in self._maps:
             image.remove()

@@ -10,6 +10,7 @@ from scanner.comparing import COMPARE_PAGE, compare_files, headings, rows, summa
 from scanner.console.history_cards import card_of
 from scanner.console.results import earlier_results
 from scanner.console.texts import card_html
+from scanner.results import LOG_FILE
 from scanner.ui import failure_of
 from scanner.viewing.texts import bold, escaped, link_html
 from scanner.viewing.view_controls import PLAIN
@@ -23,7 +24,7 @@ class History:
 
     def __init__(self, gui: viser.GuiApi, opened: Callable[[Path], None], link: Callable[[Path], str]) -> None:
         self._gui, self._open, self._link = gui, opened, link
-        self._names: tuple[str, ...] = ()
+        self._listed: tuple[tuple[Path, float], ...] | None = None
         self._result = gui.add_dropdown("Result", [_NONE_YET])
         gui.add_button("Open", color=PLAIN).on_click(lambda _: self._open_chosen())
         self._other = gui.add_dropdown("Beside", [_NONE_YET], hint="Another calibration of the same rig")
@@ -42,13 +43,18 @@ class History:
 
     def refresh(self) -> None:
         """List what is there now, the newest first."""
-        found = earlier_results()
-        names = tuple(str(path) for path in found) or (_NONE_YET,)
-        if names == self._names:
-            return
-        self._names = names
-        self._result.options = self._other.options = names
-        self._cards.content = "".join(card_html(card_of(path)) for path in found[:_NEWEST])
+        try:
+            found = tuple((path, (path / LOG_FILE).stat().st_mtime) for path in earlier_results())
+            if found == self._listed:
+                return
+            cards = "".join(card_html(card_of(path, made_s)) for path, made_s in found[:_NEWEST])
+        except OSError:
+            return  # what is listed changes at this moment; the next look finds it as it is then
+        self._listed = found
+        names = tuple(str(path) for path, _ in found) or (_NONE_YET,)
+        if names != self._result.options:
+            self._result.options = self._other.options = names
+        self._cards.content = cards
 
     def _offered(self, name: str) -> Path | None:
         """The page says which; only what was offered to it is opened."""
@@ -77,7 +83,8 @@ class History:
             return
         verdict, *sentences = summary(found)
         self._told.content = "\n\n".join([f"**{escaped(verdict)}**", *map(escaped, sentences)])
-        self._beside.content = card_html(card_of(first)) + card_html(card_of(second))
+        made_s = dict(self._listed or ())
+        self._beside.content = "".join(card_html(card_of(path, made_s.get(path, 0.0))) for path in (first, second))
         self._differences.content = _table(headings(found), rows(found))
         self._page.content = link_html(self._link(page), "Open the comparison, with maps")
 

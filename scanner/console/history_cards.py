@@ -6,7 +6,7 @@ from pathlib import Path
 
 from scanner.errors import InputError
 from scanner.rendering import jpeg_uri
-from scanner.results import CALIBRATION_FILE, LOG_FILE, REFUSAL_FILE, Grade, read_verdict
+from scanner.results import CALIBRATION_FILE, REFUSAL_FILE, Grade, read_verdict
 from scanner.viewing.white_picture import white_picture
 
 _SIDE = 192
@@ -23,13 +23,9 @@ class Card:
     picture: str
 
 
-def card_of(folder: Path) -> Card:
-    """Of a result folder, read anew only if it has changed."""
-    return _read(folder, (folder / LOG_FILE).stat().st_mtime)
-
-
 @lru_cache(maxsize=256)
-def _read(folder: Path, made_s: float) -> Card:
+def card_of(folder: Path, made_s: float) -> Card:
+    """Of a result folder that was made then, read anew only if it was made anew."""
     told = folder / (REFUSAL_FILE if (folder / REFUSAL_FILE).is_file() else CALIBRATION_FILE)
     try:
         verdict = read_verdict(told)

@@ -43,9 +43,10 @@ class ConsolePage:
         choice.on_click(lambda _: self._turn_to(choice.value))
         self._pages = {name: gui.add_folder(None, visible=name == CAPTURE) for name in _PAGES}
         with self._pages[CAPTURE]:
+            # Above the camera, so that it is in view when it ends.
+            self._check = CheckView(gui, settings.config, lambda exposure_us: self._camera.set_exposure(exposure_us))
             with gui.add_folder("Camera"):
                 self._camera = CameraView(gui, settings.load().required_rig, self._worker.change)
-            self._check = CheckView(gui, settings.config, self._camera.set_exposure)
             with gui.add_folder("Configuration", expand_by_default=False):
                 self._configuration = ConfigurationView(gui, settings.config)
         with self._pages[RESULT]:

@@ -200,7 +200,7 @@ def test_several_captures_with_a_sound_and_the_way_to_the_next(console: Console)
     visit.wait_for("By now the focal lengths are known to")
     assert visit.page.locator("audio[autoplay]").count() == 1
     visit.page.get_by_role("combobox", name="Cloud", exact=True).wait_for()  # all captures, or one of them
-    assert (console.folder / "scans/room-2/captures/1/cloud.ply").is_file()
+    assert any(console.folder.glob("scans/room*/captures/1/cloud.ply"))
     visit.set_number("Captures", "1")
 
 
