@@ -5,12 +5,14 @@ from pathlib import Path
 
 import viser
 
-from scanner.checking.report import CheckReport, CheckRow
+from scanner.checking.report import CheckReport, CheckRow, State
 from scanner.configuration import set_keys
 from scanner.console.texts import grade_text, rows_text
 from scanner.ui import failure_of
 from scanner.viewing.texts import bold, escaped
 from scanner.viewing.view_controls import PLAIN
+
+_WORST_FIRST = (State.FAILED, State.POOR, State.OK)
 
 
 class CheckView:
@@ -47,8 +49,9 @@ class CheckView:
         self._found.content = rows_text(self._rows)
 
     def end(self, report: CheckReport) -> None:
-        """Show the grade and the maps, and offer the exposure."""
+        """Show the grade, what is not good before the rest, and the maps, and offer the exposure."""
         self._grade.content = grade_text(self._rows)
+        self._found.content = rows_text(sorted(self._rows, key=lambda row: _WORST_FIRST.index(row.state)))
         with self._folder:
             self._maps += [self._gui.add_image(pixels, label=name) for name, pixels in report.pictures.items()]
         self._exposure_us = report.exposure_us

@@ -6,6 +6,7 @@ from threading import Lock
 import viser
 
 from calib.numerics import Floats
+from scanner.shown_text import unbroken
 from scanner.ui import failure_of
 from scanner.viewing.picking import Picked, point_at
 from scanner.viewing.result import CaptureCloud, ViewedCloud
@@ -57,7 +58,7 @@ class Clicking:
 
     def _show(self, picked: Picked) -> None:
         self._picked = picked
-        self._measured.content = picked.told()
+        self._measured.content = unbroken(picked.told())
         self._scene.draw_picked(picked.places)
         self._known.visible = picked.distance is not None
         self._show_scale()

@@ -9,13 +9,14 @@ from scanner.measuring import angle_cells
 from scanner.quantities import Quantity, device_quantities, pose_quantities, shown_unit, truth_line
 from scanner.rendering import css_colour
 from scanner.results import DECISIVE, Verdict
+from scanner.shown_text import unbroken
 from scanner.viewing.colouring import ColourBar
 from scanner.viewing.corner import MeasuredCorner
 
 
 def escaped(text: str) -> str:
-    """Text from a file or a message as Markdown that shows it and nothing else."""
-    return "".join(f"\\{letter}" if letter in "\\`*_{}[]<>#|$~" else letter for letter in text)
+    """Text from a file or a message as Markdown that shows it and nothing else, and breaks no line within a number."""
+    return "".join(f"\\{letter}" if letter in "\\`*_{}[]<>#|$~" else letter for letter in unbroken(text))
 
 
 def bold(text: str) -> str:
