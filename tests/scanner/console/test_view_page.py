@@ -94,7 +94,7 @@ def test_two_clicks_measure_a_distance(visit: Visit) -> None:
         if told.count():
             break
     visit.wait_for("Distance:")
-    assert re.search(r"Distance: [\d.]+ ± [\d.]+ mm", told.first.inner_text())
+    assert re.search(r"Distance: [\d.]+\s±\s[\d.]+\smm", told.first.inner_text())
     visit.set_number("Known distance, mm", "1000")
     visit.wait_for("scale: {baseline_m: ")
     visit.press("Forget the points")
