@@ -32,7 +32,7 @@ SIGMA_F = 0.01
 
 def state_of(calibration: Calibration) -> State:
     camera, projector = (
-        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion])
         for device in (calibration.camera, calibration.projector)
     )
     translation = calibration.translation / calibration.baseline
