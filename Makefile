@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: help setup scan room console scan-loopback rig try-rig try-browser test lint check-types unit benchmark fuzz clean
+.PHONY: help setup scan room console scan-loopback rig try-rig try-browser test lint check-types unit benchmark paper fuzz clean
 
 help:
 	@echo "make scan           set up, then scan a simulated room into scans/room-sim/"
@@ -14,6 +14,7 @@ help:
 	@echo "make rig            set up for real devices: system packages (apt-get), PyGObject, pyglet"
 	@echo "make scan-loopback  the same, then scan through a real window and a real camera protocol into scans/room-loopback/"
 	@echo "make benchmark      measure accuracy and speed (minutes)"
+	@echo "make paper          rebuild the paper's tables and figures into docs/results.md (an hour or two)"
 	@echo "make fuzz           damage files at random for hours, and watch every reader (SEED=, INPUTS=, SECONDS=)"
 	@echo "make clean          remove $(VENV)/ and caches; scans/ is kept"
 
@@ -64,9 +65,12 @@ unit: $(VENV)/.dev setup try-rig try-browser
 
 benchmark: $(VENV)/.dev try-rig
 	@for file in benchmarks/bench_*.py; do \
-		case $$file in *conditions.py) brief=--quick;; *) brief=;; esac; \
+		case $$file in *conditions.py|*paper.py) brief=--quick;; *) brief=;; esac; \
 		echo "== $$file"; OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $$brief || exit 1; \
 	done
+
+paper: $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/bench_paper.py
 
 SEED   ?= 0
 INPUTS ?= 50000

@@ -22,7 +22,12 @@ _SAMPLE = 3000
 
 
 def bound(captures: list[SyntheticCapture], knowledge: Knowledge, noise_px: float) -> np.ndarray:
-    """Relative sigmas of (f_c, f_p, x_p, y_p), (4,), at the truth, each capture with a corner of its own.
+    """Relative sigmas of (f_c, f_p, x_p, y_p), (4,), as of `bound_covariance`."""
+    return np.sqrt(np.diag(bound_covariance(captures, knowledge, noise_px)))
+
+
+def bound_covariance(captures: list[SyntheticCapture], knowledge: Knowledge, noise_px: float) -> np.ndarray:
+    """Relative covariance of (f_c, f_p, x_p, y_p), (4, 4), at the truth, each capture with a corner of its own.
 
     Lens terms that are zero in truth are known to be.
     """
@@ -49,9 +54,9 @@ def bound(captures: list[SyntheticCapture], knowledge: Knowledge, noise_px: floa
         cells.append(_as_cells(replace(sample, projector_px=exact)))
         variances.append(np.full(len(sample), noise_px**2 * len(sample) / len(matches)))
     fit = evaluate(cells, state, prior, variances)
-    sigma = np.sqrt(np.diag(covariance_of(fit.information, prior.free)))
-    x, y = sigma[PROJECTOR][1:3] / np.array(truth.projector.principal_point_px)
-    return np.array([sigma[CAMERA.start], sigma[PROJECTOR.start], x, y])
+    four = [CAMERA.start, *range(PROJECTOR.start, PROJECTOR.start + 3)]
+    relative = 1 / np.array([1.0, 1.0, *truth.projector.principal_point_px])  # focals are logarithms
+    return covariance_of(fit.information, prior.free)[np.ix_(four, four)] * np.outer(relative, relative)
 
 
 def _device(intrinsics: Intrinsics) -> np.ndarray:

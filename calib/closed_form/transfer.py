@@ -128,8 +128,8 @@ def decompose(motion: Floats) -> tuple[Floats, Floats, Floats]:
     return matrix, placed[:, :, :3].copy(), placed[:, :, 3].copy()
 
 
-def intrinsic_matrices(focal_px: Floats, principal_point_px: tuple[float, float]) -> Floats:
-    """K (n, 3, 3) of square pixels for focals (n,)."""
+def intrinsic_matrices(focal_px: Floats, principal_point_px: tuple[float, float] | Floats) -> Floats:
+    """K (n, 3, 3) of square pixels for focals (n,) and one principal point, or as many (n, 2)."""
     matrices = np.zeros((len(focal_px), 3, 3))
     matrices[:, 0, 0] = matrices[:, 1, 1] = focal_px
     matrices[:, :2, 2] = principal_point_px

@@ -53,12 +53,17 @@ class Objective:
         return forward, in_front
 
     def terms(self, focal_px: Floats, forward: Transfer) -> Floats:
-        """The seven terms E_1 … E_7 (7, 2n) of equation 14."""
+        """The seven terms E_1 … E_7 (7, 2n) of equation 14.
+
+        What is transferred back is the projector that equation 11 speaks of: one focal length and a principal point.
+        With its skew and both its focals it would lead back to the camera from every trial, and the cycle tell nothing.
+        """
         focal = np.concatenate([focal_px, focal_px])
         pro = forward.matrix
         finite: Bools = np.all(np.isfinite(pro), axis=(1, 2))
         trial = np.where(finite[:, None, None], pro, np.eye(3))
-        backward = transfer(self.grams.reversed(), self.projector_image, trial)
+        natural = intrinsic_matrices((trial[:, 0, 0] + trial[:, 1, 1]) / 2, trial[:, :2, 2])
+        backward = transfer(self.grams.reversed(), self.projector_image, natural)
         count = len(trial)
         with np.errstate(invalid="ignore"):
             both = np.stack([self._cycle(matrix, focal) for matrix in np.split(backward.matrix, 2)])

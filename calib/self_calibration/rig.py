@@ -257,8 +257,8 @@ def _by_paper(
         residual_px,
         "paper",
         (
-            "The paper's method knows neither lens distortion nor uncertainty: in simulated rooms it errs by 0.2 to "
-            "16 %. It is there for comparison; the method 'refined' is the one to use.",
+            "The paper's method knows neither lens distortion nor uncertainty: with ordinary lenses it errs by several "
+            "per cent. It is there for comparison; the method 'refined' is the one to use.",
         ),
     )
 

@@ -20,6 +20,7 @@ from scanner.decoding.arrays import Floats32, Words
 from scanner.decoding.fringes.fringe_fold import FringeFold
 from scanner.decoding.light.brightness import Gains
 from scanner.decoding.light.equalise import PairEqualiser
+from scanner.decoding.light.lone_bits import BitLevels, levels_of_bit, white_of
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
 
 Planes = NDArray[np.uint8]
@@ -126,9 +127,10 @@ class Accumulators:
     of the pixels' exposures, relative to each other; None if they are all alike.
     """
 
-    def __init__(self, plan: SequencePlan, first: Image, pairs: PairEqualiser) -> None:
+    def __init__(self, plan: SequencePlan, first: Image, pairs: PairEqualiser, pixels: NDArray[np.int64]) -> None:
         self.plan = plan
-        self._equaliser = pairs
+        self._equaliser, self._pixels = pairs, pixels
+        self._of_bits: list[BitLevels] = []
         self.log_exposure: Floats32 | None = None
         shape = first.shape[0], first.shape[1]
         self.codes = [
@@ -172,11 +174,21 @@ class Accumulators:
             np.minimum(self._darkest, grey, out=self._darkest)
         self._fold_alone()
 
-    def finish(self) -> None:
-        """Fold in what waited for the whole sequence to give its threshold."""
+    def finish(self) -> float:
+        """Fold in what waited for the whole sequence to give its threshold.
+
+        Returns how bright white is in the patterns, in parts of the white frame; if that is another white, it is from
+        then on the one of the patterns.
+        """
         if self._darkest is not None:
             self._threshold = _mean(self.brightest, self._darkest)
         self._fold_alone()
+        white = white_of(self._of_bits)
+        if white != 1:
+            seen, middle = self.brightest, self.middle
+            self.brightest = cast(Image, cv2.addWeighted(seen, 2 * white - 1, middle, 2 - 2 * white, 0))
+            self.middle = cast(Image, cv2.addWeighted(seen, white - 1, middle, 2 - white, 0))
+        return white
 
     def decode_as(self, codes: Sequence[GrayFold]) -> None:
         """Go on with these in place of the codes that were shown, one for one."""
@@ -245,8 +257,12 @@ class Accumulators:
             return
         for index in [index for index in self._waiting if index in self._alone]:
             frame = self._waiting.pop(index)
+            threshold, levels = self._threshold, levels_of_bit(frame, self._threshold, self.brightest, self._pixels)
+            if levels is not None:
+                threshold = levels.threshold(threshold, self.brightest)
+                self._of_bits.append(levels)
             for fold, bit in self._alone[index]:
-                bright, dark = (self._threshold, frame) if bit in fold.code.inverse else (frame, self._threshold)
+                bright, dark = (threshold, frame) if bit in fold.code.inverse else (frame, threshold)
                 fold.fold(bit, bright, dark, half=True)
 
 

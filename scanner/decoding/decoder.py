@@ -19,7 +19,7 @@ from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.cycle_checks import check_cycles
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
-from scanner.decoding.checks.roughness import check_roughness
+from scanner.decoding.checks.roughness import check_roughness, widen_by_roughness
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import coordinate_maps
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
@@ -141,7 +141,7 @@ class Decoder:
             shape = grey.shape[0], grey.shape[1]
             refuse_more_than_there_is(shape)
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
-            accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape))
+            accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape), sample.pixels)
             self._held = accumulators, sample, TileSample(shape)
             halves = halves_of(self._plan)
             self._lit = EvenlyLit(halves, shape) if halves else None
@@ -193,6 +193,7 @@ class Decoder:
                 maps = coordinate_maps(accumulators, learnt.decoders)
                 leave_out_stray_light(accumulators, maps)
                 check_roughness(accumulators.plan, maps)
+                widen_by_roughness(accumulators.plan, maps)
                 with blaming_shifts(accumulators.plan, seen.code_shifts):
                     check_cycles(accumulators.plan, maps.projector_px)
                 motion = seen.motion

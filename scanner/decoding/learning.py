@@ -1,6 +1,6 @@
 """What a sample of the frames tells before pixels are decoded: noise, light, motion, tolerances, and what is odd."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -18,6 +18,7 @@ from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.fringes.blur import leave_out_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
 from scanner.decoding.light.equalise import correction, out_of_line, swings_of
+from scanner.decoding.light.mosaic import log_mosaic
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.light_switch import LightSwitchedError
@@ -60,13 +61,19 @@ class Seen:
 
 def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projector_size: tuple[int, int]) -> Seen:
     """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
-    accumulators.finish()
+    notes = list(_finish(accumulators, sample))
+    mosaic = log_mosaic(accumulators.brightest) if accumulators.log_exposure is None else None
+    if mosaic is not None:
+        accumulators.log_exposure = mosaic
+        notes.append(
+            "The frames are raw ones of a colour camera, pixel by pixel behind filters; they are taken as grey."
+        )
     levels = sample.as_taken
     flicker = _equalise(accumulators, sample, tiles)
     saturation = saturation_level(accumulators.peak)
     noise = measure_noise(accumulators.plan, sample, saturation)
-    lost = tuple(leave_out_lost_fringes(accumulators, noise, sample.pixels))
-    notes = (*lost, *resolve_bits(accumulators, noise, sample.pixels))
+    notes += leave_out_lost_fringes(accumulators, noise, sample.pixels)
+    notes += resolve_bits(accumulators, noise, sample.pixels)
     plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
     aside = ThreadPoolExecutor(1)
     motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
@@ -78,8 +85,23 @@ def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projecto
         flicker,
         motion,
         shifts_of_codes(plan, (x, y), noise),
-        notes,
+        tuple(notes),
         lambda: broken_between(plan, tiles, noise),
+    )
+
+
+def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
+    """Fold in the last frames; if white is another one in the patterns, the sample has that one, and it is said."""
+    white_frame = accumulators.brightest
+    white = accumulators.finish()
+    number = accumulators.plan.white
+    if white == 1 or number is None:
+        return
+    seen, of_patterns = (image.reshape(-1)[sample.pixels] for image in (white_frame, accumulators.brightest))
+    sample.divide(number, np.maximum(seen, 1) / np.maximum(of_patterns, 1))
+    yield (
+        f"White is {white:.2f} times as bright in the patterns as in the white frame, which was taken into account. "
+        "Switch off what makes the projector's or the camera's brightness depend on the picture."
     )
 
 

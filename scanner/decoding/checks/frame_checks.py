@@ -71,8 +71,13 @@ def check_frames(
 
 
 def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, LightSwitch | None]:
-    """The frames that were made alike, or as they are if that makes more sense, without light that was switched."""
+    """The frames that were made alike, or as they are if that makes more sense, without light that was switched.
+
+    None was if all makes sense once they are alike: a darker step of a fringe is also light at the opposite one.
+    """
     best: tuple[Shown, LightSwitch | None] = alike, None
+    if not contradictions(plan, alike) and not may_be_switched(plan, alike.levels):
+        return best
     for one in (alike, shown):
         if not contradictions(plan, one) and not may_be_switched(plan, one.levels):
             continue

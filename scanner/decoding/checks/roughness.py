@@ -4,30 +4,37 @@ Where only codes tell a coordinate, a surface is a staircase, whose steps are as
 smooth by the cell's length over √12, be it flat or in relief. Finest bits that do not belong to the others leave a
 jumble that is more than twice as rough, whatever each bit by itself looks like, and whether or not the camera resolves
 the single cells.
+
+Fringes have a sigma by noise. Where neighbours are farther off what is smooth, as by what a file format leaves out, the
+sigma is what they are off.
 """
 
 import numpy as np
 
 from calib.numerics import Floats
+from scanner.decoding.axis_decoder import largest_variance
 from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.errors import InputError
 
 _TILE_PX = 12
-_MOST_ALONG = 32
+_MOST_ALONG, _MOST_ALONG_FRINGES = 32, 10
 _FEWEST_KNOWN = 0.6
 _FEWEST_TILES = 20
 # Variance off what is smooth, in those of a cell: 1 for a staircase, less where pixels average over cells, up to 3
 # where a bent camera curve and no inverse make every second stripe narrow; 5 and more for a jumble.
 _MOST = 4.0
 _SUSPECTED_BITS = 3
+# In variances by noise; texture, edges and creases leave somewhat more than 1 in the median.
+_MOST_OF_FRINGES = 2.0
 
 
 def check_roughness(plan: SequencePlan, maps: Maps) -> None:
     """Raise InputError if coordinates by codes alone are much rougher than their cells."""
     if plan.fringes or plan.only_axis is not None:
         return
-    for axis, relative in zip(plan.axes, _roughness(maps), strict=True):
+    for axis, relative in zip(plan.axes, _roughness(maps, _MOST_ALONG), strict=True):
         if relative > _MOST:
             raise InputError(
                 f"along {axis.axis} the cells of the Gray code do not follow each other: they are {axis.cell:g} px "
@@ -36,10 +43,24 @@ def check_roughness(plan: SequencePlan, maps: Maps) -> None:
             )
 
 
-def _roughness(maps: Maps) -> tuple[float, float]:
-    """Of x and y, the variance off smooth surfaces through small tiles, over that of cells; the median, 0 if few."""
+def widen_by_roughness(plan: SequencePlan, maps: Maps) -> None:
+    """Raise the variance of coordinates by fringes, in place, if neighbours differ by more; mask what is dark then."""
+    if not plan.fringes or plan.only_axis is not None:
+        return
+    relative = float(np.mean(_roughness(maps, _MOST_ALONG_FRINGES)))
+    if relative < _MOST_OF_FRINGES:
+        return
+    np.multiply(maps.variance, np.float32(relative), out=maps.variance)
+    just_seen = [largest_variance(axis.fringes[0], with_gray=bool(axis.codes)) for axis in plan.axes if axis.fringes]
+    dark = (maps.reason == np.uint8(MaskReason.KEPT)) & (maps.variance > np.float32(np.mean(just_seen)))
+    maps.reason[dark] = np.uint8(MaskReason.DARK)
+    maps.projector_px[dark] = np.nan
+
+
+def _roughness(maps: Maps, most_along: int) -> tuple[float, float]:
+    """Of x and y, the variance off smooth surfaces through small tiles, over the stated one; the median, 0 if few."""
     height, width = maps.reason.shape
-    rows, columns = (np.linspace(0, n - _TILE_PX, min(_MOST_ALONG, n // _TILE_PX)).astype(int) for n in (height, width))
+    rows, columns = (np.linspace(0, n - _TILE_PX, min(most_along, n // _TILE_PX)).astype(int) for n in (height, width))
     down, across = (np.arange(_TILE_PX)[:, None], np.arange(_TILE_PX)[None, :])
     row = (rows[:, None, None, None] + down).repeat(len(columns), axis=1) + 0 * across
     column = (columns[None, :, None, None] + across).repeat(len(rows), axis=0) + 0 * down

@@ -4,9 +4,12 @@ Where more light has bounced than comes straight from the projector, it turns ov
 does not turn over those of an XOR code, but all of these are doubtful along the edges of its fine stripes. Fringes of
 two periods repeat too soon to be a code of their own, and still agree with hardly any wrong one. So two of the three
 must agree, and no other two on anything else. (Gupta et al., CVPR 2011, keep what two of four codes agree on.)
+
+The bit that an XOR code is relative to is one frame for both. Where it is misread, along the edges of its stripes or
+all over the picture, both codes are wrong, by a cell and by many; so that bit is asked about, too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +17,7 @@ import numpy as np
 from scanner.decoding.arrays import Words
 from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
-from scanner.decoding.sequence_plan import AxisPlan
+from scanner.decoding.sequence_plan import AxisPlan, GrayCode
 
 
 def let_fringes_decide(
@@ -33,19 +36,39 @@ def let_fringes_decide(
         return
     where = np.flatnonzero(interval.contradictory)
     there = Wrapped(wrapped.positions[:, where], wrapped.variances[:, where])
-    alone = [
-        interval_of(replace(plan, codes=(code,)), [of_code[where]], len(where))
-        for code, of_code in zip(plan.codes, words, strict=True)
-    ]
-    followed = [unwrap(plan, of_code, there, tolerances) for of_code in alone]
-    agrees = np.array(
-        [found.agree & found.unique & of_code.possible for found, of_code in zip(followed, alone, strict=True)]
-    )
-    is_clear = np.count_nonzero(agrees, axis=0) == 1
-    for of_code, found, agreeing in zip(alone, followed, agrees, strict=True):
-        chosen = agreeing & is_clear
+    answers = list(_answers(plan, [of_code[where] for of_code in words]))
+    followed = [unwrap(plan, answer, there, tolerances) for answer in answers]
+    agrees = np.array([f.agree & f.unique & answer.possible for f, answer in zip(followed, answers, strict=True)])
+    found = np.stack([f.coordinates[-1] for f in followed])
+    first, last = (end(np.where(agrees, found, np.float32(np.nan)), axis=0) for end in (np.fmin.reduce, np.fmax.reduce))
+    # Unknown where none agrees.
+    is_clear = last - first < np.float32(plan.fringes[-1].period / 2)
+    best = np.argmax(agrees, axis=0)
+    for number, (answer, orders_of) in enumerate(zip(answers, followed, strict=True)):
+        chosen = is_clear & (best == number)
         at = where[chosen]
-        interval.low[at], interval.high[at] = of_code.low[chosen], of_code.high[chosen]
+        interval.low[at], interval.high[at] = answer.low[chosen], answer.high[chosen]
         interval.outside[at] = interval.contradictory[at] = False
-        orders.coordinates[:, at] = found.coordinates[:, chosen]
+        orders.coordinates[:, at] = orders_of.coordinates[:, chosen]
         orders.agree[at] = orders.unique[at] = True
+
+
+def _answers(plan: AxisPlan, words: Sequence[Words]) -> Iterator[Interval]:
+    """What each code says by itself; and all that share the base of an XOR code, if that was misread."""
+    for code, of_code in zip(plan.codes, words, strict=True):
+        yield interval_of(replace(plan, codes=(code,)), [of_code], len(of_code))
+    for base_code in plan.codes:
+        if base_code.base is None:
+            continue
+        sharing = [
+            (code, _misread(code, base_code.base, of_code))
+            for code, of_code in zip(plan.codes, words, strict=True)
+            if (code.bits, code.cell, code.offset) == (base_code.bits, base_code.cell, base_code.offset)
+        ]
+        codes, otherwise = zip(*sharing, strict=True)
+        yield interval_of(replace(plan, codes=codes), otherwise, len(otherwise[0]))
+
+
+def _misread(code: GrayCode, bit: int, words: Words) -> Words:
+    """The words (P,) if a bit, as shown, was the other one."""
+    return code.relative_to_base(code.relative_to_base(words) ^ words.dtype.type(1 << code.bits - 1 - bit))

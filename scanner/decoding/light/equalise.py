@@ -160,12 +160,31 @@ def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Frin
     for _ in range(_PASSES):
         for number, fringe in enumerate(even):
             of_fringe, others = levels[list(fringe.frames)], means[:number] + means[number + 1 :]
-            gains = gains_of_fringe(fringe, of_fringe, medians(np.stack(others), axis=0), places)
+            common = medians(np.stack(others), axis=0)
+            is_steady = _are_steps_steady(fringe, of_fringe, common)
+            steady = Gains(np.ones((len(of_fringe), 1)))
+            gains = steady if is_steady else gains_of_fringe(fringe, of_fringe, common, places)
             means[number] = (of_fringe / gains.at(places.rows)).mean(axis=0).astype(np.float32)
             found[fringe] = gains, means[number]
         if not any(gains.matter for gains, _ in found.values()):
             break
     return found
+
+
+def _are_steps_steady(fringe: Fringe, levels: Floats32, common: Floats32) -> bool:
+    """Whether opposite steps (N, P) of a fringe are as bright as each other, and all such pairs; of an even number.
+
+    Quickly told, as of a pattern and its inverse.
+    """
+    pairs, is_odd = divmod(len(levels), 2)
+    if is_odd:
+        return False
+    ordered = levels[np.argsort(np.mod(np.array(fringe.shifts) + 1e-9, 1))]
+    every, along = np.arange(len(common)), ordered @ common
+    of_pairs = along[:pairs] + along[pairs:]
+    return bool(np.ptp(of_pairs) < LEAST_DIFFERENCE * of_pairs.min()) and all(
+        _is_steady(ordered[step], ordered[step + pairs], common, every) for step in range(pairs)
+    )
 
 
 def out_of_line(

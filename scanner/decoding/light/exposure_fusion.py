@@ -3,6 +3,8 @@
 Each camera pixel takes all its frames from one exposure, the longest in which full light does not saturate it. So its
 frames compare with each other as if there were no other exposure, and no response of the camera has to be known. Only
 where neighbouring pixels are compared does it matter how long each was exposed.
+
+Frames that were exposed alike are averaged.
 """
 
 from collections.abc import Sequence
@@ -20,6 +22,8 @@ from scanner.patterns import Pattern, White
 
 # Full light may reach this share of the camera's range: a fringe or a brighter neighbour's blur adds a little to it.
 _MOST = 0.95
+# Exposures are the same to this share; frames of unknown exposure seem to be, to this share of their mean.
+_SAME, _SEEM_ALIKE = 0.01, 0.15
 
 
 def exposures_of(patterns: Sequence[Pattern]) -> tuple[tuple[Pattern, ...], int]:
@@ -32,38 +36,63 @@ def exposures_of(patterns: Sequence[Pattern]) -> tuple[tuple[Pattern, ...], int]
 
 
 class ExposureMerger:
-    """Takes `count` frames of each pattern and gives one; the first pattern must be white.
+    """Takes `count` frames of each pattern and gives one; the first pattern must be white if exposures differ.
 
     Raises InputError if it is not: nothing else tells how bright a pixel becomes.
     """
 
     def __init__(self, patterns: Sequence[Pattern], count: int) -> None:
-        if not isinstance(patterns[0], White):
-            raise InputError(
-                f"the capture has {count} frames of each pattern; the first pattern must then be white, because it "
-                "tells which exposure suits each pixel"
-            )
+        self._white_first = isinstance(patterns[0], White)
         self._count = count
-        self._frames: list[tuple[float, Image]] = []
+        self._frames: list[tuple[float | None, Image]] = []
         self._exposures_us: list[float] = []
         self._choice: list[NDArray[np.uint8]] | None = None
+        self._alike: bool | None = None
 
     def add(self, name: str, image: Image, exposure_us: float | None) -> Image | None:
         """The merged image when the last frame of a pattern has come, else None; `name` is for messages.
 
-        Raises InputError if the exposures are unknown, alike, or others than those of the first pattern.
+        Raises InputError if the exposures are unknown and seem to differ, or are others than those of the first
+        pattern.
         """
-        if exposure_us is None:
-            raise InputError(f"{name}: the capture has several frames of each pattern, but not their exposure_us")
         self._frames.append((exposure_us, image.copy()))
         if len(self._frames) < self._count:
             return None
-        frames, self._frames = sorted(self._frames, key=lambda frame: -frame[0]), []
+        frames, self._frames = self._frames, []
+        known = [exposure for exposure, _ in frames if exposure is not None]
+        if self._alike is None:
+            self._alike = self._are_alike(name, frames, known)
+        if not self._alike:
+            return self._merged(name, frames)
+        if known and np.ptp(known) > _SAME * max(known):
+            raise InputError(f"{name}: expected one exposure, as of the first pattern, found {_listed(known)}")
+        return _mean([image for _, image in frames])
+
+    def _are_alike(self, name: str, frames: Sequence[tuple[float | None, Image]], known: Sequence[float]) -> bool:
+        """Whether the frames of the first pattern, some of `known` exposure, were exposed alike."""
+        are_unknown = len(known) < self._count
+        if are_unknown or np.ptp(known) <= _SAME * max(known):
+            means = np.array([float(np.mean(image)) for _, image in frames])
+            if np.ptp(means) <= _SEEM_ALIKE * means.max():
+                return True
+            stated = "but not their exposure_us" if are_unknown else f"their exposures do not: {_listed(known)}"
+            raise InputError(
+                f"{name}: the capture has several frames of each pattern, which differ in brightness, {stated}"
+            )
+        if not self._white_first:
+            raise InputError(
+                f"the capture has {self._count} frames of each pattern; the first pattern must then be white, because "
+                "it tells which exposure suits each pixel"
+            )
+        return False
+
+    def _merged(self, name: str, taken: Sequence[tuple[float | None, Image]]) -> Image:
+        frames = sorted(((exposure or 0.0, image) for exposure, image in taken), key=lambda frame: -frame[0])
         found = [exposure for exposure, _ in frames]
         if self._choice is None:
             self._exposures_us = found
             self._choice = self._choose([image for _, image in frames])
-        if not np.allclose(found, self._exposures_us, rtol=0.01) or len(set(found)) < self._count:
+        if not np.allclose(found, self._exposures_us, rtol=_SAME) or len(set(found)) < self._count:
             raise InputError(
                 f"{name}: expected exposures that differ and are those of the first pattern, "
                 f"{_listed(self._exposures_us)}, found {_listed(found)}"
@@ -98,6 +127,11 @@ class ExposureMerger:
         brightest = [white.max(axis=2) if white.ndim == 3 else white for white in whites]
         limit = _MOST * saturation_level(brightest[0])
         return [(white > limit).astype(np.uint8) for white in brightest[:-1]]
+
+
+def _mean(images: Sequence[Image]) -> Image:
+    mean: Image = np.rint(np.mean(images, axis=0)).astype(images[0].dtype)
+    return mean
 
 
 def _listed(exposures_us: Sequence[float]) -> str:

@@ -75,13 +75,14 @@ def _without(levels: Floats32, before: list[int], share: float) -> Floats32:
 
 def _uneven(plan: SequencePlan, pictures: Floats32) -> float:
     """How far the light of pairs, and that of fringes in even steps, differs from one to the next, squared; in swings
-    of the pixels. What steps leave of a cosine is no measure: a bent brightness curve leaves more.
+    of the pixels. The one that is furthest off does not count, for a ghost is in all of them, a brighter frame in one.
+    What steps leave of a cosine is no measure: a bent brightness curve leaves more.
     """
     fringes = [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
     kinds: tuple[Sequence[Sequence[int]], ...] = plan.complements, fringes
-    total = 0.0
+    off = [0.0]
     for groups in kinds:
         if len(groups) > 1:
             light = np.stack([np.sum(pictures[list(frames)], axis=0) for frames in groups])
-            total += float(np.sum(((light - medians(light, axis=0)) / np.ptp(pictures, axis=0)) ** 2))
-    return total
+            off += np.sum(((light - medians(light, axis=0)) / np.ptp(pictures, axis=0)) ** 2, axis=1).tolist()
+    return sum(off) - max(off)

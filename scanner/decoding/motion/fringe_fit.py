@@ -6,14 +6,13 @@ motion of the course g does to the position (the part that the fringe cannot tel
 frames on also u itself, from what no position explains.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.numerics import Floats, compiled
 
 _LEAST_POWER = 1e-6
 # The part of a motion that no position explains, as a share of what it does to the frames, in squares.
@@ -115,23 +114,50 @@ class FringeFit:
         cosine, sine, _ = self._found
         waves = [-2 * pi / self.period * wave for wave in (np.sin(self._angles), np.cos(self._angles))]
         fits = [self._explained(wave * course[:, None]) for wave in waves]
-        by_cosine, by_sine = (cosine * fits[0][0][part] + sine * fits[1][0][part] for part in (1, 2))
-        beside = [wave for _, wave in fits]
-        seen = _power_of(cosine, sine, beside)
-        told = seen > _LEAST_SEEN * _power_of(cosine, sine, waves)
-        safe = np.where(told, seen, 1.0)
-        along = [np.sum(self._unexplained * wave, axis=0) for wave in beside]
-        return Follows(
-            self.period / (2 * pi) * (cosine * by_sine - sine * by_cosine) / self._power,
-            np.where(told, (cosine * along[0] + sine * along[1]) / safe, 0.0),
-            np.where(told, seen / self.noise, 0.0),
+        response, motion_px, precision = np.empty((3, len(cosine)))
+        _follow(
+            np.stack([cosine, sine]),
+            self._unexplained,
+            np.stack(waves),
+            np.stack([parameters for parameters, _ in fits]),
+            np.stack([beside for _, beside in fits]),
+            self.period / (2 * pi),
+            response,
+            motion_px,
+            precision,
         )
+        return Follows(response, motion_px, precision / self.noise)
 
 
-def _power_of(cosine: Floats, sine: Floats, waves: Sequence[Floats]) -> Floats:
-    """Σ_n (C a_n + S b_n)² of two waves (N, P) or (N, 1), at components C, S (P,)."""
-    first, both, second = (
-        np.sum(one * other, axis=0) for one, other in ((waves[0], waves[0]), (waves[0], waves[1]), (waves[1], waves[1]))
-    )
-    power: Floats = cosine**2 * first + 2 * cosine * sine * both + sine**2 * second
-    return power
+@compiled
+def _follow(
+    components: Floats,
+    unexplained: Floats,
+    waves: Floats,
+    parameters: Floats,
+    beside: Floats,
+    px_per_radian: float,
+    response: Floats,
+    motion_px: Floats,
+    seen: Floats,
+) -> None:
+    """Response and motion (P,), and Σ of the squares of what is seen of it, from the `components` C, S (2, P).
+
+    Of both waves, (2, N, P) or (2, N, 1): the `parameters` of the fit, and what is left `beside` it.
+    """
+    for p in range(len(response)):
+        cosine, sine, at = components[0, p], components[1, p], p if waves.shape[2] > 1 else 0
+        by_cosine = cosine * parameters[0, 1, at] + sine * parameters[1, 1, at]
+        by_sine = cosine * parameters[0, 2, at] + sine * parameters[1, 2, at]
+        power = max(cosine * cosine + sine * sine, _LEAST_POWER)
+        response[p] = px_per_radian * (cosine * by_sine - sine * by_cosine) / power
+        all_of_it = left = along = 0.0
+        for n in range(waves.shape[1]):
+            slope = cosine * waves[0, n, at] + sine * waves[1, n, at]
+            rest = cosine * beside[0, n, at] + sine * beside[1, n, at]
+            all_of_it += slope * slope
+            left += rest * rest
+            along += rest * unexplained[n, p]
+        told = left > _LEAST_SEEN * all_of_it
+        motion_px[p] = along / left if told else 0.0
+        seen[p] = left if told else 0.0

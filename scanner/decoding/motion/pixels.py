@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints, compiled
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
@@ -98,13 +98,48 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     offset = tiles.camera_px[: TILE_PX**2] - tiles.camera_px[: TILE_PX**2].mean(axis=0)
     terms = np.concatenate([np.ones((TILE_PX**2, 1)), offset], axis=1)  # of every tile alike
     seen, on = projector_px.reshape(tiles.count, TILE_PX**2, 2), usable.reshape(tiles.count, TILE_PX**2)
-    fit = on
+    fit = on.copy()
     for _ in range(_TRIMS + 1):
-        weighted = terms.T * fit[:, None, :]
-        planes: Floats = np.linalg.solve(weighted @ terms + 1e-9 * np.eye(3), weighted @ seen)
-        off2 = np.sum((seen - terms @ planes) ** 2, axis=2)
-        count = np.maximum(np.count_nonzero(fit, axis=1), 1)
-        rough = np.sqrt(np.sum(fit * off2, axis=1) / count)
-        fit = on & (off2 <= np.maximum(_MOST_OFF_SIGMAS * rough, 1e-3)[:, None] ** 2)
+        matrices, right = _normal_equations(terms, seen, fit)
+        planes = np.linalg.solve(matrices + 1e-9 * np.eye(3), right).astype(np.float64)
+        rough, count = _trim(terms, seen, on, planes, fit)
     smooth = (rough < _MOST_ROUGH_PX) & (count >= _FEWEST_IN_TILE)
     return planes, (fit & smooth[:, None]).reshape(-1)
+
+
+@compiled
+def _normal_equations(terms: Floats, seen: Floats, fit: Bools) -> tuple[Floats, Floats]:
+    """Those of planes (T, 3, 3), (T, 3, 2), with the `terms` (P, 3), through what is `seen` (T, P, 2) where `fit`."""
+    matrices, right = np.zeros((len(seen), 3, 3)), np.zeros((len(seen), 3, 2))
+    for t in range(len(seen)):
+        for p in range(len(terms)):
+            if fit[t, p]:
+                for a in range(3):
+                    for b in range(3):
+                        matrices[t, a, b] += terms[p, a] * terms[p, b]
+                    for axis in range(2):
+                        right[t, a, axis] += terms[p, a] * seen[t, p, axis]
+    return matrices, right
+
+
+@compiled
+def _trim(terms: Floats, seen: Floats, on: Bools, planes: Floats, fit: Bools) -> tuple[Floats, Ints]:
+    """How far what was `fit` (T, P) is off its plane (T,), rms, and how much was; fit what is `on`, and not far off."""
+    rough, count = np.zeros(len(seen)), np.zeros(len(seen), np.int64)
+    off2 = np.empty(len(terms))
+    for t in range(len(seen)):
+        for p in range(len(terms)):
+            off2[p] = 0.0
+            for axis in range(2):
+                off = seen[t, p, axis]
+                for a in range(3):
+                    off -= terms[p, a] * planes[t, a, axis]
+                off2[p] += off * off
+            rough[t] += off2[p] if fit[t, p] else 0.0
+            count[t] += fit[t, p]
+        count[t] = max(count[t], 1)
+        rough[t] = np.sqrt(rough[t] / count[t])
+        most = max(_MOST_OFF_SIGMAS * rough[t], 1e-3)
+        for p in range(len(terms)):
+            fit[t, p] = on[t, p] and off2[p] <= most * most
+    return rough, count

@@ -5,7 +5,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, compiled, median
 
 # Of each device: shifts of its picture to the right and down, a roll and a change of scale.
 PER_DEVICE = 4
@@ -68,23 +68,57 @@ def fit_motion(design: Floats, seen_px: Floats, precision: Floats, row: Ints, gr
     prior = np.eye(COLUMNS) / _PRIOR_PX**2
     if not len(seen_px):
         return Fit(np.zeros(COLUMNS), _PRIOR_PX**2 * np.eye(COLUMNS), 0.0)
-
-    def of_rows(values: Floats) -> Floats:
-        sums: Floats = np.bincount(row, values, minlength=len(design)).astype(np.float64, copy=False)
-        return sums
-
-    columns = np.ascontiguousarray(design.T)
-    weight: Floats = precision
-    root = np.sqrt(precision)
+    design, weight, root = np.ascontiguousarray(design), precision.copy(), np.sqrt(precision)
+    residual, off = np.empty((2, len(seen_px)))
     for _ in range(_ROUNDS):
-        information = (columns * of_rows(weight)) @ design + prior
-        motion = np.linalg.solve(information, columns @ of_rows(weight * seen_px)).astype(np.float64)
-        residual = seen_px - (design @ motion)[row]
-        off = np.abs(residual) * root
+        information, towards = _normal_equations(design, *_sums_of_rows(row, weight, seen_px, len(design)))
+        information += prior
+        motion = np.linalg.solve(information, towards).astype(np.float64)
+        _note_residuals(seen_px, design @ motion, row, root, residual, off)
         scale = max(SIGMA_PER_MEDIAN * median(off), 1e-3)
-        weight = precision * np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-9))
-    sums = np.stack([np.bincount(group, score) for score in columns * of_rows(weight * residual)], axis=1)
+        _weigh_down(precision, off, _HUBER * scale, weight)
+    _, scores = _sums_of_rows(row, weight, residual, len(design))
+    sums = np.stack([np.bincount(group, column * scores) for column in design.T], axis=1)
     inverse = np.linalg.inv(information)
     covariance = inverse @ (sums.T @ sums) @ inverse + inverse * scale**2
     gained = float(np.sum(weight * (seen_px**2 - residual**2))) / scale**2
     return Fit(motion, covariance, gained)
+
+
+@compiled
+def _sums_of_rows(row: Ints, weight: Floats, values: Floats, rows: int) -> tuple[Floats, Floats]:
+    """Sums of the weights (M,), and of the values (M,) times these, of each row."""
+    of_weights, of_values = np.zeros(rows), np.zeros(rows)
+    for i in range(len(row)):
+        of_weights[row[i]] += weight[i]
+        of_values[row[i]] += weight[i] * values[i]
+    return of_weights, of_values
+
+
+@compiled
+def _normal_equations(design: Floats, weight: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Of rows (R, 8) with weights (R,), and weights times values (R,): the matrix (8, 8), and the right-hand side."""
+    count = design.shape[1]
+    matrix, right = np.zeros((count, count)), np.zeros(count)
+    for r in range(len(design)):
+        for a in range(count):
+            weighted = weight[r] * design[r, a]
+            right[a] += values[r] * design[r, a]
+            for b in range(count):
+                matrix[a, b] += weighted * design[r, b]
+    return matrix, right
+
+
+@compiled
+def _note_residuals(seen: Floats, expected: Floats, row: Ints, root: Floats, residual: Floats, off: Floats) -> None:
+    """What is seen beside what is expected of a row, all (M,), and how many standard deviations that is."""
+    for i in range(len(seen)):
+        residual[i] = seen[i] - expected[row[i]]
+        off[i] = abs(residual[i]) * root[i]
+
+
+@compiled
+def _weigh_down(precision: Floats, off: Floats, from_here: float, weight: Floats) -> None:
+    """Less weight to what is farther off, (M,) (Huber)."""
+    for i in range(len(weight)):
+        weight[i] = precision[i] * min(1.0, from_here / max(off[i], 1e-9))

@@ -64,6 +64,19 @@ def test_bounded_search_ends_below_the_exact_search() -> None:
     assert abs(solution.best_focal_px - focal_px[np.argmin(solution.objective)]) <= 1.0
 
 
+def test_every_sum_of_the_objective_closes_at_the_truth_and_there_only() -> None:
+    """E_pro and E_cycle each tell the focal length on their own, as in the paper's second table."""
+    capture = random_capture(np.random.default_rng(2), count=5_000, noise_px=0.0)
+    objective = objective_for(capture.matches, PAPER_CAMERA.principal_point_px)
+    focal_px = PAPER_CAMERA.focal_px[0] * np.array([0.8, 0.95, 1.0, 1.05, 1.25])
+    forward, in_front = objective.forward(focal_px)
+    terms = objective.terms(focal_px, forward)
+    for some in (terms[:2], terms[2:]):
+        total = np.where(in_front, some.sum(axis=0), np.inf).reshape(2, -1).min(axis=0)
+        assert total[2] < 1e-3
+        assert np.all(np.delete(total, 2) > 0.5)
+
+
 def test_refined_reaches_its_own_sigma_with_lens_distortion() -> None:
     rng = np.random.default_rng(5)
     deviations, errors = [], []

@@ -84,7 +84,7 @@ def test_the_order_of_the_exposures_is_free() -> None:
     ("exposures_us", "said"),
     [
         ((None, None), "not their exposure_us"),
-        ((500.0, 500.0), "differ"),
+        ((500.0, 500.0), "exposures do not: 500 and 500"),
         ((500.0, 2000.0, 400.0, 2000.0), "first pattern"),
     ],
 )
@@ -95,8 +95,29 @@ def test_exposures_that_do_not_fit_are_refused(exposures_us: tuple[float | None,
 
 
 def test_white_comes_first() -> None:
+    frames = bracketed(Scene(), (0.5, 2.0))
     with pytest.raises(InputError, match="white"):
-        Decoder(twice((Black(), White(), *PATTERNS[2:])), (300, 200))
+        decoded([*frames[2:4], *frames[:2], *frames[4:]], twice((Black(), White(), *PATTERNS[2:])))
+
+
+def test_all_patterns_have_one_exposure_if_the_first_has() -> None:
+    frames = [(image, 500.0) for image in Scene().frames(PATTERNS)]
+    with pytest.raises(InputError, match=r"frame 2 .*expected one exposure.*500 and 600"):
+        decoded([frames[0], frames[0], frames[1], (frames[1][0], 600.0)], twice(PATTERNS))
+
+
+@pytest.mark.parametrize("exposure_us", [None, 2000.0])
+def test_frames_that_were_exposed_alike_are_averaged(exposure_us: float | None) -> None:
+    scene = replace(Scene(read_noise=4.0), exposure=60.0)
+    again = replace(scene, seed=2)
+    order = [1, 0, *range(2, len(PATTERNS))]
+    frames = [(images[at], exposure_us) for at in order for images in (scene.frames(PATTERNS), again.frames(PATTERNS))]
+    averaged = decoded(frames, twice([PATTERNS[at] for at in order]))
+    once = scene.decode(PATTERNS)
+    ratio = np.median(np.abs(scene.errors(averaged))) / np.median(np.abs(scene.errors(once)))
+    assert 0.6 < ratio < 0.85
+    assert averaged.matches.sigma_px is not None
+    assert 0.8 < np.std(np.clip(scene.errors(averaged) / averaged.matches.sigma_px[:, None], -6, 6)) < 1.3
 
 
 def test_a_missing_frame_is_counted() -> None:

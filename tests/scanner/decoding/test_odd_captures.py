@@ -61,6 +61,11 @@ def passed_by(frames: list[Image]) -> list[np.ndarray]:
     return result
 
 
+def behind_filters(frames: list[Image]) -> list[np.ndarray]:
+    rows, columns = np.indices(frames[0].shape) % 2
+    return [frame * np.array([[0.5, 1.0], [1.0, 0.65]])[rows, columns] for frame in frames]
+
+
 def sharpened(frames: list[Image]) -> list[np.ndarray]:
     return [2.0 * frame - cv2.GaussianBlur(frame.astype(np.float64), (0, 0), 1.5) for frame in frames]
 
@@ -94,6 +99,7 @@ CASES = [
     Case(SCENE, STANDARD, lit_in_all_but_white, 0.03, 0.99),
     Case(SCENE, STANDARD, passed_by, 0.03, 0.7),
     Case(SCENE, STANDARD, sharpened, 0.04, 0.99),
+    Case(SCENE, QUICK, behind_filters, 0.06, 0.99),
 ]
 
 
@@ -107,8 +113,25 @@ def test_an_odd_capture_decodes(case: Case) -> None:
     assert np.mean(decoding.reasons[case.scene.well_lit()] == MaskReason.KEPT) > case.kept
     if case.change in (flickering, banded, the_10th_darker, a_step_darker):
         assert any("brightness of the frames varies" in warning for warning in decoding.warnings)
+    assert any("raw ones of a colour camera" in said for said in decoding.warnings) == (case.change is behind_filters)
     if case.change is passed_by:
         assert any("frame 6 (" in warning and "decoded all the same" in warning for warning in decoding.warnings)
+
+
+@pytest.mark.parametrize("quality", [50, 85])
+def test_what_a_file_format_leaves_out_is_in_the_sigma(quality: int) -> None:
+    frames = []
+    for frame in SCENE.frames(QUICK):
+        _, compressed = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        frames.append(np.asarray(cv2.imdecode(compressed, cv2.IMREAD_GRAYSCALE), np.uint8))
+    decoding = decode(QUICK, frames, SCENE.projector)
+    errors, sigma = SCENE.errors(decoding), decoding.matches.sigma_px
+    assert sigma is not None
+    # Pixels of a block err alike, so that a little of it passes for the surface's shape.
+    assert 0.7 < np.std(np.clip(errors / sigma[:, None], -6, 6)) < 1.5
+    # In the dark a block is as even as a surface, and its fringes those of rounding.
+    assert np.mean(np.abs(errors) > 3) < 1e-3
+    assert np.mean(decoding.reasons[SCENE.well_lit()] == MaskReason.KEPT) > 0.97
 
 
 @pytest.mark.parametrize("scene", [replace(SCENE, projector_blur_px=2.5), replace(SCENE, camera_blur_px=3.0)])

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scanner.decoding.decoder import Decoder
+from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns.pattern import (
     Axis,
@@ -97,3 +98,19 @@ def test_the_xor_code_counts_cells_by_stripes_of_at_most_two(length: int, cell: 
     edges = [np.flatnonzero(np.diff(row.astype(int))) for row in shown]
     # Where a bit changes with no change of the base, two stripes of it meet: never more than four cells alike.
     assert all(np.diff([-1, *edge, length - 1]).max() <= 4 * cell for edge in edges)
+
+
+def test_patterns_that_differ_on_a_part_of_the_projector_may_look_the_same() -> None:
+    patterns: tuple[Pattern, ...] = (
+        White(),
+        *gray_sequence("y", 284, 8),
+        *gray_sequence("x", 427, 8),
+        *phase_sequence("x", 16.0, 12),
+    )
+    plan = plan_sequence(patterns, (427, 284))
+    number = {pattern: at for at, pattern in enumerate(patterns)}
+    # Rows from 256 on are dark in it.
+    assert plan.shows_the_same(number[White()], number[Gray("y", 0, 6, 8, inverted=True)])
+    assert not plan.shows_the_same(number[White()], number[Gray("y", 0, 6, 8)])
+    assert not plan.shows_the_same(number[Gray("x", 3, 6, 8)], number[Gray("x", 4, 6, 8)])
+    assert not plan.shows_the_same(number[Phase("x", 16.0, 0.0)], number[Phase("x", 16.0, 1 / 12)])

@@ -80,3 +80,18 @@ def test_the_fringes_choose_between_two_codes(x: float, wrong_code: int, cells_o
     else:
         assert orders.coordinates[:, 0] == pytest.approx(x, abs=0.01)
         assert interval.low[0] - 2.5 < x < interval.high[0] + 2.5
+
+
+@given(x=st.floats(10, LENGTH - 10))
+def test_a_misread_base_of_both_codes_makes_nothing_wrong(x: float) -> None:
+    cell = np.uint32((x + 0.5) // CELL)
+    word = np.array([cell ^ cell >> np.uint32(1)], np.uint32)
+    words = [code.relative_to_base(code.relative_to_base(word) ^ np.uint32(1)) for code in PLAN.codes]
+    assert not np.array_equal(words[0], words[1])
+    positions = np.array([[x % period] for period in PERIODS], np.float32)
+    wrapped = Wrapped(positions, np.full((2, 1), 1e-4, np.float32))
+    interval = interval_of(PLAN, words, 1)
+    orders = unwrap(PLAN, interval, wrapped, TOLERANCES)
+    let_fringes_decide(PLAN, words, wrapped, TOLERANCES, interval, orders)
+    if not interval.contradictory[0]:
+        assert orders.coordinates[:, 0] == pytest.approx(x, abs=0.01)

@@ -1,0 +1,86 @@
+"""The methods of the first table that are this project's: the paper's search as published, and the refined one."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from calib.closed_form import Objective, objective_for
+from calib.geometry import Calibration, Matches
+from calib.refusal import RefusalError
+from calib.self_calibration import PrincipalPoint, paper_trials, self_calibrate, self_calibrate_jointly
+from paper.captures import FULL, Setup
+from scanner.quantities import intrinsic_errors_percent
+
+CENTRE_SIGMA_OF_WIDTH = 0.03  # the configuration's prior on a principal point of which nothing is known
+ORDINARY_WALLS_DEG = 0.3
+CONFIGURATIONS = (*((i,) for i in range(7)), (0, 1), (2, 3, 4, 5, 6), tuple(range(7)))
+_STEP_PX = 1.0  # of the exact search in the camera's full image, as the paper suggests
+_AT_ONCE = 2000
+
+Errors = list[float] | None
+
+
+def known_point(truth: Calibration) -> PrincipalPoint:
+    return PrincipalPoint(truth.camera.principal_point_px, 0.0)
+
+
+def unknown_point(setup: Setup) -> PrincipalPoint:
+    width, height = setup.camera_size
+    return PrincipalPoint(((width - 1) / 2, (height - 1) / 2), CENTRE_SIGMA_OF_WIDTH * width)
+
+
+def errors_of(calibrate: Callable[[], Calibration], truth: Calibration) -> Errors:
+    """Signed errors of (f_c, f_p, x_p, y_p) in per cent, None where the method gives no answer."""
+    try:
+        found = calibrate()
+    except RefusalError as refusal:
+        print(f"    refused: {refusal.reason[:200]}")
+        return None
+    return [float(error) for error in intrinsic_errors_percent(found, truth)]
+
+
+def by_paper(matches: Matches, truth: Calibration) -> Calibration:
+    """The published method, its principal point known; raises RefusalError."""
+    sizes = truth.camera.size, truth.projector.size
+    return self_calibrate(matches, *sizes, principal_point=known_point(truth), method="paper").calibration
+
+
+def refined(
+    captures: list[Matches], truth: Calibration, point: PrincipalPoint, squareness_deg: float = 0.0
+) -> Calibration:
+    """Maximum likelihood from one capture, or jointly from several of one corner; raises RefusalError."""
+    sizes = truth.camera.size, truth.projector.size
+    found = self_calibrate_jointly(captures, *sizes, principal_point=point, squareness_deg=squareness_deg)
+    return found[0].calibration
+
+
+def by_configurations(matches: Matches, truth: Calibration) -> list[Errors]:
+    """What each of the paper's ten objectives says: the terms 1 … 7, the two sums of some, the sum of all.
+
+    The exact search of section 4.1, in steps of a pixel; None where no focal length gives a real corner.
+    """
+    objective = objective_for(matches, truth.camera.principal_point_px)
+    shortest, longest = paper_trials(truth.camera.size)[[0, -1]]
+    focals = np.arange(shortest, longest, _STEP_PX * truth.camera.width / FULL.width)
+    best: list[tuple[float, np.ndarray]] = [(np.inf, np.empty(0))] * len(CONFIGURATIONS)
+    for start in range(0, len(focals), _AT_ONCE):
+        _search(objective, focals[start : start + _AT_ONCE], best)
+    true = np.array([truth.camera.focal_px[0], truth.projector.focal_px[0], *truth.projector.principal_point_px])
+    return [
+        [float(error) for error in 100 * (found / true - 1)] if np.isfinite(lowest) else None for lowest, found in best
+    ]
+
+
+def _search(objective: Objective, focals: np.ndarray, best: list[tuple[float, np.ndarray]]) -> None:
+    """Replace each configuration's lowest value and what it found, (f_c, f_p, x_p, y_p), where these go lower."""
+    forward, in_front = objective.forward(focals)
+    terms = objective.terms(focals, forward)
+    usable = in_front & np.isfinite(terms).all(axis=0)
+    for number, configuration in enumerate(CONFIGURATIONS):
+        total = np.where(usable, terms[list(configuration)].sum(axis=0), np.inf)
+        lowest = int(np.argmin(total))
+        if total[lowest] < best[number][0]:
+            matrix = forward.matrix[lowest]
+            focal = focals[lowest % len(focals)]
+            found = np.array([focal, (matrix[0, 0] + matrix[1, 1]) / 2, matrix[0, 2], matrix[1, 2]])
+            best[number] = float(total[lowest]), found

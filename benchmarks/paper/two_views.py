@@ -1,0 +1,49 @@
+"""COLMAP on the two views of a rig, in the paper's four variants."""
+
+import numpy as np
+from colmap_two_view import two_views, unknown_focal
+
+from calib.geometry import Calibration, Matches
+from paper.published import RANDOM_START_SHORT_BY
+
+MATCHES = 10_000  # drawn of each capture for COLMAP, whose time grows with them and whose error does not depend on them
+
+
+def centre_start(truth: Calibration) -> tuple[float, float]:
+    """C: the projector's principal point at its image's centre."""
+    return (truth.projector.width - 1) / 2, (truth.projector.height - 1) / 2
+
+
+def paper_start(truth: Calibration) -> tuple[float, float]:
+    """R: where the paper's own draw put it, which its table tells."""
+    x, y = np.array(truth.projector.principal_point_px) * (1 - np.array(RANDOM_START_SHORT_BY))
+    return float(x), float(y)
+
+
+def drawn_start(truth: Calibration, rng: np.random.Generator) -> tuple[float, float]:
+    """R: anywhere in the projector's image."""
+    x, y = rng.uniform(0, truth.projector.size)
+    return float(x), float(y)
+
+
+def variants(
+    matches: Matches, truth: Calibration, start_px: tuple[float, float]
+) -> tuple[Calibration | None, Calibration | None]:
+    """Without and with the additional bundle adjustment; None where COLMAP finds nothing.
+
+    The camera's principal point is the true one. Focal lengths start as COLMAP starts them and are adjusted with both
+    principal points held; then, on top of that, both are freed, as COLMAP frees them: together.
+    """
+    camera = unknown_focal(*truth.camera.size, truth.camera.principal_point_px)
+    found = two_views(matches, camera, unknown_focal(*truth.projector.size, start_px))
+    if found is None:
+        return None, None
+    results: list[Calibration | None] = []
+    for free in (False, True):
+        found.adjust(free_principal_point=free)
+        try:
+            results.append(found.calibration)
+        except ValueError as error:
+            print(f"    COLMAP ran off: {error}")
+            results.append(None)
+    return results[0], results[1]

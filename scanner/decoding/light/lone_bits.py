@@ -1,0 +1,99 @@
+"""How bright the frame of a bit without an inverse is next to white and black, and where the bit is decided then.
+
+Half-way between white and black is right for steady light. A lamp that breathes, light that was switched on, and fine
+stripes that lose light move the two levels of a bit; the right threshold is half-way between these. Both are seen at
+many pixels: dark I = a B + l (W − B), or lit I = a B + u (W − B), and a, l and u are those of the whole frame.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, Image, median
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.light.brightness import lit_by
+
+# Pixels of each of the two levels.
+_FEWEST = 100
+_ROUNDS = 5
+_TAILS = (0.05, 0.95)
+# Levels so close to each other, in deviations of the pixels from them, are no levels of a bit.
+_APART_SIGMAS = 4.0
+# Nearer to half-way between white and black, in parts of white minus black, is half-way.
+_LEAST = 0.05
+# White is another one than in the patterns if so many bits say so alike, to this spread of what they say.
+_FEWEST_BITS, _ALIKE = 3, 0.05
+_OTHER_WHITE = 0.1
+# What another white adds to the dark level, of what it adds to both; of light that was switched on it is a half.
+_OF_DARK = 0.25
+
+
+@dataclass(frozen=True)
+class BitLevels:
+    """Of a frame: the parts `dark` and `bright` of white minus black that its pixels have beside `of_black` times
+    black; and how far half-way between them is from half-way between white and black, `away` in the same parts.
+    """
+
+    of_black: float
+    dark: float
+    bright: float
+    away: float
+
+    def threshold(self, middle: Image, white: Image) -> Image:
+        """From the level half-way between white and black, and white, (H, W); the former itself if that is as good."""
+        if self.away < _LEAST:
+            return middle
+        of_white = self.dark + self.bright - self.of_black
+        return cast(Image, cv2.addWeighted(middle, self.of_black - of_white, white, of_white, 0))
+
+
+def levels_of_bit(frame: Image, middle: Image, white: Image, pixels: NDArray[np.int64]) -> BitLevels | None:
+    """Those of a frame, given the level half-way between white and black, and white (H, W), from a sample (P,).
+
+    None if too few pixels have either level, or none are clear.
+    """
+    level, half_way, brightest = (image.reshape(-1)[pixels].astype(np.float32) for image in (frame, middle, white))
+    lit = lit_by(brightest - half_way)
+    half = np.maximum((brightest - half_way)[lit], np.float32(0.5))
+    relative, black = level[lit] / (2 * half), (half_way[lit] - half) / (2 * half)
+    is_bright = relative - black > np.mean(np.quantile(relative - black, _TAILS))
+    for _ in range(_ROUNDS):
+        if min(np.count_nonzero(is_bright), np.count_nonzero(~is_bright)) < _FEWEST:
+            return None
+        of_black, dark, bright = _parts(relative, black, is_bright)
+        threshold = of_black * black + (dark + bright) / 2
+        is_bright = relative > threshold
+    off = relative - of_black * black - np.where(is_bright, bright, dark)
+    if bright - dark < _APART_SIGMAS * SIGMA_PER_MEDIAN * median(np.abs(off)):
+        return None
+    return BitLevels(of_black, dark, bright, median(np.abs(threshold - black - 0.5)))
+
+
+def white_of(bits: Sequence[BitLevels]) -> float:
+    """How bright white is where it is part of a pattern, in parts of white minus black in the white frame.
+
+    1 unless all bits without an inverse say alike that it is another one: a frame that was exposed longer, or a device
+    that dims pictures that are bright all over.
+    """
+    if len(bits) < _FEWEST_BITS:
+        return 1.0
+    whites = np.array([bit.dark + bit.bright for bit in bits])
+    white, dark, bright = (float(np.median(n)) for n in (whites, [b.dark for b in bits], [b.bright for b in bits]))
+    if SIGMA_PER_MEDIAN * float(np.median(np.abs(whites - white))) > _ALIKE or abs(white - 1) < _OTHER_WHITE:
+        return 1.0
+    # Light that was switched on raises both levels, and does not bring them further apart than white and black.
+    is_white = dark * np.sign(white - 1) < _OF_DARK * abs(white - 1) or bright - dark > 1 + _OTHER_WHITE / 2
+    return white if is_white else 1.0
+
+
+def _parts(relative: Floats32, black: Floats32, is_bright: Bools) -> tuple[float, float, float]:
+    """That of black in a frame, and those of white minus black where it is dark and where it is bright: least squares
+    in levels (P,) relative to white minus black.
+    """
+    design = np.stack([black, ~is_bright, is_bright], axis=1).astype(np.float64)
+    of_black, dark, bright = np.linalg.lstsq(design, relative, rcond=1e-4)[0].tolist()
+    return of_black, dark, bright
