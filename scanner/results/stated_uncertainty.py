@@ -34,6 +34,7 @@ class _VerdictEntry(Entry):
     headline: str
     reasons: list[str]
     advice: str
+    notes: list[str] = Field(default_factory=list)
 
 
 class _AlongEntry(Entry):
@@ -83,6 +84,7 @@ def verdict_entries(verdict: Verdict) -> dict[str, Any]:
         "headline": verdict.headline,
         "reasons": [*verdict.reasons],
         "advice": verdict.advice,
+        **({"notes": [*verdict.notes]} if verdict.notes else {}),
     }
     return {"verdict": told}
 
@@ -98,7 +100,9 @@ def read_verdict(path: Path) -> Verdict | None:
     None where it says none, as older ones. Raises InputError.
     """
     entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).verdict
-    return Verdict(entry.grade, entry.headline, tuple(entry.reasons), entry.advice) if entry else None
+    if entry is None:
+        return None
+    return Verdict(entry.grade, entry.headline, tuple(entry.reasons), entry.advice, tuple(entry.notes))
 
 
 def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None:
