@@ -232,12 +232,16 @@ def lit(scene: "mi.Scene", hits: Hits, rig: Rig, place: Place) -> tuple[Array, A
     return pixels, bright
 
 
-def direct_light(scene: "mi.Scene", rig: Rig, place: Place) -> tuple[Array, Array]:
-    """Of sub-pixels, not at random as a sensor's are not: picture's pixels (H, W, 9, 2), brightness (H, W, 9)."""
+def direct_light(scene: "mi.Scene", rig: Rig, place: Place, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Of sub-pixels: picture's pixels (H, W, 9, 2) and brightness (H, W, 9).
+
+    They are random within their ninths, as renderers' samples are: so few shift a pixel by 0.05 of the picture's.
+    """
     width, height = rig.camera.size
     x, y = np.meshgrid(np.arange(width), np.arange(height))
     cells = (np.stack(np.meshgrid(np.arange(_SIDE), np.arange(_SIDE)), axis=-1).reshape(-1, 2) + 0.5) / _SIDE - 0.5
     pixels = np.stack([x, y], axis=-1)[:, :, None] + cells
+    pixels += rng.uniform(-0.5, 0.5, pixels.shape) / _SIDE
     hits = trace(scene, *world_rays(rig, place, pixels.reshape(-1, 2)))
     at, bright = lit(scene, hits, rig, place)
     return at.reshape(height, width, -1, 2), (hits.albedo * bright).reshape(height, width, -1) / np.pi
@@ -317,7 +321,7 @@ def capture(
     width, height = rig.camera.size
     x, y = np.meshgrid(np.arange(width), np.arange(height))
     seen = trace(scene, *world_rays(rig, place, np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float64)))
-    at, bright = direct_light(scene, rig, place)
+    at, bright = direct_light(scene, rig, place, rng)
     by_axis, coarse = bounced_light(scene, rig, place, rng, paths)
     to_pixels = spread(coarse, seen, rig.camera.size)
     at = np.rint(_FINE * np.nan_to_num(at)).astype(np.int32).clip(0)
