@@ -43,6 +43,7 @@ class Case:
     captures: int = 1
     same: bool = True
     method: Method = "refined"
+    tangential: float = 0.0  # standard deviation of p1 and p2 of both devices
 
 
 CASES = (
@@ -59,6 +60,9 @@ CASES = (
     Case("walls 0.3°, 2 of one corner, PP known", WEAK, off_deg=0.3, captures=2),
     Case("walls 0.3°, 3 of one corner, PP unknown", WEAK, CENTRE, 0.3, 3),
     Case("walls 0.3°, 4 of one corner, PP unknown", WEAK, CENTRE, 0.3, 4),
+    Case("tangential, square, PP known", tangential=4e-4),
+    Case("tangential, walls 0.3°, PP known", off_deg=0.3, tangential=4e-4),
+    Case("tangential, 0.3°, 3 of one, PP unknown", WEAK, CENTRE, 0.3, 3, tangential=4e-4),
 )
 
 
@@ -85,8 +89,13 @@ def calibrated(case: Case, captures: list[SyntheticCapture]) -> SelfCalibration:
 def outcome(case: Case, seed: int, number: int) -> Outcome:
     rng = np.random.default_rng([seed, number])
     camera, projector = (
-        replace(device, distortion=(*terms, 0.0, 0.0, 0.0))
-        for device, terms in zip((PAPER_CAMERA, PAPER_PROJECTOR), lens_terms(case, rng), strict=True)
+        replace(device, distortion=(k1, k2, float(p1), float(p2), 0.0))
+        for device, (k1, k2), (p1, p2) in zip(
+            (PAPER_CAMERA, PAPER_PROJECTOR),
+            lens_terms(case, rng),
+            rng.normal(0, case.tangential, (2, 2)) if case.tangential else np.zeros((2, 2)),
+            strict=True,
+        )
     )
     captures = random_captures(
         rng, case.captures, camera=camera, projector=projector, walls_off_deg=case.off_deg, same=case.same

@@ -1,6 +1,6 @@
 """Whole rooms: one estimate of rig, places and planes, on made-up rooms whose truth is known.
 
-    python benchmarks/bench_room_estimate.py [--rooms 30] [--times 6 12 24] [--wavy 0.001]
+    python benchmarks/bench_room_estimate.py [--rooms 30] [--times 6 12 24] [--wavy 0.001] [--tangential 0.0004]
 
 Six stations in a furnished room of 4.5 × 3.6 × 2.6 m, walls off square by 0.3° (normal, each direction), noise of 0.03
 to 0.1 projector px, matches straight from points in space. The start is the truth with focals off by 1 %, principal
@@ -20,15 +20,16 @@ from pathlib import Path
 import numpy as np
 from cramer_rao import bound_of_room
 
-from calib.geometry import Matches, Size
+from calib.geometry import Intrinsics, Matches, Size
 from calib.numerics import Floats
-from calib.refinement import State
+from calib.refinement import CAMERA, PROJECTOR, SHARED, State
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, RoomEstimate, estimate_room
 from calib.rooms.lengths import Measured, angle_deg, centre_of, distance, gap, vertex
 from calib.rooms.likelihood import RoomPrior
 from calib.self_calibration import PrincipalPoint, self_calibrate
 from calib.synthetic import SyntheticRoom, random_room
+from calib.synthetic.rooms import RoomOptions
 
 sys.path.append(str(Path(__file__).parents[1]))
 from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room
@@ -69,15 +70,23 @@ def _centre(size: Size) -> tuple[float, float]:
     return (size.width - 1) / 2, (size.height - 1) / 2
 
 
-def rooms(count: int, matches: int, wavy: float, balls: int) -> Iterator[tuple[SyntheticRoom, float, int]]:
+def rooms(
+    count: int, matches: int, wavy: float, balls: int, tangential: float
+) -> Iterator[tuple[SyntheticRoom, float, int]]:
+    options = RoomOptions(count=matches, wavy=wavy, balls=balls)
     for seed in range(count):
         rng = np.random.default_rng(seed)
         noise_px = float(np.exp(rng.uniform(np.log(0.03), np.log(0.1))))
-        yield (
-            random_room(rng, count=matches, noise_px=noise_px, wavy=wavy, balls=balls),
-            noise_px,
-            seed,
+        camera, projector = (
+            _with_tangential(device, np.random.default_rng([seed, 3 + i]).normal(0, tangential, 2))
+            for i, device in enumerate((options.camera, options.projector))
         )
+        yield random_room(rng, options, noise_px=noise_px, camera=camera, projector=projector), noise_px, seed
+
+
+def _with_tangential(device: Intrinsics, terms: Floats) -> Intrinsics:
+    k1, k2, _, _, k3 = device.distortion
+    return replace(device, distortion=(k1, k2, float(terms[0]), float(terms[1]), k3))
 
 
 def corner_calibration(made: SyntheticRoom, rng: np.random.Generator) -> State | None:
@@ -136,14 +145,14 @@ def _gap_there(found: RoomEstimate, truth: Room, first: int, second: int) -> flo
     return abs(float(other.normal @ foot - other.offset))
 
 
-def accuracy(count: int, matches: int, wavy: float, balls: int) -> None:
+def accuracy(count: int, matches: int, wavy: float, balls: int, tangential: float) -> None:
     ways = {name: Errors() for name in ("joint estimate", "rig of one corner, held", "true rig, held")}
     bound_mm: list[float] = []
     sigmas: dict[str, list[float]] = {}
     focals: list[Floats] = []
     seconds: list[float] = []
     untied = 0
-    for made, noise_px, seed in rooms(count, matches, wavy, balls):
+    for made, noise_px, seed in rooms(count, matches, wavy, balls, tangential):
         truth, numbers = true_room(made)
         cells, plane_of = cells_of(made, numbers)
         start = disturbed(np.random.default_rng([seed, 1]), truth, made)
@@ -171,7 +180,7 @@ def accuracy(count: int, matches: int, wavy: float, balls: int) -> None:
             bound_mm.append(1000 * unit * float(np.sqrt(np.trace(bound[columns, columns][3:, 3:]))))
         _add_sigmas(sigmas, joint, truth, held)
         step = joint.room.step_to(truth)
-        focals.append(np.abs(step[[0, 5]]))
+        focals.append(np.abs(step[[CAMERA.start, PROJECTOR.start]]))
         print(f"  room {seed}: {joint.residual_px.max():.4f} px, undetermined {len(joint.undetermined)}", flush=True)
     print(
         f"{count} rooms, {matches} matches a station, walls wavy by {1000 * wavy:g} mm; {np.mean(seconds):.2f} s each"
@@ -214,8 +223,8 @@ def _held(found: RoomEstimate, unit_m: float) -> list[bool]:
 def _add_sigmas(sigmas: dict[str, list[float]], found: RoomEstimate, truth: Room, held: list[bool]) -> None:
     step, sigma = found.room.step_to(truth), np.sqrt(np.diag(found.covariance))
     off = step / np.where(sigma > 0, sigma, np.nan)
-    sigmas.setdefault("focals", []).extend(off[[0, 5]])
-    sigmas.setdefault("rig, all", []).extend(off[:15])
+    sigmas.setdefault("focals", []).extend(off[[CAMERA.start, PROJECTOR.start]])
+    sigmas.setdefault("rig, all", []).extend(off[:SHARED])
     for i, of_station in enumerate(held, start=1):
         columns = truth.place_columns(i)
         sigmas.setdefault("turns", []).extend(off[columns][:3])
@@ -255,10 +264,11 @@ def main() -> None:
     parser.add_argument("--matches", type=int, default=20_000)
     parser.add_argument("--wavy", type=float, default=0.0, help="metres, standard deviation of the walls' waves")
     parser.add_argument("--balls", type=int, default=0, help="so many in the air, which tie stations beside the planes")
+    parser.add_argument("--tangential", type=float, default=0.0, help="standard deviation of p1 and p2 of both devices")
     parser.add_argument("--times", type=int, nargs="*", default=[])
     arguments = parser.parse_args()
     if arguments.rooms:
-        accuracy(arguments.rooms, arguments.matches, arguments.wavy, arguments.balls)
+        accuracy(arguments.rooms, arguments.matches, arguments.wavy, arguments.balls, arguments.tangential)
     if arguments.times:
         times(arguments.times)
 

@@ -9,8 +9,9 @@ from calib.boards.likelihood import Levels, View, lens_prior
 from calib.boards.likelihood import evaluate as evaluate_boards
 from calib.boards.parameters import INTRINSIC_COLUMNS, Placed, device_of
 from calib.boards.parameters import State as BoardState
-from calib.geometry import Intrinsics, Matches, Motion
+from calib.geometry import Matches, Motion
 from calib.refinement import CAMERA, PROJECTOR, Cells, Knowledge, Pose, State, covariance_of, evaluate, predict
+from calib.refinement import device_of as rig_device_of
 from calib.rooms import Room
 from calib.rooms.likelihood import RoomPrior
 from calib.rooms.likelihood import evaluate as evaluate_room
@@ -33,8 +34,8 @@ def bound_covariance(captures: list[SyntheticCapture], knowledge: Knowledge, noi
     """
     truth = captures[0].calibration
     state = State(
-        _device(truth.camera),
-        _device(truth.projector),
+        rig_device_of(truth.camera),
+        rig_device_of(truth.projector),
         truth.rotation,
         truth.translation / truth.baseline,
         np.zeros((len(captures), 3)),
@@ -42,7 +43,7 @@ def bound_covariance(captures: list[SyntheticCapture], knowledge: Knowledge, noi
             Pose(capture.corner.legs, capture.corner.vertex / truth.baseline, i) for i, capture in enumerate(captures)
         ),
     )
-    prior = knowledge.prior(state)
+    prior = knowledge.with_all_terms(1).prior(state)
     for device, columns in ((state.camera, CAMERA), (state.projector, PROJECTOR)):
         for column in np.flatnonzero(device[3:] == 0) + 3:
             prior = prior.with_known(columns.start + int(column))
@@ -59,10 +60,6 @@ def bound_covariance(captures: list[SyntheticCapture], knowledge: Knowledge, noi
     return covariance_of(fit.information, prior.free)[np.ix_(four, four)] * np.outer(relative, relative)
 
 
-def _device(intrinsics: Intrinsics) -> np.ndarray:
-    return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion[:2]])
-
-
 def _as_cells(matches: Matches) -> Cells:
     one = np.ones(len(matches))
     return Cells(matches.camera_px, matches.projector_px, matches.face, one, one, 1.0, 0.0)
@@ -77,7 +74,7 @@ def bound_of_photos(
     the derivative D of that, so that a match's residual has the covariance σ₂² I + σ₁² D Dᵀ.
     """
     matches, truth = photos.pairs[0]
-    camera = _device(truth.camera)
+    camera = rig_device_of(truth.camera)
     pose = Pose(photos.corner.legs, photos.corner.vertex)
     state = State(camera, camera, truth.rotation, truth.translation, np.zeros((1, 3)), (pose,), one_camera=True)
     point = anywhere((truth.camera.width, truth.camera.height))

@@ -1,6 +1,6 @@
 """Make docs/images/console.png from a result:  python docs/make_console_picture.py scans/room-sim
 
-Opens `scan console` on the simulated rig in a real browser, with a live image of its camera, and the result beside it.
+Opens `scan console` on the simulated rig in a real browser, and the result in it.
 """
 
 import argparse
@@ -29,7 +29,8 @@ def photograph(page: Page) -> np.ndarray:
     """Wait for the live image, open the only earlier result, and take the page's picture, BGR."""
     expect(page.get_by_alt_text("what the camera sees")).to_be_visible(timeout=_PATIENCE_MS)
     page.locator(".mantine-Notification-closeButton").dispatch_event("click")  # that this browser draws in software
-    page.get_by_role("button", name="Open", exact=True).dispatch_event("click")  # without scrolling there
+    page.get_by_role("button", name="History", exact=True).click()
+    page.get_by_role("button", name="Open", exact=True).click()
     expect(page.get_by_text("Points, %")).to_be_visible(timeout=_PATIENCE_MS)
     page.wait_for_timeout(_SETTLING_MS)
     return cv2.imdecode(np.frombuffer(page.screenshot(timeout=_PATIENCE_MS), np.uint8), cv2.IMREAD_COLOR)

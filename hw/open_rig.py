@@ -5,7 +5,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from types import ModuleType
 
-from calib.geometry import Calibration
+from calib.geometry import Calibration, Motion
 from hw.errors import DeviceError
 from hw.exposures import whole_periods
 from hw.projector_process import ScreenProjector
@@ -26,10 +26,13 @@ _USUAL_REFRESH_HZ = 60.0
 
 @dataclass(frozen=True)
 class OpenedRig:
-    """A rig, and apart from it the true calibration in metres, which only a simulated rig has."""
+    """A rig, and apart from it what only a simulated one tells, in metres: the true calibration, and its true place,
+    X_world = rotation X_camera + translation.
+    """
 
     rig: Rig
     truth: Calibration | None
+    place: Motion | None = None
 
 
 @contextmanager
@@ -52,7 +55,7 @@ def _simulated(
     projector = SimulatedProjector(room)
     identity = {"backend": "simulated", "seed": str(settings.seed), "pose": str(settings.pose)}
     rig = Rig(projector, SimulatedCamera(room, projector), identity, settings.refresh_hz)
-    return OpenedRig(rig, room.calibration)
+    return OpenedRig(rig, room.calibration, room.place)
 
 
 def _real(

@@ -120,7 +120,11 @@ def take(
         with progress.step("Preparing the rig"):
             opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
         if opened.truth:
-            write_calibration(folder / TRUTH_FILE, opened.truth)
+            stands = opened.place and {
+                "rotation": opened.place.rotation.tolist(),
+                "translation": opened.place.translation.tolist(),
+            }
+            write_calibration(folder / TRUTH_FILE, opened.truth, {"place": stands} if stands else None)
         how = patterns, config.sequence.exposures_us, config.projector.known_response
         live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
         live = replace(live, metadata={**live.metadata, CONFIGURATION_KEY: config.recorded})

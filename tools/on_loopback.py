@@ -24,6 +24,7 @@ from scanner.configuration import load_config
 from scanner.io import read_calibration, write_calibration
 from scanner.quantities import truth_line
 from scanner.results import CALIBRATION_FILE, TRUTH_FILE
+from scanner.ui import Terminal
 
 
 def main() -> int:
@@ -52,7 +53,7 @@ def main() -> int:
         truth = true_calibration(place_room(settings.room, config.camera_size, config.projector_size))
         if truth is not None:
             write_calibration(given.out / TRUTH_FILE, truth)
-            print(truth_line(read_calibration(given.out / CALIBRATION_FILE), truth))
+            Terminal().show(truth_line(read_calibration(given.out / CALIBRATION_FILE), truth))
     return code
 
 

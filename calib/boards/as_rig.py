@@ -1,9 +1,9 @@
-"""What boards say of a rig, in the columns that a corner's refinement and a calibration file have for it.
+"""What boards say of a rig, in the columns that every corner determines.
 
-Boards determine more terms of a lens than those columns: the pixels' shape, k3, p1 and p2. Their estimates are part of
-the calibration, but how unsure they are has to be said by the columns: to first order an error of a further term is
-what a change of the columns comes nearest to, by least squares over what both devices see. A lens that has another
-term also points elsewhere, so a turn of the device is part of that change.
+Boards determine more terms of a lens than those: the pixels' shape, k3, p1 and p2. Their estimates are part of the
+calibration, but how unsure they are has to be said by the columns that corners have always: to first order an error of
+a further term is what a change of the columns comes nearest to, by least squares over what both devices see. A
+lens that has another term also points elsewhere, so a turn of the device is part of that change.
 """
 
 from dataclasses import replace
@@ -33,6 +33,7 @@ from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Size, cross, tangent_basis
 from calib.numerics import Floats
 from calib.refinement import CAMERA as CAMERA_COLUMNS
+from calib.refinement import PER_DEVICE as RIG_DEVICE
 from calib.refinement import PROJECTOR as PROJECTOR_COLUMNS
 from calib.refinement import ROTATION as ROTATION_COLUMNS
 from calib.refinement import SHARED as COLUMNS
@@ -46,9 +47,10 @@ _FURTHER = [ASPECT, *range(LENS.start + 2, LENS.stop)]
 def rig_uncertainty(found: Estimate, sizes: tuple[Size, Size]) -> Uncertainty:
     """Of an estimate from boards, for devices of these sizes."""
     state, to_columns = found.state, _to_columns(found, sizes)
+    none = np.zeros(RIG_DEVICE - len(_OWN))
     rig = State(
-        state.camera[_OWN],
-        state.projector[_OWN],
+        np.append(state.camera[_OWN], none),
+        np.append(state.projector[_OWN], none),
         state.motion.rotation,
         state.motion.translation / state.motion.length,
         np.zeros((0, 3)),
@@ -83,7 +85,7 @@ def with_radial_terms(found: BoardCalibration, sizes: tuple[Size, Size]) -> tupl
 
 
 def _to_columns(found: Estimate, sizes: tuple[Size, Size]) -> Floats:
-    """What a step of what boards share is in the rig's columns, (15, 31)."""
+    """What a step of what boards share is in the rig's columns, (21, 31)."""
     motion = found.state.motion
     ahead = motion.translation / motion.length
     to_columns = np.zeros((COLUMNS, SHARED))
@@ -103,13 +105,13 @@ def _to_columns(found: Estimate, sizes: tuple[Size, Size]) -> Floats:
 
 
 def _in_place_of_further_terms(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
-    """What a step of a device (9,) is in its own five columns (5, 9), and as a turn (3, 9)."""
-    own, turn = np.zeros((len(_OWN), PER_DEVICE)), np.zeros((3, PER_DEVICE))
-    own[:, _OWN] = np.eye(len(_OWN))
+    """What a step of a device (9,) is in the rig's columns for it (8, 9), and as a turn (3, 9)."""
+    own, turn = np.zeros((RIG_DEVICE, PER_DEVICE)), np.zeros((3, PER_DEVICE))
+    own[: len(_OWN), _OWN] = np.eye(len(_OWN))
     by_turn, by_device = project_rays(device, rays_of(device, pixels))
     basis = np.concatenate([by_device[:, :, _OWN], by_turn], axis=2).reshape(-1, len(_OWN) + 3)
     scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-12)
     further = by_device[:, :, _FURTHER].reshape(len(basis), len(_FURTHER))
     nearest = np.linalg.lstsq(basis / scale, further)[0] / scale[:, None]
-    own[:, _FURTHER], turn[:, _FURTHER] = nearest[: len(_OWN)], nearest[len(_OWN) :]
+    own[: len(_OWN), _FURTHER], turn[:, _FURTHER] = nearest[: len(_OWN)], nearest[len(_OWN) :]
     return own, turn

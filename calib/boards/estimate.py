@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.boards.likelihood import Fit, Levels, Prior, View, minimise
-from calib.boards.model_selection import Terms, choose_terms
+from calib.boards.model_selection import choose_terms
 from calib.boards.parameters import PER_POSE, SHARED, State
 from calib.numerics import MEDIAN_LENGTH, Floats
-from calib.refinement import Cells, Noise, covariance_of, noise_of
+from calib.refinement import Cells, Noise, Terms, covariance_of, noise_of
 
 _ROUNDS = 3
 _ROUGH = 0.01  # tolerance in cost while noise is measured

@@ -142,8 +142,8 @@ def _given_centre(knowledge: Knowledge) -> str:
 
 
 def signed(values: Floats) -> str:
-    """Numbers with their signs, for a sentence."""
-    return ", ".join(f"{value:+.2f}" for value in values)
+    """Numbers with their signs, for a sentence; none before what is shown as zero."""
+    return ", ".join(f"{value:+z.2f}".replace("+0.00", "0.00").replace("-", "−") for value in values)
 
 
 def _refuse_ambiguous(best: Fit, others: Sequence[Fit], sigmas: Floats, words: Wording) -> None:

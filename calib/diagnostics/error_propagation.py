@@ -188,7 +188,7 @@ def _grown(calibration: Calibration, log_scale: float) -> Calibration:
 
 
 def _directions(uncertainty: Uncertainty) -> Floats:
-    """Steps (15, 15) of one sigma along the principal directions of what of the covariance is no curve."""
+    """Steps (21, 21) of one sigma along the principal directions of what of the covariance is no curve."""
     values, vectors = np.linalg.eigh(uncertainty.covariance - uncertainty.along.covariance)
     steps: Floats = (vectors * np.sqrt(values.clip(0))).T
     return steps

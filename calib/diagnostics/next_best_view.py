@@ -155,8 +155,9 @@ def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: floa
     alone = replace(state, poses=(pose,), off_square=state.off_square[pose.corner][None])
     alone = replace(alone, poses=(replace(pose, corner=0),))
     prior = knowledge.prior(alone)
-    for column in np.flatnonzero(~refinement.prior.free[:SHARED]):  # lens terms that are left out
-        prior = prior.with_known(int(column))
+    sigma = prior.sigma.copy()
+    sigma[:SHARED] = refinement.prior.sigma[:SHARED]  # with the lens terms that were chosen
+    prior = replace(prior, sigma=sigma)
     flat = replace(prior, sigma=np.where(prior.free, np.inf, 0.0), rig=None)
     new = evaluate([cells], alone, flat, [np.full(len(cells), variance)]).information
     kept = np.flatnonzero(prior.free)

@@ -25,7 +25,7 @@ _LEAST_STEP = 1e-6  # of a column
 class SheetSize:
     """The logarithm of the length that one unit of the sheet's own points has in the calibration's unit.
 
-    `noise`: its standard deviation by matches and points; `by_columns` (15,): how it goes with the calibration's.
+    `noise`: its standard deviation by matches and points; `by_columns` (21,): how it goes with the calibration's.
     """
 
     log_length: float

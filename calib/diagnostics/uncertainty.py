@@ -26,7 +26,7 @@ _IMPROBABLE = 2e-3
 class Along:
     """The part of a covariance that is not linear: states along the curved valley of the camera's focal length.
 
-    `steps` (K, 15): to them from the best, `probability` (K,); they make up the covariance Σ p s sᵀ.
+    `steps` (K, 21): to them from the best, `probability` (K,); they make up the covariance Σ p s sᵀ.
     """
 
     steps: Floats
@@ -34,7 +34,7 @@ class Along:
 
     @property
     def covariance(self) -> Floats:
-        """Their part of the covariance, (15, 15)."""
+        """Their part of the covariance, (21, 21)."""
         covariance: Floats = (self.steps * self.probability[:, None]).T @ self.steps
         return covariance
 
@@ -44,11 +44,11 @@ NOWHERE = Along(np.zeros((0, SHARED)), np.zeros(0))
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Of a rig: its state and `covariance` (15, 15) of the columns of devices and motion; lengths in baselines.
+    """Of a rig: its state and `covariance` (21, 21) of the columns of devices and motion; lengths in baselines.
 
-    `by_principal_point` (15, 2): how the columns move with the camera's principal point, per pixel, where that was
+    `by_principal_point` (21, 2): how the columns move with the camera's principal point, per pixel, where that was
     taken as known; else None. `match_px`: scatter of a match where it states no sigma of its own. `along`: the part of
-    the covariance that is a curve. `with_log_baseline` (15,): the columns' covariance with the logarithm of the
+    the covariance that is a curve. `with_log_baseline` (21,): the columns' covariance with the logarithm of the
     baseline, where what fixed the scale is not the baseline itself.
     """
 
@@ -61,7 +61,7 @@ class Uncertainty:
 
     @property
     def by_log_baseline(self) -> Floats:
-        """How the baseline's logarithm is expected to go with the columns, (15,)."""
+        """How the baseline's logarithm is expected to go with the columns, (21,)."""
         scale = np.sqrt(self.covariance.diagonal())
         scale = np.where(scale > 0, scale, 1.0)
         gain: Floats = np.linalg.pinv(self.covariance / np.outer(scale, scale), hermitian=True) @ (
@@ -85,7 +85,7 @@ class Uncertainty:
         return sigma
 
     def point_jacobians(self, matches: Matches) -> tuple[Floats, Floats]:
-        """How triangulated points move, in baselines: by the columns (N, 3, 15), by the projector's pixels (N, 3, 2).
+        """How triangulated points move, in baselines: by the columns (N, 3, 21), by the projector's pixels (N, 3, 2).
 
         A point is where the camera's ray r comes nearest to the projector's, X = r d, so δX = r δd + d δr.
         """
@@ -153,17 +153,22 @@ def with_further_terms(found: Intrinsics, lens: Intrinsics) -> Intrinsics:
 
 
 def moved_calibration(calibration: Calibration, uncertainty: Uncertainty, step: Floats) -> Calibration:
-    """A calibration, to which the uncertainty belongs, a step (15,) of the columns away; its baseline stays."""
+    """A calibration, to which the uncertainty belongs, a step (21,) of the columns away; its baseline stays."""
     there = calibration_of(
         uncertainty.rig.moved(step), calibration.camera.size, calibration.projector.size, calibration.sigma
     )
     return replace(
         there,
-        camera=with_further_terms(there.camera, calibration.camera),
-        projector=with_further_terms(there.projector, calibration.projector),
+        camera=_moved(there.camera, calibration.camera, step[CAMERA]),
+        projector=_moved(there.projector, calibration.projector, step[PROJECTOR]),
         translation=calibration.baseline * there.translation,
         unit=calibration.unit,
     )
+
+
+def _moved(found: Intrinsics, lens: Intrinsics, step: Floats) -> Intrinsics:
+    p1, p2, k3 = (term + float(moved) for term, moved in zip(lens.distortion[2:], step[-3:], strict=True))
+    return replace(with_further_terms(found, lens), distortion=(*found.distortion[:2], p1, p2, k3))
 
 
 def sigmas_of(state: State, covariance: Floats) -> Sigmas:
@@ -180,10 +185,10 @@ def sigmas_of(state: State, covariance: Floats) -> Sigmas:
 
 
 def _device_sigmas(device: Floats, sigma: Floats) -> DeviceSigmas:
-    log_focal, x0, y0, k1, k2 = (float(value) for value in sigma)
-    return DeviceSigmas((float(device[0]) * log_focal,) * 2, (x0, y0), (k1, k2))
+    log_focal, x0, y0, *terms = (float(value) for value in sigma)
+    return DeviceSigmas((float(device[0]) * log_focal,) * 2, (x0, y0), tuple(terms))
 
 
 def _intrinsics(size: tuple[int, int], device: Floats) -> Intrinsics:
-    focal, x0, y0, k1, k2 = (float(value) for value in device)
-    return Intrinsics(*size, (focal, focal), (x0, y0), (k1, k2, 0.0, 0.0, 0.0))
+    focal, x0, y0, k1, k2, p1, p2, k3 = (float(value) for value in device)
+    return Intrinsics(*size, (focal, focal), (x0, y0), (k1, k2, p1, p2, k3))

@@ -3,13 +3,15 @@
 A lens moves the ideal image point x, in units of the focal length, to x (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms
 in p1, p2, with r = |x| (Brown 1971; signs and order k1, k2, p1, p2, k3 as in OpenCV).
 
-The devices of a corner's refinement are (5,): f, x_0, y_0, k1, k2, with two radial terms and none else. Boards, which
-determine more, have all five terms: `derivatives`.
+The devices of a corner's refinement are (8,): f, x_0, y_0, k1, k2, p1, p2, k3. Boards, which determine the shape of
+pixels too, have their own: `derivatives`.
 """
 
 import numpy as np
 
 from calib.numerics import Floats, by_columns, compiled
+
+PER_DEVICE = 8
 
 _NEWTON_STEPS = 30
 _CONVERGED, _INVERTED = 1e-13, 1e-9  # of a step, and of what a point that was found may be off
@@ -61,16 +63,16 @@ def derivatives(ideal: Floats, distortion: Distortion) -> tuple[Floats, Floats, 
 
 
 def unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
-    """Rays (N, 3) at z = 1 and their derivatives (N, 3, 5) by log f, x_0, y_0, k1, k2."""
-    rays, by_device = np.empty((len(pixels), 3)), np.zeros((len(pixels), 3, 5))
+    """Rays (N, 3) at z = 1 and their derivatives (N, 3, 8) by log f, x_0, y_0, k1, k2, p1, p2, k3."""
+    rays, by_device = np.empty((len(pixels), 3)), np.zeros((len(pixels), 3, PER_DEVICE))
     _unproject(device, np.ascontiguousarray(pixels, np.float64), rays, by_device)
     return rays, by_device
 
 
 def project(device: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Pixels (N, 2), their derivatives (N, 2, 3) by the point and (N, 2, 5) by log f, x_0, y_0, k1, k2."""
+    """Pixels (N, 2), their derivatives (N, 2, 3) by the point and (N, 2, 8) by the device, as in `unproject`."""
     count = len(points)
-    pixels, by_point, by_device = np.empty((count, 2)), np.empty((count, 2, 3)), np.zeros((count, 2, 5))
+    pixels, by_point, by_device = np.empty((count, 2)), np.empty((count, 2, 3)), np.zeros((count, 2, PER_DEVICE))
     _project(device, np.ascontiguousarray(points, np.float64), pixels, by_point, by_device)
     return pixels, by_point, by_device
 
@@ -184,16 +186,16 @@ def _distort_steps(ideal: Floats, steps: Floats, distortion: Distortion, distort
 
 @compiled
 def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) -> None:
-    focal, x_0, y_0, k1, k2 = device
+    focal, x_0, y_0, k1, k2, p1, p2, k3 = device
     for i in range(len(pixels)):
         # Distorted, in units of the focal length: u = (pixel − centre) / f.
         u, v = (pixels[i, 0] - x_0) / focal, (pixels[i, 1] - y_0) / focal
-        x, y = _ideal(u, v, (k1, k2, 0.0, 0.0, 0.0))
+        x, y = _ideal(u, v, (k1, k2, p1, p2, k3))
         rays[i, 0], rays[i, 1], rays[i, 2] = x, y, 1.0
 
         # J dx = du − (∂ distorted / ∂k) dk
         r2 = x * x + y * y
-        _, _, a, b, d = _distorted(x, y, (k1, k2, 0.0, 0.0, 0.0))
+        _, _, a, b, d = _distorted(x, y, (k1, k2, p1, p2, k3))
         determinant = a * d - b * b
         for column, du, dv in (
             (0, -u, -v),
@@ -201,6 +203,9 @@ def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) 
             (2, 0.0, -1 / focal),
             (3, -x * r2, -y * r2),
             (4, -x * r2 * r2, -y * r2 * r2),
+            (5, -2.0 * x * y, -(r2 + 2.0 * y * y)),
+            (6, -(r2 + 2.0 * x * x), -2.0 * x * y),
+            (7, -x * r2 * r2 * r2, -y * r2 * r2 * r2),
         ):
             by_device[i, 0, column] = (d * du - b * dv) / determinant
             by_device[i, 1, column] = (a * dv - b * du) / determinant
@@ -208,12 +213,12 @@ def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) 
 
 @compiled
 def _project(device: Floats, points: Floats, pixels: Floats, by_point: Floats, by_device: Floats) -> None:
-    focal, x_0, y_0, k1, k2 = device
+    focal, x_0, y_0, k1, k2, p1, p2, k3 = device
     for i in range(len(points)):
         z = points[i, 2]
         x, y = points[i, 0] / z, points[i, 1] / z
         r2 = x * x + y * y
-        u, v, a, b, d = _distorted(x, y, (k1, k2, 0.0, 0.0, 0.0))
+        u, v, a, b, d = _distorted(x, y, (k1, k2, p1, p2, k3))
         pixels[i, 0], pixels[i, 1] = focal * u + x_0, focal * v + y_0
         # dx = (dX − x dZ) / Z
         scale = focal / z
@@ -223,6 +228,9 @@ def _project(device: Floats, points: Floats, pixels: Floats, by_point: Floats, b
         by_device[i, 0, 1], by_device[i, 1, 2] = 1.0, 1.0
         by_device[i, 0, 3], by_device[i, 1, 3] = focal * x * r2, focal * y * r2
         by_device[i, 0, 4], by_device[i, 1, 4] = focal * x * r2 * r2, focal * y * r2 * r2
+        by_device[i, 0, 5], by_device[i, 1, 5] = focal * 2.0 * x * y, focal * (r2 + 2.0 * y * y)
+        by_device[i, 0, 6], by_device[i, 1, 6] = focal * (r2 + 2.0 * x * x), focal * 2.0 * x * y
+        by_device[i, 0, 7], by_device[i, 1, 7] = focal * x * r2 * r2 * r2, focal * y * r2 * r2 * r2
 
 
 @compiled

@@ -5,12 +5,14 @@ from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins
 from calib.refinement.further_planes import with_further_planes
 from calib.refinement.image_polynomial import CUBIC, monomials
 from calib.refinement.known_rig import KnownRig
+from calib.refinement.lens_terms import FURTHER_TERMS, LENS_CHOICES, Terms, most_probable
 from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate, misfit
 from calib.refinement.match_cells import Cells, follow_one_plane, into_cells
 from calib.refinement.noise_model import Noise, long_waves, noise_of, overdispersion
 from calib.refinement.parameters import (
     CAMERA,
     PER_CORNER,
+    PER_DEVICE,
     PER_POSE,
     PROJECTOR,
     ROTATION,
@@ -18,6 +20,7 @@ from calib.refinement.parameters import (
     TRANSLATION,
     Pose,
     State,
+    device_of,
     intrinsic_distance,
     predict,
 )

@@ -12,6 +12,7 @@ import numpy as np
 from calib.geometry import FACES, Matches, homography_between, project, unproject
 from calib.numerics import Damping, Floats, minimise
 from calib.refinement.match_cells import Cells
+from calib.refinement.parameters import without_lens
 
 # Beforehand, of the bend in units of an image's width: that of a lens with k1 = 0.1 and a focal length of half a width.
 _SIGMA = 0.4
@@ -55,7 +56,7 @@ def straighten(
 
 def _nominal(centre_px: tuple[float, float]) -> Floats:
     """A device whose focal length is its width, about twice its centre, without bend."""
-    return np.array([2 * centre_px[0] + 1, *centre_px, 0.0, 0.0])
+    return without_lens(2 * centre_px[0] + 1, np.array(centre_px))
 
 
 def _homographies(cells: Cells, camera: Floats, projector: Floats) -> Floats:
@@ -76,7 +77,8 @@ def _misfit(cells: Cells, camera: Floats, projector: Floats, parameters: Floats)
     `parameters` (29,): the homographies row by row, the camera's and the projector's bend.
     """
     camera, projector = (
-        np.array([*device[:3], bend, 0.0]) for device, bend in ((camera, parameters[-2]), (projector, parameters[-1]))
+        without_lens(device[0], device[1:3], bend)
+        for device, bend in ((camera, parameters[-2]), (projector, parameters[-1]))
     )
     homographies = parameters[:-2].reshape(3, 3, 3)[cells.plane]
     rays, by_camera = unproject(camera, cells.camera_px)

@@ -16,7 +16,7 @@ from calib.numerics import Floats
 from calib.refinement.distortion_from_planes import Straightened, straighten
 from calib.refinement.likelihood import Fit, Knowledge, evaluate
 from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import CAMERA, PROJECTOR, Pose, State
+from calib.refinement.parameters import CAMERA, PROJECTOR, Pose, State, without_lens
 from calib.refinement.profile_minimiser import relax
 
 SWEEP_CELLS = 200
@@ -56,8 +56,8 @@ class Family:
         projector_focal = np.sqrt(matrix[0, 0] * matrix[1, 1])
         bends = self.straightened.camera_bend * focal**2, self.straightened.projector_bend * projector_focal**2
         return State(
-            np.array([focal, *self.objective.principal_point_px, bends[0], 0.0]),
-            np.array([projector_focal, matrix[0, 2], matrix[1, 2], bends[1], 0.0]),
+            without_lens(focal, np.array(self.objective.principal_point_px), bends[0]),
+            without_lens(projector_focal, matrix[:2, 2], bends[1]),
             transfers.rotation[i],
             transfers.translation[i] / baseline,
             np.zeros((1, 3)),

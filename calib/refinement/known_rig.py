@@ -13,14 +13,14 @@ from calib.geometry import tangent_basis
 from calib.numerics import Floats
 from calib.refinement.parameters import ROTATION, SHARED, TRANSLATION, State
 
-# Nothing is known better than this: of a focal's logarithm, a pixel, a lens term, radians, and directions.
-_LEAST_OF_DEVICE = (1e-6, 1e-3, 1e-3, 1e-5, 1e-5)
+# Nothing is known better than this: of a focal's logarithm, a pixel, lens terms, radians, and directions.
+_LEAST_OF_DEVICE = (1e-6, 1e-3, 1e-3, 1e-5, 1e-5, 1e-6, 1e-6, 1e-5)
 _LEAST = np.array([*_LEAST_OF_DEVICE, *_LEAST_OF_DEVICE, *[1e-7] * 5])
 
 
 @dataclass(frozen=True)
 class KnownRig:
-    """The most likely `state`, whose corners are of no meaning, and the `covariance` (15, 15) of the shared columns."""
+    """The most likely `state`, whose corners are of no meaning, and the `covariance` (21, 21) of the shared columns."""
 
     state: State
     covariance: Floats
@@ -33,13 +33,13 @@ class KnownRig:
 
     @cached_property
     def precision(self) -> Floats:
-        """Its inverse, (15, 15)."""
+        """Its inverse, (21, 21)."""
         scale = np.sqrt(self.safe_covariance.diagonal())
         inverse: Floats = np.linalg.inv(self.safe_covariance / np.outer(scale, scale)) / np.outer(scale, scale)
         return inverse
 
     def step_to(self, state: State) -> Floats:
-        """From here to a state, (15,)."""
+        """From here to a state, (21,)."""
         layout = State(
             self.state.camera,
             self.state.projector,
@@ -51,7 +51,7 @@ class KnownRig:
         return layout.step_to(state)[:SHARED]
 
     def misfit(self, state: State) -> tuple[float, Floats, Floats]:
-        """Cost of a state, half its gradient (15,) and half its Hessian (15, 15) by the state's own columns."""
+        """Cost of a state, half its gradient (21,) and half its Hessian (21, 21) by the state's own columns."""
         step = self.step_to(state)
         by_columns = np.eye(SHARED)
         # Of log (exp [δ] R) by a further turn: the inverse of the left Jacobian of SO(3), to second order.

@@ -12,12 +12,15 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
 from calib.refinement.known_rig import KnownRig
+from calib.refinement.lens_terms import FURTHER_TERMS
 from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
+from calib.refinement.parameters import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict, without_lens
 from calib.refusal import PHOTOS, RIG, Wording
 
 SQUARENESS_DEG = 0.3  # how far walls of ordinary rooms are from square: standard deviation of each angle
 ROBUST_SIGMAS = 3.0
+# One sigma of what ordinary lenses have of k1, k2, p1, p2, k3.
+_LENS_SIGMA = (0.1, 0.03, 1e-3, 1e-3, 0.01)
 _LEAST_IN_FRONT = 0.98
 _BEHIND = 100.0  # the cost of a cell behind a device, like one ten sigmas off
 
@@ -76,7 +79,8 @@ class Knowledge:
     standard deviation (0: exactly known), and how square corners are (standard deviation of the angles; 0: exactly).
 
     `one_camera`: both images are photos by one unchanged camera, with one radial term. `focal_px`: the camera's focal
-    length with its standard deviation, where something is known of it. `rig`: what other data say of it.
+    length with its standard deviation, where something is known of it. `rig`: what other data say of it. `terms`: the
+    columns of `FURTHER_TERMS` that the lenses may have; they have none of the others.
     """
 
     camera_size: tuple[int, int]
@@ -87,6 +91,16 @@ class Knowledge:
     one_camera: bool = False
     focal_px: tuple[float, float] | None = None
     rig: KnownRig | None = None
+    terms: tuple[int, ...] = ()
+
+    def with_all_terms(self, views: int) -> "Knowledge":
+        """The same for lenses that may have every term that so many views of corners, or of a room, can tell of.
+
+        Two photos hardly tell even k2; of boards' rigs the boards have told. To one view of a corner, tangential terms
+        do what angles do that are not known.
+        """
+        tell = views > 1 or self.squareness_deg == 0
+        return replace(self, terms=FURTHER_TERMS) if tell and not self.one_camera and self.rig is None else self
 
     @property
     def words(self) -> Wording:
@@ -97,15 +111,16 @@ class Knowledge:
         """As a prior on the columns of states like `layout`.
 
         Beside what is known of this rig, what holds for any lens that is sold: a projector's focal of one image width
-        within a factor of two and its principal point within half an image height of the centre, k1 within 0.1 and k2
-        within 0.03 of zero (1 sigma each). A capture that determines the focals to a few per cent does not feel it. The
-        camera's focal has no prior but the range that is swept, unless something is known of it. What other data say
-        of the rig takes the place of all this.
+        within a factor of two and its principal point within half an image height of the centre, k1 within 0.1, k2
+        within 0.03, p1 and p2 within 0.001 and k3 within 0.01 of zero (1 sigma each). A capture that determines the
+        focals to a few per cent does not feel it. The camera's focal has no prior but the range that is swept, unless
+        something is known of it. What other data say of the rig takes the place of all this.
         """
         mean, sigma = np.zeros(layout.size), np.full(layout.size, np.inf)
         for device, (width, height) in ((CAMERA, self.camera_size), (PROJECTOR, self.projector_size)):
-            mean[device] = [np.log(1.2 * width), (width - 1) / 2, (height - 1) / 2, 0.0, 0.0]
-            sigma[device] = [0.7, height / 2, height / 2, 0.1, 0.03]
+            mean[device] = without_lens(np.log(1.2 * width), np.array([width - 1, height - 1]) / 2)
+            sigma[device] = [0.7, height / 2, height / 2, *_LENS_SIGMA]
+        sigma[[column for column in FURTHER_TERMS if column not in self.terms]] = 0.0
         centre = slice(CAMERA.start + 1, CAMERA.start + 3)
         mean[centre], sigma[centre] = self.principal_point_px, self.principal_point_sigma_px
         sigma[CAMERA.start] = np.inf
@@ -113,7 +128,7 @@ class Knowledge:
             focal, spread = self.focal_px
             mean[CAMERA.start], sigma[CAMERA.start] = np.log(focal), spread / focal
         if self.one_camera:
-            sigma[CAMERA.stop - 1] = 0.0  # two photos hardly tell k2 from k1
+            sigma[CAMERA.start + 4] = 0.0  # two photos hardly tell k2 from k1
             sigma[PROJECTOR] = 0.0  # those columns move with the camera's
         if self.rig is not None:
             sigma[:SHARED][sigma[:SHARED] > 0] = np.inf
@@ -202,10 +217,10 @@ def misfit(
         for a in range(count):
             by_x, by_y = weight * jacobian[i, 0, a], weight * jacobian[i, 1, a]
             slope[a] += by_x * x + by_y * y
-            for b in range(count):
+            for b in range(a + 1):
                 curvature[a, b] += by_x * jacobian[i, 0, b] + by_y * jacobian[i, 1, b]
     for a in range(count):
         gradient[columns[a]] += slope[a]
         for b in range(count):
-            information[columns[a], columns[b]] += curvature[a, b]
+            information[columns[a], columns[b]] += curvature[max(a, b), min(a, b)]
     return cost if behind <= (1 - _LEAST_IN_FRONT) * len(predicted) else np.inf

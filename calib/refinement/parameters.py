@@ -1,12 +1,13 @@
 """Minimal parameters of a rig before corners, what they predict of each match, and the exact derivatives.
 
 A camera pixel is unprojected, its ray meets the plane that it is on, and the point is projected into the projector.
-Lengths are in baselines: |translation| = 1. Both lenses have two radial terms.
+Lengths are in baselines: |translation| = 1.
 
-Columns of every step, gradient and Hessian: camera log f, x_0, y_0, k1, k2; the same for the projector; rotation (3);
-direction of the translation (2); three angles off square for each corner; then, for each pose of a corner, its rotation
-(3), its vertex (3, as a share of its distance), and for each further plane two tilts and its height; then, for each
-further photo, its rotation (3), the direction of its translation (2) and the logarithm of that one's length.
+Columns of every step, gradient and Hessian: camera log f, x_0, y_0, k1, k2, p1, p2, k3; the same for the projector;
+rotation (3); direction of the translation (2); three angles off square for each corner; then, for each pose of a
+corner, its rotation (3), its vertex (3, as a share of its distance), and for each further plane two tilts and its
+height; then, for each further photo, its rotation (3), the direction of its translation (2) and the logarithm of that
+one's length.
 """
 
 from dataclasses import dataclass, replace
@@ -15,14 +16,16 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import FACES, Motion, depths_on_planes, polar, rotation_about, tangent_basis
+from calib.geometry import FACES, Intrinsics, Motion, depths_on_planes, polar, rotation_about, tangent_basis
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Floats, Ints
 from calib.refinement.reprojection_jacobians import chain, face_normals, meet, move
 
-CAMERA, PROJECTOR = slice(0, 5), slice(5, 10)
-ROTATION, TRANSLATION = slice(10, 13), slice(13, 15)
-SHARED = 15
+PER_DEVICE = lens.PER_DEVICE
+CAMERA, PROJECTOR = slice(0, PER_DEVICE), slice(PER_DEVICE, 2 * PER_DEVICE)
+ROTATION, TRANSLATION = slice(16, 19), slice(19, 21)
+SHARED = 21
+TANGENTIAL, THIRD_RADIAL = (5, 6), (7,)  # of a device, beside two radial terms: only where matches tell of them
 PER_CORNER, PER_POSE, PER_PLANE, PER_MOTION = 3, 6, 3, 6
 
 # Of the distance to the vertex, and as an angle in radians: closer views see the same light through the same optics.
@@ -65,7 +68,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class State:
-    """`camera`, `projector`: (5,) f, x_0, y_0, k1, k2. `rotation` (3, 3), `translation` (3,) of unit length.
+    """`camera`, `projector`: (8,) f, x_0, y_0, k1, k2, p1, p2, k3. `rotation` (3, 3), `translation` (3,), unit length.
 
     `off_square` (G, 3): for each corner the angles in radians by which the faces (B, C), (C, A), (A, B) are off square.
     `one_camera`: the second device is the first at another place. The camera's columns then move both, and those of the
@@ -210,6 +213,16 @@ class State:
         """Where the rays of camera pixels (N, 2) meet the faces (N,) that they are on, (N, 3) in the camera's frame."""
         rays, _ = lens.unproject(self.camera, camera_px)
         return depths_on_planes(rays, self.normals(capture)[plane], self.pose(capture).vertex)[:, None] * rays
+
+
+def device_of(intrinsics: Intrinsics) -> Floats:
+    """(8,) of a device, whose pixels are taken for square by their width."""
+    return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion])
+
+
+def without_lens(focal_px: float, centre_px: Floats, k1: float = 0.0) -> Floats:
+    """(8,) of a device with at most one radial term."""
+    return np.array([focal_px, *centre_px, k1, 0.0, 0.0, 0.0, 0.0])
 
 
 def intrinsic_distance(a: State, b: State) -> Floats:

@@ -16,7 +16,7 @@ from calib.numerics import Floats
 from calib.refinement.distortion_from_planes import Straightened, straighten
 from calib.refinement.likelihood import Knowledge
 from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import Pose, State
+from calib.refinement.parameters import Pose, State, without_lens
 
 _GRID = (-0.2, -0.1, 0.0, 0.1, 0.2)  # principal points to try, in image widths off the expected one
 _STARTS = 1  # principal points to start from, for each focal and each of the two corners
@@ -42,7 +42,7 @@ class PhotoFamily:
             focals = np.concatenate([focal_px, focal_px])
             costs[p] = np.where(usable, objective_of_photos(transfers.matrix, focals, point), np.inf)
             for i in np.flatnonzero(usable):
-                camera = np.array([focals[i], *point, self._bend * focals[i] ** 2, 0.0])
+                camera = without_lens(focals[i], point, self._bend * focals[i] ** 2)
                 baseline = np.linalg.norm(transfers.translation[i])
                 states[p, int(i)] = State(
                     camera,

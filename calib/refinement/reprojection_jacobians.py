@@ -48,7 +48,7 @@ def meet(
 
     dX = depth (dr − r n·dr / n·r) + r / (n·r) (dn·(vertex − X) + n·dvertex + dheight)
 
-    Filled in, zero before, are derivatives by the camera (5), the corner's angles (3), its rotation (3) and vertex (3,
+    Filled in, zero before, are derivatives by the camera (8), the corner's angles (3), its rotation (3) and vertex (3,
     as a share of its distance) and, for each plane behind the three faces, two tilts and the height.
     """
     points, depths = np.empty((len(rays), 3)), np.empty(len(rays))
@@ -119,7 +119,7 @@ def move(
 def chain(by_point: Floats, point_by_columns: Floats, by_device: Floats, first: int) -> Floats:
     """A pixel's derivatives by the point (N, 2, 3) times the point's (N, 3, columns) → (N, 2, columns).
 
-    Those by the device itself (N, 2, 5) are added from column `first` on.
+    Those by the device itself (N, 2, 8) are added from column `first` on.
     """
     by_columns = np.empty((len(by_point), 2, point_by_columns.shape[2]))
     for i in range(len(by_point)):

@@ -5,7 +5,7 @@ corner alone has to take them for square. A plane that one station sees counts, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -87,7 +87,7 @@ class RoomEstimate:
 
     @property
     def rig_covariance(self) -> Floats:
-        """(15, 15), as of a calibration."""
+        """(21, 21), as of a calibration."""
         return self.covariance[:SHARED, :SHARED]
 
     def place_covariance(self, station: int) -> Floats:
@@ -134,21 +134,28 @@ def estimate_room(
     room = Room(rig_of(start), tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
     reach = _reach(room, in_front(room, patches))
-    known = RoomPrior.of(prior, square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
+    # Lens terms that there may not be would make up for ties that are wrong.
+    known = RoomPrior.of(prior.holding(prior.terms), square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
     patches, known, fit, variances = without_wrong_ties(*fit_roughly(patches, room, known))
+    known = replace(known, rig=prior)
     free = known.free(seen(fit.room, patches))
     for _ in range(_ROUNDS):
         levels = measured(patches, fit, variances, free, _repeats(fit.room, reach))
         variances = levels.variances(patches)
         fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.room, known, variances, free)
+    rig, without, of_terms = known.rig.chosen(fit.room.rig, covariance_of(fit.information, free))
+    if prior.terms:
+        known = replace(known, rig=rig)
+        free = known.free(seen(fit.room, patches))
+        fit = minimise(patches, replace(fit.room, rig=without), known, variances, free)
     contacts: tuple[Contact, ...] = ()
     for share in NEAR if loose else ():
         contacts = find_contacts(loose, fit.room, [noise.match_px for noise in levels.stations], share * reach)
         fit = minimise(patches, fit.room, known, variances, free, contacts=contacts)
 
     of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
-    covariance = levels.alike * (covariance_of(fit.information, free) + of_waves)
+    covariance = levels.alike * (covariance_of(fit.information, free) + of_terms + of_waves)
     covariance += covariance_of_shifts(patches, fit, variances, free, levels, shifts)
     for plane in range(len(fit.room.planes)):
         columns = fit.room.plane_columns(plane)

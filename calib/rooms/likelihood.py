@@ -4,13 +4,25 @@ Cells deviate in projector pixels under Huber's loss, as in `calib.refinement.li
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.geometry import tangent_basis
 from calib.numerics import Bools, Damping, Floats, Quadratic, descend
-from calib.refinement import SHARED, TRANSLATION, Knowledge, Pose, State, inverse_of, misfit
+from calib.refinement import (
+    FURTHER_TERMS,
+    LENS_CHOICES,
+    SHARED,
+    TRANSLATION,
+    Knowledge,
+    KnownRig,
+    Pose,
+    State,
+    inverse_of,
+    misfit,
+    most_probable,
+)
 from calib.rooms.contacts import Contact
 from calib.rooms.patches import PER_PATCH, Patch, carried, columns_of, predict_patch
 from calib.rooms.room import Room
@@ -24,13 +36,15 @@ _BEHIND = 100.0  # the cost of a cell of a patch behind a device, like one ten s
 
 @dataclass(frozen=True, eq=False)
 class RigPrior:
-    """Gaussian prior on the rig: its `mean`, the `precision` (15, 15) of the step from there, and which columns (15,)
-    are `known`, that is, held where the start has them.
+    """Gaussian prior on the rig: its `mean`, the `precision` (21, 21) of the step from there, and which columns (21,)
+    are `known`, that is, held where the start has them. `terms`: those lens terms that are zero unless the matches tell
+    of them, which they have not been asked yet.
     """
 
     mean: State
     precision: Floats
     known: Bools
+    terms: tuple[int, ...] = ()
 
     @classmethod
     def from_knowledge(cls, knowledge: Knowledge, start: State) -> "RigPrior":
@@ -42,17 +56,19 @@ class RigPrior:
         prior = knowledge.prior(layout)
         mean = start.moved(_to_mean(start, prior.mean[:SHARED], prior.sigma[:SHARED]))
         precision = np.diag(prior.root_precision[:SHARED] ** 2)
-        return cls(mean, precision, prior.sigma[:SHARED] == 0)
+        terms = tuple(column for column in FURTHER_TERMS if prior.sigma[column] > 0)
+        return cls(mean, precision, prior.sigma[:SHARED] == 0, terms)
 
     @classmethod
     def from_calibration(cls, calibrated: State, covariance: Floats) -> "RigPrior":
-        """A calibration from other matches than the stations', with its `covariance` (15 or more columns, square);
+        """A calibration from other matches than the stations', with its `covariance` (21 or more columns, square);
         a column without variance is known.
         """
         of_rig = covariance[:SHARED, :SHARED]
         known = np.diag(of_rig) <= 0
         precision = np.zeros((SHARED, SHARED))
-        precision[np.ix_(~known, ~known)] = inverse_of(of_rig[np.ix_(~known, ~known)])
+        safe = KnownRig(calibrated, of_rig).safe_covariance
+        precision[np.ix_(~known, ~known)] = inverse_of(safe[np.ix_(~known, ~known)])
         return cls(rig_of(calibrated), precision, known)
 
     @classmethod
@@ -60,8 +76,29 @@ class RigPrior:
         """The rig as it was calibrated, all of it held."""
         return cls(rig_of(calibrated), np.zeros((SHARED, SHARED)), np.ones(SHARED, np.bool_))
 
+    def chosen(self, found: State, covariance: Floats) -> tuple["RigPrior", State, Floats]:
+        """The same without those `terms` that an estimate with all of them, and its `covariance` (size, size), gives no
+        evidence for; the rig without them; and what the other choices add to the covariance, (size, size).
+        """
+        if not self.terms:
+            return self, found, np.zeros_like(covariance)
+        sigma = np.zeros(SHARED)
+        sigma[list(self.terms)] = np.diag(self.precision)[list(self.terms)] ** -0.5
+        told = most_probable(found.additive(), covariance, sigma, LENS_CHOICES)
+        left_out = list(told.zero)
+        step = np.zeros(SHARED)
+        step[left_out] = -found.additive()[left_out]
+        return replace(self.holding(told.zero), terms=()), found.moved(step), told.spread
+
+    def holding(self, columns: Sequence[int]) -> "RigPrior":
+        """The same with some columns held where the start has them."""
+        known, precision = self.known.copy(), self.precision.copy()
+        known[list(columns)] = True
+        precision[list(columns)] = precision[:, list(columns)] = 0.0
+        return replace(self, precision=precision, known=known)
+
     def cost(self, rig: State) -> tuple[float, Floats, Floats]:
-        """Of a rig, with half its gradient (15,) and Hessian (15, 15) in the coordinates of a step from it."""
+        """Of a rig, with half its gradient (21,) and Hessian (21, 21) in the coordinates of a step from it."""
         by_step = np.eye(SHARED)
         by_step[TRANSLATION, TRANSLATION] = tangent_basis(self.mean.translation).T @ tangent_basis(rig.translation)
         deviation = self.mean.step_to(rig)
@@ -75,7 +112,7 @@ def rig_of(state: State) -> State:
 
 
 def _to_mean(start: State, mean: Floats, sigma: Floats) -> Floats:
-    """The step (15,) to the mean of what has a prior; nothing else moves."""
+    """The step (21,) to the mean of what has a prior; nothing else moves."""
     told = np.isfinite(sigma) & (sigma > 0)
     return np.where(told, mean - rig_of(start).additive(), 0.0)
 

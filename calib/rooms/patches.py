@@ -1,7 +1,7 @@
 """A plane of the room as one station sees it: what the room predicts of its cells, and how that changes.
 
-Whatever moves, a patch sees of it the rig's 15 columns and three of its own, the plane's tilts and offset before the
-camera. So its cells are summed into those 18, and the sums are carried over to the room's columns.
+Whatever moves, a patch sees of it the rig's 21 columns and three of its own, the plane's tilts and offset before the
+camera. So its cells are summed into those 24, and the sums are carried over to the room's columns.
 """
 
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ def patches_of(stations: Sequence[Cells], plane_of: Sequence[Sequence[int]]) -> 
 
 
 def predict_patch(room: Room, patch: Patch, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
-    """Projector pixels (N, 2) of its cells, or of camera pixels (N, 2), their Jacobian (N, 2, 18), and depths (N, 2).
+    """Projector pixels (N, 2) of its cells, or of camera pixels (N, 2), their Jacobian (N, 2, 24), and depths (N, 2).
 
     Depths are those before both devices, not positive where the prediction means nothing.
     """
@@ -69,7 +69,7 @@ def points_of(room: Room, patch: Patch) -> Floats:
 
 
 def columns_of(room: Room, patch: Patch) -> Ints:
-    """The room's columns that a patch depends on, (24,): those of the rig, its station's place and its plane."""
+    """The room's columns that a patch depends on, (30,): those of the rig, its station's place and its plane."""
     every = np.arange(room.size, dtype=np.int32)
     return np.concatenate(
         [every[:SHARED], every[room.place_columns(patch.station)], every[room.plane_columns(patch.plane)]]
@@ -77,7 +77,7 @@ def columns_of(room: Room, patch: Patch) -> Ints:
 
 
 def carried(room: Room, patch: Patch) -> Floats:
-    """How the patch's columns follow `columns_of`, (18, 24).
+    """How the patch's columns follow `columns_of`, (24, 30).
 
     Before the camera the plane n · X = d is Rᵀn · X = d − n · t. A turn ω of the place tilts it by eₖ · (n × ω) along
     each eₖ of the normal's tangent basis, a tilt a of the plane moves it by −a eₖ · t, too.

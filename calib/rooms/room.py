@@ -2,7 +2,7 @@
 
 Lengths are in the rig's baselines. The room's frame is the camera's at the first station.
 
-Columns of every step, gradient and Hessian: the 15 of the rig, as in `calib.refinement`; for each station the rotation
+Columns of every step, gradient and Hessian: the 21 of the rig, as in `calib.refinement`; for each station the rotation
 (3) about the room's axes and the translation (3) of its place; for each plane two tilts, along `tangent_basis` of its
 normal, and its offset.
 """

@@ -8,12 +8,13 @@ import numpy as np
 from calib.diagnostics import Uncertainty, with_further_terms
 from calib.geometry import Calibration, Intrinsics, Matches
 from calib.numerics import Floats
-from calib.refinement import SHARED, KnownRig
+from calib.refinement import FURTHER_TERMS, SHARED, KnownRig
+from calib.refinement.parameters import TANGENTIAL, THIRD_RADIAL
 
 
 @dataclass(frozen=True)
 class KnownCalibration:
-    """A Gaussian summary: the most likely `calibration`, and the covariance of its fifteen columns and its length.
+    """A Gaussian summary: the most likely `calibration`, and the covariance of its columns and its length.
 
     Lens terms beyond these columns, and the shape of the pixels, stay as they are. How unsure they are has to be in
     the covariance, as what the columns would do in their place. `freer`: the same with lens terms that those data left
@@ -26,8 +27,13 @@ class KnownCalibration:
 
     @cached_property
     def rig(self) -> KnownRig:
-        """As a prior on what all captures share."""
-        return KnownRig(self.uncertainty.rig, self.uncertainty.covariance)
+        """As a prior on what all captures share, for matches `without_further_terms`."""
+        rig = self.uncertainty.rig
+        camera, projector = (device.copy() for device in (rig.camera, rig.projector))
+        camera[[*TANGENTIAL, *THIRD_RADIAL]] = projector[[*TANGENTIAL, *THIRD_RADIAL]] = 0.0
+        covariance, further = self.uncertainty.covariance.copy(), list(FURTHER_TERMS)
+        covariance[further] = covariance[:, further] = 0.0
+        return KnownRig(replace(rig, camera=camera, projector=projector), covariance)
 
     def without_further_terms(self, matches: Matches) -> Matches:
         """The matches as devices with square pixels and two radial terms would have them."""
@@ -46,7 +52,7 @@ class KnownCalibration:
         )
 
     def with_log_baseline(self, covariance: Floats) -> Floats:
-        """The covariance of the baseline's logarithm with the columns, (15,), where theirs is now this one, (15, 15).
+        """The covariance of the baseline's logarithm with the columns, (21,), where theirs is now this one, (21, 21).
 
         Captures of a corner say nothing of lengths but through the columns.
         """

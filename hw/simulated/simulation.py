@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry import Calibration
+from calib.geometry import Calibration, Motion
 from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
@@ -16,7 +16,7 @@ from hw.simulated.placement import resized
 from hw.simulated.renderer import Renderer, build_renderer
 from hw.simulated.room import Room, draw_room
 from hw.simulated.sensor import build_sensor
-from hw.simulated.truth import GroundTruth, true_calibration, true_view
+from hw.simulated.truth import GroundTruth, true_calibration, true_place, true_view
 
 # A stream of random numbers for paint and rays, apart from those of `draw_room`, which are numbered from 0.
 _RENDERING_STREAM = 100
@@ -101,6 +101,11 @@ class SimulatedRoom:
     def calibration(self) -> Calibration | None:
         """The true calibration in frame 0, in metres; None if no pinhole throws the picture."""
         return true_calibration(self.room, self.renderer.picture.shape)
+
+    @property
+    def place(self) -> Motion:
+        """Where the rig stands in frame 0."""
+        return true_place(self.room)
 
     def ground_truth(self) -> GroundTruth:
         """What is true of each camera pixel in frame 0."""

@@ -28,11 +28,10 @@ def next_place(
     `enough`: so much is known by now that a further capture is not needed.
     """
     if step and not moves_by_itself(settings):
-        way = "Enter" if not enough else "Enter for one more"
-        question = (
+        if_wanted = ", if you want one more" if enough else ""
+        if not operator.ready(
             f"Capture {step} of {number} is done. Move the rig as a whole, so that it sees the same corner from "
-            f"another side; then press {way}, or q and Enter to go on with what there is: "
-        )
-        if operator.ask(question).strip().lower().startswith("q"):
+            f"another side{if_wanted}"
+        ):
             return None
     return at_place(settings, step)

@@ -16,6 +16,7 @@ from scanner.checking.light import Light, grey, photograph_light
 from scanner.checking.report import CheckRow, State
 from scanner.decoding.motion import Fit, fit_motion, shifts_by_motion, who_moved
 from scanner.patterns import Axis, Pattern, Phase, phase_sequence
+from scanner.quantities import plain
 
 _NAME = "steadiness"
 _STEPS = 4
@@ -62,7 +63,7 @@ def row_of(fit: Fit, percent: float, seconds: float) -> CheckRow:
     px = float(np.hypot(*fit.motion.reshape(2, -1)[:, :2].T).max())
     sure = fit.significance > _SURE
     moving = f"{who_moved(fit.motion)}" if sure else "nothing moved by more than noise"
-    finding = f"within {seconds:.0f} s {moving}, and white changed by {percent:+.2f} %"
+    finding = f"within {seconds:.0f} s {moving}, and white changed by {plain(percent, 2, signed=True)} %"
     advice = []
     if sure and px > _MOST_PX:
         advice.append("Fasten what moves, or let it settle: a capture tolerates a tenth of a pixel.")

@@ -7,6 +7,7 @@ from scanner.quantities import calibration_table, truth_line
 from scanner.results import (
     CALIBRATION_FILE,
     CLOUD_FILE,
+    DECISIVE,
     MERGED_FILE,
     REPORT_FILE,
     Scan,
@@ -15,9 +16,6 @@ from scanner.results import (
     titles_of,
 )
 from scanner.ui import Terminal
-
-# The verdict begins with how well lengths are known, and what its grade rests on.
-_DECISIVE = 2
 
 
 def show_outcome(scan: Scan, out: Path, terminal: Terminal, remarks: Sequence[str] = ()) -> None:
@@ -43,7 +41,7 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal, remarks: Sequence[st
     files = (REPORT_FILE, CLOUD_FILE, *((MERGED_FILE,) if scan.merged else ()), CALIBRATION_FILE)
     terminal.show(f"Result: {out} ({', '.join(files)})")
     if verdict := read_verdict(out / CALIBRATION_FILE):
-        terminal.show(*conclusion(verdict, f"scan view {out} shows it, scan measure {out} measures in it.", _DECISIVE))
+        terminal.show(*conclusion(verdict, f"scan view {out} shows it, scan measure {out} measures in it.", DECISIVE))
 
 
 def conclusion(verdict: Verdict, otherwise: str, most: int | None = None) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """Configuration files: their schema, and changes to them that keep comments."""
 
-from scanner.configuration.edit import set_keys
+from scanner.configuration.edit import check_text, set_keys, write_text
 from scanner.configuration.schema import (
     CONFIGURATION_KEY,
     CharucoSettings,

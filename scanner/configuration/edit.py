@@ -30,7 +30,26 @@ def set_keys(path: Path, values: Mapping[str, object]) -> Path:
     changed = text.removeprefix(mark)
     for key, value in values.items():
         changed = with_key(changed, key, value, str(path))
-    validate(Config, parse_yaml(changed, str(path)), str(path))
+    check_text(changed, path)
+    return _replace(path, mark + changed)
+
+
+def check_text(text: str, path: Path) -> None:
+    """Raise InputError if a text is no configuration, naming `path`."""
+    validate(Config, parse_yaml(text.removeprefix(_MARK), str(path)), str(path))
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Replace a configuration file by a text as it is, with its comments; returns where the first one is kept.
+
+    Raises InputError, with nothing changed, if it is no configuration, or cannot be written.
+    """
+    check_text(text, path)
+    return _replace(path, text)
+
+
+def _replace(path: Path, text: str) -> Path:
+    real = path.resolve()
     backup = real.with_name(real.name + BACKUP_SUFFIX)
     fresh = real.with_name(f".{real.name}.{os.getpid()}.partial")
     try:
@@ -38,7 +57,7 @@ def set_keys(path: Path, values: Mapping[str, object]) -> Path:
             shutil.copy2(real, backup)
         shutil.copy2(real, fresh)  # for its permissions
         with fresh.open("w", encoding="utf-8", newline="") as file:
-            file.write(mark + changed)
+            file.write(text)
             file.flush()
             os.fsync(file.fileno())
         fresh.replace(real)

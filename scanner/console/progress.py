@@ -1,9 +1,13 @@
 """Progress of what the worker does, for the page; and the place where it is stopped when the operator cancels."""
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
 from threading import Event
 from typing import TypeVar
 
@@ -13,6 +17,9 @@ T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
+_STEP = re.compile(r"(\S+ \S+),\d+ INFO scanner\.(?:ui\.terminal|console\.progress): (.*?)(?:: \d+)?$")
+_LOG_BYTES = 1 << 20
+
 
 class CancelledError(Exception):
     """The operator does not want this any more."""
@@ -20,47 +27,94 @@ class CancelledError(Exception):
 
 @dataclass(frozen=True)
 class Stage:
-    """What is being done now; `done` of `total` things, or 0 of 0 where they cannot be counted."""
+    """What is being done now; `done` of `total` things, or 0 of 0 where they cannot be counted.
+
+    `began_s`: when, by `time.monotonic`; `usual_s`: how long it took the last time, None if that is not known.
+    """
 
     what: str
     done: int = 0
     total: int = 0
+    began_s: float = field(default_factory=time.monotonic, compare=False)
+    usual_s: float | None = field(default=None, compare=False)
 
     @property
     def percent(self) -> float:
         """From 0 to 100."""
         return 100.0 * self.done / self.total if self.total else 0.0
 
+    def left_s(self, now_s: float) -> float | None:
+        """How long it will take from now on, as far as can be told."""
+        elapsed_s = now_s - self.began_s
+        if self.total and self.done:
+            whole_s = elapsed_s * self.total / self.done
+        elif self.usual_s is not None:
+            whole_s = self.usual_s
+        else:
+            return None
+        return max(0.0, whole_s - elapsed_s)
+
 
 class StagedProgress:
     """`scanner.ui.progress.Progress` for a page: tells `on_stage`, and shows frames that go by to `on_frame`.
 
-    Raises CancelledError between two frames, and before a step, once `cancelled` is set.
+    `durations_s` of steps by what they are called are looked up in it, and written down there. `on_captured` is called
+    when the last of some frames has been taken. Raises CancelledError between two frames, and before a step, once
+    `cancelled` is set.
     """
 
-    def __init__(self, cancelled: Event, on_stage: Callable[[Stage], None], on_frame: Callable[[Frame], None]) -> None:
+    def __init__(
+        self,
+        cancelled: Event,
+        on_stage: Callable[[Stage], None],
+        on_frame: Callable[[Frame], None],
+        on_captured: Callable[[], None] = lambda: None,
+        durations_s: dict[str, float] | None = None,
+    ) -> None:
         self._cancelled = cancelled
         self._on_stage = on_stage
         self._on_frame = on_frame
+        self._on_captured = on_captured
+        self._durations_s = {} if durations_s is None else durations_s
 
     def track(self, items: Iterable[T], total: int, what: str) -> Iterator[T]:
         """Pass `items` on, and tell how many went by."""
         log.info("%s: %d", what, total)
-        self._tell(Stage(what, 0, total))
+        began_s, frames = time.monotonic(), False
+        usual_s = self._durations_s.get(what)
+        self._tell(Stage(what, 0, total, began_s, usual_s))
         for done, item in enumerate(items, start=1):
             if isinstance(item, tuple) and isinstance(item[-1], Frame):  # (pattern, frame)
                 self._on_frame(item[-1])
+                frames = True
             yield item
-            self._tell(Stage(what, done, total))
+            self._tell(Stage(what, done, total, began_s, usual_s))
+        self._durations_s[what] = time.monotonic() - began_s
+        if frames:
+            self._on_captured()
 
     @contextmanager
     def step(self, what: str) -> Iterator[None]:
         """Tell what is being done."""
         log.info("%s", what)
-        self._tell(Stage(what))
+        stage = Stage(what, usual_s=self._durations_s.get(what))
+        self._tell(stage)
         yield
+        self._durations_s[what] = time.monotonic() - stage.began_s
 
     def _tell(self, stage: Stage) -> None:
         if self._cancelled.is_set():
             raise CancelledError("cancelled")
         self._on_stage(stage)
+
+
+def durations_in(path: Path) -> Mapping[str, float]:
+    """How long the steps of a scan took, in seconds, from its log; empty where that cannot be read."""
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            found = [match.groups() for line in file.read(_LOG_BYTES).splitlines() if (match := _STEP.match(line))]
+        times = [datetime.fromisoformat(when) for when, _ in found]
+    except (OSError, ValueError):
+        return {}
+    steps = zip(found, times, times[1:], strict=False)
+    return {what: (end - begin).total_seconds() for (_, what), begin, end in steps}

@@ -15,3 +15,8 @@ def earlier_results(folder: Path = SCANS) -> tuple[Path, ...]:
     except OSError:
         return ()  # nothing was scanned yet
     return tuple(sorted(found, key=lambda path: ((path / LOG_FILE).stat().st_mtime, path.name), reverse=True))
+
+
+def newest_result(folder: Path = SCANS) -> Path | None:
+    """The newest of them; None where there is none."""
+    return next(iter(earlier_results(folder)), None)

@@ -19,11 +19,11 @@ def console(settings: Settings, host: str, port: int | None, terminal: Terminal,
     config = settings.load()
     required = (config.required_rig, config.camera_size, config.projector_size)  # said in the terminal if missing
     log.info("console for %s", required)
-    with serving(f"Console: {settings.config.stem}", host, port) as (server, where):
-        page = ConsolePage(server, settings)
+    with serving(f"Console: {settings.config.stem}", host, port) as served:
+        page = ConsolePage(served, settings)
         try:
             page.start()
-            invite(where, host, terminal, browser=browser)
+            invite(served.address, host, terminal, browser=browser)
             wait()
         finally:
             with finishing(ending=True):

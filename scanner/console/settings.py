@@ -28,7 +28,7 @@ class Picture(StrEnum):
 class Settings:
     """The configuration's file and overrides, and on top of them what was changed on the page; None: left as it is.
 
-    `name`: of the next result; '' for the configuration's.
+    `name`: of the next result; '' for the configuration's. `captures`: how many a scan takes.
     """
 
     config: Path
@@ -37,6 +37,7 @@ class Settings:
     gain: float | None = None
     picture: Picture = Picture.WHITE
     name: str = ""
+    captures: int = 1
 
     def load(self) -> Config:
         """The configuration as it is now, also if the file was edited meanwhile. Raises InputError."""

@@ -1,22 +1,55 @@
-"""What the page says, as Markdown."""
+"""What the page says, as Markdown and HTML."""
+
+import time
+from datetime import datetime
+
+from markupsafe import escape
 
 from scanner.checking.report import CheckRow, State
+from scanner.console.history_cards import Card
 from scanner.console.worker import Status
-from scanner.viewing.texts import escaped
+from scanner.results import SIGNS
+from scanner.viewing.texts import bold, escaped
 
 _SIGNS = {State.OK: "✓", State.POOR: "!", State.FAILED: "✗"}
+_WORTH_TELLING_S = 5.0
 
 
 def status_text(status: Status) -> str:
     """What is being done, or how the last thing ended."""
     if status.message:
-        return "\n\n".join(f"**{escaped(line)}**" for line in status.message.splitlines() if line.strip())
+        return bold(status.message)
+    if status.question:
+        return f"**{escaped(status.question)}.**"
     if status.cancelling:
         return f"**{status.activity}**: stopping after the present step …"
     if status.stage is None:
         return f"**{status.activity}**"
     counted = f", {status.stage.done} of {status.stage.total}" if status.stage.total else ""
-    return f"**{status.activity}**: {escaped(status.stage.what)}{counted}"
+    return f"**{status.activity}**: {escaped(status.stage.what)}{counted}{_time_text(status)}"
+
+
+def _time_text(status: Status) -> str:
+    """How long it still takes, or where nothing tells, how long it has taken; '' for a moment."""
+    stage = status.stage
+    if stage is None or not status.busy:
+        return ""
+    now_s = time.monotonic()
+    left_s = stage.left_s(now_s)
+    if left_s is None:
+        elapsed_s = now_s - stage.began_s
+        return f", {_duration(elapsed_s)} so far" if elapsed_s >= _WORTH_TELLING_S else ""
+    worth = left_s + now_s - stage.began_s >= _WORTH_TELLING_S
+    return f", about {_duration(left_s)} left" if worth else ""
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+
+
+def told_text(told: tuple[str, ...]) -> str:
+    """What the operator is told between captures."""
+    return "\n".join(f"- {escaped(sentence)}" for sentence in told)
 
 
 def rows_text(rows: list[CheckRow]) -> str:
@@ -27,3 +60,24 @@ def rows_text(rows: list[CheckRow]) -> str:
         if row.advice:
             lines.append(f"  → {escaped(row.advice)}")
     return "\n".join(lines)
+
+
+def grade_text(rows: list[CheckRow]) -> str:
+    """What all rows of a check come to."""
+    failed, poor = (sum(row.state is state for row in rows) for state in (State.FAILED, State.POOR))
+    if failed:
+        return f"**✗ A scan would fail**: {failed} of {len(rows)} lines say why."
+    if poor:
+        return f"**! A scan works, but could be better**: {poor} of {len(rows)} lines say how."
+    return f"**✓ Ready to scan**: all {len(rows)} lines are good."
+
+
+def card_html(card: Card) -> str:
+    """A result in the history: its picture, name, date, and grade."""
+    when = datetime.fromtimestamp(card.made_s).astimezone()
+    picture = f'<img src="{card.picture}" alt="what the camera saw">' if card.picture else '<div class="none"></div>'
+    verdict = f"{SIGNS[card.grade]} {card.headline}" if card.grade else "no verdict"
+    return (
+        f'<div class="scan-card">{picture}<div><p><strong>{escape(card.name)}</strong></p>'
+        f"<p>{escape(verdict)}</p><p class='scan-quiet'>{when:%Y-%m-%d, %H:%M}</p></div></div>"
+    )

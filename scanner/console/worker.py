@@ -13,9 +13,12 @@ from hw.rig import ExposureControl, Frame, Rig
 from scanner.checking.check import check
 from scanner.checking.devices import opened
 from scanner.checking.report import CheckReport, CheckRow
-from scanner.console.progress import CancelledError, Stage, StagedProgress
+from scanner.console.asking import PageOperator
+from scanner.console.progress import CancelledError, Stage, StagedProgress, durations_in
+from scanner.console.results import newest_result
 from scanner.console.settings import Settings, drawn
 from scanner.jobs import scan
+from scanner.results import LOG_FILE
 from scanner.ui import failure_of
 
 _FRAME_S = 0.2  # no more live frames than this: a page and a network have to keep up
@@ -33,12 +36,22 @@ class Activity(StrEnum):
 
 @dataclass(frozen=True)
 class Status:
-    """`message`: how the last activity ended if not well, as the terminal would show it; '' if well."""
+    """`message`: how the last activity ended if not well, as the terminal would show it; '' if well.
+
+    `told` and `question`: to the operator, who is asked something if there is a question.
+    """
 
     activity: Activity = Activity.NOTHING
     stage: Stage | None = None
     message: str = ""
     cancelling: bool = False
+    told: tuple[str, ...] = ()
+    question: str = ""
+
+    @property
+    def busy(self) -> bool:
+        """Whether a check or a scan is running, which ends by itself or by being cancelled."""
+        return self.activity in (Activity.CHECKING, Activity.SCANNING)
 
 
 class Page(Protocol):
@@ -52,6 +65,9 @@ class Page(Protocol):
 
     def on_frame(self, frame: Frame) -> None:
         """The camera has taken a frame."""
+
+    def on_captured(self) -> None:
+        """All frames of a capture are taken."""
 
     def on_row(self, row: CheckRow) -> None:
         """The check has found something."""
@@ -74,6 +90,8 @@ class Worker:
         self._next: SimpleQueue[Activity | None] = SimpleQueue()
         self._cancelled = Event()
         self._leave_live = Event()
+        self._operator = PageOperator(self._cancelled, self._on_asked)
+        self._durations_s = dict(durations_in(newest / LOG_FILE)) if (newest := newest_result()) else {}
         self._thread = Thread(target=self._run, name="rig", daemon=True)
 
     def start(self) -> None:
@@ -98,7 +116,7 @@ class Worker:
     def request(self, activity: Activity) -> bool:
         """Do something else than now; `Activity.NOTHING` ends the live image."""
         with self._lock:
-            if self._status.activity in (Activity.CHECKING, Activity.SCANNING) or not self._next.empty():
+            if self._status.busy or not self._next.empty():
                 return False
             self._cancelled.clear()
             self._leave_live.set()
@@ -108,9 +126,13 @@ class Worker:
     def cancel(self) -> None:
         """End a check or a scan at the next frame or step."""
         with self._lock:
-            if self._status.activity in (Activity.CHECKING, Activity.SCANNING):
+            if self._status.busy:
                 self._cancelled.set()
                 self._tell(replace(self._status, cancelling=True))
+
+    def answer(self, *, more: bool) -> None:
+        """To the question that the status has: go on with one more, or with what there is."""
+        self._operator.answer(more=more)
 
     def close(self) -> Status:
         """Cancel whatever runs, and end; returns how it ended."""
@@ -139,7 +161,9 @@ class Worker:
                 self._tell(Status(message=message))
 
     def _do(self, activity: Activity) -> None:
-        progress = StagedProgress(self._cancelled, self._on_stage, self._page.on_frame)
+        progress = StagedProgress(
+            self._cancelled, self._on_stage, self._page.on_frame, self._page.on_captured, self._durations_s
+        )
         match activity:
             case Activity.LIVE:
                 while not self._leave_live.is_set():
@@ -147,9 +171,9 @@ class Worker:
             case Activity.CHECKING:
                 self._page.on_report(check(self._settings.load(), progress, self._page.on_row))
             case Activity.SCANNING:
-                out = self._settings.destination()
+                out, captures = self._settings.destination(), self._settings.captures
                 try:
-                    scan(self._settings.load(), out, progress=progress)
+                    scan(self._settings.load(), out, captures=captures, operator=self._operator, progress=progress)
                 finally:
                     if out.is_dir():  # a refused capture is a result, too
                         self._page.on_result(out)
@@ -183,6 +207,10 @@ class Worker:
     def _on_stage(self, stage: Stage) -> None:
         with self._lock:
             self._tell(replace(self._status, stage=stage))
+
+    def _on_asked(self, told: tuple[str, ...], question: str) -> None:
+        with self._lock:
+            self._tell(replace(self._status, told=told, question=question))
 
     def _tell(self, status: Status) -> None:
         self._status = status

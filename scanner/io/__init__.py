@@ -8,7 +8,7 @@ from scanner.io.given_file import LONGEST_SIDE_PX, MOST_IMAGE_FILE_BYTES, copy_g
 from scanner.io.image_file import SUFFIXES, read_image, write_png
 from scanner.io.image_header import UNREADABLE
 from scanner.io.matches_file import MATCHES_FILE, read_matches, read_planes, refuse_one_axis, write_matches
-from scanner.io.ply import read_cloud, write_merged_ply, write_ply, write_room_ply
+from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply, write_room_ply
 from scanner.io.poses_file import read_poses, write_poses
 from scanner.io.room_file import StoredRoom, StoredStation, read_room, write_room
 from scanner.io.validation import Entry, Flag, Number, Pair, Section, Whole, validate

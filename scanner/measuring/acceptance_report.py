@@ -16,7 +16,7 @@ from scanner.measuring.acceptance import (
     Error,
 )
 from scanner.measuring.table import empty_table
-from scanner.quantities import ShownUnit, percent, shown_unit
+from scanner.quantities import ShownUnit, percent, plain, shown_unit
 from scanner.rendering import environment
 
 ACCEPTANCE_FILE, ACCEPTANCE_PAGE = "acceptance.json", "acceptance.html"
@@ -52,9 +52,10 @@ def rows(acceptance: Acceptance, quantity: str) -> Iterator[Row]:
     """Each error of one kind."""
     unit = shown_unit(acceptance.unit)
     for error in acceptance.of(quantity):
-        over = "" if error.budget is None or not error.budget.sigma else f"{error.value / error.budget.sigma:+.1f}"
+        sigma = 0.0 if error.budget is None else error.budget.sigma
+        over = plain(error.value / sigma, 1, signed=True) if sigma else ""
         dispersion = "" if error.dispersion is None else unit.error(error.dispersion)
-        cells = (_value(error, unit), _sigma(error, unit), over.replace("-", "−"), dispersion)
+        cells = (_value(error, unit), _sigma(error, unit), over, dispersion)
         yield Row(f"{error.placement}, {error.of}", cells)
 
 

@@ -17,6 +17,7 @@ from scanner.rendering.colours import (
     GREY,
     ORANGE,
     PURPLE,
+    SIGNED,
     SKY_BLUE,
     VERMILION,
     VIRIDIS,

@@ -36,6 +36,8 @@ def as_pixels(values: Floats) -> Pixels:
 # All of them can be told from a white and from a black page, and by every kind of colour vision.
 # Whole tables, dark to bright; both have the same order of shades to every kind of colour vision.
 VIRIDIS, CIVIDIS = part_of(cv2.COLORMAP_VIRIDIS, 0, 255), part_of(cv2.COLORMAP_CIVIDIS, 0, 255)
+# Around zero: blue below, light grey, red above.
+SIGNED = between((0, 84, 166), (226, 226, 226), (186, 62, 0))
 
 
 def css_colour(colour: Colour) -> str:

@@ -80,6 +80,17 @@ class ReportInput:
         """What calibrated the capture; None after a refusal, or where the calibration was given."""
         return self.reconstructed.solution if self.reconstructed else None
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What decoding has found that a person should mind."""
+        decoding = self.outcome.decoded.decoding
+        return decoding.warnings if decoding else ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else a person should know."""
+        return (*(self.solution.notes if self.solution else ()), *self.company.remarks)
+
     @cached_property
     def on_faces(self) -> Ints:
         """Some of the matches with a face, by number (n,): all, or one in each cell of `cell_px` of the image."""

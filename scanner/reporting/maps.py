@@ -12,13 +12,13 @@ from scanner.quantities import FACE_NAMES
 from scanner.rendering import (
     FACE_COLOURS,
     LONGEST_SIDE,
+    SIGNED,
     Colour,
     IndexedPicture,
     Map,
     Pixels,
     as_pixels,
     averaged,
-    between,
     css_colour,
     extent,
     labels_on_grid,
@@ -35,7 +35,6 @@ _SAMPLE = 100_000
 
 _DEPTHS = part_of(cv2.COLORMAP_VIRIDIS, 30, 247)
 _SIGMAS = part_of(cv2.COLORMAP_CIVIDIS, 25, 255)
-_SIGNED = between((0, 84, 166), (226, 226, 226), (186, 62, 0))
 
 
 @dataclass(frozen=True)
@@ -174,8 +173,8 @@ def signed_map(
     values: Map, limit: float, unit: str, longest_side: int = LONGEST_SIDE
 ) -> tuple[IndexedPicture, ColourScale]:
     """Values (H, W) of either sign, NaN for none, in two colours around light grey, ± `limit`."""
-    legend = _legend(_SIGNED, f"−{limit:.2g} {unit}", f"+{limit:.2g} {unit}")
-    return _painted(_reduced(_cropped(values), longest_side), -limit, limit, _SIGNED, _RESIDUAL_STEPS), legend
+    legend = _legend(SIGNED, f"−{limit:.2g} {unit}", f"+{limit:.2g} {unit}")
+    return _painted(_reduced(_cropped(values), longest_side), -limit, limit, SIGNED, _RESIDUAL_STEPS), legend
 
 
 def category_map(categories: Pixels, colours: dict[int, Colour]) -> IndexedPicture:

@@ -57,7 +57,7 @@ def write_report(path: Path, report: ReportInput) -> None:
     """
     parts = dict(zip(PARTS, in_parallel(lambda part: part(report), PARTS.values()), strict=True))
     tables = sections.tables(report)
-    decoding, solution, found = report.outcome.decoded.decoding, report.solution, report.reconstructed
+    solution, found = report.solution, report.reconstructed
     template = environment().get_template("report.html")
     page = template.render(
         **parts,
@@ -65,11 +65,8 @@ def write_report(path: Path, report: ReportInput) -> None:
         provenance=report.provenance,
         configuration=sections.configuration(report.provenance),
         verdict=verdict(report),
-        warnings=decoding.warnings if decoding else (),
-        notes=(
-            *(solution.notes if solution else ()),
-            *report.company.remarks,
-        ),
+        warnings=report.warnings,
+        notes=report.notes,
         method=solution.method if solution else None,
         tables=tables,
         has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),

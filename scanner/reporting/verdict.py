@@ -57,7 +57,7 @@ _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and th
 
 def verdict(report: ReportInput) -> Verdict:
     """The verdict on a result."""
-    found = _of_outcome(report)
+    found = replace(_of_outcome(report), notes=(*report.warnings, *report.notes))
     return found if report.scene is None else replace(found, reasons=(report.scene.sentence, *found.reasons))
 
 

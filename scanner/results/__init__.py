@@ -54,4 +54,4 @@ from scanner.results.stated_uncertainty import (
     verdict_entries,
     write_refusal,
 )
-from scanner.results.verdict import MEASUREMENT_GRADE, SIGNS, Verdict
+from scanner.results.verdict import DECISIVE, MEASUREMENT_GRADE, SIGNS, Grade, Verdict

@@ -10,18 +10,19 @@ from pydantic import Field
 from calib.diagnostics import NOWHERE, Along, Uncertainty
 from calib.geometry import Calibration, tangent_basis
 from calib.numerics import Floats
-from calib.refinement import ROTATION, SHARED, TRANSLATION, State
+from calib.refinement import ROTATION, SHARED, TRANSLATION, State, device_of
 from scanner.errors import InputError
 from scanner.io import Entry, Number, block_yaml, read_yaml, validate
 from scanner.results.verdict import Grade, Verdict
 
-_OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2")
+_OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2", "p1", "p2", "k3")
 COLUMNS = (
     *(f"{device}_{column}" for device in ("camera", "projector") for column in _OF_DEVICE),
     *(f"rotation_{axis}_rad" for axis in "xyz"),
     *(f"translation_{axis}" for axis in "xyz"),
 )
-
+# Files of before there were more lens terms have all but these, which their calibrations took for zero.
+_FURTHER = tuple(f"{device}_{term}" for device in ("camera", "projector") for term in ("p1", "p2", "k3"))
 
 _LOG_FOCALS = [index for index, column in enumerate(COLUMNS) if column.endswith("log_focal")]
 _MOST_LOG_SIGMA, _MOST_SIGMA = 5.0, 1e7  # a factor of 150 in a focal length; in pixels more than any image has
@@ -33,6 +34,7 @@ class _VerdictEntry(Entry):
     headline: str
     reasons: list[str]
     advice: str
+    notes: list[str] = Field(default_factory=list)
 
 
 class _AlongEntry(Entry):
@@ -82,6 +84,7 @@ def verdict_entries(verdict: Verdict) -> dict[str, Any]:
         "headline": verdict.headline,
         "reasons": [*verdict.reasons],
         "advice": verdict.advice,
+        **({"notes": [*verdict.notes]} if verdict.notes else {}),
     }
     return {"verdict": told}
 
@@ -97,7 +100,9 @@ def read_verdict(path: Path) -> Verdict | None:
     None where it says none, as older ones. Raises InputError.
     """
     entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).verdict
-    return Verdict(entry.grade, entry.headline, tuple(entry.reasons), entry.advice) if entry else None
+    if entry is None:
+        return None
+    return Verdict(entry.grade, entry.headline, tuple(entry.reasons), entry.advice, tuple(entry.notes))
 
 
 def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None:
@@ -105,6 +110,8 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
     entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).covariance
     if entry is None:
         return None
+    if tuple(entry.columns) == tuple(column for column in COLUMNS if column not in _FURTHER):
+        entry = _with_further_terms(entry)
     if tuple(entry.columns) != COLUMNS:
         raise InputError(f"{path}: 'covariance.columns' must be {', '.join(COLUMNS)}, found {', '.join(entry.columns)}")
     if len(entry.values) != len(COLUMNS) or any(len(row) != len(COLUMNS) for row in entry.values):
@@ -114,10 +121,7 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
         raise InputError(
             f"{path}: 'covariance.values' are no covariance: not symmetric, negative, or beyond any device"
         )
-    camera, projector = (
-        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
-        for device in (calibration.camera, calibration.projector)
-    )
+    camera, projector = device_of(calibration.camera), device_of(calibration.projector)
     direction = calibration.translation / calibration.baseline
     state = State(camera, projector, calibration.rotation, direction, np.zeros((0, 3)), ())
     to_file = _columns_of_file(direction)
@@ -128,8 +132,31 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
     return Uncertainty(state, covariance, None, entry.match_px, along, with_log_baseline)
 
 
+def _with_further_terms(entry: _CovarianceEntry) -> _CovarianceEntry:
+    """Of a file without their columns, with zeros there; what is not as long as the columns stays as it is."""
+
+    def filled(numbers: list[float]) -> list[float]:
+        if len(numbers) != len(entry.columns):
+            return numbers
+        told = dict(zip(entry.columns, numbers, strict=True))
+        return [told.get(column, 0.0) for column in COLUMNS]
+
+    if len(entry.values) != len(entry.columns):
+        return entry
+    rows = dict(zip(entry.columns, map(filled, entry.values), strict=True))
+    along = entry.along and entry.along.model_copy(update={"steps": [filled(step) for step in entry.along.steps]})
+    return entry.model_copy(
+        update={
+            "columns": [*COLUMNS],
+            "values": [rows.get(column, [0.0] * len(COLUMNS)) for column in COLUMNS],
+            "with_log_baseline": filled(entry.with_log_baseline),
+            "along": along,
+        }
+    )
+
+
 def _with_log_baseline(path: Path, told: list[float], variance: Floats, calibration: Calibration) -> Floats:
-    """In the file's columns, (16,). Raises InputError if it is malformed."""
+    """In the file's columns, (22,). Raises InputError if it is malformed."""
     if not told:
         return np.zeros(len(COLUMNS))
     if len(told) != len(COLUMNS):
@@ -170,7 +197,7 @@ def _along(path: Path, entry: _AlongEntry | None, to_file: Floats) -> Along:
 
 
 def _columns_of_file(direction: Floats) -> Floats:
-    """What a step (15,) of the model moves, (16, 15): instead of two tangents, the three components of `direction`."""
+    """What a step (21,) of the model moves, (22, 21): instead of two tangents, the three components of `direction`."""
     to_file = np.zeros((len(COLUMNS), SHARED))
     to_file[: ROTATION.stop, : ROTATION.stop] = np.eye(ROTATION.stop)
     to_file[ROTATION.stop :, TRANSLATION] = tangent_basis(direction)

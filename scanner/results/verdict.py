@@ -6,18 +6,25 @@ from typing import Literal
 # A focal length that errs by one per cent bends a room by about as much as its walls are off square.
 MEASUREMENT_GRADE = 0.01
 
+# Reasons that are said wherever a verdict is: how well lengths are known, and what the grade rests on.
+DECISIVE = 2
+
 Grade = Literal["good", "fair", "refused"]
 SIGNS: dict[str, str] = {"good": "✓", "fair": "◐", "refused": "✕"}
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """`headline` answers the question, `reasons` say why, `advice` what to do next ('' for nothing)."""
+    """`headline` answers the question, `reasons` say why, `advice` what to do next ('' for nothing).
+
+    `notes` are what else a person should know.
+    """
 
     grade: Grade
     headline: str
     reasons: tuple[str, ...]
     advice: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def sign(self) -> str:

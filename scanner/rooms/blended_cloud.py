@@ -8,6 +8,7 @@ from calib.geometry import Calibration
 from calib.numerics import Bools, Ints
 from calib.pointcloud import NONE, MergedCloud, density
 from scanner.rooms.contents import SolvedRoom, Station
+from scanner.rooms.denoised import denoised
 from scanner.rooms.open3d_module import open3d
 
 _VOXEL_PX = 2.0  # camera pixels at the median distance
@@ -39,7 +40,7 @@ def blended(room: SolvedRoom) -> MergedCloud:
     for station in room.stations:
         own = o3d.geometry.PointCloud()
         there = station.cloud.there
-        points = station.to_room(station.cloud.points[there].astype(np.float64))
+        points = station.to_room(denoised(room, station)[there].astype(np.float64))
         own.points = o3d.utility.Vector3dVector(points)
         normals = station.cloud.normals[there].astype(np.float64) @ station.place.rotation.T
         own.normals = o3d.utility.Vector3dVector(normals)

@@ -11,8 +11,8 @@ import numpy as np
 
 from calib.diagnostics import Uncertainty, calibration_of
 from calib.geometry import Sigmas
-from calib.numerics import Floats
-from calib.refinement import SHARED, State, inverse_of
+from calib.numerics import Bools, Floats
+from calib.refinement import FURTHER_TERMS, SHARED, State, inverse_of
 from calib.refusal import RefusalError
 from scanner.configuration import Config
 from scanner.errors import InputError
@@ -72,7 +72,7 @@ def rig_of(corners: Mapping[int, SeenCorner]) -> RigStart:
 
 
 def _together(corners: dict[int, Uncertainty]) -> tuple[list[int], State, Floats]:
-    """Which corners agree, the rig that they agree on, and its covariance (15, 15)."""
+    """Which corners agree, the rig that they agree on, and its covariance (21, 21)."""
     kept = list(corners)
     while True:
         rig, covariance = _combined([corners[k] for k in kept])
@@ -84,10 +84,10 @@ def _together(corners: dict[int, Uncertainty]) -> tuple[list[int], State, Floats
 
 
 def _combined(corners: Sequence[Uncertainty]) -> tuple[State, Floats]:
-    """The product of Gaussians, about the first one's rig."""
+    """The product of Gaussians, about the first one's rig; lens terms that not all of them have are means."""
     first = corners[0].rig
     precision, pull = np.zeros((SHARED, SHARED)), np.zeros(SHARED)
-    free = np.diag(corners[0].covariance) > _HELD**2
+    free = _told(corners[0])
     for each in corners:
         own = np.zeros_like(precision)
         own[np.ix_(free, free)] = inverse_of(each.covariance[np.ix_(free, free)])
@@ -96,12 +96,21 @@ def _combined(corners: Sequence[Uncertainty]) -> tuple[State, Floats]:
     covariance, step = np.zeros_like(precision), np.zeros(SHARED)
     covariance[np.ix_(free, free)] = inverse_of(precision[np.ix_(free, free)])
     step[free] = covariance[np.ix_(free, free)] @ pull[free]
+    further = list(FURTHER_TERMS)
+    step[further] = np.mean([first.step_to(each.rig)[further] for each in corners], axis=0)
     return first.moved(step), covariance
 
 
 def _distance(corner: Uncertainty, rig: State) -> float:
     """Root mean square deviation of a corner's rig from another, in its own sigmas."""
     step = corner.rig.step_to(rig)
-    free = np.diag(corner.covariance) > _HELD**2
+    free = _told(corner)
     inverse = inverse_of(corner.covariance[np.ix_(free, free)])
     return float(np.sqrt(step[free] @ inverse @ step[free] / np.count_nonzero(free)))
+
+
+def _told(corner: Uncertainty) -> Bools:
+    """The columns that every corner tells of, (21,)."""
+    told: Bools = np.diag(corner.covariance) > _HELD**2
+    told[list(FURTHER_TERMS)] = False
+    return told

@@ -77,11 +77,7 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
 def _ready(config: Config, step: int, number: int, terminal: Terminal) -> bool:
     if moves_by_itself(config.required_rig):
         return True
-    answer = terminal.ask(
-        f"Station {step} of {number} is done. Move the rig as a whole; then press Enter, or q and Enter to go on with "
-        "what there is: "
-    )
-    return not answer.strip().lower().startswith("q")
+    return terminal.ready(f"Station {step} of {number} is done. Move the rig as a whole")
 
 
 def _told(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:

@@ -15,6 +15,7 @@ from calib.pointcloud import NONE, without_gaps
 from scanner.exporting.triangles import Mesh
 from scanner.rooms.blended_cloud import grid_of, index_of
 from scanner.rooms.contents import SolvedRoom, Station
+from scanner.rooms.denoised import denoised
 from scanner.rooms.open3d_module import open3d
 
 _VOXELS = 1.5  # edges of the cloud's voxels
@@ -33,7 +34,8 @@ def fused(room: SolvedRoom) -> Mesh | None:
     It is in the frame of a level camera at the room's origin: x along the room's x, y down, z along its y.
     """
     o3d = open3d()
-    views = [_view(o3d, station, room.calibration.camera) for station in room.stations]
+    camera = room.calibration.camera
+    views = [_view(o3d, station, denoised(room, station)[..., 2], camera) for station in room.stations]
     voxel = _VOXELS * grid_of(room.stations, room.calibration)
     while True:
         volume = o3d.t.geometry.VoxelBlockGrid(
@@ -63,8 +65,8 @@ class _View(NamedTuple):
     reach: tuple[float, float]
 
 
-def _view(o3d: Any, station: Station, camera: Intrinsics) -> _View:
-    ideal, depth, colour = _ideal(station, camera)
+def _view(o3d: Any, station: Station, depths: NDArray[np.float32], camera: Intrinsics) -> _View:
+    ideal, depth, colour = _ideal(station, depths, camera)
     (fx, fy), (x0, y0) = ideal.focal_px, ideal.principal_point_px
     intrinsic = np.array([[fx, 0.0, x0], [0.0, fy, y0], [0.0, 0.0, 1.0]])
     images = (o3d.t.geometry.Image(o3d.core.Tensor(image)) for image in (depth[..., None], colour))
@@ -73,12 +75,14 @@ def _view(o3d: Any, station: Station, camera: Intrinsics) -> _View:
     return _View((depth_image, *matrices), colour_image, (1.0, 1.01 * float(depth.max())))
 
 
-def _ideal(station: Station, camera: Intrinsics) -> tuple[Intrinsics, NDArray[np.float32], NDArray[np.float32]]:
-    """What a camera without distortion sees of a station's points: depth (H, W), 0 for none, and colours up to 1."""
+def _ideal(
+    station: Station, depths: NDArray[np.float32], camera: Intrinsics
+) -> tuple[Intrinsics, NDArray[np.float32], NDArray[np.float32]]:
+    """What a camera without distortion sees of points with `depths` (H, W): depth, 0 for none; colours up to 1."""
     ideal = Intrinsics(camera.width, camera.height, camera.focal_px, camera.principal_point_px)
     x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
     pixels = camera.project(ideal.unproject(np.stack([x, y], axis=-1))).astype(np.float32)
-    depth = _filled(station.cloud.points[..., 2])
+    depth = _filled(depths)
     nearest = cv2.INTER_NEAREST  # between a surface and what is behind it there is nothing
     column, row = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
     seen = cv2.remap(depth, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)

@@ -1,18 +1,18 @@
-"""A rig as the estimate of a room has it: one focal length and two radial terms a device; or held as it was given."""
+"""A rig as the estimate of a room has it: one focal length a device; or held as it was given."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from calib.geometry import Calibration, Intrinsics, Matches
-from calib.refinement import State
+from calib.refinement import State, device_of
 from scanner.rooms.contents import RigStart
 
 
 def state_of(calibration: Calibration) -> State:
     """The model's parameters of a calibration in baselines."""
     camera, projector = (
-        np.array([float(np.mean(device.focal_px)), *device.principal_point_px, *device.distortion[:2]])
+        device_of(replace(device, focal_px=(float(np.mean(device.focal_px)),) * 2))
         for device in (calibration.camera, calibration.projector)
     )
     direction = calibration.translation / calibration.baseline

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import Uncertainty, calibration_of, sigmas_of
-from calib.geometry import Calibration, Corner, Matches
+from calib.geometry import Calibration, Corner, Matches, Sigmas
 from calib.numerics import Floats, Ints
 from calib.pointcloud import build_cloud
 from calib.refinement import Cells, Knowledge, into_cells
@@ -54,33 +54,61 @@ def look_at(capture: Decoded, calibration: Calibration) -> Seen:
 
 def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedRoom:
     """Raises RefusalError if no two stations belong together, or what they say contradicts itself."""
-    seen = [look_at(capture, start.calibration) for capture in progress.track(captures, len(captures), "Surfaces")]
-    with progress.step("Registering"):
-        registration = register([each.view for each in seen])
-    if not registration.groups:
+    registered = _registered(captures, start.calibration, progress)
+    if not registered.registration.groups:
         raise RefusalError(
-            "No two stations show the same part of a room: " + _reasons(captures, registration),
+            "No two stations show the same part of a room: " + _reasons(captures, registered.registration),
             "Let each station see about a third of what the one before saw, with more than a bare wall in it.",
         )
-    group = registration.groups[0]
-    members = [seen[k] for k in group.stations]
-    with progress.step("Estimating"):
-        estimate = _estimate(members, group, start, config)
-    return _finished(seen, registration, estimate, start, config)
+    estimate = _estimate(registered, start, config, progress)
+    if is_estimated(start) and len(registered.members) < len(captures):
+        # The first rig bends what is seen; by the one that some stations have measured, more may fit.
+        facts = captures[0].facts
+        measured = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, Sigmas())
+        again = _registered(captures, measured, progress)
+        if len(again.members) > len(registered.members):
+            registered = again
+            start = start if start.given else replace(start, calibration=measured)
+            estimate = _estimate(registered, start, config, progress)
+    return _finished(registered, estimate, start, config)
+
+
+@dataclass(frozen=True, eq=False)
+class _Registered:
+    """All captures by one rig, and which of them belong together."""
+
+    seen: Sequence[Seen]
+    registration: Registration
+
+    @property
+    def members(self) -> list[Seen]:
+        """Of the largest group."""
+        return [self.seen[k] for group in self.registration.groups[:1] for k in group.stations]
+
+
+def _registered(captures: Sequence[Decoded], rig: Calibration, progress: Progress) -> _Registered:
+    seen = [look_at(capture, rig) for capture in progress.track(captures, len(captures), "Surfaces")]
+    with progress.step("Registering"):
+        return _Registered(seen, register([each.view for each in seen]))
 
 
 def _reasons(captures: Sequence[Decoded], registration: Registration) -> str:
     return "; ".join(f"{captures[left.station].name}: {left.reason}" for left in registration.left_out) + "."
 
 
-def _estimate(members: Sequence[Seen], group: Group, start: RigStart, config: Config) -> RoomEstimate:
+def _estimate(registered: _Registered, start: RigStart, config: Config, progress: Progress) -> RoomEstimate:
+    with progress.step("Estimating"):
+        return _estimated(registered.members, registered.registration.groups[0], start, config)
+
+
+def _estimated(members: Sequence[Seen], group: Group, start: RigStart, config: Config) -> RoomEstimate:
     state = state_of(start.calibration if is_estimated(start) else ideal_rig(start.calibration))
     facts = members[0].decoded.facts
     if start.corners:
         point = config.principal_point(facts.camera_size)
         squareness_deg = config.corner.squareness_deg
         knowledge = Knowledge(facts.camera_size, facts.projector_size, point.px, point.sigma_px, squareness_deg)
-        prior = RigPrior.from_knowledge(knowledge, state)
+        prior = RigPrior.from_knowledge(knowledge.with_all_terms(len(members)), state)
     elif start.uncertainty is not None:
         prior = RigPrior.from_calibration(state, start.uncertainty.covariance)
     else:
@@ -137,12 +165,10 @@ def _faces(seen: Seen, plane_of: Sequence[int], corner: Decoded | None) -> tuple
     return found[0], found[1], found[2]
 
 
-def _finished(
-    seen: Sequence[Seen], registration: Registration, estimate: RoomEstimate, start: RigStart, config: Config
-) -> SolvedRoom:
+def _finished(registered: _Registered, estimate: RoomEstimate, start: RigStart, config: Config) -> SolvedRoom:
     """With its scale, upright, and the clouds by the rig as it is known now."""
+    registration, members = registered.registration, registered.members
     group = registration.groups[0]
-    members = [seen[k] for k in group.stations]
     facts = members[0].decoded.facts
     sigma = sigmas_of(estimate.rig, estimate.rig_covariance)
     own = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, sigma)
@@ -163,7 +189,7 @@ def _finished(
         for i, each in enumerate(members)
     )
     match_px = float(np.nanmedian([noise.match_px for noise in estimate.levels.stations]))
-    names = tuple(each.decoded.name for each in seen)
+    names = tuple(each.decoded.name for each in registered.seen)
     remarks = () if floor is not None else ("No floor was seen: upright is how the cameras were held.",)
     return SolvedRoom(
         calibration,

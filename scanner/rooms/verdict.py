@@ -44,8 +44,8 @@ def verdict_on(room: SolvedRoom) -> Verdict:
             "fair",
             f"{len(names)} stations are one room, but the lenses bend light in a way that is not modelled.",
             ("Smooth errors are the same at all stations, so lengths may err by more than their sigmas.", *reasons),
-            "Calibrate the rig with a printed board (scan board), which finds further lens terms, and give its result "
-            "with --calibration.",
+            "Calibrate the rig with a printed board (scan board), which finds how square pixels are, too, and give "
+            "its result with --calibration.",
         )
     if room.strangers:
         left = ", ".join(each.name for each in room.strangers)

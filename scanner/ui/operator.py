@@ -10,8 +10,8 @@ class Operator(Protocol):
     def can_ask(self) -> bool:
         """Whether there is a person to answer."""
 
-    def ask(self, question: str) -> str:
-        """What the operator answers; 'q' is enough."""
+    def ready(self, what: str) -> bool:
+        """Wait until what is asked for in a sentence is done; False if the operator goes on with what there is."""
 
     def tell(self, *sentences: str) -> None:
         """Say what is to be known now."""

@@ -7,7 +7,16 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from rich.console import Console, RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from scanner.shown_text import harmless
@@ -29,7 +38,7 @@ class Terminal:
     def track(self, items: Iterable[T], total: int, what: str) -> Iterator[T]:
         """Pass `items` on, with a bar that fills up as they go by."""
         log.info("%s: %d", what, total)
-        with self._progress(BarColumn(), MofNCompleteColumn()) as progress:
+        with self._progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left,")) as progress:
             task = progress.add_task(what, total=total)
             for item in items:
                 yield item
@@ -77,7 +86,12 @@ class Terminal:
         except EOFError:
             return "q"
 
-    def _progress(self, *columns: BarColumn | MofNCompleteColumn | SpinnerColumn) -> Progress:
+    def ready(self, what: str) -> bool:
+        """Ask for something to be done; False if the operator goes on with what there is."""
+        answer = self.ask(f"{what}; then press Enter, or q and Enter to go on with what there is: ")
+        return not answer.strip().lower().startswith("q")
+
+    def _progress(self, *columns: ProgressColumn) -> Progress:
         hidden = self._quiet or not self._err.is_terminal
         text = TextColumn("{task.description:<28}")
         return Progress(text, *columns, TimeElapsedColumn(), console=self._err, disable=hidden)

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from calib.geometry import Matches
 from calib.numerics import Floats, Ints
-from scanner.quantities import FACE_NAMES, shown_unit
-from scanner.rendering import CIVIDIS, FACE_COLOURS, GREY, shaded
+from scanner.quantities import FACE_NAMES, ShownUnit, plain, shown_unit
+from scanner.rendering import CIVIDIS, FACE_COLOURS, GREY, SIGNED, VIRIDIS, Pixels, shaded
 from scanner.viewing.result import CaptureCloud, ViewedCloud
 
-_NAMED_SHADES = ("dark blue", "grey", "yellow")
 _FACE_WORDS = ("orange", "sky blue", "green")
 _SHOWN_SHARE = (0.01, 0.99)
 _NOISE_ALONE = (
@@ -23,6 +22,10 @@ _BOTH = (
     "It comes from the decoder's noise, which moves each point by itself, and from the calibration's covariance, which "
     "moves neighbouring points alike. The unit of length is not part of it."
 )
+_DEVIATION = (
+    "Distance of each point from the plane through its face, + towards the camera; grey: on no face. It is what the "
+    "flatness below sums up."
+)
 
 
 class Colouring(StrEnum):
@@ -30,15 +33,28 @@ class Colouring(StrEnum):
 
     CAMERA = "Camera's colours"
     FACES = "Faces"
+    DEPTH = "Depth"
+    DEVIATION = "Distance from the faces"
     SIGMA = "Uncertainty of depth"
 
 
 @dataclass(frozen=True)
+class ColourBar:
+    """`shades` (n, 3) RGB from the low to the high end, and what stands at both ends and in the middle."""
+
+    shades: Pixels
+    low: str
+    middle: str
+    high: str
+
+
+@dataclass(frozen=True)
 class Coloured:
-    """`colours` (n, 3) RGB of points, and a `legend` in words (Markdown)."""
+    """`colours` (n, 3) RGB of points, a `legend` in words (Markdown), and the `bar` where colours are numbers."""
 
     colours: NDArray[np.uint8]
     legend: str
+    bar: ColourBar | None = None
 
 
 def possible_colourings(cloud: ViewedCloud) -> tuple[Colouring, ...]:
@@ -46,6 +62,8 @@ def possible_colourings(cloud: ViewedCloud) -> tuple[Colouring, ...]:
     known = [Colouring.CAMERA]
     if isinstance(cloud, CaptureCloud):
         known += [Colouring.FACES] if cloud.matches.face is not None else []
+        known += [Colouring.DEPTH]
+        known += [Colouring.DEVIATION] if cloud.scene.faces and cloud.matches.face is not None else []
         known += [Colouring.SIGMA] if cloud.has_sigma else []
     return tuple(known)
 
@@ -57,9 +75,14 @@ def coloured(cloud: ViewedCloud, chosen: NDArray[np.int64], colouring: Colouring
             return Coloured(_brightened(cloud.colours[chosen]), "The colours are what the camera saw, brightened.")
         case CaptureCloud(matches=Matches(face=face)), Colouring.FACES if face is not None:
             return _by_face(face[chosen])
+        case CaptureCloud(), Colouring.DEPTH:
+            return _by_size(cloud.points[chosen, 2], VIRIDIS, shown_unit(cloud.unit), "Distance before the camera.")
+        case CaptureCloud(matches=Matches(face=face)), Colouring.DEVIATION if face is not None:
+            return _by_deviation(cloud.from_faces(chosen), shown_unit(cloud.unit))
         case CaptureCloud(has_sigma=True), Colouring.SIGMA:
             source = _NOISE_ALONE if cloud.uncertainty is None else _BOTH
-            return _by_sigma(cloud.depth_sigma(chosen), cloud.unit, source)
+            legend = f"Standard deviation of the depth. {source}"
+            return _by_size(cloud.depth_sigma(chosen), CIVIDIS, shown_unit(cloud.unit), legend)
         case _:
             raise ValueError(f"this cloud cannot be coloured by {colouring}")
 
@@ -79,14 +102,19 @@ def _by_face(face: Ints) -> Coloured:
     return Coloured(table[index], f"Faces: {named}; grey: on none of them.")
 
 
-def _by_sigma(sigma: Floats, unit: str, source: str) -> Coloured:
-    low, high = (float(value) for value in np.quantile(sigma, _SHOWN_SHARE)) if len(sigma) else (0.0, 1.0)
-    share = np.clip((sigma - low) / max(high - low, np.finfo(np.float64).tiny), 0, 1)
-    colours = shaded(share, CIVIDIS)
-    shown = shown_unit(unit)
-    values = (low, (low + high) / 2, high)
-    named = ", ".join(f"{shade} {shown.error(value)}" for shade, value in zip(_NAMED_SHADES, values, strict=True))
-    return Coloured(
-        colours,
-        f"Standard deviation of the depth: {named}. {source}",
-    )
+def _by_size(values: Floats, shades: Pixels, unit: ShownUnit, legend: str) -> Coloured:
+    low, high = (float(value) for value in np.quantile(values, _SHOWN_SHARE)) if len(values) else (0.0, 1.0)
+    share = np.clip((values - low) / max(high - low, np.finfo(np.float64).tiny), 0, 1)
+    bar = ColourBar(shades, unit.error(low), unit.error((low + high) / 2), unit.error(high))
+    return Coloured(shaded(share, shades), legend, bar)
+
+
+def _by_deviation(off: Floats, unit: ShownUnit) -> Coloured:
+    known = np.isfinite(off)
+    limit = float(np.quantile(np.abs(off[known]), _SHOWN_SHARE[1])) if known.any() else 1.0
+    share = np.clip((np.where(known, off, 0.0) / max(limit, np.finfo(np.float64).tiny) + 1) / 2, 0, 1)
+    colours = shaded(share, SIGNED)
+    colours[~known] = GREY
+    ends = (unit.error(end, signed=True) for end in (-limit, limit))
+    bar = ColourBar(SIGNED, next(ends), f"{plain(0.0, 0)} {unit.name}", next(ends))
+    return Coloured(colours, _DEVIATION, bar)

@@ -26,10 +26,20 @@ _FOREIGN = "This page answers to its own address only.\n"
 _NO_TOKEN = "Open the address that the program has printed, with its token.\n"
 
 
-class Doorkeeper:
-    """Of one server; `host` is the address that it serves at, `token` what the printed address has."""
+# Only the browser knows whether it is dark around it; viser is told by the address.
+_TO_THE_PAGE = """<!DOCTYPE html><meta charset="utf-8"><title>Opening …</title>
+<script>location.replace(matchMedia("(prefers-color-scheme: dark)").matches ? "/?darkMode" : "/")</script>
+"""
 
-    def __init__(self, host: str) -> None:
+
+class Doorkeeper:
+    """Of one server; `host` is the address that it serves at, `token` what the printed address has.
+
+    `inside` may answer who was let in, in place of the page.
+    """
+
+    def __init__(self, host: str, inside: Callable[[str], Response | None] = lambda _: None) -> None:
+        self._inside = inside
         own = socket.gethostname()
         self.token = secrets.token_urlsafe(16)
         self._names = {name.lower() for name in ("localhost", host, own, f"{own}.local")}
@@ -44,9 +54,10 @@ class Doorkeeper:
         query = parse_qs(path.partition("?")[2])
         if self._knows(query.get(_TOKEN, [""])[0]):
             cookie = f"{self._cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
-            return _response(http.HTTPStatus.FOUND, "", {"Location": "/", "Set-Cookie": cookie})
+            kind = {"Content-Type": "text/html; charset=utf-8", "Set-Cookie": cookie}
+            return _response(http.HTTPStatus.OK, _TO_THE_PAGE, kind)
         if self._knows(self._of_cookie(headers.get("Cookie", ""))):
-            return None
+            return self._inside(path)
         return _response(http.HTTPStatus.FORBIDDEN, _NO_TOKEN)
 
     def _is_ours(self, asked: str) -> bool:

@@ -13,8 +13,8 @@ from scanner.viewing.result import ViewedCloud
 _SAMPLED = 20_000
 _TICKS_WANTED = 4
 FIELD_OF_VIEW_RAD = float(np.radians(50.0))
-# Of the window between two panels, width over height.
-_ASPECT = 0.8
+# Of a window beside the panel, width over height, until it says what it is.
+USUAL_ASPECT = 1.0
 _MARGIN = 1.1
 _ABOVE, _BESIDE = 0.7, 0.5
 
@@ -34,8 +34,11 @@ def typical_size(cloud: ViewedCloud) -> float:
     return float(np.quantile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 0.9)) or 1.0
 
 
-def viewpoint(cloud: ViewedCloud) -> Viewpoint:
-    """From behind, above and beside the newest camera into the corner, so that cloud and devices are all in view."""
+def viewpoint(cloud: ViewedCloud, aspect: float = USUAL_ASPECT) -> Viewpoint:
+    """From behind, above and beside the newest camera into the corner, so that cloud and devices are all in view.
+
+    `aspect`: of the window, width over height.
+    """
     points = _some(cloud)
     middle = np.median(points, axis=0)
     devices = np.array([centre for rig in cloud.rigs for centre in (rig.position, rig.projector_centre)]).reshape(-1, 3)
@@ -56,7 +59,7 @@ def viewpoint(cloud: ViewedCloud) -> Viewpoint:
     centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
     seen -= centre
     half = np.tan(FIELD_OF_VIEW_RAD / 2) / _MARGIN
-    distance = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / (half * _ASPECT, half), axis=1)))
+    distance = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / (half * aspect, half), axis=1)))
     target = centre @ axes
     return Viewpoint(target + distance * backward, target, cloud.up)
 

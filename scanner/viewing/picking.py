@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Floats
-from scanner.measuring import angle_at, angle_cells, distance_between
+from scanner.measuring import DistanceMeasurement, angle_at, angle_cells, distance_between
 from scanner.quantities import shown_unit
 from scanner.viewing.result import CaptureCloud
+from scanner.viewing.scale import KnownScale, scale_from
 
 # How far beside the ray of a click a point may be, as an angle: about eight pixels of a window.
 _REACH_RAD = 0.008
@@ -45,6 +46,16 @@ class Picked:
     def places(self) -> Floats:
         """Where they are in the cloud's frame, (n, 3)."""
         return self.cloud.points[[*self.points]].reshape(-1, 3)
+
+    @property
+    def distance(self) -> DistanceMeasurement | None:
+        """Between two points; None unless there are two."""
+        return distance_between(self.cloud.scan, self.cloud.scene, self.points) if len(self.points) == 2 else None
+
+    def scale(self, known_m: float, sigma_m: float) -> KnownScale | None:
+        """What makes their distance `known_m`; None unless there are two, and sure enough."""
+        distance = self.distance
+        return None if distance is None else scale_from(distance, self.cloud.calibration, known_m, sigma_m)
 
     def told(self) -> str:
         """What they measure, in words (Markdown)."""

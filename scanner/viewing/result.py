@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +13,14 @@ from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Matches
 from calib.numerics import Floats
 from calib.pointcloud import point_covariances
-from scanner.capture import open_capture
 from scanner.errors import InputError
-from scanner.io import read_calibration, read_cloud, read_image, read_poses
+from scanner.io import read_calibration, read_cloud, read_poses
 from scanner.measuring import Scene as MeasuredScene
 from scanner.measuring import read_scene
-from scanner.patterns import White
-from scanner.quantities import device_names
+from scanner.quantities import FACE_NAMES, device_names
 from scanner.rendering import photograph
 from scanner.results import (
     CALIBRATION_FILE,
-    CAPTURE_FOLDER,
     CAPTURES_FOLDER,
     MERGED_FILE,
     POSES_FILE,
@@ -39,6 +37,7 @@ from scanner.results import (
 )
 from scanner.viewing.corner import MeasuredCorner, measured_corner
 from scanner.viewing.decimation import shuffled
+from scanner.viewing.white_picture import white_picture
 
 ALL_CAPTURES, WHOLE_ROOM = "All captures, merged", "The whole room"
 _PLACING_POINTS = 100_000
@@ -68,15 +67,17 @@ class PlacedRig:
 class ViewedCloud:
     """A cloud and what belongs to it, all in the cloud's frame but `corner`, which is in the frame of the first rig.
 
-    `points` (N, 3), `colours` (N, 3) RGB; `rigs`, the newest first; `up` (3,) points up.
+    `points` (N, 3), `normals` (N, 3), `colours` (N, 3) RGB; `rigs`, the newest first; `up` (3,) points up.
     """
 
     points: Floats
+    normals: Floats
     colours: NDArray[np.uint8]
     rigs: tuple[PlacedRig, ...]
     corner: MeasuredCorner | None
     up: Floats
     unit: str
+    frame: Literal["camera", "corner", "room"]
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
@@ -110,6 +111,15 @@ class CaptureCloud(ViewedCloud):
     def has_sigma(self) -> bool:
         """Whether anything is known of how sure the points are."""
         return self.matches.sigma_px is not None or self.uncertainty is not None
+
+    def from_faces(self, chosen: NDArray[np.int64]) -> Floats:
+        """Signed distance of points (n,) from the planes that their faces were measured to be, NaN for no face."""
+        off = np.full(len(chosen), np.nan)
+        labels = self.matches.labels[chosen]
+        for face in self.scene.faces:
+            on = labels == FACE_NAMES.index(face.name)
+            off[on] = self.points[chosen[on]] @ face.normal - face.offset
+        return off
 
     def depth_sigma(self, chosen: NDArray[np.int64]) -> Floats:
         """Standard deviation of the depth of points (n,), in `unit`.
@@ -178,11 +188,13 @@ class ViewedResult:
         corner = measured_corner(scan, scene)
         return CaptureCloud(
             scan.points,
+            scan.normals,
             scan.colours,
             (PlacedRig(scan.calibration, np.eye(3), np.zeros(3), _picture(folder, scan)),),
             corner,
             _up(corner),
             scan.unit,
+            "camera",
             scan,
             scene,
         )
@@ -195,7 +207,8 @@ class ViewedResult:
             PlacedRig(scan.calibration, each.place.rotation, each.place.translation, _picture(each.folder, scan))
             for each, scan in ((station, station.scan) for station in reversed(room.stations))
         )
-        return ViewedCloud(cloud.points, cloud.colours, rigs, None, np.array([0.0, 0.0, 1.0]), room.unit)
+        up = np.array([0.0, 0.0, 1.0])
+        return ViewedCloud(cloud.points, cloud.normals, cloud.colours, rigs, None, up, room.unit, "room")
 
     def _merged(self) -> ViewedCloud:
         cloud = read_cloud(self.folder / MERGED_FILE)
@@ -214,7 +227,8 @@ class ViewedResult:
                 corner = corner if rigs else found
                 rigs.append(PlacedRig(scan.calibration, pose[:, :3], pose[:, 3], _picture(folder, scan)))
         up = np.array([0.0, 0.0, 1.0 if np.median(cloud.points[:, 2]) >= 0 else -1.0])
-        return ViewedCloud(cloud.points, cloud.colours, tuple(rigs), corner, up, self.calibration.unit)
+        unit = self.calibration.unit
+        return ViewedCloud(cloud.points, cloud.normals, cloud.colours, tuple(rigs), corner, up, unit, "corner")
 
     def _poses(self) -> Sequence[Floats | None]:
         """Of the captures' cameras in the merged cloud, the newest first; None where an older result does not say."""
@@ -229,12 +243,10 @@ def _up(corner: MeasuredCorner | None) -> Floats:
 
 def _picture(folder: Path, scan: FinishedScan) -> NDArray[np.uint8]:
     """The camera's picture of the lit scene, RGB, reduced: the recording's white one, or else the points' colours."""
-    try:
-        recording = open_capture(folder / CAPTURE_FOLDER)
-        white = next(path for path, shown in zip(recording.files, recording.patterns, strict=True) if shown == White())
-        return photograph(read_image(recording.folder / white))
-    except (InputError, StopIteration):
-        camera = scan.calibration.camera
-        seen = np.zeros((camera.height, camera.width, 3), np.uint8)
-        seen[scan.pixel[:, 1], scan.pixel[:, 0]] = scan.colours[:, ::-1]
-        return photograph(seen)
+    recorded = white_picture(folder)
+    if recorded is not None:
+        return recorded
+    camera = scan.calibration.camera
+    seen = np.zeros((camera.height, camera.width, 3), np.uint8)
+    seen[scan.pixel[:, 1], scan.pixel[:, 0]] = scan.colours[:, ::-1]
+    return photograph(seen)

@@ -13,8 +13,9 @@ from calib.numerics import Floats
 from scanner.measuring import angle_cells
 from scanner.quantities import device_names, shown_unit
 from scanner.rendering import BLUE, FACE_COLOURS, VERMILION, frustum_lines
-from scanner.viewing.colouring import Colouring, coloured
+from scanner.viewing.colouring import Coloured, Colouring, coloured
 from scanner.viewing.corner import MeasuredCorner
+from scanner.viewing.crop import Box
 from scanner.viewing.geometry import (
     FIELD_OF_VIEW_RAD,
     nice_step,
@@ -24,26 +25,31 @@ from scanner.viewing.geometry import (
     viewpoint,
 )
 from scanner.viewing.result import PlacedRig, ViewedCloud
+from scanner.viewing.surface import Surface
 from scanner.viewing.texts import angle_name
 
 # The browser's camera is made for scenes of a few units: clouds of any unit are drawn in this size.
 _DRAWN_SIZE = 2.0
 _FRUSTUM_OF_SIZE = 0.25
 _FACE_OPACITY = 0.15
-_INK = (40, 40, 40)
+# As far from a white page as from a dark one.
+_INK = (118, 118, 118)
 _LINE_PX = 2.0
 _POINT_OF_SIZE = 0.9
 _BALL_OF_SIZE = 0.006
 
-CLOUD, RIGS, FACES, LABELS, PICKED = "/cloud", "/rigs", "/faces", "/labels", "/picked"
+CLOUD, RIGS, FACES, LABELS, PICKED, BOX = "/cloud", "/rigs", "/faces", "/labels", "/picked", "/box"
+_MESH = f"{CLOUD}/mesh"
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What is drawn now: how many points, and what their colours mean (Markdown)."""
+    """What is drawn now: how many `points` of how many in the box, or how many triangles, and what colours mean."""
 
     points: int
-    legend: str
+    among: int
+    triangles: int
+    coloured: Coloured
 
 
 class Scene:
@@ -55,10 +61,11 @@ class Scene:
         self._cloud: ViewedCloud | None = None
         self._factor = 1.0
         self._scene.configure_default_lights(cast_shadow=False)
+        server.on_client_connect(self._aim)
 
     def clear(self) -> None:
         """Show nothing."""
-        for name in (CLOUD, RIGS, FACES, LABELS, PICKED):
+        for name in (CLOUD, RIGS, FACES, LABELS, PICKED, BOX):
             self._scene.remove_by_name(name)
         self._cloud = None
 
@@ -82,32 +89,63 @@ class Scene:
             return
         view = viewpoint(self._cloud)
         self._scene.set_up_direction(view.up)
-        position, target = self._drawn(view.position), self._drawn(view.target)
         first = self._server.initial_camera
-        first.up, first.position, first.look_at, first.fov = view.up, position, target, FIELD_OF_VIEW_RAD
+        first.up, first.fov = view.up, FIELD_OF_VIEW_RAD
+        first.position, first.look_at = self._drawn(view.position), self._drawn(view.target)
         for client in self._server.get_clients().values():
-            with client.atomic():
-                client.camera.up_direction = view.up
-                client.camera.position = position
-                client.camera.look_at = target
-                client.camera.fov = FIELD_OF_VIEW_RAD
+            self._aim(client)
 
-    def draw_points(self, count: int, colouring: Colouring) -> Shown:
-        """Draw `count` of the cloud's points, spread evenly."""
+    def _aim(self, client: viser.ClientHandle) -> None:
+        """Have a window show everything, however narrow it is."""
+        if self._cloud is None:
+            return
+        view = viewpoint(self._cloud, client.camera.aspect)
+        with client.atomic():
+            client.camera.up_direction = view.up
+            client.camera.position = self._drawn(view.position)
+            client.camera.look_at = self._drawn(view.target)
+            client.camera.fov = FIELD_OF_VIEW_RAD
+
+    def draw_points(self, share: float, colouring: Colouring, box: Box) -> Shown:
+        """Draw a share of the cloud's points that are in the box, spread evenly."""
         cloud = self._required
-        chosen = np.sort(cloud.order[:count])
+        inside = cloud.order[box.holds(cloud.points)[cloud.order]] if box.bounded else cloud.order
+        chosen = np.sort(inside[: max(1, round(share * len(inside)))])
         told = coloured(cloud, chosen, colouring)
+        self._scene.remove_by_name(_MESH)
         self._scene.add_point_cloud(
             f"{CLOUD}/points",
             points=self._drawn(cloud.points[chosen]),
             colors=told.colours,
             # Points as large as their distance on surfaces that fill the view: no gaps, no blobs.
-            point_size=_POINT_OF_SIZE * _DRAWN_SIZE / np.sqrt(max(len(chosen), 1)),
+            point_size=_POINT_OF_SIZE * _DRAWN_SIZE / np.sqrt(max(share * len(cloud.points), 1)),
             point_shape="circle",
             point_shading="flat",
             precision="float32",
         )
-        return Shown(len(chosen), told.legend)
+        return Shown(len(chosen), len(inside), 0, told)
+
+    def draw_surface(self, surface: Surface, colouring: Colouring, box: Box) -> Shown:
+        """Draw the triangles in place of the points."""
+        cloud = surface.cloud
+        used = np.unique(surface.triangles).astype(np.int64)
+        told = coloured(cloud, used, colouring)
+        colours = np.zeros((len(cloud.points), 3), np.uint8)
+        colours[used] = told.colours
+        inside = box.holds(cloud.points) if box.bounded else None
+        data, triangles = surface.glb(colours, inside)
+        self._scene.remove_by_name(f"{CLOUD}/points")
+        self._scene.remove_by_name(_MESH)
+        if triangles:
+            # Turned from glTF's y up to the camera's y down.
+            self._scene.add_glb(_MESH, data, scale=self._factor, wxyz=(0.0, 1.0, 0.0, 0.0))
+        return Shown(0, 0, triangles, told)
+
+    def draw_box(self, box: Box) -> None:
+        """Draw its edges, if it has a wall."""
+        self._scene.remove_by_name(BOX)
+        if box.bounded:
+            self._lines(BOX, box.edges, _INK)
 
     def on_click(self, picked: Callable[[Floats, Floats], None]) -> None:
         """Call `picked` with the origin and the direction of each click's ray in the cloud's frame, (3,) each."""

@@ -3,44 +3,53 @@
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
 from io import StringIO
 from threading import Event
 
 import viser
 
+from scanner.rendering import script
 from scanner.ui import Terminal
 from scanner.viewing.doorkeeper import Doorkeeper
 from scanner.viewing.opening import address, free_port, warning
+from scanner.viewing.shelf import Shelf
 
-# Some of the client's own texts are smaller than 12 px or too pale; its units follow the root's font.
-_READABLE = """<style>
-:root { font-size: 16px !important; }
-label { color: #333 !important; letter-spacing: normal !important; }
-.mantine-Slider-markLabel, .mantine-Slider-label { font-size: 12px !important; }
-</style>"""
+_STYLE = "page.css"
 _BRAND = (0, 90, 150)
 
 
+@dataclass(frozen=True)
+class Serving:
+    """A running server, its `address` with the token that opens it, and the `shelf` of files that it answers with."""
+
+    server: viser.ViserServer
+    address: str
+    shelf: Shelf
+
+
 @contextmanager
-def serving(title: str, host: str, wanted_port: int | None) -> Iterator[tuple[viser.ViserServer, str]]:
-    """A server for as long as the context lasts, and its address with the token that opens it.
+def serving(title: str, host: str, wanted_port: int | None) -> Iterator[Serving]:
+    """A server for as long as the context lasts.
 
     Raises InputError if it cannot be had at that address.
     """
     port = free_port(host, wanted_port)
-    doorkeeper = Doorkeeper(host)
+    shelf = Shelf()
+    doorkeeper = Doorkeeper(host, shelf.answer)
     with doorkeeper.watching(), redirect_stdout(StringIO()):  # viser prints a banner; the address is ours to say
         server = viser.ViserServer(host, port, label=title, verbose=False)
     try:
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=_BRAND)
-        yield server, f"{address(host, server.get_port())}/?token={doorkeeper.token}"
+        where = f"{address(host, server.get_port())}/?token={doorkeeper.token}"
+        yield Serving(server, where, shelf)
     finally:
         server.stop()
 
 
-def add_readable_fonts(gui: viser.GuiApi) -> None:
-    """Keep every text of the page at 12 px or more; called where there is a container for it."""
-    gui.add_html(_READABLE)
+def add_style(gui: viser.GuiApi) -> None:
+    """What the page looks like beyond viser's own style; called where there is a container for it."""
+    gui.add_html(f"<style>{script(_STYLE)}</style>")
 
 
 def invite(where: str, host: str, terminal: Terminal, *, browser: bool) -> None:

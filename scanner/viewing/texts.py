@@ -2,24 +2,57 @@
 
 from collections.abc import Iterator
 
+from markupsafe import escape
+
 from calib.geometry import Calibration
 from scanner.measuring import angle_cells
 from scanner.quantities import Quantity, device_quantities, pose_quantities, shown_unit, truth_line
-from scanner.results import Verdict
+from scanner.rendering import css_colour
+from scanner.results import DECISIVE, Verdict
+from scanner.shown_text import unbroken
+from scanner.viewing.colouring import ColourBar
 from scanner.viewing.corner import MeasuredCorner
 
 
 def escaped(text: str) -> str:
-    """Text from a file or a message as Markdown that shows it and nothing else."""
-    return "".join(f"\\{letter}" if letter in "\\`*_{}[]<>#|$~" else letter for letter in text)
+    """Text from a file or a message as Markdown that shows it and nothing else, and breaks no line within a number."""
+    return "".join(f"\\{letter}" if letter in "\\`*_{}[]<>#|$~" else letter for letter in unbroken(text))
+
+
+def bold(text: str) -> str:
+    """A message, to be seen."""
+    return "\n\n".join(f"**{escaped(line)}**" for line in text.splitlines() if line.strip())
+
+
+def notes_text(verdict: Verdict | None) -> str:
+    """What else a person should know of a result, as its report has it; '' for nothing."""
+    said = () if verdict is None else (*verdict.reasons[DECISIVE:], *verdict.notes)
+    return "\n".join(f"- {escaped(sentence)}" for sentence in said)
+
+
+def link_html(address: str, text: str) -> str:
+    """A link that opens beside the page."""
+    return f'<p class="scan-link"><a href="{escape(address)}" target="_blank" rel="noopener">{escape(text)}</a></p>'
+
+
+def bar_html(bar: ColourBar | None) -> str:
+    """Shades from end to end, with what stands at both and in the middle; '' for none."""
+    if bar is None:
+        return ""
+    shades = ", ".join(css_colour((int(r), int(g), int(b))) for r, g, b in bar.shades[:: max(1, len(bar.shades) // 16)])
+    ends = "".join(f"<span>{escape(text)}</span>" for text in (bar.low, bar.middle, bar.high))
+    return (
+        f'<div class="scan-bar" role="img" aria-label="colours from {escape(bar.low)} to {escape(bar.high)}">'
+        f'<div style="background: linear-gradient(to right, {shades})"></div><p>{ends}</p></div>'
+    )
 
 
 def verdict_text(verdict: Verdict | None) -> str:
-    """The verdict with its reasons, or where to look for it."""
+    """The verdict with what it rests on, or where to look for it."""
     if verdict is None:
         return "This result does not say how far it can be trusted. Its report.html does."
     lines = [f"**{verdict.sign} {escaped(verdict.headline)}**", ""]
-    lines += [f"- {escaped(reason)}" for reason in verdict.reasons]
+    lines += [f"- {escaped(reason)}" for reason in verdict.reasons[:DECISIVE]]
     if verdict.advice:
         lines += ["", escaped(verdict.advice)]
     return "\n".join(lines)

@@ -5,7 +5,7 @@ from pathlib import Path
 from scanner.ui import Terminal
 from scanner.viewing.panel import ResultPanel
 from scanner.viewing.result import ViewedResult
-from scanner.viewing.server import add_readable_fonts, invite, serving, wait
+from scanner.viewing.server import add_style, invite, serving, wait
 
 
 def view(folder: Path, host: str, port: int | None, terminal: Terminal, *, browser: bool) -> None:
@@ -13,11 +13,12 @@ def view(folder: Path, host: str, port: int | None, terminal: Terminal, *, brows
     with terminal.step("Reading the result"):
         result = ViewedResult(folder)
         result.cloud(result.names[0])
-    with serving(f"Result {folder.resolve().name}", host, port) as (server, where):
-        server.gui.main_panel.dock_right()
-        tabs = server.gui.add_tab_group()
+    with serving(f"Result {folder.resolve().name}", host, port) as served:
+        gui = served.server.gui
+        gui.main_panel.dock_right()
+        tabs = gui.add_tab_group()
         with tabs.add_tab("Result") as tab:
-            add_readable_fonts(server.gui)
-        ResultPanel(server, tab).open(result)
-        invite(where, host, terminal, browser=browser)
+            add_style(gui)
+        ResultPanel(served.server, tab, served.shelf.link).open(result)
+        invite(served.address, host, terminal, browser=browser)
         wait()

@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
 from tests.support.places import ROOT
 
-PATIENCE_MS = 180_000  # of tests beside others on a busy machine
+PATIENCE_MS = int(os.environ.get("TEST_PATIENCE_MS", "180000"))  # of tests beside others on a busy machine
 _LEAVING_S = 180
 
 _SMALL_TEXTS = """() => {

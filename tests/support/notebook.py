@@ -17,6 +17,7 @@ class Notebook:
         self.frames: list[Frame] = []
         self.rigs: list[Rig] = []
         self.results: list[Path] = []
+        self.captured = 0
 
     def on_status(self, status: Status) -> None:
         self.statuses.append(status)
@@ -26,6 +27,9 @@ class Notebook:
 
     def on_frame(self, frame: Frame) -> None:
         self.frames.append(frame)
+
+    def on_captured(self) -> None:
+        self.captured += 1
 
     def on_row(self, row: CheckRow) -> None: ...
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.geometry import Motion
-from calib.refinement import SHARED, Cells, Knowledge, State, into_cells
+from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, Cells, Knowledge, State, into_cells
 from calib.rooms import Room, RoomPlane
 from calib.synthetic import SyntheticRoom
 from tests.support.states import device_of
@@ -51,9 +51,10 @@ def cells_of(made: SyntheticRoom, numbers: list[dict[int, int]]) -> tuple[list[C
 def disturbed(rng: np.random.Generator, room: Room, made: SyntheticRoom) -> Room:
     """Focals off by 1 %, places by 30 mm and 0.5°, planes by as much."""
     step = np.zeros(room.size)
-    step[[0, 5]] = rng.normal(0, 0.01, 2)
-    step[[1, 2, 6, 7]] = rng.normal(0, 5.0, 4)
-    step[10:SHARED] = rng.normal(0, 0.003, 5)
+    camera, projector = CAMERA.start, PROJECTOR.start
+    step[[camera, projector]] = rng.normal(0, 0.01, 2)
+    step[[camera + 1, camera + 2, projector + 1, projector + 2]] = rng.normal(0, 5.0, 4)
+    step[ROTATION.start : SHARED] = rng.normal(0, 0.003, 5)
     unit = made.calibration.baseline
     shift, turn = 0.03 / unit, np.radians(0.5)
     for station in range(1, len(room.places)):
@@ -64,6 +65,7 @@ def disturbed(rng: np.random.Generator, room: Room, made: SyntheticRoom) -> Room
 
 
 def knowledge_of(made: SyntheticRoom) -> Knowledge:
-    """The images' sizes, and the camera's principal point in its middle but for 50 px."""
+    """The images' sizes, the camera's principal point in its middle but for 50 px, and lenses of any terms."""
     camera, projector = made.calibration.camera.size, made.calibration.projector.size
-    return Knowledge(camera, projector, ((camera.width - 1) / 2, (camera.height - 1) / 2), 50.0, 0.3)
+    known = Knowledge(camera, projector, ((camera.width - 1) / 2, (camera.height - 1) / 2), 50.0, 0.3)
+    return known.with_all_terms(len(made.stations))

@@ -10,8 +10,8 @@ from calib.synthetic.captures import SyntheticCapture
 
 
 def device_of(intrinsics: Intrinsics) -> Floats:
-    """f, x_0, y_0, k1, k2, (5,)."""
-    return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion[:2]])
+    """f, x_0, y_0, k1, k2, p1, p2, k3, (8,)."""
+    return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion])
 
 
 def true_state(capture: SyntheticCapture) -> State:

@@ -13,6 +13,8 @@ import yaml
 from calib.geometry.calibration import Sigmas
 from calib.geometry.matches import NO_FACE
 from calib.pointcloud.pixel_index import NONE
+from hw.settings import SimulatedRigSettings
+from hw.simulated.simulation import place_room
 from scanner.capture.recording import open_capture
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
@@ -68,6 +70,13 @@ def test_a_scan_is_whole_and_true(scanned: Scanned) -> None:
     assert found.unit == "baseline"
     assert truth.unit == "m"
     assert names(scanned.result.parent) == {"room.yaml", "result"}
+
+
+def test_the_truth_says_where_the_rig_stood(scanned: Scanned) -> None:
+    told = read_yaml(scanned.result / "truth.yaml")["place"]
+    room = place_room(SimulatedRigSettings(seed=0, furniture=False), (612, 512), (427, 240))
+    assert np.array(told["translation"]) == pytest.approx(room.camera.centre)
+    assert np.array(told["rotation"]) == pytest.approx(room.camera.rotation.T)
 
 
 def test_a_result_says_where_it_comes_from(scanned: Scanned) -> None:

@@ -141,7 +141,7 @@ def test_angles_that_are_not_those_assumed_are_refused(good: Refinement) -> None
 
     refuse_untrustworthy(skewed(1.19), loose)
     refusal = refusal_of(skewed(1.21), loose)
-    assert "they seem to be off by +1.21, +0.00, +0.00 degrees" in refusal.reason
+    assert "they seem to be off by +1.21, 0.00, 0.00 degrees" in refusal.reason
     assert "where 0.3 degrees were allowed for" in refusal.reason
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.diagnostics.degeneracy import reasons_in_images, reasons_in_space
 from calib.numerics.array_types import Floats
 from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import Pose, State
+from calib.refinement.parameters import Pose, State, without_lens
 from calib.refusal import RIG
 
 AHEAD = np.array([0.0, 0.0, 1.0])
@@ -22,7 +22,7 @@ def state_seen(sines: Floats, distance: float, ahead_deg: float = 90.0) -> State
     sines = sines / np.linalg.norm(sines)
     frame = Rotation.align_vectors(AHEAD[None], sines[None])[0].as_matrix().T
     direction = np.array([np.sin(np.radians(ahead_deg)), 0.0, np.cos(np.radians(ahead_deg))])
-    device = np.array([1000.0, 500.0, 400.0, 0.0, 0.0])
+    device = without_lens(1000.0, np.array([500.0, 400.0]))
     pose = Pose(frame, distance * AHEAD)
     return State(device, device, np.eye(3), -direction, np.zeros((1, 3)), (pose,))
 

@@ -28,7 +28,31 @@ from calib.refinement import SHARED, State
 from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
 SIZES = (PAPER_CAMERA.size, PAPER_PROJECTOR.size)
-STEP = np.array([3e-3, 2, -1, 1e-3, 5e-4, -2e-3, 1, 2, -1e-3, 4e-4, 5e-4, -3e-4, 6e-4, 4e-4, -7e-4])
+STEP = np.array(
+    [
+        3e-3,
+        2,
+        -1,
+        1e-3,
+        5e-4,
+        2e-4,
+        -1e-4,
+        1e-4,
+        -2e-3,
+        1,
+        2,
+        -1e-3,
+        4e-4,
+        -2e-4,
+        1e-4,
+        1e-4,
+        5e-4,
+        -3e-4,
+        6e-4,
+        4e-4,
+        -7e-4,
+    ]
+)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +65,7 @@ def matches() -> Matches:
 def state() -> State:
     rig = random_capture(np.random.default_rng(4), count=6_000, noise_px=0.02).calibration
     camera, projector = (
-        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion])
         for device in (rig.camera, rig.projector)
     )
     return State(camera, projector, rig.rotation, rig.translation / rig.baseline, np.zeros((0, 3)), ())

@@ -8,6 +8,7 @@ import pytest
 from calib.diagnostics import moved_calibration, size_of_sheet
 from calib.geometry import Calibration, Matches
 from calib.numerics import Floats
+from calib.refinement import SHARED
 from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, look_at
 from tests.support.known_rigs import before
 
@@ -45,8 +46,8 @@ def test_it_goes_with_the_calibration_as_is_told() -> None:
     rig, uncertainty = case.known.calibration, case.known.uncertainty
     sheet = seen(np.random.default_rng(0), rig, 0.9, 0.05)
     found = size_of_sheet(*sheet, rig, uncertainty)
-    root = np.linalg.cholesky(uncertainty.covariance + 1e-16 * np.eye(15))
-    step = 0.3 * root @ np.random.default_rng(1).normal(size=15)
+    root = np.linalg.cholesky(uncertainty.covariance + 1e-16 * np.eye(SHARED))
+    step = root @ np.random.default_rng(2).normal(size=SHARED)
     moved = size_of_sheet(*sheet, moved_calibration(rig, uncertainty, step), None)
     expected = float(found.by_columns @ step)
     assert abs(expected) > 1e-5

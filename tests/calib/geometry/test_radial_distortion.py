@@ -1,13 +1,13 @@
-"""The lens's two radial terms: there and back, like the camera model, with exact derivatives."""
+"""The lens of a rig's device: there and back, like the camera model, with exact derivatives."""
 
 import numpy as np
 
 from calib.geometry.camera import Intrinsics
 from calib.geometry.radial_distortion import project, unproject
 
-DEVICE = np.array([1800.0, 1256.0, 1054.0, -0.06, 0.02])
-STEPS = np.diag([1e-6 * DEVICE[0], 1e-3, 1e-3, 1e-6, 1e-6])  # log f moves f in proportion
-BY = np.array([1e-6, 1e-3, 1e-3, 1e-6, 1e-6])
+DEVICE = np.array([1800.0, 1256.0, 1054.0, -0.06, 0.02, 2e-3, -1e-3, 0.01])
+BY = np.array([1e-6, 1e-3, 1e-3, *[1e-6] * 5])
+STEPS = np.diag([1e-6 * DEVICE[0], *BY[1:]])  # log f moves f in proportion
 
 
 def _pixels() -> np.ndarray:
@@ -20,8 +20,8 @@ def test_a_ray_meets_its_pixel_again_and_is_that_of_the_camera_model() -> None:
     rays, _ = unproject(DEVICE, pixels)
     again, _, _ = project(DEVICE, 3.0 * rays)
     np.testing.assert_allclose(again, pixels, atol=1e-9)
-    focal, x, y, k1, k2 = DEVICE
-    camera = Intrinsics(2448, 2048, (focal, focal), (x, y), (k1, k2, 0.0, 0.0, 0.0))
+    focal, x, y, k1, k2, p1, p2, k3 = DEVICE
+    camera = Intrinsics(2448, 2048, (focal, focal), (x, y), (k1, k2, p1, p2, k3))
     np.testing.assert_allclose(rays, camera.unproject(pixels), atol=1e-9)
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from calib.geometry import Motion
 from calib.numerics import Floats
-from calib.refinement import SHARED, Shifts
+from calib.refinement import CAMERA, PROJECTOR, SHARED, Cells, Shifts
+from calib.refinement.parameters import TANGENTIAL
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, estimate_room
 from calib.rooms.patches import predict_patch
@@ -36,6 +37,23 @@ def test_errors_are_as_large_as_their_sigmas() -> None:
     for part in (slice(0, SHARED), places, slice(places.stop, None)):
         assert 0.6 < np.sqrt(np.nanmean(np.concatenate([each[part] for each in off]) ** 2)) < 1.4
     assert all(case.found.residual_px.min() > 0.005 and case.found.residual_px.max() < 0.1 for case in cases)
+
+
+def test_lens_terms_are_found_where_there_are_some(case: Case) -> None:
+    options = RoomOptions()
+    camera, projector = (
+        replace(device, distortion=(*device.distortion[:2], *terms, 0.0))
+        for device, terms in ((options.camera, (5e-4, -3e-4)), (options.projector, (-4e-4, 4e-4)))
+    )
+    bent = case_of(10, camera=camera, projector=projector)
+    off = deviations(bent)
+    tangential = [device.start + term for device in (CAMERA, PROJECTOR) for term in TANGENTIAL]
+    assert np.all(np.abs(off[tangential]) < 4)
+    assert np.abs(bent.found.rig.camera[5:7]).min() > 1e-4
+    focals = [CAMERA.start, PROJECTOR.start]
+    assert 0 < np.abs(bent.found.room.step_to(bent.truth)[focals]).max() < 2e-3
+    assert not case.found.rig.camera[5:].any()
+    assert not case.found.rig.projector[5:].any()
 
 
 def test_a_far_start_ends_where_the_truth_does(case: Case) -> None:
@@ -152,14 +170,17 @@ def test_walls_that_are_not_flat_cost_certainty() -> None:
     assert 0.2 < np.sqrt(np.nanmean(deviations(wavy)[SHARED:] ** 2)) < 2.0
 
 
-def test_a_lens_with_terms_that_the_model_has_not_makes_stations_err_alike(case: Case) -> None:
-    options = RoomOptions()
-    camera = replace(options.camera, distortion=(-0.08, 0.02, 5e-4, -3e-4, 0.0))
-    projector = replace(options.projector, distortion=(-0.03, 0.0, -4e-4, 5e-4, 0.0))
-    odd = case_of(3, camera=camera, projector=projector)
+def test_an_error_that_no_lens_term_makes_is_alike_at_all_stations(case: Case) -> None:
+    """A wave over the image, across the epipolar lines, which are nearly level."""
+
+    def shifted(cells: Cells) -> Cells:
+        wave = 0.3 * np.sin(cells.camera_px[:, 0] / 120.0) * np.cos(cells.camera_px[:, 1] / 150.0)
+        return replace(cells, projector_px=cells.projector_px + np.stack([np.zeros_like(wave), wave], axis=1))
+
+    odd = replace(case, found=replace(case, cells=[shifted(cells) for cells in case.cells]).estimate())
     assert case.found.levels.alike < 1.3
     assert 2 < odd.found.levels.alike <= STATIONS
-    assert np.abs(deviations(odd)[[0, 5]]).max() < 4
+    assert np.abs(deviations(odd)[[CAMERA.start, PROJECTOR.start]]).max() < 4
 
 
 def test_smooth_errors_of_the_decoder_add_to_the_covariance(case: Case) -> None:

@@ -3,6 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.numerics import Floats
+from calib.refinement import SHARED
 from calib.rooms import Room
 from tests.calib.rooms.conftest import Case
 from tests.support.numeric import gradient_of
@@ -31,7 +32,7 @@ def test_planes_and_places_stay_what_they_are(case: Case) -> None:
 
 def test_columns_do_not_overlap(case: Case) -> None:
     room, every = case.truth, np.arange(case.truth.size)
-    parts = [every[:15], *(every[room.place_columns(i)] for i in range(len(room.places)))]
+    parts = [every[:SHARED], *(every[room.place_columns(i)] for i in range(len(room.places)))]
     parts += [every[room.plane_columns(i)] for i in range(len(room.planes))]
     assert np.array_equal(np.concatenate(parts), every)
 

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Calibration, Intrinsics, Matches, Motion
 from calib.numerics import Floats
 from calib.refinement import State
+from calib.refinement.parameters import without_lens
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, estimate_without_planes
 
@@ -20,8 +21,8 @@ RIG = Calibration(
     CAMERA, PROJECTOR, Rotation.from_euler("y", 14, degrees=True).as_matrix(), np.array([-0.995, 0.02, 0.098])
 )
 STATE = State(
-    np.array([1500.0, 500.0, 400.0, 0.0, 0.0]),
-    np.array([1200.0, 400.0, 300.0, 0.0, 0.0]),
+    without_lens(1500.0, np.array([500.0, 400.0])),
+    without_lens(1200.0, np.array([400.0, 300.0])),
     RIG.rotation,
     RIG.translation / RIG.baseline,
     np.zeros((0, 3)),

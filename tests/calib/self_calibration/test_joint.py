@@ -81,6 +81,32 @@ def test_three_captures_need_to_know_nothing() -> None:
     assert 1e-4 < np.abs(point).max() < 4
 
 
+def test_captures_of_one_corner_find_tangential_terms() -> None:
+    camera, projector = (
+        replace(RIG[name], distortion=(RIG[name].distortion[0], 0.0, *terms, 0.0))
+        for name, terms in (("camera", (6e-4, -4e-4)), ("projector", (-5e-4, 3e-4)))
+    )
+    captures = random_captures(
+        np.random.default_rng(21), 2, walls_off_deg=0.3, count=20_000, camera=camera, projector=projector
+    )
+    (found, _) = _calibrate(captures, KNOWN)
+    error, deviation = _errors(found)
+    assert 1e-6 < np.abs(error).mean() < 0.01
+    assert np.abs(deviation).max() < 5
+    sigma = found.calibration.sigma
+    for device, true, known in (
+        (found.calibration.camera, camera, sigma.camera),
+        (found.calibration.projector, projector, sigma.projector),
+    ):
+        assert known.distortion is not None
+        off = np.subtract(device.distortion, true.distortion)[2:4]
+        assert np.all(np.abs(off) < 5 * np.array(known.distortion[2:4]))
+        assert 0 < np.abs(off).max() < 3e-4
+
+    plain = _calibrate(random_captures(np.random.default_rng(21), 2, walls_off_deg=0.3, count=20_000, **RIG), KNOWN)
+    assert plain[0].calibration.camera.distortion[2:] == (0.0, 0.0, 0.0)
+
+
 def test_different_square_corners_determine_the_principal_point() -> None:
     captures = random_captures(np.random.default_rng(5), 2, same=False, count=20_000, **RIG)
     found = _calibrate(captures, CENTRE, squareness_deg=0.0)

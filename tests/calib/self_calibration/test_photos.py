@@ -10,7 +10,7 @@ from calib.geometry.camera import Intrinsics
 from calib.geometry.matches import Matches
 from calib.geometry.relative_pose import Motion
 from calib.plane_segmentation.sparse_faces import find_sparse_faces
-from calib.refinement.parameters import Pose, State, predict
+from calib.refinement.parameters import CAMERA, PROJECTOR, Pose, State, predict, without_lens
 from calib.refusal import RefusalError
 from calib.self_calibration.photos import anywhere, calibrate_photos
 from calib.self_calibration.rig import PrincipalPoint, SelfCalibration
@@ -104,7 +104,7 @@ def test_a_known_principal_point_and_a_known_focal_length_are_used() -> None:
 def test_derivatives_of_the_shared_camera_are_exact() -> None:
     photos = random_photos(np.random.default_rng(5), photos=3, count=300)
     matches, truth = photos.pairs[1]
-    camera = np.array([truth.camera.focal_px[0], *truth.camera.principal_point_px, -0.05, 0.01])
+    camera = np.array([truth.camera.focal_px[0], *truth.camera.principal_point_px, -0.05, 0.01, 1e-3, -5e-4, 0.01])
     first = photos.pairs[0][1]
     state = State(
         camera,
@@ -132,7 +132,7 @@ def test_derivatives_of_the_shared_camera_are_exact() -> None:
 
 def test_a_step_between_states_is_undone_by_moving() -> None:
     photos = random_photos(np.random.default_rng(6), photos=3, count=100)
-    camera = np.array([1500.0, 700.0, 600.0, -0.05, 0.0])
+    camera = without_lens(1500.0, np.array([700.0, 600.0]), -0.05)
     (_, first), (_, second) = photos.pairs
     state = State(
         camera,
@@ -145,7 +145,7 @@ def test_a_step_between_states_is_undone_by_moving() -> None:
         further=(Motion(second.rotation, 0.8 * second.translation),),
     )
     step = np.random.default_rng(0).normal(0, 1e-4, state.size)
-    step[5:10] = step[0:5]  # the projector is the camera
+    step[PROJECTOR] = step[CAMERA]  # the projector is the camera
     moved = state.moved(step)
     assert np.array_equal(moved.camera, moved.projector)
     assert np.allclose(state.step_to(moved), step, atol=1e-7)

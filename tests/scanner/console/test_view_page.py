@@ -5,14 +5,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser
+from playwright.sync_api import Browser, expect
 
 from calib.geometry.camera import Intrinsics
 from calib.pointcloud.corner_view import View
 from calib.pointcloud.merged_cloud import merged
 from calib.pointcloud.organised_cloud import build_cloud
 from scanner.commands.main import main
-from scanner.io.ply import write_merged_ply
+from scanner.io.ply import read_cloud, write_merged_ply
 from tests.support.browsing import Served, Visit, visiting
 from tests.support.result_folder import write_result
 
@@ -25,6 +25,7 @@ SMALL = Intrinsics(204, 171, (149.5, 149.5), (104.5, 88.0), (-0.05, 0.0, 0.0, 0.
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     folder = tmp_path_factory.mktemp("view")
     written = write_result(folder / "room", camera=SMALL)
+    (folder / "room" / "report.html").write_text("A report's own words", encoding="utf-8")
     cloud = build_cloud(written.scene.matches, written.scene.texture, written.scan.calibration)
     view = View(cloud.points, None, SMALL, written.scene.corner)
     write_merged_ply(folder / "room" / "merged.ply", merged([cloud], [view], (1,)))
@@ -64,11 +65,16 @@ def test_the_cloud_is_in_the_picture_and_can_be_hidden(visit: Visit) -> None:
 
 def test_points_are_thinned_and_coloured(visit: Visit) -> None:
     visit.choose("Cloud", "The capture")
+    visit.page.get_by_role("combobox", name="Show").wait_for()  # only of one capture
     visit.choose("Colour", "Faces")
     visit.wait_for("A orange, B sky blue, C green")
     visit.choose("Colour", "Uncertainty of depth")
-    visit.wait_for("Standard deviation of the depth: dark blue")
-    percent = visit.page.locator(".mantine-NumberInput-input")  # the slider's
+    visit.wait_for("Standard deviation of the depth.")
+    visit.page.get_by_role("img", name="colours from ").wait_for()
+    visit.choose("Show", "Surface")
+    visit.wait_for(" triangles.")
+    visit.choose("Show", "Points")
+    percent = visit.page.locator(".mantine-NumberInput-input").first  # the slider's
     percent.fill("25")
     percent.press("Enter")
     visit.wait_for("Showing 1 in 4 of")
@@ -88,9 +94,42 @@ def test_two_clicks_measure_a_distance(visit: Visit) -> None:
         if told.count():
             break
     visit.wait_for("Distance:")
-    assert re.search(r"Distance: [\d.]+ ± [\d.]+ mm", told.first.inner_text())
+    assert re.search(r"Distance: [\d.]+\s±\s[\d.]+\smm", told.first.inner_text())
+    visit.set_number("Known distance, mm", "1000")
+    visit.wait_for("scale: {baseline_m: ")
     visit.press("Forget the points")
     visit.wait_for("Click on a point of the cloud")
+
+
+def test_a_part_is_cut_out_and_downloaded(visit: Visit) -> None:
+    visit.page.get_by_text("Cut out a part").click()
+    visit.set_number("From face A, mm", "100")
+    visit.wait_for(" in all.")
+    with visit.page.expect_download() as download:
+        visit.press("Download this part")
+    part = read_cloud(Path(download.value.path()))
+    assert 100 < len(part) < 30_000
+    visit.press("The whole again")
+    visit.wait_for("Showing 1 in 4 of")
+
+
+def test_the_report_is_one_click_away(visit: Visit, served: Served) -> None:
+    with visit.page.context.expect_page() as opened:
+        visit.page.get_by_text("Open the report").click()
+    expect(opened.value.get_by_text("A report's own words")).to_be_visible()
+    opened.value.close()
+
+
+def test_it_is_dark_where_the_browser_is_and_fits_800_pixels(browser: Browser, served: Served) -> None:
+    page = browser.new_page(viewport={"width": 800, "height": 700}, color_scheme="dark")
+    page.goto(served.address)
+    page.get_by_text("Points, %").wait_for()
+    assert page.locator("html").get_attribute("data-mantine-color-scheme") == "dark"
+    box = page.locator("canvas").first.bounding_box()
+    assert box
+    assert 350 < box["width"] < 500
+    assert page.evaluate("document.documentElement.scrollWidth") <= 800
+    page.close()
 
 
 def test_it_is_readable_and_keeps_to_itself(visit: Visit) -> None:

@@ -1,9 +1,12 @@
 """The worker that owns the rig, without a browser."""
 
+import base64
 import threading
 import time
+import wave
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +17,9 @@ from hw.open_rig import OpenedRig
 from hw.rig import Frame, Rig
 from scanner import pipeline
 from scanner.console import worker as worker_module
-from scanner.console.progress import CancelledError, Stage, StagedProgress
+from scanner.console.progress import CancelledError, Stage, StagedProgress, durations_in
 from scanner.console.settings import Picture, Settings, plain_name
+from scanner.console.sound import chime
 from scanner.console.worker import Activity, Status, Worker
 from scanner.results.stated_uncertainty import read_verdict
 from tests.support.notebook import Notebook, until
@@ -203,6 +207,36 @@ def test_a_bug_is_a_message_with_a_file(worker: Worker, monkeypatch: pytest.Monk
     assert "Traceback" in log.read_text()
 
 
+def test_between_captures_the_operator_is_told_and_asked(
+    worker: Worker, page: Notebook, wall: Wall, tmp_path: Path
+) -> None:
+    (tmp_path / "wall.yaml").write_text(CONFIG.replace("simulated", "aravis"))
+    worker.change(captures=3)
+    worker.request(Activity.SCANNING)
+    until(lambda: worker.status.question)
+    assert "Capture 1 of 3 is done. Move the rig as a whole" in worker.status.question
+    assert worker.status.told[0].startswith("Not yet enough to calibrate: ")
+    assert page.captured == 1
+    worker.answer(more=True)
+    until(lambda: "Capture 2 of 3" in worker.status.question)
+    worker.answer(more=False)
+    until(lambda: worker.status.message)
+    assert worker.status.message.startswith("no trustworthy calibration: ")
+    assert [path.name for path in (tmp_path / "scans/wall/captures").iterdir()] == ["1"]
+    assert page.captured == 2
+
+
+def test_a_question_ends_with_the_scan(worker: Worker, wall: Wall, tmp_path: Path) -> None:
+    (tmp_path / "wall.yaml").write_text(CONFIG.replace("simulated", "aravis"))
+    worker.change(captures=2)
+    worker.request(Activity.SCANNING)
+    until(lambda: worker.status.question)
+    worker.cancel()
+    until(lambda: worker.status.message)
+    assert worker.status.message.startswith("Cancelled.")
+    assert (tmp_path / "scans/wall-incomplete/capture").is_dir()
+
+
 def test_closing_cancels_and_tells_how_it_ended(worker: Worker, tmp_path: Path) -> None:
     worker.request(Activity.SCANNING)
     until(lambda: worker.status.stage and worker.status.stage.done >= 2)
@@ -237,6 +271,29 @@ def test_progress_shows_frames_and_stops_between_them() -> None:
     assert frames == [frame, frame]
     with pytest.raises(CancelledError), progress.step("Calibrating"):
         pytest.fail("a step began after it was cancelled")
+
+
+def test_how_long_it_takes_is_told_by_the_last_time(tmp_path: Path) -> None:
+    log = tmp_path / "scan.log"
+    log.write_text(
+        "2026-01-02 03:04:05,100 INFO scanner.ui.terminal: Capturing and decoding: 23\n"
+        "2026-01-02 03:04:09,000 INFO scanner.decoding: something else\n"
+        "2026-01-02 03:04:15,100 INFO scanner.console.progress: Calibrating\n"
+        "2026-01-02 03:04:22,100 INFO scanner.ui.terminal: Writing the result\n"
+    )
+    assert durations_in(log) == {"Capturing and decoding": pytest.approx(10, abs=1), "Calibrating": 7}
+    assert durations_in(tmp_path / "nothing") == {}
+    assert Stage("Calibrating", began_s=100.0, usual_s=7.0).left_s(102.0) == 5.0
+    assert Stage("Calibrating", began_s=100.0, usual_s=7.0).left_s(120.0) == 0.0
+    assert Stage("Capturing", 5, 20, began_s=100.0, usual_s=1.0).left_s(110.0) == 30.0
+    assert Stage("Calibrating", began_s=100.0).left_s(110.0) is None
+
+
+def test_the_sound_is_one() -> None:
+    with wave.open(BytesIO(base64.b64decode(chime().partition(",")[2]))) as sound:
+        samples = np.frombuffer(sound.readframes(sound.getnframes()), "<i2")
+        assert 0.2 < sound.getnframes() / sound.getframerate() < 0.5
+    assert 3000 < np.abs(samples).max() < 20_000
 
 
 def test_a_stage_in_per_cent() -> None:

@@ -15,6 +15,8 @@ from calib.geometry.radial_distortion import unproject
 from calib.pointcloud.corner_view import View
 from calib.pointcloud.merged_cloud import merged
 from calib.pointcloud.organised_cloud import build_cloud
+from calib.refinement import CAMERA as CAMERA_COLUMNS
+from calib.refinement import PROJECTOR as PROJECTOR_COLUMNS
 from calib.refinement.parameters import SHARED, State
 from calib.self_calibration.rig import Profile, SelfCalibration
 from scanner.capture.facts import CaptureFacts
@@ -32,7 +34,7 @@ SIGMA_F = 0.01
 
 def state_of(calibration: Calibration) -> State:
     camera, projector = (
-        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion])
         for device in (calibration.camera, calibration.projector)
     )
     translation = calibration.translation / calibration.baseline
@@ -51,7 +53,7 @@ def report(scene: Scene) -> ReportInput:
     covariance[0, 0] = SIGMA_F**2
     by_principal_point = np.zeros((SHARED, 2))
     by_principal_point[0] = 0.001, -0.0002
-    by_principal_point[5] = 0.0005, 0.0
+    by_principal_point[PROJECTOR_COLUMNS.start] = 0.0005, 0.0
     baseline = scene.calibration.baseline
     calibration = replace(scene.calibration, translation=scene.calibration.translation / baseline, unit="baseline")
     solution = SelfCalibration(
@@ -120,7 +122,7 @@ def test_the_sigmas_of_points_are_those_of_trials(report: ReportInput, scene: Sc
     assert found is not None
     assert found.map.scale.low.endswith(" %")
     state = state_of(scene.calibration)
-    moved = replace(state, camera=state.camera * np.array([np.exp(1e-4), 1, 1, 1, 1]))
+    moved = state.moved(np.where(np.arange(state.size) == CAMERA_COLUMNS.start, 1e-4, 0.0))
     before, after = (_triangulated(each, scene.matches) for each in (state, moved))
     change = np.linalg.norm(after - before, axis=1) / np.linalg.norm(before, axis=1) / 1e-4
     assert found.median_percent == pytest.approx(100 * SIGMA_F * np.median(change), rel=0.05)

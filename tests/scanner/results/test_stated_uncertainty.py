@@ -29,7 +29,7 @@ def scene() -> Scene:
 
 def uncertainty_of(calibration: Calibration, covariance: Floats) -> Uncertainty:
     camera, projector = (
-        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion[:2]])
+        np.array([device.focal_px[0], *device.principal_point_px, *device.distortion])
         for device in (calibration.camera, calibration.projector)
     )
     translation = calibration.translation / calibration.baseline
@@ -73,18 +73,38 @@ def test_the_columns_are_what_the_format_says(scene: Scene, tmp_path: Path) -> N
     covariance[TRANSLATION, TRANSLATION] = np.outer(step[3:5], step[3:5])
     values = np.array(confidence_entries(VERDICT, uncertainty_of(calibration, covariance))["covariance"]["values"])
     moved = Motion(calibration.rotation, direction).moved(step).translation - direction
-    assert values[13:, 13:] == pytest.approx(np.outer(moved, moved), rel=1e-3, abs=1e-11)
-    assert np.abs(values[13:, 13:] @ direction).max() < 1e-15
+    assert values[-3:, -3:] == pytest.approx(np.outer(moved, moved), rel=1e-3, abs=1e-11)
+    assert np.abs(values[-3:, -3:] @ direction).max() < 1e-15
+
+
+def test_files_of_two_radial_terms_are_read(scene: Scene, tmp_path: Path) -> None:
+    calibration, path = scene.calibration, tmp_path / "calibration.yaml"
+    sigma = np.zeros(SHARED)
+    sigma[[CAMERA.start, CAMERA.start + 4, ROTATION.start]] = 1e-3, 2e-2, 1e-4
+    given = np.outer(sigma, sigma)
+    written = confidence_entries(VERDICT, uncertainty_of(calibration, given))
+    kept = [i for i, column in enumerate(COLUMNS) if not column.endswith(("p1", "p2", "k3"))]
+    entry = written["covariance"]
+    entry["columns"] = [COLUMNS[i] for i in kept]
+    entry["values"] = np.array(entry["values"])[np.ix_(kept, kept)].tolist()
+    write_calibration(path, calibration, written)
+    found = read_uncertainty(path, calibration)
+    assert found is not None
+    assert found.covariance == pytest.approx(given, rel=1e-9, abs=1e-15)
+    entry["values"].pop()
+    write_calibration(path, calibration, written)
+    with pytest.raises(InputError, match="columns"):
+        read_uncertainty(path, calibration)
 
 
 def test_the_sigma_of_points_is_that_of_calibrations_drawn_from_the_file(scene: Scene, tmp_path: Path) -> None:
     """Only from what the format says: draw focal lengths, rotations and directions, and triangulate with each."""
     calibration, sample = scene.calibration, scene.matches[::211]
-    covariance = np.diag([1e-6, 0, 0, 0, 0, 4e-6, 0, 0, 0, 0, 1e-8, 4e-8, 1e-8, 1e-7, 2e-7])
+    covariance = np.diag([1e-6, *[0] * 7, 4e-6, *[0] * 7, 1e-8, 4e-8, 1e-8, 1e-7, 2e-7])
     path = tmp_path / "calibration.yaml"
     write_calibration(path, calibration, confidence_entries(VERDICT, uncertainty_of(calibration, covariance)))
     entry = yaml.safe_load(path.read_text(encoding="utf-8"))["covariance"]
-    draws = np.random.default_rng(0).multivariate_normal(np.zeros(16), entry["values"], 400, method="eigh")
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(len(COLUMNS)), entry["values"], 400, method="eigh")
     depths = [intersect(sample, _moved(calibration, dict(zip(entry["columns"], draw, strict=True)))) for draw in draws]
     found = read_uncertainty(path, calibration)
     assert found is not None
@@ -124,7 +144,7 @@ def test_an_older_result_says_neither(scene: Scene, tmp_path: Path) -> None:
     [
         ("verdict: {grade: splendid, headline: a, reasons: [], advice: ''}", "grade"),
         ("covariance: {columns: [a], match_px: 0.1, values: [[1.0]]}", "columns"),
-        (f"covariance: {{columns: [{', '.join(COLUMNS)}], match_px: 0.1, values: [[1.0]]}}", "16 rows"),
+        (f"covariance: {{columns: [{', '.join(COLUMNS)}], match_px: 0.1, values: [[1.0]]}}", "22 rows"),
         (f"covariance: {{columns: [{', '.join(COLUMNS)}], match_px: 0.1, values: [[.nan]]}}", "values"),
     ],
 )

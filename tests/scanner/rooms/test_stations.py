@@ -7,16 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.geometry import Size
+from calib.geometry import Calibration, Size
+from calib.rooms import Registration, StationView, register
 from scanner.capture import CaptureFacts
 from scanner.commands.main import main
 from scanner.configuration import Config
 from scanner.io import write_calibration, write_matches
 from scanner.results import Decoded, GivenMatches
-from scanner.rooms import live
+from scanner.rooms import live, solve
+from scanner.rooms.contents import RigStart
 from scanner.rooms.document import given_rig, read_stations
 from scanner.rooms.jobs import room
-from scanner.rooms.solve import solve_room
+from scanner.rooms.solve import look_at, solve_room
 from scanner.ui import Terminal
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
 from tests.support.whole_room import PROJECTOR, TrueStation, stations
@@ -48,6 +50,30 @@ def test_a_station_of_another_room_is_named_and_left_out(example: SolvedExample,
     assert [stranger.name for stranger in solved.strangers] == [str(tmp_path / "elsewhere.npz")]
     assert len(solved.strangers[0].reason) > 20
     assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 1, 3)}
+
+
+def test_what_is_left_out_is_tried_again_by_the_rig_that_the_others_measured(
+    example: SolvedExample, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    captures = read_stations(example.files, example.config, QUIET)
+    known = example.solved.calibration
+    given = replace(known, translation=known.translation / known.baseline, unit="baseline")
+    rigs: list[Calibration] = []
+
+    def looked_at(capture: Decoded, rig: Calibration) -> solve.Seen:
+        rigs.append(rig)
+        return look_at(capture, rig)
+
+    def at_first_without_the_last(views: Sequence[StationView]) -> Registration:
+        return register(views if len(rigs) > len(captures) else views[:-1])
+
+    monkeypatch.setattr(solve, "look_at", looked_at)
+    monkeypatch.setattr(solve, "register", at_first_without_the_last)
+    solved = solve_room(captures, RigStart(given, example.solved.uncertainty, {}, known), example.config, QUIET)
+    assert len(solved.stations) == len(captures)
+    assert len(rigs) == 2 * len(captures)
+    assert rigs[-1].camera.focal_px != rigs[0].camera.focal_px
+    assert rigs[-1].camera.focal_px[0] == pytest.approx(known.camera.focal_px[0], rel=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -17,14 +17,19 @@ from hypothesis import strategies as st
 from websockets.exceptions import InvalidStatus
 
 from scanner.viewing.doorkeeper import Doorkeeper
-from scanner.viewing.server import serving
+from scanner.viewing.server import Serving, serving
 
 
 @pytest.fixture(scope="module")
-def where() -> Iterator[str]:
+def served() -> Iterator[Serving]:
+    with serving("a page", "127.0.0.1", None) as served:
+        yield served
+
+
+@pytest.fixture(scope="module")
+def where(served: Serving) -> str:
     """The printed address of a page."""
-    with serving("a page", "127.0.0.1", None) as (_, address):
-        yield address
+    return served.address
 
 
 @dataclass(frozen=True)
@@ -48,8 +53,8 @@ def cookie(where: str) -> str:
     """What the printed address gives to a browser."""
     parts = urlsplit(where)
     response = ask(where, f"{parts.path}?{parts.query}")
-    assert response.status == 302
-    assert response.headers["Location"] == "/"
+    assert response.status == 200
+    assert "location.replace(" in response.text
     told = response.headers["Set-Cookie"]
     assert "HttpOnly" in told
     assert "SameSite=Strict" in told
@@ -88,6 +93,56 @@ def test_a_websocket_has_to_come_from_the_page_itself(where: str, own: bool) -> 
         ):
             pass
         assert caught.value.response.status_code == 403
+
+
+@pytest.fixture(scope="module")
+def report(served: Serving, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The address of a report in a folder beside others."""
+    folder = tmp_path_factory.mktemp("results") / "a room & more"
+    (folder / "captures/1").mkdir(parents=True)
+    (folder / "report.html").write_text("<script>alert(1)</script>")
+    (folder / "captures/1/calibration.yaml").write_text("camera: {}")
+    (folder.parent / "secret.html").write_text("secret")
+    (folder / "out.html").symlink_to(folder.parent / "secret.html")
+    return served.shelf.link(folder / "report.html")
+
+
+def test_a_report_is_shown_without_foreign_scripts_and_its_files_are_downloaded(where: str, report: str) -> None:
+    shown = ask(where, report, Cookie=cookie(where))
+    assert (shown.status, shown.text) == (200, "<script>alert(1)</script>")
+    policy = shown.headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy
+    assert "script-src 'sha256-" in policy
+    assert "unsafe-inline" not in policy.partition("script-src")[2]
+    file = ask(where, report.replace("report.html", "captures/1/calibration.yaml"), Cookie=cookie(where))
+    assert (file.status, file.text) == (200, "camera: {}")
+    assert file.headers["Content-Disposition"].startswith("attachment")
+    assert file.headers["X-Content-Type-Options"] == "nosniff"
+
+
+def test_files_want_the_token_too(where: str, report: str) -> None:
+    assert ask(where, report).status == 403
+    assert ask(where, report, Cookie=cookie(where), Host="evil.example").status == 403
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../secret.html",
+        "..%2Fsecret.html",
+        "out.html",
+        "captures",
+        "",
+        "%00",
+        "captures//1/calibration.yaml",
+        "nothing",
+    ],
+)
+def test_only_files_of_offered_folders_are_answered(where: str, report: str, name: str) -> None:
+    for path in (report.replace("report.html", name), f"/results/2-results/{name}"):
+        answer = ask(where, path, Cookie=cookie(where))
+        assert answer.status == 404
+        assert "secret" not in answer.text
 
 
 @given(st.text(max_size=40), st.text(max_size=40), st.text(max_size=40))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from scanner.configuration.schema import ScaleSettings
 from scanner.viewing.picking import Picked, point_at
 from scanner.viewing.result import CaptureCloud, ViewedResult
 from tests.support.result_folder import Written, write_result
@@ -73,6 +74,28 @@ def test_two_points_are_a_distance_with_its_sigma(written: Written, cloud: Captu
         truth = 1000 * np.linalg.norm(true[first] - true[second])
         errors.append((float(words[1].strip("*")) - truth) / float(words[3]))
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.25
+
+
+def test_a_known_distance_tells_the_baseline_with_its_sigma(written: Written, cloud: CaptureCloud) -> None:
+    """Whatever the scale that the result has now: it is the baseline in the scene's metres that comes out."""
+    true, baseline_m = _true_points(written, cloud), written.scene.calibration.baseline
+    sigmas = []
+    for first, second in _some(cloud, 2):
+        length_m = float(np.linalg.norm(true[first] - true[second]))
+        scale = Picked(cloud, (first, second)).scale(length_m, 0.0)
+        if scale is None:
+            assert length_m < 0.05
+            continue
+        sigmas.append((scale.baseline_m - baseline_m) / scale.sigma_m)
+        assert ScaleSettings.model_validate({key.partition(".")[2]: value for key, value in scale.keys.items()})
+    assert 0.8 < np.sqrt(np.mean(np.square(sigmas))) < 1.25
+    first, second = _some(cloud, 2)[0]
+    picked = Picked(cloud, (first, second))
+    sure, unsure = picked.scale(1.0, 0.0), picked.scale(1.0, 0.01)
+    assert sure is not None
+    assert unsure is not None
+    assert unsure.sigma_m == pytest.approx(np.hypot(sure.sigma_m, 0.01 * sure.baseline_m))
+    assert picked.scale(1.0, 0.3) is None
 
 
 def test_after_three_points_it_begins_anew(cloud: CaptureCloud) -> None:

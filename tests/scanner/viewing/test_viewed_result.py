@@ -102,6 +102,22 @@ def test_points_can_be_coloured_by_what_is_known(written: Written, cloud: Captur
     assert len({tuple(colour) for colour in colours}) == len(np.unique(face))
 
 
+def test_distances_from_the_faces_are_those_that_their_flatness_is_of(cloud: CaptureCloud) -> None:
+    off = cloud.from_faces(np.arange(len(cloud.points)))
+    assert np.array_equal(np.isfinite(off), np.isin(cloud.matches.face, (0, 1, 2)))
+    for label, face in enumerate(cloud.scene.faces):
+        on = cloud.matches.face == label
+        assert np.sqrt(np.mean(off[on] ** 2)) == pytest.approx(face.errors.rms, rel=0.05)
+    nearer = cloud.points * 0.999  # towards the camera
+    assert np.median(replace(cloud, points=nearer).from_faces(np.arange(len(off)))[np.isfinite(off)]) > 0
+    told = coloured(cloud, np.arange(len(off)), Colouring.DEVIATION)
+    assert told.bar is not None
+    assert told.bar.low == told.bar.high.replace("+", "−")
+    signs = told.colours.astype(int)[..., 0] - told.colours[..., 2]  # red above, blue below
+    strong = np.abs(np.nan_to_num(off)) > np.nanquantile(np.abs(off), 0.5)
+    assert np.array_equal(np.sign(signs[strong]), np.sign(off[strong]))
+
+
 def test_the_sigma_of_depth_is_that_of_the_errors(written: Written, cloud: CaptureCloud) -> None:
     chosen = cloud.order[:5000]
     true = {
@@ -151,7 +167,7 @@ def test_without_faces_and_sigmas_there_is_still_a_cloud(tmp_path: Path, edit_ma
     edit_matches(folder, drop=("face", "sigma_px"))
     cloud = ViewedResult(folder).cloud("The capture")
     assert cloud.corner is None
-    assert possible_colourings(cloud) == (Colouring.CAMERA,)
+    assert possible_colourings(cloud) == (Colouring.CAMERA, Colouring.DEPTH)
     assert np.array_equal(cloud.up, [0, -1, 0])
     assert np.all(np.isfinite(viewpoint(cloud).position))
 

@@ -1,0 +1,300 @@
+"""Whole rooms that other software rendered (`rendered_room.py`), from their frames to poses, surfaces and balls.
+
+    python benchmarks/bench_rendered_room.py ROOM... [--calibrated] [--seed 0] [--without 2]
+
+ROOM is a folder of `rendered_room.py`. Stations are decoded, come in random order, and nothing is known of the rig but
+the image sizes and the baseline; `--calibrated`: with the true calibration given and held. Places are compared in the
+best overall frame. Surfaces are errors as shares of the room's diagonal, median and 95 %: of the room's cloud from the
+nearest true surface, and of the stations' clouds pixel by pixel from what the pixel's ray meets. Errors over sigmas are
+rms, of lengths those of distances between facing planes and of angles. 'light' is how far matches are off from where
+the true points fall in the projector's picture, median and 95 %.
+"""
+
+import argparse
+import resource
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Calibration, Intrinsics, Motion
+from calib.numerics import Floats
+from calib.pointcloud import fit_sphere
+from calib.refusal import RefusalError
+from calib.rooms.lengths import angle_deg, centre_of, gap
+from scanner.configuration import Config
+from scanner.results import Decoded
+from scanner.rooms.blended_cloud import blended
+from scanner.rooms.contents import RigStart, SolvedRoom
+from scanner.rooms.corner_rig import rig_from_corners
+from scanner.rooms.document import read_stations
+from scanner.rooms.solve import solve_room
+from scanner.ui import Terminal
+
+_BALLS_M, _RADIUS_M = 3.0, 0.12
+_ON_BALL_M = 2e-4
+_SAMPLE = 11
+_WRONG_M = 0.02
+_FACING, _CROSSING = -0.98, 0.1  # of two normals' product
+_ROUNDS, _EXACT = 8, 1e-5  # baselines
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """`points` (S, H, W, 3): what camera pixels see, in each station's camera frame; lengths in metres."""
+
+    rig: Calibration
+    places: tuple[Motion, ...]
+    points: Floats
+    balls: Floats
+    diagonal: float
+
+    @classmethod
+    def read(cls, room: Path) -> "Truth":
+        told = np.load(room / "truth.npz")
+        camera, projector = (_device(told[name]) for name in ("camera", "projector"))
+        rig = Calibration(camera, projector, told["rotation"], told["translation"], "m")
+        places = tuple(Motion(r, t) for r, t in zip(told["rotations"], told["translations"], strict=True))
+        return cls(rig, places, told["points"], told["balls"], float(told["diagonal"]))
+
+    def in_world(self, station: int) -> Floats:
+        """(H, W, 3)."""
+        place = self.places[station]
+        world: Floats = self.points[station].astype(np.float64) @ place.rotation.T + place.translation
+        return world
+
+
+def _device(told: Floats) -> Intrinsics:
+    width, height, focal, x, y, *lens = told.tolist()
+    k1, k2, p1, p2, k3 = lens
+    return Intrinsics(int(width), int(height), (focal, focal), (x, y), (k1, k2, p1, p2, k3))
+
+
+def config_of(truth: Truth) -> Config:
+    camera, projector = truth.rig.camera, truth.rig.projector
+    return Config.model_validate(
+        {
+            "camera": {
+                "width": camera.width,
+                "height": camera.height,
+                "principal_point": {"prior": "centre", "sigma_px": 0.055 * camera.width},
+            },
+            "projector": {"width": projector.width, "height": projector.height},
+            "scale": {"baseline_m": truth.rig.baseline},
+        }
+    )
+
+
+def light_errors(captures: Sequence[Decoded], order: Sequence[int], truth: Truth) -> Floats:
+    """Of all matches, in projector pixels, (N,)."""
+    errors = []
+    for capture, station in zip(captures, order, strict=True):
+        pixels = np.rint(capture.matches.camera_px).astype(int)
+        points = truth.points[station][pixels[:, 1], pixels[:, 0]].astype(np.float64)
+        expected = truth.rig.projector.project(points @ truth.rig.rotation.T + truth.rig.translation)
+        errors.append(np.linalg.norm(capture.matches.projector_px - expected, axis=1))
+    return np.concatenate(errors)
+
+
+def overlaps(captures: Sequence[Decoded], order: Sequence[int], truth: Truth) -> Floats:
+    """Share of what each station measured that the next one of the ring measured, too, (S,)."""
+    lit = {}
+    for capture, station in zip(captures, order, strict=True):
+        mask = np.zeros(truth.points.shape[1:3], np.bool_)
+        pixels = np.rint(capture.matches.camera_px).astype(int)
+        mask[pixels[:, 1], pixels[:, 0]] = True
+        lit[station] = mask
+    found = []
+    for station in sorted(lit):
+        other = (station + 1) % len(truth.places)
+        if other not in lit:
+            continue
+        place = truth.places[other]
+        world = truth.in_world(station)[lit[station]][::17]
+        there = (world - place.translation) @ place.rotation
+        ahead = there[:, 2] > 0.1
+        pixels = np.rint(truth.rig.camera.project(there[ahead]))
+        size = truth.rig.camera.size
+        inside = np.all((pixels >= 0) & (pixels < [size.width, size.height]), axis=1)
+        at = pixels[inside].astype(int)
+        depth = truth.points[other][at[:, 1], at[:, 0], 2]
+        seen = (np.abs(depth - there[ahead][inside, 2]) < 0.03) & lit[other][at[:, 1], at[:, 0]]
+        found.append(np.count_nonzero(seen) / len(world))
+    return np.array(found)
+
+
+def report(room: SolvedRoom, order: Sequence[int], truth: Truth) -> None:
+    members = [order[k] for k in room.group.stations]
+    points, seen = [], []
+    for station, k in zip(room.stations, members, strict=True):
+        own = station.cloud.points.reshape(-1, 3).astype(np.float64)
+        there = np.flatnonzero(np.isfinite(own[:, 2]))[::_SAMPLE]
+        points.append(station.to_room(own[there]))
+        seen.append(truth.in_world(k).reshape(-1, 3)[there])
+    every, surfaces = np.concatenate(points), np.concatenate(seen)
+    turn, _ = Rotation.align_vectors(surfaces - surfaces.mean(axis=0), every - every.mean(axis=0))
+    shift = surfaces.mean(axis=0) - turn.apply(every.mean(axis=0))
+    apart = np.linalg.norm(turn.apply(every) + shift - surfaces, axis=1) / truth.diagonal
+    cloud = turn.apply(blended(room).points.astype(np.float64)) + shift
+    off_surface = from_surfaces(cloud, truth) / truth.diagonal
+    found = np.array([station.place.translation for station in room.stations])
+    off = turn.apply(found) + shift - [truth.places[k].translation for k in members]
+    turned = [
+        np.degrees(
+            Rotation.from_matrix(turn.as_matrix() @ station.place.rotation @ truth.places[k].rotation.T).magnitude()
+        )
+        for station, k in zip(room.stations, members, strict=True)
+    ]
+    far = np.linalg.norm(off, axis=1)
+    camera, rig = room.calibration.camera, truth.rig
+    print(f"  joined {len(room.stations)} of {len(order)}, wrong {np.count_nonzero(far > _WRONG_M)}")
+    print(f"  places mm {np.round(1000 * far, 2)}  turns ° {np.round(turned, 4)}")
+    for name, errors in (("cloud", off_surface), ("pixels", apart)):
+        print(
+            f"  surfaces, {name}: {100 * np.median(errors):.4f} % median, {100 * np.percentile(errors, 95):.4f} % 95 %"
+        )
+    print(f"  balls {1000 * (balls_apart(room, members, truth) - _BALLS_M):+.2f} mm")
+    print(f"  error/sigma: {in_sigmas(room, members, truth)}, {lengths_in_sigmas(room, members, truth)}")
+    print(f"  focal {100 * (camera.focal_px[0] / rig.camera.focal_px[0] - 1):+.4f} %, lens {_lens(camera)}")
+    print(f"  noise {[round(float(s.residual_px), 4) for s in room.stations]}, alike {room.estimate.levels.alike:.2f}")
+
+
+def _lens(device: Intrinsics) -> str:
+    return " ".join(f"{term:.5f}" for term in device.distortion)
+
+
+def balls_apart(room: SolvedRoom, members: Sequence[int], truth: Truth) -> float:
+    """Distance of the fitted centres, in metres; NaN where a ball was hardly seen."""
+    centres = []
+    for ball in truth.balls:
+        own: list[Floats] = []
+        for station, k in zip(room.stations, members, strict=True):
+            on = np.abs(np.linalg.norm(truth.in_world(k) - ball, axis=2) - _RADIUS_M) < _ON_BALL_M
+            points = station.cloud.points[on].astype(np.float64)
+            own.append(station.to_room(points[np.isfinite(points[:, 2])]))
+        points = np.concatenate(own)
+        if len(points) < 50:
+            return float("nan")
+        away = points.mean(axis=0) - room.stations[0].place.translation
+        guess = points.mean(axis=0) + 0.5 * _RADIUS_M * away / np.linalg.norm(away)
+        centres.append(fit_sphere(points, np.zeros(len(points), np.int64), guess, _RADIUS_M).centre)
+    return float(np.linalg.norm(centres[1] - centres[0]))
+
+
+def in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) -> str:
+    """Places and turns against the first station, rms."""
+    first, true = room.stations[0].place, truth.places[members[0]]
+    turn = Rotation.from_matrix(true.rotation @ first.rotation.T)
+    moved, turned = [], []
+    for station, k in zip(room.stations[1:], members[1:], strict=True):
+        there = turn.inv().apply(truth.places[k].translation - true.translation) + first.translation
+        moved += ((station.place.translation - there) / station.sigma).tolist()
+        about = turn.inv().as_matrix() @ truth.places[k].rotation
+        off = Rotation.from_matrix(station.place.rotation @ about.T).as_rotvec(degrees=True)
+        turned += (off / station.sigma_deg).tolist()
+    return f"places {_rms(moved):.2f}, turns {_rms(turned):.2f}"
+
+
+def lengths_in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) -> str:
+    """Distances of planes that face each other, and angles of those that cross, rms."""
+    true = true_planes(room, members, truth)
+    gaps, angles = [], []
+    for a, b in combinations(true, 2):
+        product = float(true[a][0] @ true[b][0])
+        if product < _FACING:
+            found = gap(room.estimate, a, b)
+            middle = (centre_of(room.estimate, a) + centre_of(room.estimate, b)) / 2
+            foot = middle - (true[a][0] @ middle - true[a][1]) * true[a][0]
+            gaps.append((found.value - abs(float(true[b][0] @ foot - true[b][1]))) / found.sigma)
+        elif abs(product) < _CROSSING:
+            found = angle_deg(room.estimate, a, b)
+            angles.append((found.value - (180 - float(np.degrees(np.arccos(product))))) / found.sigma)
+    return f"distances {_rms(gaps):.2f} ({len(gaps)}), angles {_rms(angles):.2f} ({len(angles)})"
+
+
+def true_planes(room: SolvedRoom, members: Sequence[int], truth: Truth) -> dict[int, tuple[Floats, float]]:
+    """In the estimate's frame and baselines, by number: normals and offsets of what pixels on the planes truly see."""
+    first, on = truth.places[members[0]], dict[int, list[Floats]]()
+    for station, k in zip(room.stations, members, strict=True):
+        for plane in np.unique(station.plane[station.plane >= 0]):
+            points = (truth.in_world(k)[station.plane == plane] - first.translation) @ first.rotation
+            on.setdefault(int(plane), []).append(points / truth.rig.baseline)
+    found = {}
+    for plane, parts in on.items():
+        points = np.concatenate(parts)
+        for _ in range(_ROUNDS):
+            middle = points.mean(axis=0)
+            normal = np.linalg.svd((points - middle)[:: max(1, len(points) // 5000)], full_matrices=False)[2][2]
+            away = np.abs((points - middle) @ normal)
+            points = points[away <= max(np.median(away) * 3, _EXACT)]
+        normal = normal * np.sign(normal @ room.estimate.planes[plane].normal)
+        if np.median(np.abs((points - points.mean(axis=0)) @ normal)) < _EXACT:
+            found[plane] = normal, float(normal @ points.mean(axis=0))
+    return found
+
+
+def from_surfaces(points: Floats, truth: Truth) -> Floats:
+    """Distances (N,) in metres: along the normal of the nearest of all points that camera pixels see."""
+    surfaces, normals = [], []
+    for k in range(len(truth.places)):
+        world = truth.in_world(k)
+        normal = np.cross(np.gradient(world, axis=1), np.gradient(world, axis=0)).reshape(-1, 3)
+        surfaces.append(world.reshape(-1, 3)[::2])
+        normals.append(normal[::2] / np.maximum(np.linalg.norm(normal[::2], axis=1, keepdims=True), 1e-12))
+    tree = cKDTree(np.concatenate(surfaces))
+    _, nearest = tree.query(points)
+    along: Floats = np.abs(np.sum((points - tree.data[nearest]) * np.concatenate(normals)[nearest], axis=1))
+    return along
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rooms", type=Path, nargs="+")
+    parser.add_argument("--calibrated", action="store_true")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--without", type=int)
+    args = parser.parse_args()
+    for folder in args.rooms:
+        truth, quiet = Truth.read(folder), Terminal(quiet=True)
+        config = config_of(truth)
+        shuffled = np.random.default_rng(args.seed).permutation(len(truth.places))
+        order = [int(k) for k in shuffled if k != args.without]
+        captures = read_stations([folder / str(k + 1) for k in order], config, quiet)
+        light = light_errors(captures, order, truth)
+        print(f"{folder}: light {np.median(light):.4f} px median, {np.percentile(light, 95):.3f} px 95 %")
+        print(f"  neighbours overlap by {np.round(100 * overlaps(captures, order, truth))} %", flush=True)
+        began = time.process_time()
+        try:
+            start = _given(truth) if args.calibrated else rig_from_corners(captures, config, quiet)
+            started = time.process_time()
+            room = solve_room(captures, start, config, quiet)
+        except RefusalError as refusal:
+            print(f"  refused: {refusal.reason}")
+            continue
+        ended = time.process_time()
+        for stranger in room.strangers:
+            print(f"  {stranger.name}: {stranger.reason}")
+        report(room, order, truth)
+        print(f"  seconds of one processor: corners {started - began:.1f}, rest {ended - started:.1f}", flush=True)
+    print(f"memory at most: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
+
+
+def _given(truth: Truth) -> RigStart:
+    length = truth.rig.baseline
+    rig = Calibration(
+        truth.rig.camera, truth.rig.projector, truth.rig.rotation, truth.rig.translation / length, "baseline"
+    )
+    return RigStart(rig, None, {}, truth.rig)
+
+
+if __name__ == "__main__":
+    main()

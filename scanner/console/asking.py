@@ -1,0 +1,50 @@
+"""The operator at the page, who is told what captures are worth, and asked to move the rig between them."""
+
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from threading import Event
+
+from scanner.console.progress import CancelledError
+
+_LOOKED_EVERY_S = 0.2
+
+
+class PageOperator:
+    """`scanner.ui.Operator`. `on_asked` is given what was told, and the question ('' for none)."""
+
+    def __init__(self, cancelled: Event, on_asked: Callable[[tuple[str, ...], str], None]) -> None:
+        self._cancelled, self._on_asked = cancelled, on_asked
+        self._told: tuple[str, ...] = ()
+        self._answers: SimpleQueue[bool] = SimpleQueue()
+
+    @property
+    def can_ask(self) -> bool:
+        """There is a page."""
+        return True
+
+    def tell(self, *sentences: str) -> None:
+        """Show it until something else is told."""
+        self._told = sentences
+        self._on_asked(sentences, "")
+
+    def note(self, text: str) -> None:
+        """Show it as well."""
+        self.tell(*self._told, text)
+
+    def ready(self, what: str) -> bool:
+        """Wait for one of two buttons. Raises CancelledError."""
+        while not self._answers.empty():
+            self._answers.get()  # of buttons that were pressed twice
+        self._on_asked(self._told, what)
+        while not self._cancelled.is_set():
+            try:
+                more = self._answers.get(timeout=_LOOKED_EVERY_S)
+            except Empty:
+                continue
+            self.tell()
+            return more
+        raise CancelledError("cancelled")
+
+    def answer(self, *, more: bool) -> None:
+        """A button was pressed."""
+        self._answers.put(more)

@@ -1,0 +1,36 @@
+"""What the history shows of a result: when it was made, its grade, and a picture."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from scanner.errors import InputError
+from scanner.rendering import jpeg_uri
+from scanner.results import CALIBRATION_FILE, REFUSAL_FILE, Grade, read_verdict
+from scanner.viewing.white_picture import white_picture
+
+_SIDE = 192
+
+
+@dataclass(frozen=True)
+class Card:
+    """`made_s`: seconds since the epoch. `picture` is a data URI, '' for none; `grade` None where no file says."""
+
+    name: str
+    made_s: float
+    grade: Grade | None
+    headline: str
+    picture: str
+
+
+@lru_cache(maxsize=256)
+def card_of(folder: Path, made_s: float) -> Card:
+    """Of a result folder that was made then, read anew only if it was made anew."""
+    told = folder / (REFUSAL_FILE if (folder / REFUSAL_FILE).is_file() else CALIBRATION_FILE)
+    try:
+        verdict = read_verdict(told)
+    except InputError:
+        verdict = None
+    grade, headline = (verdict.grade, verdict.headline) if verdict else (None, "")
+    picture = white_picture(folder, _SIDE)
+    return Card(folder.name, made_s, grade, headline, "" if picture is None else jpeg_uri(picture))

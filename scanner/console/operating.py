@@ -1,0 +1,88 @@
+"""The top of the page: what is being done, how long it takes, and the buttons that begin and end it."""
+
+from collections.abc import Callable
+
+import viser
+
+from scanner.console.settings import plain_name
+from scanner.console.sound import playing
+from scanner.console.texts import status_text, told_text
+from scanner.console.worker import Activity, Status, Worker
+from scanner.viewing.view_controls import PLAIN
+
+_MOST_CAPTURES = 8
+_KEYS = "Keys, each with Shift: S scan, C check, L live image, X cancel; pages: I capture, R result, H history."
+
+
+class Operating:
+    """Built into the container that is open when it is made. One button stands out: what one presses next."""
+
+    def __init__(self, gui: viser.GuiApi, worker: Worker, begin_check: Callable[[], None]) -> None:
+        self._worker = worker
+        self._sounded = 0
+        self._told = gui.add_markdown("Starting …")
+        self._bar = gui.add_progress_bar(0.0, visible=False)
+        self._guidance = gui.add_markdown("", visible=False)
+        self._go_on = gui.add_button("Next capture", visible=False, hint="The rig stands where it is to capture from")
+        self._enough = gui.add_button("Enough: use what there is", visible=False, color=PLAIN)
+        self._scan = gui.add_button("Scan", hint=f"Capture, calibrate, reconstruct. {_KEYS}")
+        self._cancel = gui.add_button("Cancel", visible=False, color=PLAIN, hint="Stop; what was captured is kept")
+        self._check = gui.add_button("Check", color=PLAIN, hint="Look at devices, light and lenses first")
+        self._live = gui.add_button("Live image", color=PLAIN, hint="Show what the camera sees")
+        with gui.add_folder("Next scan", expand_by_default=False):
+            self._name = gui.add_text("Name", "", hint="Of the next result, in scans/; empty: the configuration's")
+            self._captures = gui.add_number(
+                "Captures", 1, min=1, max=_MOST_CAPTURES, step=1, hint="Of one corner, between which the rig is moved"
+            )
+            self._sound = gui.add_checkbox("Sound after a capture", initial_value=False)
+        self._player = gui.add_html("")
+        self._connect(gui, begin_check)
+
+    def show(self, status: Status) -> None:
+        """Say it, and offer what can be done now."""
+        self.tick(status)
+        asked, busy = bool(status.question), status.busy
+        self._guidance.content, self._guidance.visible = told_text(status.told), bool(status.told)
+        self._go_on.visible = self._enough.visible = asked
+        self._scan.visible, self._cancel.visible = not busy, busy
+        self._cancel.disabled = status.cancelling
+        self._check.disabled = self._live.disabled = busy
+        self._bar.visible = busy and not asked
+        counted = status.stage is not None and status.stage.total > 0
+        self._bar.value = status.stage.percent if status.stage and counted else 100.0
+        self._bar.animated = not counted  # what cannot be counted moves without getting on
+        self._live.label = "Stop the live image" if status.activity is Activity.LIVE else "Live image"
+
+    def tick(self, status: Status) -> None:
+        """Say how long it will take, as time goes by."""
+        self._told.content = status_text(status)
+
+    def sound(self) -> None:
+        """Play a sound, if that is wanted."""
+        if self._sound.value:
+            self._sounded += 1
+            self._player.content = playing(self._sounded)
+
+    def _connect(self, gui: viser.GuiApi, begin_check: Callable[[], None]) -> None:
+        worker = self._worker
+        for button, label, key, action in (
+            (self._scan, "Scan", "S", lambda: worker.request(Activity.SCANNING)),
+            (self._check, "Check", "C", begin_check),
+            (self._live, "Live image", "L", self._toggle_live),
+            (self._cancel, "Cancel", "X", worker.cancel),
+        ):
+            self._bind(gui, button, label, key, action)
+        self._go_on.on_click(lambda _: worker.answer(more=True))
+        self._enough.on_click(lambda _: worker.answer(more=False))
+        self._name.on_update(lambda _: worker.change(name=plain_name(self._name.value)))
+        self._captures.on_update(lambda _: worker.change(captures=int(self._captures.value)))
+
+    def _bind(
+        self, gui: viser.GuiApi, button: viser.GuiButtonHandle, label: str, key: str, action: Callable[[], object]
+    ) -> None:
+        button.on_click(lambda _: action())
+        gui.add_command(label, hotkey=key, modifier="shift").on_trigger(lambda _: action())
+
+    def _toggle_live(self) -> None:
+        live = self._worker.status.activity is Activity.LIVE
+        self._worker.request(Activity.NOTHING if live else Activity.LIVE)

@@ -1,0 +1,69 @@
+"""A result's files on the page: its report to be opened, the others and exports of it to be downloaded."""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from scanner.exporting import FORMATS, Request
+from scanner.results import (
+    CALIBRATION_FILE,
+    CLOUD_FILE,
+    MERGED_FILE,
+    REFUSAL_FILE,
+    REPORT_FILE,
+    ROOM_CLOUD_FILE,
+    ROOM_MESH_FILE,
+)
+from scanner.ui import failure_of
+from scanner.viewing.texts import bold, link_html
+from scanner.viewing.view_controls import PLAIN
+
+_FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, CLOUD_FILE, ROOM_CLOUD_FILE, ROOM_MESH_FILE, REFUSAL_FILE)
+
+
+def add_files(gui: viser.GuiApi, folder: Path, link: Callable[[Path], str]) -> None:
+    """Into the container that is open."""
+    names = [name for name in _FILES if (folder / name).is_file()]
+    if REPORT_FILE in names:
+        gui.add_html(link_html(link(folder / REPORT_FILE), "Open the report"))
+    with gui.add_folder("Files", expand_by_default=False):
+        for name in names:
+            button = gui.add_button(f"Download {name}", color=PLAIN)
+            button.on_click(_sending(f"{folder.name}-{name}", (folder / name).read_bytes))
+        if (folder / CALIBRATION_FILE).is_file():
+            _add_exports(gui, folder)
+
+
+def _add_exports(gui: viser.GuiApi, folder: Path) -> None:
+    """Formats of one file each; the others are folders, which the command makes."""
+    formats = {name: each for name, each in FORMATS.items() if each.suffixes}
+    chosen = gui.add_dropdown("Export as", [f"{name}: {each.about}" for name, each in formats.items()])
+    button = gui.add_button("Export", color=PLAIN)
+    told = gui.add_markdown("")
+
+    def export(event: viser.GuiEvent[Any]) -> None:
+        form = formats[chosen.value.partition(":")[0]]
+        told.content = "Exporting …"
+        try:
+            with tempfile.TemporaryDirectory() as scratch:
+                out = Path(scratch, f"{folder.name}{form.ending}")
+                sentences = form.write(Request(folder, out))
+                if event.client is not None:
+                    event.client.send_file_download(out.name, out.read_bytes(), save_immediately=True)
+        except Exception as error:
+            told.content = bold(failure_of(error).message)
+            return
+        told.content = f"{out.name}: {'; '.join(sentences)}"
+
+    button.on_click(export)
+
+
+def _sending(name: str, content: Callable[[], bytes]) -> Callable[[viser.GuiEvent[Any]], None]:
+    def send(event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:
+            event.client.send_file_download(name, content(), save_immediately=True)
+
+    return send

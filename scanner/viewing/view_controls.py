@@ -1,0 +1,131 @@
+"""What the 3-D view shows: as points or as triangles, in which colours, and which part of the cloud."""
+
+import tempfile
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numpy as np
+import viser
+
+from scanner.quantities import shown_unit
+from scanner.ui import failure_of
+from scanner.viewing.colouring import Colouring, possible_colourings
+from scanner.viewing.crop import Box, box_within, frame_of, write_cropped
+from scanner.viewing.decimation import DEFAULT_SHOWN, many, statement
+from scanner.viewing.result import CaptureCloud, ViewedCloud
+from scanner.viewing.scene import FACES, LABELS, RIGS, Scene, Shown
+from scanner.viewing.surface import Surface, surface_of
+from scanner.viewing.texts import bar_html, bold
+
+_PARTS = {"Devices": RIGS, "Faces, ruler": FACES, "Names": LABELS}
+_WHOLE_PERCENT = 100
+_POINTS, _SURFACE = "Points", "Surface"
+_STEPS = 200  # in a range, at least
+PLAIN = (90, 98, 106)  # of buttons that are not what one usually presses next
+
+
+class ViewControls:
+    """Of one cloud, in the container that is open when it is made; `name` is what a part of it is called as a file."""
+
+    def __init__(self, gui: viser.GuiApi, scene: Scene, cloud: ViewedCloud, name: str) -> None:
+        self._gui, self._scene, self._cloud, self._name = gui, scene, cloud, name
+        self._lock = Lock()
+        self._drawn: object = None
+        self._surface: Surface | None = None
+        self._frame = frame_of(cloud)
+        self._shown_as = gui.add_dropdown(
+            "Show", [_POINTS, _SURFACE], visible=isinstance(cloud, CaptureCloud), hint="The surface: triangles"
+        )
+        self._colouring = gui.add_dropdown("Colour", [colouring.value for colouring in possible_colourings(cloud)])
+        self._bar = gui.add_html("")
+        percent = max(1, min(_WHOLE_PERCENT, round(_WHOLE_PERCENT * DEFAULT_SHOWN / len(cloud.points))))
+        self._percent = gui.add_slider("Points, %", min=1, max=_WHOLE_PERCENT, step=1, initial_value=percent)
+        self._statement = gui.add_markdown("")
+        for label, part in _PARTS.items():
+            self._add_part(label, part)
+        gui.add_button("Back to the first view", color=PLAIN).on_click(lambda _: scene.look())
+        with gui.add_folder("Cut out a part", expand_by_default=False):
+            gui.add_markdown("Of each, from where to where:")
+            self._ends = [self._range(axis) for axis in range(3)]
+            self._ranges = [
+                gui.add_vector2(f"{name}, {shown_unit(cloud.unit).name}", ends)
+                for name, ends in zip(self._frame.names, self._ends, strict=True)
+            ]
+            gui.add_button("The whole again", color=PLAIN).on_click(lambda _: self._uncut())
+            gui.add_button("Download this part", color=PLAIN).on_click(self._download)
+            self._told = gui.add_markdown("")
+        for control in (self._shown_as, self._colouring, self._percent, *self._ranges):
+            control.on_update(lambda _: self.draw())
+
+    @property
+    def box(self) -> Box:
+        """What is cut out."""
+        chosen = np.array([field.value for field in self._ranges])
+        # What was not changed is the end of the cloud, whatever was rounded.
+        whole = np.stack([self._frame.low, self._frame.high], axis=1)
+        factor = shown_unit(self._cloud.unit).factor
+        return box_within(self._frame, np.where(chosen == np.array(self._ends), whole, chosen / factor))
+
+    def draw(self) -> None:
+        """Draw it as the controls are now; of many changes in a row, those that are outdated are skipped."""
+        with self._lock:
+            colouring, share, box = Colouring(self._colouring.value), self._percent.value / _WHOLE_PERCENT, self.box
+            as_surface = self._shown_as.value == _SURFACE
+            wanted = (as_surface, colouring, share, box.low.tolist(), box.high.tolist())
+            if wanted == self._drawn:
+                return
+            self._statement.content = "Drawing …"
+            try:
+                self._scene.draw_box(box)
+                shown = self._draw(colouring, share, box, as_surface=as_surface)
+            except Exception as error:
+                self._statement.content = bold(failure_of(error).message)
+                return
+            self._drawn = wanted
+            self._percent.disabled = as_surface
+            self._bar.content = bar_html(shown.coloured.bar)
+            self._statement.content = f"{self._how_many(shown, box)} {shown.coloured.legend}"
+
+    def _draw(self, colouring: Colouring, share: float, box: Box, *, as_surface: bool) -> Shown:
+        if not (as_surface and isinstance(self._cloud, CaptureCloud)):
+            return self._scene.draw_points(share, colouring, box)
+        self._surface = self._surface or surface_of(self._cloud)
+        return self._scene.draw_surface(self._surface, colouring, box)
+
+    def _how_many(self, shown: Shown, box: Box) -> str:
+        if self._shown_as.value == _SURFACE:
+            return f"Showing {many(shown.triangles)} triangles."
+        part = f", of {many(len(self._cloud.points))} in all" if box.bounded else ""
+        return f"{statement(shown.points, shown.among).capitalize()}{part}."
+
+    def _add_part(self, label: str, part: str) -> None:
+        box = self._gui.add_checkbox(label, initial_value=True)
+        box.on_update(lambda _: self._scene.set_visible(part, box.value))
+
+    def _range(self, axis: int) -> tuple[float, float]:
+        """Of the cloud along an axis, outwards to round numbers of the unit that is shown."""
+        low, high = (
+            shown_unit(self._cloud.unit).factor * float(end[axis]) for end in (self._frame.low, self._frame.high)
+        )
+        step = float(10.0 ** np.floor(np.log10(max(high - low, 1e-9) / _STEPS)))
+        digits = max(0, -int(np.floor(np.log10(step))))
+        return round(float(np.floor(low / step) * step), digits), round(float(np.ceil(high / step) * step), digits)
+
+    def _uncut(self) -> None:
+        for field, ends in zip(self._ranges, self._ends, strict=True):
+            field.value = ends
+        self.draw()
+
+    def _download(self, event: viser.GuiEvent[Any]) -> None:
+        if event.client is None:
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, f"{self._name}-part.ply")
+            try:
+                count = write_cropped(path, self._cloud, self.box)
+            except Exception as error:
+                self._told.content = bold(failure_of(error).message)
+                return
+            event.client.send_file_download(path.name, path.read_bytes(), save_immediately=True)
+        self._told.content = f"{many(count)} points, as {path.name}."
