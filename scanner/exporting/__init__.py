@@ -4,5 +4,3 @@ A format is a row of `FORMATS` and a module with `export(request)`.
 """
 
 from scanner.exporting.formats import DEFAULT_POINTS, FORMATS, Request
-from scanner.exporting.glb import write_glb
-from scanner.exporting.triangles import Mesh
