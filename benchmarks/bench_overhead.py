@@ -1,9 +1,11 @@
-"""What a capture costs over the unavoidable: exposure and the projector's latency, for every pattern.
+"""What a frame costs beside its exposure, for every pattern, with pictures in flight and in turns.
 
     python benchmarks/bench_overhead.py
 
-On the loopback rig, with a whole standard sequence, recorded and decoded as in a scan. Also: how soon Ctrl-C answers,
-and what a scan leaves behind in memory. Needs what `make rig` installs, and a machine with nothing else to do.
+On the loopback rig, with a whole standard sequence, recorded and decoded as in a scan. Both ways take turns on the same
+rig, so that other load on the machine is the same for both; "of limit" is the ratio to the limit, 1.3 exposures. Also:
+how soon Ctrl-C answers, and what a scan leaves behind in memory. Needs what `make rig` installs, and a machine with
+nothing else to do.
 """
 
 import argparse
@@ -13,9 +15,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
+from statistics import median
 from typing import cast
 
+from hw.ahead import beside
 from hw.errors import DeviceError
 from hw.loopback.launcher import loopback_rig
 from hw.loopback.settings import Conditions, LoopbackSettings
@@ -26,21 +31,23 @@ from scanner.configuration import Config, load_config
 from scanner.decoding import Decoder
 
 CONFIG = Path("configs/room-loopback.yaml")
+LIMIT = 1.3  # exposures
 
 
-def one_capture(config: Config, folder: Path) -> str:
+def one_capture(rig: SynchronisedRig, config: Config, folder: Path) -> tuple[float, str]:
+    """Milliseconds per frame, and a line on them."""
     patterns = config.sequence.patterns(config.projector_size)
-    with open_rig(config.required_rig, config.camera_size, config.projector_size) as opened:
-        stream = record(capture(opened.rig, patterns), folder)
-        decoder = Decoder(patterns, config.projector_size)
+    stream = record(capture(rig, patterns), folder)
+    decoder = Decoder(patterns, config.projector_size)
+    with beside(decoder.add) as add:
         for _, frame in stream.frames:
-            decoder.add(frame.image)
-        found = cast(dict[str, float], opened.rig.account()["synchronisation"])
-        exposure_s = cast(SynchronisedRig, opened.rig).turns.exposure_s
-    return (
-        f"{len(patterns)} patterns, {found['ms_per_frame']:.1f} ms each: "
-        f"exposure {1e3 * exposure_s:.1f}, latency {found['latency_ms']:.1f}, "
-        f"overhead {found['overhead_percent']:.1f} %, {found['retriggered_frames']} retriggered"
+            add(frame.image)
+    found = cast(dict[str, float], rig.account()["synchronisation"])
+    exposures = found["ms_per_frame"] / 1e3 / rig.turns.exposure_s
+    return exposures, (
+        f"{found['ms_per_frame']:6.1f} ms a frame, {exposures:.2f} exposures, {exposures / LIMIT:.2f} of limit; "
+        f"{found['retriggered_frames']} retaken, {found.get('missed_in_flight', 0)} missed, "
+        f"{found.get('doubted_frames', 0)} doubted, computer late by {found.get('waited_for_computer_s', 0)} s"
     )
 
 
@@ -62,8 +69,8 @@ def memory_mb() -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--latencies-ms", type=float, nargs="+", default=[50.0, 120.0, 20.0])
-    parser.add_argument("--scans", type=int, default=5, help="captures at the first latency")
+    parser.add_argument("--latencies-ms", type=float, nargs="+", default=[20.0, 50.0, 120.0])
+    parser.add_argument("--scans", type=int, default=3, help="captures at each latency, each both ways")
     options = parser.parse_args()
     config = load_config(CONFIG)
     try:
@@ -76,9 +83,18 @@ def measure(config: Config, latencies_ms: list[float], scans: int) -> None:
     for number, latency_ms in enumerate(latencies_ms):
         settings = LoopbackSettings(camera_size=config.camera_size, conditions=Conditions(latency_ms=latency_ms))
         with loopback_rig(settings, config.projector_size), tempfile.TemporaryDirectory() as folder:
-            for scan in range(scans if number == 0 else 1):
-                line = one_capture(config, Path(folder) / f"capture{scan}")
-                print(f"latency {latency_ms:.0f} ms: {line}; memory {memory_mb():.0f} MB", flush=True)
+            found: dict[str, list[float]] = {"in flight": [], "in turns": []}
+            for scan in range(scans):
+                with open_rig(config.required_rig, config.camera_size, config.projector_size) as opened:
+                    rig = cast(SynchronisedRig, opened.rig)
+                    flying = "not at all" if rig.flight is None else f"{rig.flight.rhythm.in_flight} at once"
+                    for way, used in (("in flight", rig), ("in turns", replace(rig, flight=None))):
+                        exposures, line = one_capture(used, config, Path(folder) / f"{way} {scan}")
+                        found[way].append(exposures)
+                        print(f"latency {latency_ms:3.0f} ms, {way} ({flying}): {line}", flush=True)
+            for way, each in found.items():
+                print(f"latency {latency_ms:3.0f} ms, {way}: best {min(each):.2f}, median {median(each):.2f} exposures")
+            print(f"load {os.getloadavg()[0]:.1f}, memory {memory_mb():.0f} MB")
             if number == 0:
                 print(f"Ctrl-C: the process has ended after {interruption(Path(folder)):.2f} s", flush=True)
 

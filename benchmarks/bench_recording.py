@@ -1,62 +1,145 @@
-"""What it costs that frames are on the disk itself: time per frame with and without waiting for it.
+"""Whether the camera has to wait until its frames are recorded and decoded.
 
-python benchmarks/bench_recording.py --out some/folder/on/the/disk
+    python benchmarks/bench_recording.py --out some/folder/on/the/disk [--rounds 3]
+
+A camera that does nothing but expose and transfer, whose frames are taken ahead, recorded (on the disk itself, or in
+its cache only) and decoded as in a scan. "of limit" is the ratio to the limit, 10 % over exposure and transfer. The
+second table has what a frame costs in ways to write it, in milliseconds of one processor: those that OpenCV reads, for
+that is what a capture folder may hold.
 """
 
 import shutil
 import time
-from argparse import ArgumentParser
-from collections.abc import Iterator
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from statistics import median
 from unittest.mock import patch
 
-import numpy as np
+import cv2
+from bench_decode import render
+from rich.console import Console
+from rich.table import Table
 
 from calib.geometry import Size
+from calib.numerics import Image
+from hw.ahead import Ahead, beside
 from hw.rig import Frame
+from hw.synchronisation import MOST_AHEAD
 from scanner.capture import Stream, record
 from scanner.capture import recorder as recorder_module
+from scanner.decoding import Decoder
+from scanner.io import image_file, sync_open
 from scanner.patterns import PRESETS, Pattern
 
-SIZES = (Size(612, 512), Size(2448, 2048))
-EXPOSURES_S = (1 / 60, 1 / 30, 1 / 10)
+PROJECTOR = Size(854, 480)
+PATTERNS = PRESETS["standard"].patterns(PROJECTOR)
+LIMIT = 1.1  # of exposure and transfer
+# Pixels, exposure, and transfer at about 110 (GigE Vision) or 380 MB/s (USB3 Vision).
+CAMERAS = [
+    (Size(612, 512), 1 / 30, 0.003),
+    (Size(2448, 2048), 1 / 30, 0.045),
+    (Size(2448, 2048), 1 / 30, 0.013),
+    (Size(2448, 2048), 1 / 60, 0.013),
+]
+WAYS = {
+    "PNG as recorded": (".png", image_file._QUICK_PNG),
+    "PNG level 1": (".png", [cv2.IMWRITE_PNG_COMPRESSION, 1]),
+    "PNG level 0": (".png", [cv2.IMWRITE_PNG_COMPRESSION, 0]),
+    "TIFF, LZW": (".tiff", [cv2.IMWRITE_TIFF_COMPRESSION, 5]),
+    "TIFF, deflate": (".tiff", [cv2.IMWRITE_TIFF_COMPRESSION, 8]),
+    "TIFF, raw": (".tiff", [cv2.IMWRITE_TIFF_COMPRESSION, 1]),
+    "PGM, raw": (".pgm", []),
+}
 
 
-def frames(patterns: tuple[Pattern, ...], size: Size, exposure_s: float) -> Iterator[tuple[Pattern, Frame]]:
-    """Of a camera whose noise does not compress."""
-    image = np.random.default_rng(0).normal(120, 3, size[::-1]).clip(0, 255).astype(np.uint8)
-    for pattern in patterns:
-        time.sleep(exposure_s)
+def exposed(images: list[Image], period_s: float) -> Iterator[tuple[Pattern, Frame]]:
+    """Frames as they come from a camera that waits for nothing."""
+    due_s = time.monotonic()
+    for pattern, image in zip(PATTERNS, images, strict=True):
+        due_s = max(due_s, time.monotonic() - period_s) + period_s
+        time.sleep(max(0.0, due_s - time.monotonic()))
         yield pattern, Frame(image)
 
 
-def ms_per_frame(folder: Path, size: Size, exposure_s: float) -> float:
-    """Of a capture that is recorded and not decoded."""
-    patterns = PRESETS["standard"].patterns((854, 480))
-    stream = Stream(patterns, Size(854, 480), size, frames(patterns, size, exposure_s))
+def capture(folder: Path, images: list[Image], size: Size, period_s: float) -> tuple[float, float]:
+    """Seconds per frame of a capture that is recorded and decoded, and how long the camera waited in all."""
+    ahead = Ahead(exposed(images, period_s), MOST_AHEAD)
+    stream = record(Stream(PATTERNS, PROJECTOR, size, iter(ahead)), folder)
+    decoder = Decoder(PATTERNS, PROJECTOR)
     begin_s = time.monotonic()
-    for _ in record(stream, folder).frames:
-        pass
+    with beside(decoder.add) as add:
+        for _, frame in stream.frames:
+            add(frame.image)
     elapsed_s = time.monotonic() - begin_s
     shutil.rmtree(folder)
-    return 1e3 * elapsed_s / len(patterns)
+    return elapsed_s / len(PATTERNS), ahead.waited_s
+
+
+def captures(out: Path, rounds: int) -> Table:
+    columns = (
+        "camera",
+        "exposure + transfer, ms",
+        "synced",
+        "per frame, ms",
+        "of exposure + transfer",
+        "of limit",
+        "waited, s",
+    )
+    table = Table(*columns, title=f"{len(PATTERNS)} frames, recorded and decoded beside the capture")
+    images_of = {size: render(PATTERNS, PROJECTOR, size) for size, _, _ in CAMERAS}
+    capture(out, images_of[CAMERAS[0][0]], CAMERAS[0][0], 0.1)  # loads what is compiled
+    for size, exposure_s, transfer_s in CAMERAS:
+        period_s = exposure_s + transfer_s
+        for synced in (False, True):
+            each = []
+            for _ in range(rounds):
+                with patch.object(recorder_module, "sync_open", sync_open if synced else lambda _: None):
+                    each.append(capture(out, images_of[size], size, period_s))
+            seconds, waited_s = median(one for one, _ in each), median(one for _, one in each)
+            ratio = seconds / period_s
+            row = (str(size), f"{1e3 * period_s:.1f}", "yes" if synced else "no", f"{1e3 * seconds:.1f}")
+            table.add_row(*row, f"{ratio:.2f}", f"{ratio / LIMIT:.2f}", f"{waited_s:.2f}")
+    return table
+
+
+def worked_ms(work: Callable[[], object]) -> float:
+    """The least of three."""
+    worked = []
+    for _ in range(3):
+        begin_s = time.thread_time()
+        work()
+        worked.append(1e3 * (time.thread_time() - begin_s))
+    return min(worked)
+
+
+def ways() -> Table:
+    cv2.setNumThreads(1)
+    frame = render(PATTERNS, PROJECTOR, Size(2448, 2048))[len(PATTERNS) // 2]
+    deep = (frame.astype("uint16") << 8) | (frame[::-1] & 0x7F)
+    table = Table("as", "8 bits: write", "read", "of raw", "16 bits: write", "read", "of raw", title="2448 × 2048")
+    for name, (suffix, options) in WAYS.items():
+        cells = []
+        for image in (frame, deep):
+            data = cv2.imencode(suffix, image, options)[1]
+            cells += [
+                f"{worked_ms(partial(cv2.imencode, suffix, image, options)):.1f}",
+                f"{worked_ms(partial(cv2.imdecode, data, cv2.IMREAD_UNCHANGED)):.1f}",
+                f"{data.nbytes / image.nbytes:.2f}",
+            ]
+        table.add_row(name, *cells)
+    return table
 
 
 def main() -> None:
-    """Print a row for each camera and exposure."""
-    parser = ArgumentParser(description=__doc__)
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("bench-recording"), help="folder to make and to remove")
     parser.add_argument("--rounds", type=int, default=3)
     args = parser.parse_args()
-    print("camera        exposure, ms  per frame, ms: not synced  synced")
-    for size in SIZES:
-        for exposure_s in EXPOSURES_S:
-            without, with_sync = [], []
-            for _ in range(args.rounds):
-                with patch.object(recorder_module, "sync_open", lambda _: None):
-                    without.append(ms_per_frame(args.out, size, exposure_s))
-                with_sync.append(ms_per_frame(args.out, size, exposure_s))
-            print(f"{size!s:<14}{1e3 * exposure_s:>12.1f}{min(without):>27.1f}{min(with_sync):>8.1f}")
+    console = Console(width=120)
+    console.print(captures(args.out, args.rounds))
+    console.print(ways())
 
 
 if __name__ == "__main__":

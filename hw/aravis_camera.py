@@ -21,10 +21,11 @@ from gi.repository import Aravis, GLib  # noqa: E402  # only after the version i
 from hw.cameras import CameraInfo, not_found  # noqa: E402
 from hw.errors import DeviceError, FrameLostError  # noqa: E402
 from hw.exposures import whole_periods  # noqa: E402
+from hw.frame_clock import FrameClock  # noqa: E402
 from hw.pixel_formats import PixelFormat, pixel_format  # noqa: E402
 from hw.rig import Frame  # noqa: E402
 from hw.settings import AravisRigSettings  # noqa: E402
-from hw.synchronisation import ATTEMPTS, TRIGGER_LAG_S  # noqa: E402
+from hw.timed_devices import ATTEMPTS, TRIGGER_LAG_S  # noqa: E402
 
 _BUFFERS = 4
 _SLICE_S = 0.1  # Ctrl-C waits at most so long
@@ -83,10 +84,12 @@ class AravisCamera:
         self._disturbed = False
         self._silent = False
         self._triggered_s = 0.0
+        self.late_s = 0.0
         # Of each exposure, for some cameras' clocks note its end. Retaken frames outvote the deque before they run out.
         self._offsets_s: dict[float, deque[float]] = defaultdict(lambda: deque(maxlen=2 * ATTEMPTS - 3))
         self._refresh_hz = refresh_hz
         self._discarded = _IN_FLIGHT
+        self._clock = FrameClock()
         self._arrived: Any | None = None
         self._camera = _open(settings.camera)
         with self._errors("cannot be set up"):
@@ -111,6 +114,11 @@ class AravisCamera:
         """The exposure of all frames from now on, as the camera says."""
         return float(1e6 * self.exposure_s)
 
+    @property
+    def wait_s(self) -> float:
+        """How long after `expose` its exposure begins at most: with the camera's next frame, if it is not told."""
+        return self._clock.interval_s if self._free_running else 0.0
+
     def expose_for(self, exposure_us: float) -> float:
         """Expose all frames from now on for the nearest whole number of refresh periods; returns how long that is.
 
@@ -132,23 +140,20 @@ class AravisCamera:
         self._expect("exposure in µs", exposure_us, found_us)
         self.exposure_s = found_us / 1e6
         self._discarded = _IN_FLIGHT + 1  # one more may have begun with the exposure before
+        self._clock = FrameClock()
         return self.exposure_us
 
-    def expose(self) -> None:
+    def expose(self) -> float:
         """Expose one frame of what is before the camera from now on; returns when the exposure is over.
 
-        Raises DeviceError if the camera does not answer.
+        Returns the moment of its trigger (monotonic clock). Raises DeviceError if the camera does not answer.
         """
         if self._disturbed:
             self._run_dry()
         self._drain()
-        if self._free_running:
-            for _ in range(self._discarded):
-                self._recycle(self._pop(self.exposure_s + _LATEST_FRAME_S))
-            self._arrived = self._pop(self.exposure_s + _LATEST_FRAME_S)
-            self._discarded = _IN_FLIGHT
-            return
         self._triggered_s = time.monotonic()
+        if self._free_running:
+            return self._follow()
         with self._errors("does not answer"):
             self._camera.software_trigger()
         self._disturbed = time.monotonic() - self._triggered_s > _SLOW_TRIGGER_S
@@ -157,6 +162,27 @@ class AravisCamera:
         if time.monotonic() < end:
             self._drain()  # what has arrived before the exposure is over is of an earlier one
         time.sleep(max(0.0, end - time.monotonic()))
+        return self._triggered_s
+
+    def _follow(self) -> float:
+        """Wait for a frame whose exposure begins now or later; when it did, as far as time stamps tell.
+
+        Where they do not, frames are counted: some may have begun before.
+        """
+        asked_s, discarded = time.monotonic(), self._discarded
+        deadline_s = asked_s + (discarded + 1) * self.exposure_s + _LATEST_FRAME_S
+        while (buffer := self._pop(deadline_s - time.monotonic())) is not None:
+            came_s = buffer.get_system_timestamp() / 1e9 - time.time() + time.monotonic()
+            stamp_s = buffer.get_timestamp() / 1e9
+            begun_s = self._clock.begun_s(buffer.get_frame_id(), stamp_s, came_s, self.exposure_s)
+            tells = self._clock.tells and self._discarded <= _IN_FLIGHT
+            if begun_s >= asked_s if tells else discarded == 0:
+                break
+            self._recycle(buffer)
+            discarded -= 1
+        self._arrived = buffer
+        self._discarded = _IN_FLIGHT
+        return begun_s if buffer is not None and tells else asked_s
 
     def collect(self) -> Frame:
         """The frame that was exposed last. Raises FrameLostError if it does not arrive whole, DeviceError."""
@@ -290,6 +316,7 @@ class AravisCamera:
         offsets_s = self._offsets_s[self.exposure_s]
         usual_s = median(offsets_s) if offsets_s else offset_s
         offsets_s.append(offset_s)
+        self.late_s = offset_s - min(offsets_s)
         if offset_s - usual_s > TRIGGER_LAG_S:
             raise FrameLostError(f"exposed {1e3 * (offset_s - usual_s):.0f} ms late")
 

@@ -75,7 +75,9 @@ def _real(
         "refresh": f"{refresh_hz:.5g} Hz{'' if known else ' (assumed: neither screen nor configuration says)'}",
         "exposure in refresh periods": str(periods),
     }
-    return synchronised(projector, camera, identity, refresh_hz)
+    rig = synchronised(projector, camera, identity, refresh_hz)
+    devices.callback(rig.stop)
+    return rig
 
 
 def import_aravis() -> ModuleType:

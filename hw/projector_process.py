@@ -15,6 +15,7 @@ import numpy as np
 from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.screens import Screen, choose_screen
+from hw.timed_devices import Swap
 
 # Waits that end in an error; the first start after an installation compiles shaders and byte code.
 _START_TIMEOUT_S = 60.0
@@ -65,6 +66,15 @@ class _WindowProcess:
         except ConnectionError as error:
             raise DeviceError(f"its window is gone ({self._last_words()})") from error
         self._unanswered = True
+
+    def post(self, command: str, argument: object) -> None:
+        """Send a command that is answered when its time has come, while the caller goes on. Raises DeviceError."""
+        self.tell(command, argument, _SHOW_TIMEOUT_S)
+        self._unanswered = False
+
+    def answered(self) -> bool:
+        """Whether an answer is there, or nobody who could give one."""
+        return self._connection.poll(0)
 
     def settle(self, timeout_s: float) -> Any:
         """Wait for the answer to the last command, unless it was there; its value. Raises DeviceError."""
@@ -139,16 +149,31 @@ class ScreenProjector:
 
         Raises ValueError if the image has another size, DeviceError if the window or its X server is gone.
         """
-        width, height = self.size
-        if image.shape != (height, width) or image.dtype != np.uint8:
-            raise ValueError(f"expected an 8-bit grey image of {width} × {height}, found {image.dtype} {image.shape}")
+        self._check(image)
         with self._errors():
             self._process.tell("prepare", image, _SHOW_TIMEOUT_S)
 
-    def flip(self) -> None:
+    def flip(self) -> Swap:
         """Put what was prepared on the screen; returns when the graphics card has swapped it in. Raises DeviceError."""
         with self._errors():
-            self._process.ask("flip", None, _SHOW_TIMEOUT_S)
+            return Swap(*self._process.ask("flip", None, _SHOW_TIMEOUT_S))
+
+    def show_at(self, image: Image, when_s: float) -> None:
+        """Have an image drawn and shown at a moment of the monotonic clock, or as soon as possible after it.
+
+        Raises ValueError if the image has another size, DeviceError if the window or its X server is gone.
+        """
+        self._check(image)
+        with self._errors():
+            self._process.post("show at", (image, when_s))
+
+    def shown(self, *, wait: bool) -> Swap | None:
+        """The oldest swap of `show_at` that was not told yet; None if nothing is to be told, unless it is waited for.
+
+        Raises DeviceError.
+        """
+        with self._errors():
+            return Swap(*self._process.receive(_SHOW_TIMEOUT_S)) if wait or self._process.answered() else None
 
     def show(self, image: Image) -> None:
         """Prepare and flip."""
@@ -158,6 +183,11 @@ class ScreenProjector:
     def close(self) -> None:
         """Take the window off the screen."""
         self._process.end()
+
+    def _check(self, image: Image) -> None:
+        width, height = self.size
+        if image.shape != (height, width) or image.dtype != np.uint8:
+            raise ValueError(f"expected an 8-bit grey image of {width} × {height}, found {image.dtype} {image.shape}")
 
     @contextmanager
     def _errors(self) -> Iterator[None]:

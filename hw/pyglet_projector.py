@@ -7,7 +7,11 @@ the caller's main thread alone, on which some systems insist for windows.
 
 import signal
 import sys
+import time
 from multiprocessing.connection import Connection
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any
 
 import numpy as np
 import pyglet
@@ -69,10 +73,21 @@ class FullScreenWindow:
         pyglet.image.ImageData(width, height, "RGB", rgb, pitch=-3 * width).blit(0, 0)
         gl.glFinish()
 
-    def flip(self) -> None:
-        """Put what was prepared on the screen; returns when the graphics card has swapped it in."""
+    def flip(self) -> tuple[float, float]:
+        """Put what was prepared on the screen; returns when the graphics card has swapped it in.
+
+        Returns the moments before and after, in seconds of the monotonic clock.
+        """
+        begun_s = time.monotonic()
         self._window.flip()
         gl.glFinish()
+        return begun_s, time.monotonic()
+
+    def show_at(self, image: Image, when_s: float) -> tuple[float, float]:
+        """Prepare, and flip at a moment of that clock, or when it is drawn; returns what `flip` does."""
+        self.prepare(image)
+        time.sleep(max(0.0, when_s - time.monotonic()))
+        return self.flip()
 
     def show(self, image: Image) -> None:
         """Prepare and flip."""
@@ -121,17 +136,36 @@ def _serve(connection: Connection) -> None:
         raise ValueError(f"expected to be told the screen, found {command!r}")
     window = FullScreenWindow(screen)
     connection.send(("done", window.renderer))
+    orders: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+    Thread(target=_listen, args=(connection, orders), daemon=True).start()
     while True:
-        while not connection.poll(_IDLE_S):
+        try:
+            command, argument = orders.get(timeout=_IDLE_S)
+        except Empty:
             window.look_after_events()
-        command, image = connection.recv()
-        if command == "prepare":
-            window.prepare(image)
-        else:
-            window.flip()
+            continue
+        if command == "end":
+            return
+        answer = _obey(window, command, argument)
         if window.closed:
             raise ValueError("the window was closed")
-        connection.send(("done", None))
+        connection.send(("done", answer))
+
+
+def _listen(connection: Connection, orders: SimpleQueue[tuple[str, Any]]) -> None:
+    """Pass orders on as they come, also those whose time has not: who sends them does not have to wait."""
+    try:
+        while True:
+            orders.put(connection.recv())
+    except (EOFError, OSError):  # the scan has hung up
+        orders.put(("end", None))
+
+
+def _obey(window: FullScreenWindow, command: str, argument: Any) -> tuple[float, float] | None:
+    if command == "prepare":
+        window.prepare(argument)
+        return None
+    return window.flip() if command == "flip" else window.show_at(*argument)
 
 
 def main(file_descriptor: int) -> None:

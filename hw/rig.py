@@ -79,8 +79,16 @@ class Rig:
     identity: dict[str, str] = field(default_factory=dict)
     refresh_hz: float | None = None
 
-    def photograph(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
+    def photograph(
+        self,
+        images: Iterable[Image],
+        exposures_us: Sequence[float] = (),
+        level: Sequence[Sequence[int]] = (),  # noqa: ARG002  # of devices that wait for each other nothing has to be proven
+    ) -> Iterator[Frame]:
         """Show images one after the other, and yield a frame of each; the frame is taken when it is asked for.
+
+        `level`: the numbers of images that together light every place alike. Rigs of
+        real devices are faster where they can tell from these that every frame is of its own image.
 
         `exposures_us` take turns; without any, the camera's exposure stays as it is. Raises what the devices raise, and
         DeviceError if there are exposures that the camera cannot change to.

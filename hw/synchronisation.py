@@ -1,184 +1,44 @@
-"""Synchronisation without a trigger line: a camera and a projector that know nothing of each other take turns.
+"""Synchronisation without a trigger line, of a camera and a projector that know nothing of each other.
 
 A picture is on the wall some tens of milliseconds after the graphics card has swapped it in; how many nobody says, so
-flashes measure it. Per picture the order is then: flip, wait for the light, expose, flip to the next picture, which
-starts on its way while the frame of the last one is still being transferred.
-
-    screen      ▏picture 1                    ▏picture 2                      ▏
-    wall                     ▏picture 1                      ▏picture 2
-    camera                    ▐ exposure ▌ transfer           ▐ exposure ▌ transfer
+flashes measure it. With that, several pictures are on their way at once (`hw/flight.py`); where that does not work, a
+picture leaves when the last one has been exposed (`hw/turns.py`).
 """
 
 import logging
-import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import chain, cycle
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from math import isfinite
 
 from calib.numerics import Image
-from hw.errors import DeviceError, FrameLostError
-from hw.flashes import LOST_ADVICE, Flashes
-from hw.rig import Camera, Frame, Projector, Rig, exposure_control
+from hw.ahead import Ahead
+from hw.errors import DeviceError
+from hw.flashes import Flashes, Latency
+from hw.flight import Flight, pace
+from hw.rig import Frame, Rig
+from hw.timed_devices import TRIGGER_LAG_S, BufferedProjector, TriggeredCamera
+from hw.turns import Timing, Turns
 
 log = logging.getLogger(__name__)
 
-# A frame that is lost so many times in a row will be lost again.
-ATTEMPTS = 8
 # Beyond the slowest flash: flips wait for the screen's refresh, clocks and schedulers are not exact.
 _MARGIN_S = 0.004
-# How much later than usual an exposure may begin after its trigger; frames that were later count as lost. Where light
-# comes sooner than this, the next picture waits until the frame is there, which proves that its exposure is over.
-TRIGGER_LAG_S = 0.01
 _ROUNDS = 8
+# In flight, a picture's time is short, and what it takes beside the exposure counts for every frame.
+_FLIGHT_MARGINS_S = (0.001, 0.003, 0.006, 0.012, 0.024)
+_REHEARSED_IN_FLIGHT = 8
+MOST_AHEAD = 8  # frames that wait for whoever records and decodes them
 
 
-class BufferedProjector(Projector, Protocol):
-    """A projector whose next picture can be drawn before it is shown."""
-
-    def prepare(self, image: Image) -> None:
-        """Draw an (H, W) 8-bit image where nobody sees it yet. Raises DeviceError."""
-
-    def flip(self) -> None:
-        """Show what was prepared; returns when it has left for the wall. Raises DeviceError."""
-
-
-class TriggeredCamera(Camera, Protocol):
-    """A camera whose frame is on its way while the next picture is shown already."""
-
-    name: str
-    exposure_s: float
-
-    def expose(self) -> None:
-        """Expose one frame, beginning now; returns when the exposure is over. Raises DeviceError."""
-
-    def collect(self) -> Frame:
-        """The frame that was exposed last. Raises DeviceError.
-
-        Raises FrameLostError if it does not arrive whole, or was exposed more than TRIGGER_LAG_S later than others.
-        """
-
-
-@dataclass(frozen=True)
-class Timing:
-    """What was measured: `latency_s` from the end of a flip to its light; with some margin, `delay_s` is waited.
-
-    `overlaps`: the next picture goes up while the last frame is still on its way.
-    """
-
-    latency_s: float
-    delay_s: float
-    overlaps: bool
-
-
-class Turns:
-    """Frames of images, taken in turns by a projector and a camera, and what that cost."""
-
-    def __init__(self, projector: BufferedProjector, camera: TriggeredCamera, timing: Timing) -> None:
-        self._projector = projector
-        self._camera = camera
-        self._delay_s = timing.delay_s
-        self._overlaps = timing.overlaps
-        self._flipped_s = 0.0
-        self._taken = 0
-        self._elapsed_s = 0.0
-        self.retriggered = 0
-
-    @property
-    def exposure_s(self) -> float:
-        """The camera's exposure in seconds."""
-        return self._camera.exposure_s
-
-    @property
-    def taken(self) -> int:
-        """How many frames there have been."""
-        return self._taken
-
-    @property
-    def seconds_per_frame(self) -> float:
-        """Time from one frame to the next, whatever was done with it included; 0 before the first."""
-        return self._elapsed_s / max(1, self._taken)
-
-    def frames(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
-        """A frame of each image, the exposures (if there are any) taking turns; taken when it is asked for.
-
-        Raises DeviceError, and whatever `images` raises.
-        """
-        exposures = cycle(exposures_us or (None,))
-        begin_s, self._taken, self.retriggered = time.monotonic(), 0, 0
-        upcoming: Iterator[Image | None] = chain(images, [None])
-        image = self._prepare(next(upcoming))
-        if image is not None:
-            self._flip()
-        while image is not None:
-            following = self._prepare(next(upcoming))
-            self._set_exposure(next(exposures))
-            self._expose()
-            if self._overlaps and following is not None:
-                self._flip()
-            frame = self._collect(image, following)
-            self._taken += 1
-            self._elapsed_s = time.monotonic() - begin_s
-            yield frame
-            image = following
-
-    def _prepare(self, image: Image | None) -> Image | None:
-        if image is not None:
-            self._projector.prepare(image)
-        return image
-
-    def _flip(self) -> None:
-        self._projector.flip()
-        self._flipped_s = time.monotonic()
-
-    def _set_exposure(self, exposure_us: float | None) -> None:
-        """Before an exposure, when the frame before it has arrived: no frame has parts of two."""
-        if exposure_us is not None:
-            exposure_control(self._camera).expose_for(exposure_us)
-
-    def _expose(self) -> None:
-        time.sleep(max(0.0, self._flipped_s + self._delay_s - time.monotonic()))
-        self._camera.expose()
-
-    def _collect(self, image: Image, following: Image | None) -> Frame:
-        """The frame of `image`, taken again if it was lost; afterwards `following` is on its way to the wall."""
-        try:
-            frame = self._camera.collect()
-        except FrameLostError as lost:
-            frame = self._again(image, lost)
-            self._prepare(following)
-        else:
-            if self._overlaps:
-                return frame
-        if following is not None:
-            self._flip()
-        return frame
-
-    def _again(self, image: Image, lost: FrameLostError) -> Frame:
-        for attempt in range(1, ATTEMPTS):
-            log.warning("frame %d was lost (%s), attempt %d", self._taken, lost, attempt)
-            self.retriggered += 1
-            self._projector.prepare(image)
-            self._flip()
-            self._expose()
-            try:
-                return self._camera.collect()
-            except FrameLostError as error:
-                lost = error
-        raise DeviceError(
-            f"camera {self._camera.name}: frame {self._taken} was lost {ATTEMPTS} times ({lost}). {LOST_ADVICE}"
-        )
-
-
-def measure(projector: BufferedProjector, camera: TriggeredCamera) -> Timing:
-    """Flash until it is known when light of a new picture is all there, and try it out. Takes about three seconds.
+def _rehearsed_in_turns(
+    flashes: Flashes, projector: BufferedProjector, camera: TriggeredCamera, latency_s: float
+) -> Timing:
+    """Pictures in turns, as soon after a flip as frames of black and white show that they may be.
 
     What shows in the rehearsal is a picture that came too late, or, where pictures and frames overlap, the next one
     that came too early: into the last rows of a rolling shutter, or into an exposure that began late. Raises
-    DeviceError if the camera does not see the projector, or its light does not settle.
+    DeviceError if the light does not settle.
     """
-    flashes = Flashes(projector, camera)
-    latency_s = flashes.latency_s()
     timing = Timing(latency_s, latency_s + _MARGIN_S, overlaps=latency_s > TRIGGER_LAG_S)
     for _ in range(_ROUNDS):
         missing = flashes.largest_missing_share(Turns(projector, camera, timing).frames)
@@ -197,41 +57,110 @@ def measure(projector: BufferedProjector, camera: TriggeredCamera) -> Timing:
     )
 
 
+def _rehearsed_in_flight(
+    flashes: Flashes, measured: Latency, projector: BufferedProjector, camera: TriggeredCamera, turns: Turns
+) -> Flight | None:
+    """Pictures in flight as densely as frames of black and white show that they may be; None if they may not at all.
+
+    What shows is what does in turns, and whatever makes pictures later, or sooner, when others are on their way, too.
+    """
+    for margin_s in _FLIGHT_MARGINS_S:
+        rhythm = pace(measured, camera, margin_s)
+        if rhythm.period_s > turns.period_s(measured.cycle_s) + camera.wait_s:
+            break
+        flight = Flight(projector, camera, turns, rhythm, flashes.sums)
+        missing = flashes.largest_missing_share(flight.rehearse, _REHEARSED_IN_FLIGHT)
+        log.info("%s: %.2f %% of the light missing, %d missed", rhythm, 100 * missing, flight.missed)
+        if missing < flashes.tolerance:
+            return flight
+    return None
+
+
+@dataclass
+class _Lately:
+    """How the last frames were taken."""
+
+    flew: bool = False
+    ahead: Ahead[Frame] | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class SynchronisedRig(Rig):
-    """A rig of real devices, which take turns."""
+    """A rig of real devices, which take turns, or whose pictures are in flight, where that was found to work."""
 
     timing: Timing
     turns: Turns
+    flight: Flight | None = None
+    _lately: _Lately = field(default_factory=_Lately)
 
-    def photograph(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
-        """A frame of each image, taken when it is asked for and its light is on the wall. Raises DeviceError."""
-        return self.turns.frames(images, exposures_us)
+    def photograph(
+        self, images: Iterable[Image], exposures_us: Sequence[float] = (), level: Sequence[Sequence[int]] = ()
+    ) -> Iterator[Frame]:
+        """A frame of each image, taken when its light is on the wall. Raises DeviceError.
+
+        Images of which some are `level` together are a capture: its frames are taken some ahead of who asks for them,
+        and its pictures are in flight, where that works. All others are taken in turns, when they are asked for.
+        """
+        flying = self.flight if level and not exposures_us else None
+        self._lately.flew = flying is not None and flying.possible
+        if flying is not None and self._lately.flew:
+            frames = flying.frames(images, level)
+        else:
+            frames = self.turns.frames(images, exposures_us)
+        self._lately.ahead = Ahead(frames, MOST_AHEAD) if level else None
+        return iter(self._lately.ahead or frames)
+
+    def stop(self) -> None:
+        """Return when no frame is being taken, before the devices are closed."""
+        if self._lately.ahead is not None:
+            self._lately.ahead.stop()
 
     def account(self) -> Mapping[str, object]:
         """What synchronisation measured, and what the frames so far cost over what was unavoidable."""
+        tally = self.turns.tally
         return {
             "synchronisation": {
                 "latency_ms": round(1e3 * self.timing.latency_s, 2),
                 "delay_ms": round(1e3 * self.timing.delay_s, 2),
                 "overlapping": self.timing.overlaps,
-                "retriggered_frames": self.turns.retriggered,
-                "ms_per_frame": round(1e3 * self.turns.seconds_per_frame, 2),
+                "retriggered_frames": tally.retriggered,
+                "ms_per_frame": round(1e3 * tally.seconds_per_frame, 2),
                 "overhead_percent": round(100 * self.overhead, 1),
+                **self._of_flight(),
             }
         }
 
+    def _of_flight(self) -> dict[str, object]:
+        found: dict[str, object] = {}
+        if self.flight is not None and self._lately.flew:
+            found |= {
+                "pictures_in_flight": self.flight.rhythm.in_flight,
+                "missed_in_flight": self.flight.missed,
+                "doubted_frames": self.flight.doubted,
+            }
+        if self._lately.ahead is not None:
+            found["waited_for_computer_s"] = round(self._lately.ahead.waited_s, 3)
+        return found
+
     @property
     def overhead(self) -> float:
-        """Time per frame beyond exposure and latency, relative to these."""
-        return self.turns.seconds_per_frame / (self.turns.exposure_s + self.timing.latency_s) - 1
+        """Time per frame beyond exposure and (where pictures are not in flight) latency, relative to these."""
+        waited_s = 0.0 if self._lately.flew else self.timing.latency_s
+        return self.turns.tally.seconds_per_frame / (self.turns.exposure_s + waited_s) - 1
 
 
 def synchronised(
     projector: BufferedProjector, camera: TriggeredCamera, identity: dict[str, str], refresh_hz: float | None = None
 ) -> SynchronisedRig:
-    """A rig whose latency has been measured. Raises DeviceError."""
-    timing = measure(projector, camera)
-    known = identity | {"light after a flip": f"{1e3 * timing.latency_s:.1f} ms (measured)"}
+    """A rig whose latency has been measured, by flashes, and tried out, which takes about four seconds.
+
+    Raises DeviceError if the camera does not see the projector, or its light does not settle.
+    """
+    flashes = Flashes(projector, camera)
+    measured = flashes.latency()
+    timing = _rehearsed_in_turns(flashes, projector, camera, measured.latest_s)
     turns = Turns(projector, camera, timing)
-    return SynchronisedRig(projector, camera, known, refresh_hz, timing=timing, turns=turns)
+    known_when = isfinite(camera.wait_s)
+    flight = _rehearsed_in_flight(flashes, measured, projector, camera, turns) if known_when else None
+    known = identity | {"light after a flip": f"{1e3 * timing.latency_s:.1f} ms (measured)"}
+    return SynchronisedRig(projector, camera, known, refresh_hz, timing=timing, turns=turns, flight=flight)

@@ -14,6 +14,7 @@ from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration
 from calib.numerics import Bools
 from calib.refusal import RefusalError
+from hw.ahead import beside
 from hw.open_rig import open_rig
 from hw.settings import RigSettings
 from scanner.capture import (
@@ -221,9 +222,10 @@ def decode(
     """
     decoder = Decoder(stream.patterns, stream.projector_size, calibration)
     exposures_us = []
-    for _, frame in progress.track(stream.frames, len(stream.patterns), what):
-        decoder.add(frame.image, frame.exposure_us)
-        exposures_us += [frame.exposure_us] if frame.exposure_us else []
+    with beside(decoder.add) as add:
+        for _, frame in progress.track(stream.frames, len(stream.patterns), what):
+            add(frame.image, frame.exposure_us)
+            exposures_us += [frame.exposure_us] if frame.exposure_us else []
     ghost = decoder.ghost() if again else 0.0
     if again and ghost:
         decoder = Decoder(stream.patterns, stream.projector_size, calibration, ghost=ghost)

@@ -39,7 +39,7 @@ def main() -> int:
     settings = LoopbackSettings(
         camera_size=config.camera_size,
         room=SimulatedRigSettings(seed=options.seed),
-        conditions=Conditions(latency_ms=options.latency_ms, lost_packets=options.lost_packets),
+        conditions=Conditions(**{name: getattr(options, name) for name in Conditions.model_fields}),
     )
     try:
         with loopback_rig(settings, config.projector_size):
@@ -60,8 +60,9 @@ def main() -> int:
 def _parser() -> ArgumentParser:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter, allow_abbrev=False)
     parser.add_argument("--seed", type=int, default=0, help="of the room (default: 0)")
-    parser.add_argument("--latency-ms", type=float, default=50.0, help="of the projector's light (default: 50)")
-    parser.add_argument("--lost-packets", type=float, default=0.0, help="share of the camera's packets (default: 0)")
+    for name, field in Conditions.model_fields.items():
+        text = f"{field.description} (default: {field.default:g})".replace("%", "%%")
+        parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=field.default, help=text)
     parser.add_argument("command", nargs=REMAINDER, metavar="scan ...", help="any command with --config FILE")
     return parser
 

@@ -6,6 +6,7 @@ Started by `hw/loopback/launcher.py`. Prints 'ready' when it can be found, and a
 
 import sys
 from argparse import ArgumentParser, Namespace
+from math import prod
 from pathlib import Path
 
 from hw.errors import DeviceError
@@ -15,11 +16,15 @@ from hw.loopback.screen import ScreenHistory, XwdScreen
 from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.simulated.simulation import SimulatedRoom
 
+_ALBUM_BYTES = 1e8
+_PUNCTUAL_S = 0.0005  # pictures that are developed must not hold up an exposure
+
 
 def main() -> int:
     """Serve; returns the exit code."""
     options = _options()
     settings = LoopbackSettings.model_validate_json(options.settings)
+    sys.setswitchinterval(_PUNCTUAL_S)
     try:
         _serve(options.screen, settings)
     except (DeviceError, OSError, ValueError) as error:
@@ -31,12 +36,13 @@ def main() -> int:
 def _serve(screen_file: Path, settings: LoopbackSettings) -> None:
     screen = XwdScreen(screen_file)
     room = SimulatedRoom(settings.room, settings.camera_size, screen.size)
-    with ScreenHistory(screen, room.electrons) as history:
+    album = max(4, int(_ALBUM_BYTES / (4 * prod(settings.camera_size))))
+    with ScreenHistory(screen, room.electrons, settings.room.seed, album) as history:
         sensor = RoomSensor(room, history, settings.white_exposure_us)
         with LoopbackCamera(settings.address, settings.serial, settings.camera_size, sensor.expose) as camera:
             conditions = settings.conditions
             while True:
-                sensor.latency_s = conditions.latency_ms / 1e3
+                history.wall.conditions = conditions
                 camera.lose(conditions.lost_packets)
                 print("ready", flush=True)
                 line = sys.stdin.readline()

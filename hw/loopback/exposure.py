@@ -30,16 +30,15 @@ class Request:
 
 
 class RoomSensor:
-    """Takes pictures of a simulated room that is lit by a screen with a display latency.
+    """Takes pictures of a simulated room that is lit by a screen.
 
-    `latency_s`: how late the light follows the screen. The aperture is set so that white reaches 85 % of the range at
-    `white_exposure_us`, without gain. `screen` develops to expected electrons (H, W) of such an exposure.
+    The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, without gain. `screen` develops
+    to expected electrons (H, W) of such an exposure.
     """
 
     def __init__(self, room: SimulatedRoom, screen: ScreenHistory, white_exposure_us: float) -> None:
         self._sensor = room.sensor
         self._screen = screen
-        self.latency_s = 0.0
         self._white_exposure_us = white_exposure_us
         self._rng = np.random.default_rng()
 
@@ -48,24 +47,26 @@ class RoomSensor:
         begin_s = time.monotonic()
         exposure_s = request.exposure_us / 1e6
         self._screen.look()
+        x, y, width, height = request.region
+        channels = 3 if request.pixel_format == RGB_8 else 1
+        noise = list(self._rng.standard_normal((channels, height, width), np.float32))  # while there is time
         time.sleep(max(0.0, begin_s + exposure_s - time.monotonic()))
         self._screen.look()
-        first_s = begin_s - self.latency_s
-        x, y, width, height = request.region
         part = np.s_[y : y + height, x : x + width]
         electrons = np.zeros((height, width), np.float32)
-        for share, light in self._screen.shares(first_s, first_s + exposure_s):
+        for share, light in self._screen.shares(begin_s, begin_s + exposure_s):
             electrons += np.float32(share * request.exposure_us / self._white_exposure_us) * light[part]
-        return self._digits(electrons, request)
+        return self._digits(electrons, noise, request)
 
-    def _digits(self, electrons: Light, request: Request) -> bytes:
+    def _digits(self, electrons: Light, noise: list[Light], request: Request) -> bytes:
         sensor = self._amplified(16 if request.pixel_format == MONO_16 else 8, request.gain_db)
         if request.pixel_format in _MOSAICS:
             electrons = electrons * _mosaic(_MOSAICS[request.pixel_format], electrons.shape)
         if request.pixel_format == RGB_8:
-            channels = [sensor.read(electrons * np.float32(_THROUGH_FILTER[name]), self._rng) for name in "RGB"]
+            filtered = [electrons * np.float32(_THROUGH_FILTER[name]) for name in "RGB"]
+            channels = [sensor.read_with(*each) for each in zip(filtered, noise, strict=True)]
             return np.asarray(cv2.merge(channels)).tobytes()
-        return sensor.read(electrons, self._rng).tobytes()
+        return sensor.read_with(electrons, noise[0]).tobytes()
 
     def _amplified(self, bits: int, gain_db: float) -> Sensor:
         """Gain makes fewer electrons fill the range."""

@@ -6,10 +6,9 @@
 import mmap
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
 from typing import Protocol, Self
 
@@ -17,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Image
+from hw.loopback.wall import Wall
 from hw.simulated.arrays import Light
 
 _HEADER_WORDS = 25
 _COLOUR_ENTRY_BYTES = 12
 _POLL_S = 0.002
 _REDRAWN_S = 0.001  # a swap of buffers is copied to the screen in about so long
-_MEMORY_S = 3.0
 
 
 class XwdScreen:
@@ -62,29 +61,25 @@ class Pixels(Protocol):
         """A copy of what it shows now."""
 
 
-@dataclass(frozen=True)
-class Picture:
-    """The light of what the screen showed from `since_s` on (monotonic clock), or that light in the making."""
-
-    since_s: float
-    light: Future[Light]
-
-
 class ScreenHistory:
-    """The pictures of the last seconds, seen by looking every 2 ms while the `with` block runs.
+    """The light of the pictures of the last seconds, seen by looking every 2 ms while the `with` block runs.
 
-    A change is dated back to the last look that did not show it yet. So the light of a new picture is at most one look
-    early, however late the machine lets us look; it never falls into an exposure that was over before the change.
-    `develop` turns an image into light as soon as it is seen, so that it is ready when a camera wants it.
+    Any number of pictures are on their way to the wall at once, each with a delay of its own, in the order in which
+    they were shown (`hw/loopback/wall.py`). A change is dated back to the last look that did not show it yet, however
+    late the machine lets us look; it never falls into an exposure that was over before the change.
+    `develop` turns an image into light as soon as it is seen, so that it is ready when a camera wants it;
+    the last `album` ones are kept for when they come again.
     """
 
-    def __init__(self, screen: Pixels, develop: Callable[[Image], Light]) -> None:
+    def __init__(self, screen: Pixels, develop: Callable[[Image], Light], seed: int = 0, album: int = 4) -> None:
         self._screen = screen
         self._develop = develop
         self._studio = ThreadPoolExecutor(max_workers=1)
+        self._album = album
+        self._developed: dict[bytes, Future[Light]] = {}
         self._last = screen.pixels()
         self._looked_s = time.monotonic()
-        self._pictures = deque([self._picture()])
+        self.wall = Wall(self._light(), seed)
         self._lock = threading.Lock()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
@@ -105,24 +100,23 @@ class ScreenHistory:
             pixels = self._screen.pixels()
             if not np.array_equal(pixels, self._last):
                 self._last = self._settled(pixels)
-                self._pictures.append(self._picture())
-                while len(self._pictures) > 1 and self._pictures[1].since_s < now_s - _MEMORY_S:
-                    self._pictures.popleft()
+                self.wall.send(self._looked_s, self._light())
             self._looked_s = now_s
 
     def shares(self, begin_s: float, end_s: float) -> list[tuple[float, Light]]:
-        """The light of what was shown between two moments, each with its share of the time; these add up to one."""
+        """The light on the wall between two moments, each picture's with its share; these add up to one."""
         with self._lock:
-            pictures = list(self._pictures)
-        until = [*(picture.since_s for picture in pictures[1:]), float("inf")]
-        since = [float("-inf"), *(picture.since_s for picture in pictures[1:])]
-        shown = [max(0.0, min(last, end_s) - max(first, begin_s)) for first, last in zip(since, until, strict=True)]
-        total_s = end_s - begin_s
-        seen = [(part / total_s, picture) for part, picture in zip(shown, pictures, strict=True) if part > 0]
-        return [(share, picture.light.result()) for share, picture in seen]
+            seen = self.wall.shares(begin_s, end_s)
+        return [(share, light.result()) for share, light in seen]
 
-    def _picture(self) -> Picture:
-        return Picture(self._looked_s, self._studio.submit(self._develop, green(self._last)))
+    def _light(self) -> Future[Light]:
+        """Of what it shows; pictures that come again, as in a rehearsal, are developed once."""
+        key = blake2b(self._last.tobytes()).digest()
+        light = self._developed.pop(key, None) or self._studio.submit(self._develop, green(self._last))
+        self._developed[key] = light
+        while len(self._developed) > self._album:
+            del self._developed[next(iter(self._developed))]
+        return light
 
     def _settled(self, pixels: NDArray[np.uint32]) -> NDArray[np.uint32]:
         """What it shows when it has been redrawn; a real projector swaps whole pictures."""

@@ -11,6 +11,13 @@ class Conditions(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     latency_ms: float = Field(default=50.0, ge=0.0, le=500.0, description="How late light follows the screen.")
+    jitter_ms: float = Field(default=0.0, ge=0.0, le=100.0, description="Every picture's light is later by up to this.")
+    missed_refreshes: float = Field(
+        default=0.0, ge=0.0, le=1.0, description="Share of the pictures that come a refresh of 60 Hz later than others."
+    )
+    settling_ms: float = Field(
+        default=0.0, ge=0.0, le=100.0, description="Time constant in which a slow panel turns to the next picture."
+    )
     lost_packets: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of the stream's packets that get lost.")
 
 

@@ -35,8 +35,11 @@ class Sensor:
 
     def read(self, electrons: Light, rng: np.random.Generator) -> Image:
         """One noisy image (H, W) for expected electrons (H, W): 8 bit, or 16 bit for more than 8 bits."""
+        return self.read_with(electrons, rng.standard_normal(electrons.shape, dtype=np.float32))
+
+    def read_with(self, electrons: Light, noise: Light) -> Image:
+        """The same with noise (H, W) of unit variance that was drawn before; it is used up."""
         highest = 2**self.bit_depth - 1
-        noise = rng.standard_normal(electrons.shape, dtype=np.float32)
         noise *= np.sqrt(electrons + np.float32(self.read_noise_electrons**2))
         noise += electrons
         noise *= np.float32(highest / self.full_well_electrons)

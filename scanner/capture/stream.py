@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from calib.geometry import Size
 from hw.errors import DeviceError
 from hw.rig import Frame, Rig, exposure_control
-from scanner.patterns import Pattern, ProjectorResponse, draw
+from scanner.patterns import Pattern, ProjectorResponse, draw, level_groups
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,8 @@ def _frames(
     pictures = (draw(pattern, rig.projector.size) for pattern in patterns)
     if response is not None:
         pictures = (response.compensation[picture] for picture in pictures)
-    for pattern, frame in zip(patterns, rig.photograph(pictures, exposures_us), strict=True):
+    frames = rig.photograph(pictures, exposures_us, level_groups(patterns))
+    for pattern, frame in zip(patterns, frames, strict=True):
         if frame.image.shape[:2] != (height, width):
             found = f"{frame.image.shape[1]} × {frame.image.shape[0]}"
             raise DeviceError(f"the camera says that its frames are {width} × {height}, but delivered one of {found}")

@@ -63,8 +63,8 @@ def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
     """Whether the frames of the last capture came at the first attempt; nothing for rigs that lose none."""
     if not isinstance(rig, SynchronisedRig):
         return
-    taken, again = rig.turns.taken, rig.turns.retriggered
-    per_frame = f"{1e3 * rig.turns.seconds_per_frame:.0f} ms per frame"
+    taken, again = rig.turns.tally.taken, rig.turns.tally.retriggered
+    per_frame = f"{1e3 * rig.turns.tally.seconds_per_frame:.0f} ms per frame"
     if again <= _MANY_RETAKEN * taken:
         yield CheckRow("transfer", State.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
     else:

@@ -1,5 +1,6 @@
 """Patterns as values, the sequences made of them, and how they are drawn."""
 
+from scanner.patterns.level import level_groups
 from scanner.patterns.pattern import (
     Axis,
     Black,

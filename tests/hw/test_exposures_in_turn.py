@@ -9,7 +9,8 @@ from hw.errors import DeviceError
 from hw.rig import Rig, exposure_control
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera
-from hw.synchronisation import Timing, Turns, synchronised
+from hw.synchronisation import synchronised
+from hw.turns import Timing, Turns
 from scanner.capture.stream import capture
 from scanner.patterns.pattern import Black, White
 from tests.support.rig_bench import SIZE, Bench

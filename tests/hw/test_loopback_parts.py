@@ -2,6 +2,7 @@
 
 import threading
 import time
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,6 +11,8 @@ import pytest
 
 from hw.loopback.exposure import MONO_8, MONO_16, RGB_8, Request, RoomSensor
 from hw.loopback.screen import ScreenHistory, XwdScreen, green
+from hw.loopback.settings import Conditions
+from hw.loopback.wall import Wall
 from hw.settings import SimulatedRigSettings
 from hw.simulated.sensor import Sensor
 
@@ -91,7 +94,7 @@ def test_changes_are_seen_while_nobody_asks() -> None:
     assert [light.max() for _, light in history.shares(now - 1, now)] == [0, 50, 100, 150]
 
 
-class Wall:
+class WhiteWall:
     """Stands in for a room: the camera sees the screen's light, a hundred electrons for each level."""
 
     settings = SimulatedRigSettings()
@@ -101,8 +104,8 @@ class Wall:
 def exposed(latency_s: float, request: Request, *, change_after_s: float | None = None) -> np.ndarray:
     screen = FakeScreen()
     with ScreenHistory(screen, lambda image: 100 * as_light(image)) as history:
-        sensor = RoomSensor(cast(Any, Wall()), history, white_exposure_us=20_000)
-        sensor.latency_s = latency_s
+        sensor = RoomSensor(cast(Any, WhiteWall()), history, white_exposure_us=20_000)
+        history.wall.conditions = Conditions(latency_ms=1e3 * latency_s)
         screen.level = 0 if change_after_s is not None else 100
         time.sleep(0.02 + latency_s)
         if change_after_s is not None:
@@ -140,3 +143,51 @@ def test_light_comes_late() -> None:
     half = exposed(0.0, request, change_after_s=0.1).mean()
     assert 30 < half < 70
     assert exposed(0.15, request, change_after_s=0.1).mean() < 3
+
+
+def done(level: int) -> Future[np.ndarray]:
+    light: Future[np.ndarray] = Future()
+    light.set_result(np.full(SIZE[::-1], level, np.float32))
+    return light
+
+
+def seen_on(wall: Wall, begin_s: float, end_s: float) -> dict[int, float]:
+    return {int(light.result().max()): share for share, light in wall.shares(begin_s, end_s)}
+
+
+def test_several_pictures_are_on_their_way() -> None:
+    wall = Wall(done(0), seed=0)
+    wall.conditions = Conditions(latency_ms=120)
+    for number in range(1, 5):
+        wall.send(number * 0.04, done(number))
+    assert seen_on(wall, 0.0, 0.16) == {0: pytest.approx(1)}
+    assert seen_on(wall, 0.14, 0.22) == {0: pytest.approx(1 / 4), 1: pytest.approx(1 / 2), 2: pytest.approx(1 / 4)}
+    assert seen_on(wall, 0.3, 0.5) == {4: pytest.approx(1)}
+
+
+def test_late_pictures_keep_their_order() -> None:
+    wall = Wall(done(0), seed=1)
+    wall.conditions = Conditions(latency_ms=50, jitter_ms=10, missed_refreshes=0.3)
+    times = []
+    for number in range(1, 60):
+        wall.send(number * 0.02, done(number))
+        times.append(wall._pictures[-1].since_s)
+    late_s = np.array(times) - np.arange(1, 60) * 0.02
+    assert np.all(np.diff(times) >= 0)
+    assert 0.05 <= late_s.min() < 0.052
+    assert 0.06 < late_s.max() < 0.05 + 0.01 + 1 / 60
+    wall.conditions = Conditions(latency_ms=0)
+    wall.send(1.2, done(60))
+    assert wall._pictures[-1].since_s >= times[-1]
+
+
+def test_a_slow_panel_turns_to_the_next_picture_exponentially() -> None:
+    wall = Wall(done(0), seed=0)
+    wall.conditions = Conditions(latency_ms=0, settling_ms=10)
+    wall.send(1.0, done(1))
+    wall.send(1.02, done(2))
+    moments = np.linspace(1.0, 1.06, 6001)
+    left = np.exp(-(moments - 1) / 0.01)
+    of_first = np.where(moments < 1.02, 1 - left, (1 - np.exp(-2)) * np.exp(-(moments - 1.02) / 0.01))
+    expected = {0: left.mean(), 1: of_first.mean(), 2: (1 - left - of_first).mean()}
+    assert seen_on(wall, 1.0, 1.06) == pytest.approx(expected, abs=1e-3)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
-from hw.synchronisation import Timing, Turns, measure, synchronised
+from hw.synchronisation import synchronised
+from hw.turns import Timing, Turns
 from tests.support.rig_bench import SIZE, Bench
 
 
@@ -21,14 +22,16 @@ def expected(picture: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("latency_ms", [0, 3, 17, 33.3, 50, 75, 120, 250])
 def test_the_latency_is_measured(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
-    timing = measure(*[Bench(latency_ms / 1e3, noise=2.0).install(monkeypatch)] * 2)
+    bench = Bench(latency_ms / 1e3, noise=2.0).install(monkeypatch)
+    timing = synchronised(bench, bench, {}).timing
     assert 1e3 * timing.latency_s == pytest.approx(latency_ms, abs=0.5)
     assert 0 < timing.delay_s - timing.latency_s < 0.006
     assert timing.overlaps == (latency_ms > 10)
 
 
 def test_the_slowest_flash_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    timing = measure(*[Bench(0.05, jitter_s=0.01).install(monkeypatch)] * 2)
+    bench = Bench(0.05, jitter_s=0.01).install(monkeypatch)
+    timing = synchronised(bench, bench, {}).timing
     assert 0.055 < timing.latency_s <= 0.0605
 
 
@@ -120,7 +123,7 @@ def test_no_pictures_no_frames(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_rig_that_cannot_work_is_refused(monkeypatch: pytest.MonkeyPatch, bench: Bench, words: str) -> None:
     bench.install(monkeypatch)
     with pytest.raises(DeviceError, match=words):
-        measure(bench, bench)
+        synchronised(bench, bench, {})
 
 
 def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from hw.loopback.launcher import CameraProcess, VirtualScreen, camera_process, shown_on, virtual_screen
 from hw.loopback.settings import LoopbackSettings
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture.recording import open_capture
+from scanner.capture.recording import Recording, open_capture
 from scanner.commands.main import main
 from scanner.patterns.pattern import Pattern, draw
 
@@ -103,15 +103,24 @@ def digits(room: SimulatedRoom, pattern: Pattern) -> np.ndarray:
     return room.electrons(draw(pattern, PROJECTOR)) * (255 / room.sensor.full_well_electrons)
 
 
-def check_frames(capture: Path, room: SimulatedRoom) -> int:
-    """Every frame shows its own pattern, and nothing of the pattern before or after it. Returns how many there are."""
-    recording = open_capture(capture)
+def wrong_frames(recording: Recording, room: SimulatedRoom) -> list[str]:
+    """What is wrong with frames that do not show their own pattern, and nothing of the pattern before or after it."""
     frames = [frame.image.astype(float) for _, frame in recording.stream().frames]
     seen = [digits(room, pattern) for pattern in recording.patterns]
+    wrong = []
     for index, (frame, own) in enumerate(zip(frames, seen, strict=True)):
-        assert np.sqrt(np.mean((frame - own) ** 2)) < 2.5, f"frame {index} is not of {recording.patterns[index]}"
+        if np.sqrt(np.mean((frame - own) ** 2)) >= 2.5:
+            wrong.append(f"frame {index} is not of {recording.patterns[index]}")
         for other in seen[max(0, index - 1) : index] + seen[index + 1 : index + 2]:
             towards = other - own
             share = np.sum(towards * (frame - own)) / np.sum(towards**2)
-            assert abs(share) < 0.02, f"{100 * share:.1f} % of frame {index} are of a neighbouring pattern"
-    return len(frames)
+            if abs(share) >= 0.02:
+                wrong.append(f"{100 * share:.1f} % of frame {index} are of a neighbouring pattern")
+    return wrong
+
+
+def check_frames(capture: Path, room: SimulatedRoom) -> int:
+    """Every frame shows its own pattern, and nothing of the pattern before or after it. Returns how many there are."""
+    recording = open_capture(capture)
+    assert wrong_frames(recording, room) == []
+    return len(recording.patterns)

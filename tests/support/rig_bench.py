@@ -1,5 +1,6 @@
 """A projector and a camera on a clock that only they move: what real ones do with time, exactly and at once."""
 
+from math import ceil
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from calib.numerics.array_types import Image
 from hw.errors import FrameLostError
 from hw.rig import Frame
+from hw.timed_devices import Swap
 
 SIZE = (8, 6)
 
@@ -18,6 +20,8 @@ class Bench:
     name = "bench"
     size = SIZE
     highest_level = 4095
+    wait_s = 0.0
+    late_s = 0.0
 
     def __init__(
         self,
@@ -30,22 +34,26 @@ class Bench:
         noise: float = 0.0,
         lost: frozenset[int] = frozenset(),
         gain: float = 1.0,
+        lag_s: float = 0.0,
     ) -> None:
         self.now = 0.0
         self.exposure_s = exposure_s
         self._latency_s, self._transfer_s, self._readout_s, self._jitter_s = latency_s, transfer_s, readout_s, jitter_s
         self._noise, self._gain = noise, gain
         self._lost = lost
+        self._lag_s = lag_s
+        self._late = range(0)
         self._rng = np.random.default_rng(0)
         self._prepared = np.zeros(SIZE[::-1], np.uint8)
         self._wall: list[tuple[float, Image]] = [(-1.0, self._prepared)]
         self._begin = 0.0
+        self._swaps: list[Swap] = []
         self.exposures = 0
         self.log: list[str] = []
 
     def install(self, monkeypatch: pytest.MonkeyPatch) -> "Bench":
         clock = SimpleNamespace(monotonic=lambda: self.now, sleep=self._sleep)
-        for module in ("hw.flashes", "hw.synchronisation"):
+        for module in ("hw.flashes", "hw.turns", "hw.flight"):
             monkeypatch.setattr(f"{module}.time", clock)
         return self
 
@@ -54,24 +62,52 @@ class Bench:
         self._prepared = image
         self.log.append("prepare")
 
-    def flip(self) -> None:
+    def flip(self) -> Swap:
+        begun = self.now
         self._sleep(0.002)
-        light = self.now + self._latency_s + self._jitter_s * self._rng.random()
-        self._wall.append((light, self._prepared))
+        self._leave(self._prepared, self.now)
         self.log.append("flip")
+        return Swap(begun, self.now)
+
+    def show_at(self, image: Image, when_s: float) -> None:
+        """Appointments are kept however late it is: what they bring is on the wall when its time has come."""
+        begun = max(when_s, self.now, self._swaps[-1].done_s if self._swaps else 0.0)
+        self._swaps.append(Swap(begun, begun + 0.002))
+        self._leave(image, begun + 0.002)
+
+    def shown(self, *, wait: bool) -> Swap | None:
+        if not wait and self._swaps[0].done_s > self.now:
+            return None
+        swap = self._swaps.pop(0)
+        self.now = max(self.now, swap.done_s)
+        return swap
+
+    def delay_every(self, count: int) -> None:
+        """From now on, of so many pictures one comes a refresh later than others, and nobody tells."""
+        self._late = range(len(self._wall) + 4, 10**9, count)
+
+    def _leave(self, image: Image, moment: float) -> None:
+        light = moment + self._latency_s + self._jitter_s * self._rng.random()
+        light += 1 / 60 if len(self._wall) in self._late else 0.0
+        self._wall.append((max(light, self._wall[-1][0]), image))
 
     def show(self, image: Image) -> None:
         self.prepare(image)
         self.flip()
 
-    def expose(self) -> None:
-        self._begin = self.now
-        self._sleep(self.exposure_s)
+    def expose(self) -> float:
+        triggered = self.now
+        self.late_s = self._lag_s * self._rng.random()
+        self._begin = triggered + self.late_s
+        if self.wait_s:  # it runs freely
+            self._begin = triggered = self.wait_s * ceil(self._begin / self.wait_s)
+        self._sleep(self._begin - self.now + self.exposure_s)
         self.exposures += 1
         self.log.append("expose")
+        return triggered
 
     def collect(self) -> Frame:
-        self._sleep(self._transfer_s)
+        self._sleep(self._transfer_s + self.late_s)
         self.log.append("collect")
         if self.exposures - 1 in self._lost:
             raise FrameLostError("incomplete: missing-packets")

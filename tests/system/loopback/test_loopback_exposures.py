@@ -59,7 +59,7 @@ def test_a_scan_takes_each_pattern_at_each_exposure(config: Path, rig: Loopback,
     code, folder = scan(config, "--set", f"sequence.exposures_us=[{PERIOD_US:.0f}, {2 * PERIOD_US:.0f}]")
     assert code == 0
     frames = open_capture(folder)
-    assert len(frames.patterns) == 2 * 19
+    assert len(frames.patterns) == 2 * 28
     full = room.sensor.full_well_electrons
     for index, (pattern, frame) in enumerate(frames.stream().frames):
         share = (0.5, 1.0)[index % 2]

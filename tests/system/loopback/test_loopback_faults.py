@@ -36,7 +36,7 @@ from tests.support.loopback_bench import (
 
 pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
 
-FRAMES = 19  # of the sequence in CONFIG
+FRAMES = 28  # of the sequence in CONFIG
 
 
 def stopped_scan(config: Path, capsys: pytest.CaptureFixture[str], *words: str) -> Path:

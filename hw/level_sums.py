@@ -1,0 +1,83 @@
+"""Pictures that prove each other: together they light every place alike, as a picture and its inverse do.
+
+Of frames that show what they should, the sum over such pictures is level. A frame that holds a share of the picture
+before or after it, or shows another one altogether, makes the differences between neighbours show in that sum.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Floats, Image
+
+_MOST_PIXELS = 20_000
+_LEAST_TOLERANCE = 0.015
+_MOST_TERMS = 10  # differences between neighbours, times frames in the sum, of two or four frames
+_LEAST_DIFFERENCE = 0.15  # of neighbours, rms; that of black and white is nothing but noise
+
+_ALIKE = 0.2  # differences that differ by no more, relative to the largest, do so by noise
+# What is no sum of such pictures at all: rms, and brightness of each. Lenses and bounced light make 0.1 in sums of
+# right frames, pictures that do not fit 0.5. A pair is 0.5 bright, down to 0.35 of fine stripes, and so is a fringe,
+# by the projector's response.
+_UNEVEN, _DARKEST, _BRIGHTEST = 0.35, 0.2, 0.7
+
+
+@dataclass(frozen=True)
+class LevelSums:
+    """Judges frames at pixels (N,) that the projector lights: `dark` (N,) and `contrast` (N,) are of black and white.
+
+    `tolerance`: the largest share of another picture that is not told from noise.
+    """
+
+    pixels: tuple[np.ndarray, np.ndarray]
+    dark: Floats
+    contrast: Floats
+    tolerance: float
+
+    def seen(self, image: Image) -> Floats:
+        """Brightness (N,) in a frame: 0 where black looks like this, 1 where white does."""
+        return (_grey(image[self.pixels]) - self.dark) / self.contrast
+
+    def foreign_share(self, group: Sequence[int], pictures: Sequence[Image], seen: Mapping[int, Floats]) -> float:
+        """About which share of a frame is of another picture than its own, which light every place alike together.
+
+        `group`: their numbers in the series of all frames, of which `seen` has these and those next to them. What of
+        the sum, where it is not level, the differences between neighbours explain (least squares); those are none
+        where a picture stayed too long, so a sum that is far from level, or too dark, is not theirs at all. How a
+        picture looks that is black or white everywhere is known.
+        """
+        plain = [
+            abs(float(seen[number].mean()) - picture[0, 0] / 255)
+            for number, picture in zip(group, pictures, strict=True)
+            if picture.min() == picture.max()
+        ]
+        changes = sorted({(first, first + 1) for number in group for first in (number - 1, number)})
+        steps = np.stack([seen[to] - seen[of] for of, to in changes if of in seen and to in seen], axis=1)
+        steps -= steps.mean(axis=0)
+        sizes = steps.std(axis=0)
+        total = np.sum([seen[number] for number in group], axis=0)
+        if total.std() > _UNEVEN or not _DARKEST < total.mean() / len(group) < _BRIGHTEST:
+            return 1.0
+        told = steps[:, sizes > _LEAST_DIFFERENCE]
+        explained = told @ np.linalg.lstsq(told, total - total.mean(), rcond=_ALIKE)[0]
+        return float(max([0.0, *plain, explained.std() / max(sizes.max(), _LEAST_DIFFERENCE)]))
+
+
+def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float) -> LevelSums:
+    """From frames of black and of white at rest, and the pixels (H, W) that tell them apart."""
+    rows, columns = np.nonzero(lit)
+    chosen = np.random.default_rng(0).permutation(len(rows))[:_MOST_PIXELS]
+    pixels = rows[chosen], columns[chosen]
+    levels = [np.stack([_grey(image[pixels]) for image in images]) for images in (dark, bright)]
+    contrast = levels[1].mean(axis=0) - levels[0].mean(axis=0)
+    # Noise is in a frame and in its differences to others alike, which looks as if they had to do with each other.
+    variance = float(np.mean(np.diff(levels[1], axis=0) ** 2 / 2 / contrast**2))
+    by_chance = 6 * np.sqrt(_MOST_TERMS * variance / len(chosen))
+    noise = 4 * variance + by_chance
+    return LevelSums(pixels, levels[0].mean(axis=0), contrast, max(_LEAST_TOLERANCE, tolerance) + float(noise))
+
+
+def _grey(pixels: Image) -> Floats:
+    """Pixels (N,) or, of colour cameras, (N, 3) → their brightness (N,)."""
+    return pixels.mean(axis=1) if pixels.ndim == 2 else pixels.astype(np.float64)

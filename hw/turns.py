@@ -1,0 +1,153 @@
+"""A camera and a projector that take turns: flip, wait for the light, expose, flip to the next picture, which starts on
+its way while the frame of the last one is still being transferred.
+
+    screen      ▏picture 1                    ▏picture 2                      ▏
+    wall                     ▏picture 1                      ▏picture 2
+    camera                    ▐ exposure ▌ transfer           ▐ exposure ▌ transfer
+"""
+
+import logging
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, count, cycle
+
+from calib.numerics import Image
+from hw.errors import DeviceError, FrameLostError
+from hw.flashes import LOST_ADVICE
+from hw.rig import Frame, exposure_control
+from hw.timed_devices import ATTEMPTS, BufferedProjector, TriggeredCamera
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What was measured: `latency_s` from the end of a flip to its light; with some margin, `delay_s` is waited.
+
+    `overlaps`: the next picture goes up while the last frame is still on its way.
+    """
+
+    latency_s: float
+    delay_s: float
+    overlaps: bool
+
+
+@dataclass
+class Tally:
+    """How many frames there have been, how long that took, and how many were taken again."""
+
+    taken: int = 0
+    retriggered: int = 0
+    elapsed_s: float = 0.0
+    _begun_s: float = 0.0
+
+    def begin(self) -> None:
+        """Count from now on."""
+        self.taken = self.retriggered = 0
+        self.elapsed_s, self._begun_s = 0.0, time.monotonic()
+
+    def take(self) -> None:
+        """One more."""
+        self.taken += 1
+        self.elapsed_s = time.monotonic() - self._begun_s
+
+    @property
+    def seconds_per_frame(self) -> float:
+        """Time from one frame to the next, whatever was done with it included; 0 before the first."""
+        return self.elapsed_s / max(1, self.taken)
+
+
+class Turns:
+    """Frames of images, taken in turns by a projector and a camera; `tally` is what that cost."""
+
+    def __init__(self, projector: BufferedProjector, camera: TriggeredCamera, timing: Timing) -> None:
+        self._projector = projector
+        self._camera = camera
+        self._delay_s = timing.delay_s
+        self._overlaps = timing.overlaps
+        self._flipped_s = 0.0
+        self.tally = Tally()
+
+    @property
+    def exposure_s(self) -> float:
+        """The camera's exposure in seconds."""
+        return self._camera.exposure_s
+
+    def period_s(self, cycle_s: float) -> float:
+        """How long a frame takes at least, if the camera has a frame so long after its trigger."""
+        return max(cycle_s, self.exposure_s + self._delay_s) if self._overlaps else cycle_s + self._delay_s
+
+    def frames(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
+        """A frame of each image, the exposures (if there are any) taking turns; taken when it is asked for.
+
+        Raises DeviceError, and whatever `images` raises.
+        """
+        self.tally.begin()
+        for frame in self.at_rest(images, exposures_us):
+            self.tally.take()
+            yield frame
+
+    def at_rest(
+        self, images: Iterable[Image], exposures_us: Sequence[float] = (), numbers: Iterable[int] | None = None
+    ) -> Iterator[Frame]:
+        """The same, as a part of something longer that counts its frames itself: these have `numbers`."""
+        exposures, numbered = cycle(exposures_us or (None,)), iter(count() if numbers is None else numbers)
+        upcoming: Iterator[Image | None] = chain(images, [None])
+        image = self._prepare(next(upcoming))
+        if image is not None:
+            self._flip()
+        while image is not None:
+            following = self._prepare(next(upcoming))
+            self._set_exposure(next(exposures))
+            self._expose()
+            if self._overlaps and following is not None:
+                self._flip()
+            yield self._collect(image, following, next(numbered))
+            image = following
+
+    def _prepare(self, image: Image | None) -> Image | None:
+        if image is not None:
+            self._projector.prepare(image)
+        return image
+
+    def _flip(self) -> None:
+        self._flipped_s = self._projector.flip().done_s
+
+    def _set_exposure(self, exposure_us: float | None) -> None:
+        """Before an exposure, when the frame before it has arrived: no frame has parts of two."""
+        if exposure_us is not None:
+            exposure_control(self._camera).expose_for(exposure_us)
+
+    def _expose(self) -> None:
+        time.sleep(max(0.0, self._flipped_s + self._delay_s - time.monotonic()))
+        self._camera.expose()
+
+    def _collect(self, image: Image, following: Image | None, number: int) -> Frame:
+        """The frame of `image`, taken again if it was lost; afterwards `following` is on its way to the wall."""
+        try:
+            frame = self._camera.collect()
+        except FrameLostError as lost:
+            frame = self._again(image, lost, number)
+            self._prepare(following)
+        else:
+            if self._overlaps:
+                return frame
+        if following is not None:
+            self._flip()
+        return frame
+
+    def _again(self, image: Image, lost: FrameLostError, number: int) -> Frame:
+        for attempt in range(1, ATTEMPTS):
+            log.warning("frame %d was lost (%s), attempt %d", number, lost, attempt)
+            self.tally.retriggered += 1
+            self._projector.prepare(image)
+            self._flip()
+            self._expose()
+            try:
+                return self._camera.collect()
+            except FrameLostError as error:
+                lost = error
+        raise DeviceError(
+            f"camera {self._camera.name}: frame {number} was lost {ATTEMPTS} times ({lost}). {LOST_ADVICE}"
+        )

@@ -1,0 +1,41 @@
+"""Patterns that light every place alike together: a pattern and its inverse, all steps of a fringe."""
+
+from collections import defaultdict
+from collections.abc import Hashable, Sequence
+from dataclasses import replace
+from math import isclose
+
+from scanner.patterns.pattern import Black, Gray, Pattern, Phase, White, Xor
+
+_LEAST_STEPS = 3  # of fewer, the sum depends on how light follows the picture's grey levels
+
+
+def level_groups(patterns: Sequence[Pattern]) -> tuple[tuple[int, ...], ...]:
+    """The numbers of patterns that light every place alike together; a pattern that is shown twice is in no group.
+
+    That does not depend on how bright the projector makes a grey level: the steps of a whole cycle go through the same
+    levels everywhere, but for harmonics of the order of their number, which are small for 3 and nothing for 4.
+    """
+    of: dict[Hashable, list[int]] = defaultdict(list)
+    for number, pattern in enumerate(patterns):
+        of[_kind(pattern)].append(number)
+    return tuple(tuple(group) for group in of.values() if _is_whole([patterns[number] for number in group]))
+
+
+def _kind(pattern: Pattern) -> Hashable:
+    """What a pattern shares with those that complete it."""
+    match pattern:
+        case White() | Black():
+            return White()
+        case Gray() | Xor():
+            return replace(pattern, inverted=False)
+        case Phase():
+            return replace(pattern, shift=0.0)
+
+
+def _is_whole(group: Sequence[Pattern]) -> bool:
+    shifts = sorted(pattern.shift % 1 for pattern in group if isinstance(pattern, Phase))
+    if not shifts:
+        return len(group) == len(set(group)) == 2
+    even = all(isclose(shift - shifts[0], step / len(shifts), abs_tol=1e-6) for step, shift in enumerate(shifts))
+    return even and len(shifts) >= _LEAST_STEPS

@@ -1,0 +1,202 @@
+"""Pictures in flight, on a bench whose clock stands still while nothing happens."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hw.errors import DeviceError
+from hw.synchronisation import SynchronisedRig, synchronised
+from tests.support.rig_bench import SIZE, Bench
+
+COUNT = 40
+
+
+def pictures(count: int = COUNT) -> list[np.ndarray]:
+    """Each followed by its inverse."""
+    drawn = np.random.default_rng(1).choice(np.array([0, 255], np.uint8), (count // 2, *SIZE[::-1]))
+    return [each for picture in drawn for each in (picture, 255 - picture)]
+
+
+def pairs(count: int = COUNT) -> list[tuple[int, int]]:
+    return [(first, first + 1) for first in range(0, count, 2)]
+
+
+def expected(picture: np.ndarray) -> np.ndarray:
+    """What the bench's camera sees of a picture that rests."""
+    return 10 + 12 * np.where(np.arange(SIZE[0]) % 5 != 4, picture.astype(int), 0)
+
+
+def scanned(monkeypatch: pytest.MonkeyPatch, bench: Bench, late_every: int = 0) -> SynchronisedRig:
+    """A rig that has taken pictures, each frame of which shows its own and at most 0.2 % of others."""
+    bench.install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    if late_every:
+        bench.delay_every(late_every)
+    shown = pictures()
+    frames = list(rig.photograph(shown, level=pairs()))
+    assert len(frames) == len(shown)
+    for number, (picture, frame) in enumerate(zip(shown, frames, strict=True)):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=7, err_msg=f"frame {number}")
+    return rig
+
+
+@pytest.mark.parametrize("latency_ms", [0, 5, 20, 50, 120, 250])
+def test_a_frame_takes_its_exposure_and_a_margin_whatever_the_latency(
+    monkeypatch: pytest.MonkeyPatch, latency_ms: float
+) -> None:
+    bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001, lag_s=0.001)
+    rig = scanned(monkeypatch, bench)
+    assert rig.flight is not None
+    assert (rig.flight.missed, rig.flight.doubted) == (0, 0)
+    beside = latency_ms / 1e3 / COUNT  # the first picture's light is waited for
+    assert 1.1 < (rig.turns.tally.seconds_per_frame - beside) / bench.exposure_s < 1.3
+    assert rig.flight.rhythm.in_flight == pytest.approx(latency_ms / 40, abs=1.1)
+
+
+def test_a_slow_transfer_sets_the_pace(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = scanned(monkeypatch, Bench(0.12, transfer_s=0.045))
+    assert rig.flight is not None
+    assert rig.flight.missed <= 1
+    assert rig.turns.tally.seconds_per_frame == pytest.approx(1 / 30 + 0.045, rel=0.1)
+
+
+@pytest.mark.parametrize("lost", [frozenset({40, 41, 60}), frozenset(range(40, 200, 3))])
+@pytest.mark.parametrize("latency_ms", [0, 50, 120])
+def test_lost_frames_are_taken_again(monkeypatch: pytest.MonkeyPatch, latency_ms: float, lost: frozenset[int]) -> None:
+    rig = scanned(monkeypatch, Bench(latency_ms / 1e3, transfer_s=0.005, lost=lost))
+    assert rig.turns.tally.retriggered >= 2
+
+
+@pytest.mark.parametrize("latency_ms", [5, 50, 120])
+def test_pictures_that_came_late_without_a_word_are_found_out(
+    monkeypatch: pytest.MonkeyPatch, latency_ms: float
+) -> None:
+    rig = scanned(monkeypatch, Bench(latency_ms / 1e3, transfer_s=0.005), late_every=9)
+    assert rig.flight is not None
+    assert 4 <= rig.flight.doubted <= 20
+
+
+def test_jitter_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, jitter_s=0.015))
+    assert 1.3 < rig.turns.tally.seconds_per_frame * 30 < 3
+
+
+def test_exposures_that_begin_late_are_taken_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, lag_s=0.009))
+    assert rig.flight is not None
+    assert rig.flight.missed > 0
+
+
+def test_a_rolling_shutter_is_read_out_before_the_next_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = scanned(monkeypatch, Bench(0.02, readout_s=0.06, transfer_s=0.08))
+    assert 1 / 30 + 0.08 < rig.turns.tally.seconds_per_frame < 1.1 * (1 / 30 + 0.08)
+    rig = scanned(monkeypatch, Bench(0.05, readout_s=0.01, transfer_s=0.01))
+    assert 1 / 30 + 0.01 < rig.turns.tally.seconds_per_frame < 1.6 / 30
+
+
+def test_noise_casts_no_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.05, transfer_s=0.005, noise=60.0).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    shown = pictures()
+    for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=300)
+    assert rig.flight is not None
+    assert rig.flight.doubted <= 2
+
+
+def test_pictures_that_nothing_proves_are_taken_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    shown = pictures(12)
+    proven = [(0, 1), (8, 9)]
+    for picture, frame in zip(shown, rig.photograph(shown, level=proven), strict=True):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=2)
+    begun = bench.log[-bench.log[::-1].index("prepare") :]
+    assert begun  # the pictures in turns are flipped one by one
+    assert rig.turns.tally.seconds_per_frame > 0.06
+
+
+@pytest.mark.parametrize(("latency_ms", "most"), [(0, 3.3), (20, 3.3), (50, 2.5), (120, 2.5)])
+def test_a_free_running_camera_has_one_frame_between_two_pictures(
+    monkeypatch: pytest.MonkeyPatch, latency_ms: float, most: float
+) -> None:
+    """Light that is there before its next frame begins is hard to time: pictures take turns then."""
+    bench = Bench(latency_ms / 1e3, transfer_s=0.005)
+    bench.wait_s = 1 / 29
+    rig = scanned(monkeypatch, bench)
+    beside = latency_ms / 1e3 / COUNT
+    assert 1.9 < (rig.turns.tally.seconds_per_frame - beside) / bench.exposure_s < most
+    assert (rig.flight is not None) == (latency_ms >= 50)
+
+
+def test_a_camera_of_which_nobody_knows_when_it_exposes_takes_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Untold(Bench):
+        """It exposes when it is told, and does not say that it will."""
+
+        @property
+        def wait_s(self) -> float:  # type: ignore[override]
+            return float("inf") if self.exposures in range(10**9) and self._asked else 0.0
+
+        _asked = False
+
+        def expose(self) -> float:
+            self._asked = False
+            moment = super().expose()
+            self._asked = True
+            return moment
+
+    bench = Untold(0.05).install(monkeypatch)
+    assert synchronised(bench, bench, {}).flight is None
+
+
+def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    bench._lost = frozenset(range(bench.exposures + 6, 10_000))
+    frames = rig.photograph(pictures(), level=pairs())
+    with pytest.raises(DeviceError, match="was lost 8 times"):
+        list(frames)
+
+
+def test_what_proves_a_picture_may_come_much_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    bench.delay_every(7)
+    shown = pictures(24)
+    shown = [*shown[0::2], *shown[1::2][::-1]]
+    around = [(number, 23 - number) for number in range(12)]
+    for picture, frame in zip(shown, rig.photograph(shown, level=around), strict=True):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=7)
+    assert rig.flight is not None
+    assert rig.flight.doubted >= 2
+
+
+def test_a_scan_that_is_given_up_leaves_no_picture_on_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(0.12, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    frames = rig.photograph(pictures(), level=pairs())
+    next(frames)
+    del frames
+    assert bench._swaps == []
+    (frame,) = rig.photograph(pictures()[:1])
+    np.testing.assert_allclose(frame.image, expected(pictures()[0]), atol=1)
+
+
+def test_in_a_scene_that_proves_nothing_pictures_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A picture's inverse is dark in this scene, where neighbouring pictures differ."""
+    bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    shown = pictures()
+    for number in range(1, len(shown), 2):
+        shown[number] = np.where(shown[number - 2] == 255, 0, shown[number]).astype(np.uint8)
+    for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+        np.testing.assert_allclose(frame.image, expected(picture), atol=2)
+    assert rig.flight is not None
+    assert 6 <= rig.flight.doubted <= 8
+    assert rig.turns.tally.retriggered <= 8
+
+
+def test_neighbours_are_never_alike() -> None:
+    """Otherwise frames of wrong pictures would pass."""
+    assert all(np.mean(one != other) > 0.2 for one, other in pairwise(pictures()))

@@ -1,0 +1,36 @@
+"""When exposures began, from a camera's time stamps and from when frames came."""
+
+import numpy as np
+import pytest
+
+from hw.frame_clock import FrameClock
+
+EXPOSURE_S, INTERVAL_S, OFFSET_S, READOUT_S = 0.03, 0.04, 1.7e9, 0.012
+
+
+def test_exposures_began_when_they_did_but_for_what_is_always_the_same() -> None:
+    clock, rng = FrameClock(), np.random.default_rng(0)
+    late_s = []
+    for number in range(200):
+        begun_s = number * INTERVAL_S
+        held_up_s = 0.03 * rng.random() ** 2
+        came_s = begun_s + EXPOSURE_S + READOUT_S + held_up_s
+        late_s.append(clock.begun_s(number, begun_s + OFFSET_S, came_s, EXPOSURE_S) - begun_s)
+    assert late_s[20:] == pytest.approx([READOUT_S] * 180, abs=1.5e-3)
+    assert clock.interval_s == pytest.approx(INTERVAL_S, abs=1e-6)
+    assert clock.tells
+
+
+def test_what_was_lost_in_between_makes_no_interval() -> None:
+    clock = FrameClock()
+    for number in (0, 1, 4, 5, 9):
+        clock.begun_s(number, number * INTERVAL_S, 1 + number * INTERVAL_S, EXPOSURE_S)
+    assert clock.interval_s == pytest.approx(INTERVAL_S)
+
+
+def test_a_camera_without_a_clock_tells_nothing() -> None:
+    clock = FrameClock()
+    for number in range(5):
+        clock.begun_s(number, 0.0, number * INTERVAL_S, EXPOSURE_S)
+    assert not clock.tells
+    assert clock.interval_s == float("inf")

@@ -1,0 +1,83 @@
+"""Pictures that prove each other, in frames with noise, blur and an uneven scene."""
+
+import numpy as np
+import pytest
+
+from hw.level_sums import LevelSums, level_sums
+
+SIZE = (60, 80)
+STRIPES = [16, 8, 4, 32]
+
+
+def picture(width: int) -> np.ndarray:
+    row = np.where(np.arange(SIZE[1]) // width % 2, 255, 0).astype(np.uint8)
+    return np.broadcast_to(row, SIZE).copy()
+
+
+def series() -> list[np.ndarray]:
+    """White, black, and stripes of several widths, each followed by its inverse."""
+    pictures = [np.full(SIZE, 255, np.uint8), np.zeros(SIZE, np.uint8)]
+    return pictures + [each for width in STRIPES for each in (picture(width), 255 - picture(width))]
+
+
+class Scene:
+    """Reflects unevenly, and returns a tenth of all light from everywhere."""
+
+    def __init__(self, noise: float) -> None:
+        self._rng = np.random.default_rng(0)
+        self._reflects = 60 + 120 * self._rng.random(SIZE)
+        self._noise = noise
+
+    def frame(self, shown: np.ndarray) -> np.ndarray:
+        light = self._reflects * (0.9 * shown / 255 + 0.1 * shown.mean() / 255) + 8
+        return (light + self._noise * self._rng.standard_normal(SIZE)).clip(0, 255).astype(np.uint8)
+
+    def sums(self) -> LevelSums:
+        dark, bright = ([self.frame(np.full(SIZE, level, np.uint8)) for _ in range(3)] for level in (0, 255))
+        return level_sums(dark, bright, np.ones(SIZE, bool), 0.005)
+
+
+def foreign(shown: list[np.ndarray], group: tuple[int, int], noise: float = 1.5) -> tuple[float, float]:
+    """What is found in a group of `series` where the projector shows other pictures, and what is tolerated."""
+    scene = Scene(noise)
+    sums = scene.sums()
+    seen = {number: sums.seen(scene.frame(each)) for number, each in enumerate(shown)}
+    return sums.foreign_share(group, [series()[number] for number in group], seen), sums.tolerance
+
+
+@pytest.mark.parametrize("noise", [0.5, 2.0, 6.0])
+@pytest.mark.parametrize("first", range(0, 10, 2))
+def test_right_frames_are_level(first: int, noise: float) -> None:
+    found, tolerance = foreign(series(), (first, first + 1), noise)
+    assert found < tolerance < 0.1
+
+
+@pytest.mark.parametrize(
+    ("number", "towards"),
+    [(number, towards) for number in range(10) for towards in (-1, 1) if 0 <= number + towards < 10],
+)
+@pytest.mark.parametrize("share", [0.04, 0.2, 0.6, 1.0])
+def test_a_share_of_a_neighbour_is_found(number: int, towards: int, share: float) -> None:
+    right = series()
+    shown = list(right)
+    shown[number] = (1 - share) * right[number] + share * right[number + towards]
+    first = number - number % 2
+    found, tolerance = foreign(shown, (first, first + 1))
+    assert found > tolerance
+    assert found < 1.5
+
+
+@pytest.mark.parametrize("behind", [1, 2, 3])
+def test_a_display_that_falls_behind_is_found_where_it_does(behind: int) -> None:
+    """The picture before stays for too long, and all that follow are late by so many."""
+    for start in range(1, 8):
+        right = series()
+        shown = right[:start] + [right[start - 1]] * behind + right[start:]
+        found = [foreign(shown[:10], (first, first + 1)) for first in (start - start % 2, start + start % 2)]
+        assert any(share > tolerance for share, tolerance in found)
+
+
+def test_colour_cameras_see_grey() -> None:
+    image = np.arange(60 * 80 * 3, dtype=np.uint16).reshape(60, 80, 3)
+    sums = level_sums([image * 0] * 3, [image * 0 + 100] * 3, np.ones(SIZE, bool), 0.005)
+    np.testing.assert_allclose(sums.seen(image), image.mean(axis=2)[sums.pixels] / 100)

@@ -1,0 +1,56 @@
+"""Pictures in flight through the real path; benchmarks/bench_wrong_frames.py has the long form."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hw.loopback.settings import Conditions
+from hw.simulated.simulation import SimulatedRoom
+from scanner.capture.recording import open_capture
+from tests.support.loopback_bench import Loopback, check_frames, scan
+
+pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
+
+
+@pytest.fixture
+def busy() -> Iterator[None]:
+    """Processors that have other things to do."""
+    command = [sys.executable, "-c", "while True: sum(range(100000))"]
+    processes = [subprocess.Popen(command) for _ in range(3)]
+    yield
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.usefixtures("busy")
+def test_no_frame_of_a_wrong_picture_is_accepted_on_a_busy_computer(
+    config: Path, rig: Loopback, room: SimulatedRoom
+) -> None:
+    rig.camera.change(Conditions(latency_ms=50, jitter_ms=1, missed_refreshes=0.03))
+    code, folder = scan(config)
+    assert code in (0, 3)  # where frames come late eight times in a row, a scan ends
+    planned = len(open_capture(folder).planned)
+    assert check_frames(folder, room) == planned if code == 0 else check_frames(folder, room) < planned
+
+
+@pytest.mark.parametrize(
+    "conditions",
+    [
+        Conditions(latency_ms=120, jitter_ms=2, settling_ms=2, lost_packets=0.002),
+        Conditions(latency_ms=20, settling_ms=4),
+    ],
+    ids=["late and lossy", "slow panel"],
+)
+def test_every_frame_is_of_its_own_picture(
+    config: Path, rig: Loopback, room: SimulatedRoom, conditions: Conditions
+) -> None:
+    rig.camera.change(conditions)
+    code, folder = scan(config)
+    assert code == 0
+    recording = open_capture(folder)
+    assert check_frames(folder, room) == len(recording.planned)
+    assert recording.metadata["synchronisation"]["latency_ms"] > conditions.latency_ms - 15
