@@ -24,7 +24,7 @@ CONFIG = f"""
 rig: {{backend: aravis, camera: 127.0.0.1, exposure_us: 33333, refresh_hz: 60, packet_size: 8000}}
 camera: {{width: {CAMERA[0]}, height: {CAMERA[1]}}}
 projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
-sequence: {{preset: quick, cell: 12}}
+sequence: {{preset: quick, cell: 12, inverses: true}}
 corner: {{squareness_deg: 0}}
 """
 
