@@ -225,7 +225,7 @@ class Decoder:
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,
             footprint_px2=maps.footprint_px2,
-            smooth_px=smooth_error_px(plan),
+            smooth_px=smooth_error_px(plan.fringes),
         )
 
     @property

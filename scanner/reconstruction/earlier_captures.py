@@ -9,9 +9,10 @@ import numpy as np
 from calib.geometry import NO_FACE, Size
 from calib.numerics import Floats, Image, Ints
 from scanner.capture import CAPTURE_FILE, CaptureFacts, Recording, open_capture
+from scanner.decoding import smooth_error_px
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_image, read_matches, read_planes, refuse_one_axis
-from scanner.patterns import White
+from scanner.patterns import Phase, White
 from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, GivenMatches
 
@@ -54,18 +55,18 @@ def _places(path: Path) -> Iterator[Path]:
 def _read(place: Path, camera_size: Size, projector_size: Size) -> Decoded:
     matches = read_matches(place)
     refuse_one_axis(place)
-    texture = None
+    origin = GivenMatches()
     if place.is_dir():
-        texture = _check_result(place, camera_size, projector_size)
+        origin = _check_result(place, camera_size, projector_size)
     _check_inside(place, "camera", matches.camera_px, camera_size)
     _check_inside(place, "projector", matches.projector_px, projector_size)
     matches = replace(matches, face=_three_faces(place, matches.face))
     facts = CaptureFacts(camera_size, projector_size, identity={"matches": str(place)})
-    return Decoded(facts, matches, GivenMatches(texture), str(place), read_planes(place))
+    return Decoded(facts, matches, origin, str(place), read_planes(place))
 
 
-def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Image | None:
-    """Compare the sizes that a result states with those expected; its picture of the lit scene, if it has one."""
+def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> GivenMatches:
+    """Compare the sizes that a result states with those expected; what its recording, if it has one, says of it."""
     if (folder / CALIBRATION_FILE).is_file():
         calibration = read_calibration(folder / CALIBRATION_FILE)
         for name, device, expected in (
@@ -74,11 +75,12 @@ def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Imag
         ):
             _check_size(folder, name, device.size, expected)
     if not (folder / CAPTURE_FOLDER / CAPTURE_FILE).is_file():
-        return None
+        return GivenMatches()
     recording = open_capture(folder / CAPTURE_FOLDER)
     _check_size(folder, "camera", recording.camera_size, camera_size)
     _check_size(folder, "projector", recording.projector_size, projector_size)
-    return _white(recording)
+    fringes = (pattern for pattern in recording.patterns if isinstance(pattern, Phase))
+    return GivenMatches(_white(recording), smooth_error_px(fringes))
 
 
 def _check_size(folder: Path, name: str, found: Size, expected: Size) -> None:

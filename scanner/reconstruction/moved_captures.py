@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from calib.refinement import Shifts
 from calib.self_calibration import SelfCalibration
-from scanner.decoding import SMOOTH_PX, SUSPECTED_PX, UNSEEN_MOTION, moved
+from scanner.decoding import SUSPECTED_PX, UNSEEN_MOTION, moved
 from scanner.results import Decoded
 
 # What is left of a motion may cost the intrinsics so much, one standard deviation.
@@ -27,10 +27,9 @@ def refuse_costly(captures: Sequence[Decoded], solution: SelfCalibration) -> Non
 
 
 def shifts_of(capture: Decoded) -> Shifts:
-    """By what all matches of a capture may be shifted. Of other decoders it is taken that they err as this one does."""
+    """By what all matches of a capture may be shifted."""
     motion = capture.decoding.motion if capture.decoding else None
-    smooth_px = capture.decoding.smooth_px if capture.decoding else SMOOTH_PX
-    return replace(Shifts() if motion is None else motion.shifts, smooth_px=smooth_px)
+    return replace(Shifts() if motion is None else motion.shifts, smooth_px=capture.origin.smooth_px)
 
 
 def with_doubt(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:

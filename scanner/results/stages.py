@@ -15,15 +15,19 @@ from calib.pointcloud import Cloud, MergedCloud
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureFacts
-from scanner.decoding import Decoding
+from scanner.decoding import SMOOTH_PX, Decoding
 from scanner.patterns import Axis
 
 
 @dataclass(frozen=True)
 class GivenMatches:
-    """Matches that were not decoded here: `photograph` is the lit scene, None where there is no picture of it."""
+    """Matches that were not decoded now: `photograph` is the lit scene, None where there is no picture of it.
+
+    `smooth_px`: as of `Decoding`. Of other decoders it is taken that they err as this one does.
+    """
 
     photograph: Image | None = None
+    smooth_px: float = SMOOTH_PX
 
 
 @dataclass(frozen=True)

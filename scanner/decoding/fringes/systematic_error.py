@@ -9,7 +9,7 @@ fringe adds to a coordinate is less noise, not its error, which is the same at t
 every mean over them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import cast
 
 import cv2
@@ -17,7 +17,8 @@ import numpy as np
 
 from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.sequence_plan import Fringe
+from scanner.patterns import Axis, Phase
 
 # Windows are 3 × 3 blocks.
 BLOCK_PX = 2
@@ -35,10 +36,15 @@ SMOOTH_PX, _SMOOTH_PERIOD_PX = 2.5e-4, 6.7
 _SMOOTH_POWER = 2
 
 
-def smooth_error_px(plan: SequencePlan) -> float:
-    """What the coordinates of a sequence err smoothly, as of `calib.refinement.Shifts`, in projector pixels."""
-    shortest = [axis.fringes[-1].period for axis in plan.axes if axis.fringes]
-    return SMOOTH_PX * (max(shortest, default=_SMOOTH_PERIOD_PX) / _SMOOTH_PERIOD_PX) ** _SMOOTH_POWER
+def smooth_error_px(fringes: Iterable[Fringe | Phase]) -> float:
+    """What coordinates by such fringes err smoothly, as of `calib.refinement.Shifts`, in projector pixels.
+
+    By the shortest of either axis, and of the two axes by the longer one; fringes may be there several times.
+    """
+    shortest: dict[Axis, float] = {}
+    for fringe in fringes:
+        shortest[fringe.axis] = min(fringe.period, shortest.get(fringe.axis, fringe.period))
+    return SMOOTH_PX * (max(shortest.values(), default=_SMOOTH_PERIOD_PX) / _SMOOTH_PERIOD_PX) ** _SMOOTH_POWER
 
 
 def correct_systematic(
