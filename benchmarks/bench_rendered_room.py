@@ -19,12 +19,12 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from room_balls import centres_apart
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, Intrinsics, Motion
 from calib.numerics import Floats
-from calib.pointcloud import fit_sphere
 from calib.refusal import RefusalError
 from calib.rooms.lengths import angle_deg, centre_of, gap
 from scanner.configuration import Config
@@ -170,20 +170,15 @@ def _lens(device: Intrinsics) -> str:
 
 def balls_apart(room: SolvedRoom, members: Sequence[int], truth: Truth) -> float:
     """Distance of the fitted centres, in metres; NaN where a ball was hardly seen."""
-    centres = []
+    balls = []
     for ball in truth.balls:
         own: list[Floats] = []
         for station, k in zip(room.stations, members, strict=True):
             on = np.abs(np.linalg.norm(truth.in_world(k) - ball, axis=2) - _RADIUS_M) < _ON_BALL_M
             points = station.cloud.points[on].astype(np.float64)
             own.append(station.to_room(points[np.isfinite(points[:, 2])]))
-        points = np.concatenate(own)
-        if len(points) < 50:
-            return float("nan")
-        away = points.mean(axis=0) - room.stations[0].place.translation
-        guess = points.mean(axis=0) + 0.5 * _RADIUS_M * away / np.linalg.norm(away)
-        centres.append(fit_sphere(points, np.zeros(len(points), np.int64), guess, _RADIUS_M).centre)
-    return float(np.linalg.norm(centres[1] - centres[0]))
+        balls.append(np.concatenate(own))
+    return centres_apart(balls, _RADIUS_M, room.stations[0].place.translation)
 
 
 def in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) -> str:

@@ -17,11 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from room_balls import centres_apart
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Size
 from calib.numerics import Floats
-from calib.pointcloud import fit_sphere
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from scanner.capture import CaptureFacts
@@ -126,19 +126,14 @@ def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_
 
 def balls_off(room: SolvedRoom, truth: Sequence[TrueStation]) -> float:
     """By how much the distance of the two balls errs, in metres; NaN where one was not seen."""
-    centres = []
+    balls = []
     for number in truth[0].scene.spheres:
         own: list[Floats] = []
         for station, each in zip(room.stations, truth, strict=True):
             on = station.cloud.points.reshape(-1, 3)[each.pixel[each.surface == number]].astype(np.float64)
             own.append(station.to_room(on[np.isfinite(on[:, 2])]))
-        points = np.concatenate(own)
-        if len(points) < 50:
-            return float("nan")
-        away = points.mean(axis=0) - room.stations[0].place.translation
-        guess = points.mean(axis=0) + 0.5 * _RADIUS_M * away / np.linalg.norm(away)
-        centres.append(fit_sphere(points, np.zeros(len(points), np.int64), guess, _RADIUS_M).centre)
-    return float(np.linalg.norm(centres[1] - centres[0])) - _BALLS_M
+        balls.append(np.concatenate(own))
+    return centres_apart(balls, _RADIUS_M, room.stations[0].place.translation) - _BALLS_M
 
 
 def lengths_in_sigmas(room: SolvedRoom, truth: Sequence[TrueStation], turn: Rotation, shift: Floats) -> list[float]:

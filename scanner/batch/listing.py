@@ -6,7 +6,7 @@ import io
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from scanner.batch.place import Place
 from scanner.capture import CAPTURE_FILE
@@ -72,8 +72,7 @@ def list_jobs(sources: Sequence[str], asked: Asked) -> tuple[Job, ...]:
 
 def _refuse_nested(names: Collection[str]) -> None:
     for name in names:
-        parts = name.split("/")
-        for outer in ("/".join(parts[:count]) for count in range(1, len(parts))):
+        for outer in map(str, PurePosixPath(name).parents):
             if outer in names:
                 raise InputError(
                     f"two captures would be called {shown(outer)} and {shown(name)}, one result inside of the other: "

@@ -20,7 +20,7 @@ from scanner.capture import open_capture
 from scanner.errors import InputError
 from scanner.io import read_image
 from scanner.rendering import encode_jpeg, photograph
-from scanner.results import CALIBRATION_FILE, LOG_FILE, REFUSAL_FILE, Scan, read_verdict
+from scanner.results import CALIBRATION_FILE, LOG_FILE, Scan, verdict_of
 from scanner.ui import failure_of
 
 RESULTS, ROWS, THUMBNAILS = "results", "rows", "thumbnails"
@@ -103,8 +103,7 @@ def _make_room(place: Place) -> None:
 
 
 def _with_verdict(row: Row, out: Path) -> Row:
-    path = next((out / name for name in (CALIBRATION_FILE, REFUSAL_FILE) if (out / name).is_file()), None)
-    verdict = read_verdict(path) if path else None
+    verdict = verdict_of(out)
     if verdict is None:
         return row
     reason = " ".join(part for part in (verdict.reasons[0], verdict.advice) if part)

@@ -26,7 +26,7 @@ from scanner.io import (
     require_space,
     validate,
 )
-from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry
+from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, White
 from scanner.shown_text import shown
 
 _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US = 1e-3, 1e9
@@ -92,6 +92,12 @@ class Recording:
     def stream(self) -> Stream:
         """The capture as it once arrived. Walking through the frames raises InputError at the first bad image."""
         return Stream(self.patterns, self.projector_size, self.camera_size, self._frames(), self.metadata)
+
+    def white(self) -> Image | None:
+        """The frame of the scene fully lit; None if there is none. Raises InputError if it cannot be read."""
+        shown = zip(self.patterns, self.files, strict=True)
+        file = next((file for pattern, file in shown if isinstance(pattern, White)), None)
+        return None if file is None else read_image(self.folder / file)
 
     def _frames(self) -> Iterator[tuple[Pattern, Frame]]:
         first: Image | None = None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from scanner.errors import InputError
 from scanner.rendering import jpeg_uri
-from scanner.results import CALIBRATION_FILE, REFUSAL_FILE, Grade, read_verdict
+from scanner.results import Grade, verdict_of
 from scanner.viewing.white_picture import white_picture
 
 _SIDE = 192
@@ -26,9 +26,8 @@ class Card:
 @lru_cache(maxsize=256)
 def card_of(folder: Path, made_s: float) -> Card:
     """Of a result folder that was made then, read anew only if it was made anew."""
-    told = folder / (REFUSAL_FILE if (folder / REFUSAL_FILE).is_file() else CALIBRATION_FILE)
     try:
-        verdict = read_verdict(told)
+        verdict = verdict_of(folder)
     except InputError:
         verdict = None
     grade, headline = (verdict.grade, verdict.headline) if verdict else (None, "")

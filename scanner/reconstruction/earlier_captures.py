@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from calib.geometry import NO_FACE, Size
-from calib.numerics import Floats, Image, Ints
-from scanner.capture import CAPTURE_FILE, CaptureFacts, Recording, open_capture
+from calib.numerics import Floats, Ints
+from scanner.capture import CAPTURE_FILE, CaptureFacts, open_capture
 from scanner.decoding import smooth_error_px
 from scanner.errors import InputError
-from scanner.io import MATCHES_FILE, read_calibration, read_image, read_matches, read_planes, refuse_one_axis
-from scanner.patterns import Phase, White
+from scanner.io import MATCHES_FILE, read_calibration, read_matches, read_planes, refuse_one_axis
+from scanner.patterns import Phase
 from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, GivenMatches
 
@@ -80,7 +80,7 @@ def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Give
     _check_size(folder, "camera", recording.camera_size, camera_size)
     _check_size(folder, "projector", recording.projector_size, projector_size)
     fringes = (pattern for pattern in recording.patterns if isinstance(pattern, Phase))
-    return GivenMatches(_white(recording), smooth_error_px(fringes))
+    return GivenMatches(recording.white(), smooth_error_px(fringes))
 
 
 def _check_size(folder: Path, name: str, found: Size, expected: Size) -> None:
@@ -89,13 +89,6 @@ def _check_size(folder: Path, name: str, found: Size, expected: Size) -> None:
             f"{folder}: its {name} is {found}, but {expected} is expected: captures "
             "that are calibrated together come from one unchanged rig"
         )
-
-
-def _white(recording: Recording) -> Image | None:
-    for pattern, file in zip(recording.patterns, recording.files, strict=True):
-        if isinstance(pattern, White):
-            return read_image(recording.folder / file)
-    return None
 
 
 def _refuse_same(found: Decoded, other: Decoded) -> None:

@@ -52,6 +52,7 @@ from scanner.results.stated_uncertainty import (
     read_uncertainty,
     read_verdict,
     verdict_entries,
+    verdict_of,
     write_refusal,
 )
 from scanner.results.verdict import DECISIVE, MEASUREMENT_GRADE, SIGNS, Grade, Verdict

@@ -13,6 +13,7 @@ from calib.numerics import Floats
 from calib.refinement import ROTATION, SHARED, TRANSLATION, State, device_of
 from scanner.errors import InputError
 from scanner.io import Entry, Number, block_yaml, read_yaml, validate
+from scanner.results.names import CALIBRATION_FILE, REFUSAL_FILE
 from scanner.results.verdict import Grade, Verdict
 
 _OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2", "p1", "p2", "k3")
@@ -103,6 +104,13 @@ def read_verdict(path: Path) -> Verdict | None:
     if entry is None:
         return None
     return Verdict(entry.grade, entry.headline, tuple(entry.reasons), entry.advice, tuple(entry.notes))
+
+
+def verdict_of(folder: Path) -> Verdict | None:
+    """The verdict of a result, or of a refusal; None where no file says one. Raises InputError."""
+    files = (folder / name for name in (REFUSAL_FILE, CALIBRATION_FILE))
+    path = next((path for path in files if path.is_file()), None)
+    return None if path is None else read_verdict(path)
 
 
 def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None:

@@ -4,8 +4,6 @@ from pathlib import Path
 
 from scanner.capture import open_capture
 from scanner.errors import InputError
-from scanner.io import read_image
-from scanner.patterns import White
 from scanner.rendering import LONGEST_SIDE, Pixels, photograph
 from scanner.results import CAPTURE_FOLDER
 
@@ -13,8 +11,7 @@ from scanner.results import CAPTURE_FOLDER
 def white_picture(folder: Path, longest_side: int = LONGEST_SIDE) -> Pixels | None:
     """RGB (H, W, 3), reduced; None where a result has no recording, or that no white picture."""
     try:
-        recording = open_capture(folder / CAPTURE_FOLDER)
-        white = next(path for path, shown in zip(recording.files, recording.patterns, strict=True) if shown == White())
-        return photograph(read_image(recording.folder / white), longest_side)
-    except (InputError, StopIteration):
+        white = open_capture(folder / CAPTURE_FOLDER).white()
+    except InputError:
         return None
+    return None if white is None else photograph(white, longest_side)

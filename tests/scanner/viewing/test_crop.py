@@ -7,21 +7,8 @@ import pytest
 
 from scanner.io.ply import read_cloud
 from scanner.viewing.crop import Frame, box_within, frame_of, write_cropped
-from scanner.viewing.result import CaptureCloud, ViewedResult
+from scanner.viewing.result import CaptureCloud
 from scanner.viewing.surface import surface_of
-from tests.support.result_folder import Written, write_result
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
-    return write_result(tmp_path_factory.mktemp("cropping") / "room")
-
-
-@pytest.fixture(scope="module")
-def cloud(written: Written) -> CaptureCloud:
-    shown = ViewedResult(written.folder).cloud("The capture")
-    assert isinstance(shown, CaptureCloud)
-    return shown
 
 
 def whole(frame: Frame) -> np.ndarray:

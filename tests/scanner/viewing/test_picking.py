@@ -5,20 +5,8 @@ import pytest
 
 from scanner.configuration.schema import ScaleSettings
 from scanner.viewing.picking import Picked, point_at
-from scanner.viewing.result import CaptureCloud, ViewedResult
-from tests.support.result_folder import Written, write_result
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
-    return write_result(tmp_path_factory.mktemp("picking") / "room")
-
-
-@pytest.fixture(scope="module")
-def cloud(written: Written) -> CaptureCloud:
-    shown = ViewedResult(written.folder).cloud("The capture")
-    assert isinstance(shown, CaptureCloud)
-    return shown
+from scanner.viewing.result import CaptureCloud
+from tests.support.result_folder import Written
 
 
 def test_a_ray_through_a_point_finds_it_from_anywhere(cloud: CaptureCloud) -> None:

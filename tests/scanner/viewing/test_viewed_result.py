@@ -36,11 +36,6 @@ from tests.support.states import device_of
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
-    return write_result(tmp_path_factory.mktemp("viewing") / "room")
-
-
-@pytest.fixture(scope="module")
 def cloud(written: Written) -> CaptureCloud:
     result = ViewedResult(written.folder)
     assert result.names == ("The capture",)
