@@ -128,7 +128,7 @@ def worked_ms(work: Callable[[], object]) -> float:
 def ways() -> Table:
     cv2.setNumThreads(1)
     frame = render(PATTERNS, PROJECTOR, Size(2448, 2048))[len(PATTERNS) // 2]
-    deep = (frame.astype("uint16") << 8) | (frame[::-1] & 0x7F)
+    deep = (frame.astype(np.uint16) << 8 | (frame[::-1] & 0x7F)).astype(np.uint16)
     table = Table("as", "8 bits: write", "read", "of raw", "16 bits: write", "read", "of raw", title="2448 × 2048")
     for name, encode in WAYS.items():
         cells = []

@@ -20,6 +20,7 @@ from calib.pointcloud import Plane, by_projector_px
 
 _STEP_PX = 0.01  # of a projector pixel, for derivatives
 _AT_ONCE = 4096  # points, whose derivatives are large
+_MOST_FOLLOWED = 8192  # about so many, through the errors of a calibration
 _RULER = 0.03  # half its length, as a share of its distance
 
 
@@ -238,19 +239,39 @@ def spread_of_fit(fit: LinearFit, matches: Matches, errors: SystematicErrors, of
     modes = smooth_modes(matches.camera_px)
     smooth_px = smooth_error_px(met.residual_px, modes, fit.cluster)
 
+    chosen, weight = _thinned(influence, fit.cluster)
+
     def of_piece(at: slice) -> tuple[Floats, Floats]:
-        part, by, toward = matches[at], influence[:, at], direction[at]
+        some = chosen[at]
+        part, by, toward = matches[some], weight[:, at], direction[some]
         by_px = by_projector_px(part, errors.calibration, np.full(len(part), _STEP_PX))
         along_px = np.einsum("ni,nia->na", toward, by_px)
-        by_modes = np.einsum("pn,na,nk->pak", by, along_px, modes[at], optimize=True)
-        return by @ errors.along(toward, part, met.points[at]).T, by_modes
+        by_modes = np.einsum("pn,na,nk->pak", by, along_px, modes[some], optimize=True)
+        return by @ errors.along(toward, part, met.points[some]).T, by_modes
 
-    pieces = in_slices(len(matches), _AT_ONCE, of_piece)
+    pieces = in_slices(len(chosen), _AT_ONCE, of_piece)
     systematic, by_modes = (np.sum(part, axis=0) for part in zip(*pieces, strict=True))
     flat = by_modes.reshape(len(influence), -1)
     if offsets is not None:
         systematic[:, -2] += influence @ offsets
     return Spread(fit.scatter, smooth_px**2 * flat @ flat.T, systematic)
+
+
+def _thinned(influence: Floats, cluster: Ints) -> tuple[Ints, Floats]:
+    """Some points, which stand for their neighbours in a cluster: their numbers (C,), and the sum of the influence of
+    those that each stands for (P, C).
+
+    What systematic causes do varies smoothly over a surface, and hardly within a cluster.
+    """
+    count = influence.shape[1]
+    together = -(-count // _MOST_FOLLOWED)
+    order = np.argsort(cluster, kind="stable")
+    ordered = cluster[order]
+    begins = np.flatnonzero(np.diff(ordered, prepend=ordered[0] - 1))
+    within = np.arange(count) - np.repeat(begins, np.diff(begins, append=count))
+    starts = np.flatnonzero(within % together == 0)
+    middles = (starts + np.append(starts[1:], count) - 1) // 2
+    return order[middles], np.add.reduceat(influence[:, order], starts, axis=1)
 
 
 def spread_of_vertex(planes: Sequence[Plane], spreads: Sequence[Spread]) -> tuple[Floats, Spread]:
