@@ -267,9 +267,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=2448, help="of the camera, pixels")
     parser.add_argument("--height", type=int, default=2048, help="of the camera, pixels")
     parser.add_argument("--projector", default="1920x1080", help="WIDTHxHEIGHT in pixels")
-    parser.add_argument(
-        "--repeat", type=int, default=5, help="runs, the quickest of which is shown: other work only adds"
-    )
+    parser.add_argument("--repeat", type=int, default=5, help="runs of which the quickest is shown")
     parser.add_argument("--peer-python", help="interpreter with opencv-contrib and fringes; without it no comparison")
     arguments = parser.parse_args()
     width, height = (int(number) for number in arguments.projector.split("x"))
