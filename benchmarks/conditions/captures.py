@@ -23,7 +23,7 @@ class Capture:
     """Patterns and the frames (H, W) that show them; the projector's size (width, height) as it will be stated.
 
     `jpeg`: quality at which the frames are saved; None for PNG. `tint`: blue, green and red of a colour image, in parts
-    of the frames' levels; None for grey.
+    of the frames' levels; None for grey. `moved_px`: by how much all frames were moved, right and down.
     """
 
     patterns: tuple[Pattern, ...]
@@ -31,6 +31,7 @@ class Capture:
     projector_size: tuple[int, int]
     jpeg: int | None = None
     tint: tuple[float, float, float] | None = None
+    moved_px: tuple[float, float] = (0.0, 0.0)
 
     def replaced(self, frames: dict[int, Image]) -> "Capture":
         """The same with other frames in some places."""

@@ -112,7 +112,8 @@ def _camera() -> Iterator[Condition]:
     yield Condition("local tone mapping", "of a phone", frames=tone_mapped)
     yield Condition("frames blurred by motion", "4 px", frames=shaken(4.0))
     yield Condition("frames stabilised", "by (0.24, 0.18) px", frames=resampled((0.24, 0.18)))
-    yield Condition("frames stabilised", "each by up to 0.25 px", frames=resampled(0.25))
+    yield Condition("frames stabilised", "each by up to 0.25 px", frames=resampled(0.25), moves=True)
+    yield Condition("camera of 12 bits", "20 × as many electrons", {"bit_depth": 12, "full_well_electrons": 210_000.0})
 
 
 def _scene() -> Iterator[Condition]:

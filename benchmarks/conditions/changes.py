@@ -11,6 +11,9 @@ from calib.numerics import Floats, Image
 from conditions.captures import Capture, blended, brightened, inverses
 from scanner.patterns import Gray
 
+# Variance of a pixel's shot noise per grey level, as of the simulated camera.
+_PER_LEVEL = 255 / 10_500
+
 Random = np.random.Generator
 OfFrames = Callable[[Capture, Random], Capture]
 
@@ -133,13 +136,18 @@ def _mapped(frame: Image) -> Floats:
 
 
 def shaken(length_px: float) -> OfFrames:
-    """Moving to and fro while a frame is exposed, each in the same direction."""
+    """Moving to and fro while a frame is exposed, each in the same direction; noise is that of what is seen then."""
 
     def changed(capture: Capture, rng: Random) -> Capture:
         angle = rng.uniform(0, np.pi)
         along = np.linspace(-length_px / 2, length_px / 2, 9)
         steps = [(float(by * np.cos(angle)), float(by * np.sin(angle))) for by in along]
-        return _each(capture, lambda frame: np.mean([_moved(frame, step) for step in steps], axis=0))
+
+        def blurred(frame: Image) -> Floats:
+            light = np.mean([_moved(frame, step) for step in steps], axis=0)
+            return np.asarray(light + rng.normal(size=light.shape) * np.sqrt(_PER_LEVEL * light), np.float64)
+
+        return _each(capture, blurred)
 
     return changed
 
@@ -153,7 +161,7 @@ def resampled(by_px: tuple[float, float] | float) -> OfFrames:
         else:
             moves = [by_px] * len(capture.frames)
         frames = [_whole(_moved(frame, move)) for frame, move in zip(capture.frames, moves, strict=True)]
-        return replace(capture, frames=tuple(frames))
+        return replace(capture, frames=tuple(frames), moved_px=by_px if isinstance(by_px, tuple) else (0.0, 0.0))
 
     return changed
 

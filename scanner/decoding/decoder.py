@@ -6,6 +6,7 @@ to be chosen: noise, saturation and tolerances are measured from the capture.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import hypot
 from typing import cast
 
 import cv2
@@ -22,6 +23,7 @@ from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.checks.roughness import check_roughness, widen_by_roughness
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import coordinate_maps
+from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
 from scanner.decoding.kept_matches import match_kept
@@ -225,7 +227,7 @@ class Decoder:
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,
             footprint_px2=maps.footprint_px2,
-            smooth_px=smooth_error_px(plan.fringes),
+            smooth_px=hypot(smooth_error_px(plan.fringes), between_periods_px(plan, motion)),
         )
 
     @property
