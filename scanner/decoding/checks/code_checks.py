@@ -25,7 +25,9 @@ from scanner.errors import InputError
 _LINES = 128
 _FARTHEST_PX = 16
 _CERTAIN_SIGMAS = 3.0
-_LEAST_DIFFERENCE = 5.0
+# Smaller differences are rounding and compression, in grey levels; or stray light, whose bits are no neighbours', in
+# parts of what the brightest few pixels have: cameras of many bits and little noise see that too.
+_LEAST_DIFFERENCE, _LEAST_PART, _BRIGHTEST = 5.0, 0.03, 0.98
 _FEWEST_CHANGES = 30
 _FEWEST_BITS = 3
 _DIRECTIONS = 2
@@ -118,7 +120,8 @@ def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> tuple[_Changes
         words, least, level = (
             lines_of(image.T if is_transposed else image, _LINES) for image in (fold.words, fold.least, middle)
         )
-        certain = least > np.maximum(_LEAST_DIFFERENCE, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
+        least_clear = max(_LEAST_DIFFERENCE, _LEAST_PART * float(np.quantile(least, _BRIGHTEST)))
+        certain = least > np.maximum(least_clear, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
         one, next_one = np.empty((2, words.size), np.uint32)
         single, changes = _note_changes(words.astype(np.uint32), certain, one, next_one)
         if single >= _MOSTLY_SINGLE * changes:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
@@ -35,6 +36,7 @@ _REPAIRED = 0.5
 # in brighter light, say, any dark frame in its place takes away as much.
 _MUCH_LEFT, _AS_GOOD = 0.3, 0.9
 _DIFFERENT = 0.02
+_MOST_BRIGHTER = 4.0
 _FEWEST_COMPARED = 400
 # Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
 _SAME_SIGMAS = 4.0
@@ -60,6 +62,7 @@ def check_frames(
     if not found and not may_be_switched(plan, shown.levels):
         return [], None
     made_alike, switch = _in_one_light(plan, shown, made_alike)
+    made_alike = _with_brighter_white(plan, made_alike)
     if not found and switch is None:
         return [], None
     switched = [] if switch is None else [Oddity(switch.said(plan), (switch.frame,))]
@@ -86,6 +89,25 @@ def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown
             without = replace(one, levels=switch.undone(one.levels))
             best = min(best, (without, switch), key=lambda each: _contradiction(plan, each[0].levels, shown.swing))
     return best
+
+
+def _with_brighter_white(plan: SequencePlan, alike: Shown) -> Shown:
+    """The frames with white as many times brighter as makes most sense, for nothing tells its exposure but that it is
+    the brightest: devices that expose each frame anew make it a dark one.
+    """
+    if plan.white is None:
+        return alike
+
+    def brighter(times: float) -> Shown:
+        levels = alike.levels.copy()
+        levels[plan.white] *= np.float32(times)
+        return replace(alike, levels=levels)
+
+    def left(times: float) -> float:
+        return _contradiction(plan, brighter(times).levels, alike.swing)
+
+    found = minimize_scalar(left, bounds=(1, _MOST_BRIGHTER), method="bounded", options={"xatol": 0.01})
+    return brighter(float(found.x)) if found.fun < _REPAIRED * left(1.0) else alike
 
 
 def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Oddity]) -> str:
