@@ -70,6 +70,16 @@ def check_frames(
     return [*switched, *contradictions(plan, made_alike)], switch
 
 
+def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> bool:
+    """Whether nothing contradicts the sequence in some pixels of the sample (frames, P), and enough of them are lit."""
+    high, low = levels.max(axis=0), levels.min(axis=0)
+    sigma = noise.sigma((high + low) / 2)
+    lit = (high - low > _SEEN * np.sqrt(2) * sigma) & (high - low > _LEAST_SWING) & (high < saturation)
+    if np.count_nonzero(lit) < _ENOUGH_LIT:
+        return False
+    return not contradictions(plan, Shown(levels[:, lit], (high - low)[lit], sigma[lit]))
+
+
 def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, LightSwitch | None]:
     """The frames that were made alike, or as they are if that makes more sense, without light that was switched.
 
