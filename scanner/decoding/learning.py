@@ -81,12 +81,16 @@ def look(
         )
     levels = sample.as_taken
     saturation = saturation_level(accumulators.peak)
-    at_first = find_unrest(accumulators.plan, coarse, measure_noise(accumulators.plan, sample, saturation))
-    flicker = _equalise(accumulators, sample, tiles, coarse, at_first)
+    shown = accumulators.plan
+    unrest = find_unrest(shown, coarse, measure_noise(shown, sample, saturation))
+    flicker = _equalise(accumulators, sample, tiles, coarse, unrest)
     noise = measure_noise(accumulators.plan, sample, saturation)
     notes += leave_out_lost_fringes(accumulators, noise, sample.pixels)
     notes += resolve_bits(accumulators, noise, sample.pixels)
-    unrest = _unrest(accumulators, sample, coarse, noise, saturation)
+    if coarse.are_divided or accumulators.plan is not shown:
+        unrest = find_unrest(accumulators.plan, coarse, noise)
+    if unrest is not None and not _rests_elsewhere(unrest, accumulators.plan, sample, noise, saturation):
+        unrest = None
     if unrest is not None:
         tiles.leave_out(unrest.moved)
         notes.append(unrest.said(accumulators.plan))
@@ -107,15 +111,9 @@ def look(
     )
 
 
-def _unrest(
-    accumulators: Accumulators, sample: Sample, coarse: CoarseFrames, noise: NoiseModel, saturation: float
-) -> Unrest | None:
-    """Where something moved, if nothing contradicts the sequence elsewhere."""
-    found = find_unrest(accumulators.plan, coarse, noise)
-    if found is None:
-        return None
-    rests = found.rests.reshape(-1)[sample.pixels]
-    return found if agree(accumulators.plan, sample.levels[:, rests], noise, saturation) else None
+def _rests_elsewhere(unrest: Unrest, plan: SequencePlan, sample: Sample, noise: NoiseModel, saturation: float) -> bool:
+    """Whether nothing contradicts the sequence but where something moved."""
+    return agree(plan, sample.levels[:, unrest.rests.reshape(-1)[sample.pixels]], noise, saturation)
 
 
 def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:

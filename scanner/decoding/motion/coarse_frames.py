@@ -17,9 +17,13 @@ _MOST_ALONG = 224
 
 @dataclass
 class CoarseFrames:
-    """Every so many-th pixel, along rows and columns, of each frame of `shape` (H, W); grid pixels are (h, w)."""
+    """Every so many-th pixel, along rows and columns, of each frame of `shape` (H, W); grid pixels are (h, w).
+
+    `are_divided`: whether some frames were made darker.
+    """
 
     shape: tuple[int, int]
+    are_divided: bool = False
     _frames: list[Image] = field(default_factory=list)
 
     @cached_property
@@ -38,6 +42,7 @@ class CoarseFrames:
 
     def divide(self, frame: int, by_row: Floats) -> None:
         """Make a frame darker by so many times, (h,) or (1,)."""
+        self.are_divided = True
         self._frames[frame] = cast(Image, (self._frames[frame] / by_row[:, None]).astype(np.float32))
 
     @property

@@ -30,6 +30,8 @@ _MOST_PIXELS = 0.6
 _LIT_BITS = 0.7
 # Pixels that swing less than this share of what the brightest few do are hardly lit.
 _LIT, _BRIGHT = 0.1, 0.98
+# Every so many-th of the grid's pixels tells quickly that nothing moved: so few contradictions are no patch.
+_STRIDE, _A_FEW = 3, 4
 # Offset, amplitude and phase.
 _PARAMETERS = 3
 _HARMONICS, _TRIMS, _MOST_OFF = (2, 3), 3, 3.0
@@ -80,9 +82,11 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     levels = coarse.levels
     swing = np.ptp(levels, axis=0)
     lit: Bools = swing > max(_LIT * float(np.quantile(swing, _BRIGHT)), 1e-6)
-    seen, scale = levels[:, lit], swing[lit]
-    sigma = np.sqrt(noise.variance(seen.max(axis=0))) / scale
-    groups = [(group.frames, _contradicts(group, scale, sigma)) for group in _groups(plan, seen)]
+    some = np.zeros_like(lit)
+    some[::_STRIDE, ::_STRIDE] = lit[::_STRIDE, ::_STRIDE]
+    if sum(np.count_nonzero(each) for _, each in _contradictions(plan, levels[:, some], noise)) <= _A_FEW:
+        return None
+    groups = _contradictions(plan, levels[:, lit], noise)
     off = np.zeros(lit.shape, np.bool_)
     off[lit] = np.any([each for _, each in groups], axis=0) if groups else False
     moved = _patches(off, lit)
@@ -125,6 +129,13 @@ def _jumps(plan: SequencePlan, coarse: CoarseFrames, maps: Maps) -> Bools:
     return found
 
 
+def _contradictions(plan: SequencePlan, levels: Floats32, noise: NoiseModel) -> list[tuple[tuple[int, ...], Bools]]:
+    """Groups of frames, and where they contradict the others or each other (P,), at lit pixels, `levels` (frames, P)."""
+    swing = np.ptp(levels, axis=0)
+    sigma = np.sqrt(noise.variance(levels.max(axis=0))) / swing
+    return [(group.frames, _contradicts(group, swing, sigma)) for group in _groups(plan, levels)]
+
+
 def _contradicts(group: _Group, swing: Floats32, sigma: Floats32) -> Bools:
     off = np.abs(group.off) / swing
     usual = _TIMES_USUAL * float(np.quantile(off, _MOST_PIXELS))
@@ -162,7 +173,7 @@ def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_G
     least = np.minimum(levels[plan.black], ordered[round((1 - _LIT_BITS) * (len(alone) - 1))])
     for frame in alone:
         bright = levels[frame] > (most + least) / 2
-        brighter = median(levels[frame][bright] / most[bright]) if bright.any() else 1.0
+        brighter = median(levels[frame][bright] / np.maximum(most[bright], 1)) if bright.any() else 1.0
         above = levels[frame] / np.float32(max(brighter, 1.0)) - most
         below = least - levels[frame] / np.float32(min(brighter, 1.0))
         yield _Group((frame,), np.maximum(np.maximum(above, below), 0), float(np.sqrt(2)))

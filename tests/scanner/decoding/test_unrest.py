@@ -116,7 +116,7 @@ def test_nothing_moved(preset: PresetName, scene: Scene) -> None:
 def test_the_grid_is_put_back_where_it_was_taken(shape: tuple[int, int]) -> None:
     coarse = CoarseFrames(shape)
     row, column = np.mgrid[: shape[0], : shape[1]]
-    chosen = coarse.of(column) > shape[1] / 2
+    chosen = np.asarray(coarse.of(column), np.float64) > shape[1] / 2
     assert np.array_equal(coarse.of(coarse.at_full_size(chosen)), chosen)
     beside = np.abs(column - shape[1] / 2) > coarse.step
     assert np.array_equal(coarse.at_full_size(chosen)[beside], (column > shape[1] / 2)[beside])
