@@ -87,7 +87,7 @@ def look(
     noise = measure_noise(accumulators.plan, sample, saturation)
     notes += leave_out_lost_fringes(accumulators, noise, sample.pixels)
     notes += resolve_bits(accumulators, noise, sample.pixels)
-    if coarse.are_divided or accumulators.plan is not shown:
+    if coarse.are_divided or accumulators.plan != shown:
         unrest = find_unrest(accumulators.plan, coarse, noise)
     if unrest is not None and not _rests_elsewhere(unrest, accumulators.plan, sample, noise, saturation):
         unrest = None
@@ -104,7 +104,7 @@ def look(
         saturation,
         flicker,
         motion,
-        shifts_of_codes(plan, (x, y), noise),
+        shifts_of_codes(plan, (x, y), noise, tiles.resting),
         tuple(notes),
         lambda: broken_between(plan, tiles, noise),
         unrest,

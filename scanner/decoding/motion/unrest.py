@@ -130,7 +130,7 @@ def _jumps(plan: SequencePlan, coarse: CoarseFrames, maps: Maps) -> Bools:
 
 
 def _contradictions(plan: SequencePlan, levels: Floats32, noise: NoiseModel) -> list[tuple[tuple[int, ...], Bools]]:
-    """Groups of frames, and where they contradict the others or each other (P,), at lit pixels, `levels` (frames, P)."""
+    """Groups of frames, and where they contradict each other or the rest (P,), at lit pixels, `levels` (frames, P)."""
     swing = np.ptp(levels, axis=0)
     sigma = np.sqrt(noise.variance(levels.max(axis=0))) / swing
     return [(group.frames, _contradicts(group, swing, sigma)) for group in _groups(plan, levels)]
