@@ -13,7 +13,7 @@ from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
 from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Oddity
-from scanner.decoding.checks.frame_checks import agree, check_frames
+from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.fringes.blur import leave_out_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
@@ -82,15 +82,16 @@ def look(
     levels = sample.as_taken
     saturation = saturation_level(accumulators.peak)
     shown = accumulators.plan
-    unrest = find_unrest(shown, coarse, measure_noise(shown, sample, saturation))
+    unrest = _unrest(shown, sample, coarse, measure_noise(shown, sample, saturation))
     flicker = _equalise(accumulators, sample, tiles, coarse, unrest)
     noise = measure_noise(accumulators.plan, sample, saturation)
     notes += leave_out_lost_fringes(accumulators, noise, sample.pixels)
     notes += resolve_bits(accumulators, noise, sample.pixels)
     if coarse.are_divided or accumulators.plan != shown:
-        unrest = find_unrest(accumulators.plan, coarse, noise)
-    if unrest is not None and not _rests_elsewhere(unrest, accumulators.plan, sample, noise, saturation):
-        unrest = None
+        unrest = _unrest(accumulators.plan, sample, coarse, noise)
+    if unrest is not None:
+        rests = sample.levels[:, unrest.rests.reshape(-1)[sample.pixels]]
+        unrest = unrest if agree(accumulators.plan, rests, noise, saturation) else None
     if unrest is not None:
         tiles.leave_out(unrest.moved)
         notes.append(unrest.said(accumulators.plan))
@@ -111,9 +112,13 @@ def look(
     )
 
 
-def _rests_elsewhere(unrest: Unrest, plan: SequencePlan, sample: Sample, noise: NoiseModel, saturation: float) -> bool:
-    """Whether nothing contradicts the sequence but where something moved."""
-    return agree(plan, sample.levels[:, unrest.rests.reshape(-1)[sample.pixels]], noise, saturation)
+def _unrest(plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel) -> Unrest | None:
+    """Where something moved, if exchanged frames are not why it looks so."""
+    found = find_unrest(plan, coarse, noise)
+    if found is None:
+        return None
+    levels = sample.levels[:, found.moved.reshape(-1)[sample.pixels]]
+    return None if an_exchange_explains(plan, levels, found.frames) else found
 
 
 def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:

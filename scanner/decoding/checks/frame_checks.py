@@ -80,6 +80,26 @@ def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: f
     return not contradictions(plan, Shown(levels[:, lit], (high - low)[lit], sigma[lit]))
 
 
+def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequence[int]) -> bool:
+    """Whether pixels of the sample (frames, P) contradict the sequence much less with two frames exchanged, one of them
+    a suspect.
+    """
+    swing = np.ptp(levels, axis=0)
+    lit = np.flatnonzero(swing > _LEAST_SWING)
+    lit = lit[:: max(1, len(lit) // _FEWEST_COMPARED)]
+    seen, swing = levels[:, lit], swing[lit]
+    if not len(lit):
+        return False
+    before = _contradiction(plan, seen, swing)
+    for first in suspects:
+        for second in range(len(seen)):
+            order = np.arange(len(seen))
+            order[[first, second]] = second, first
+            if _contradiction(plan, seen[order], swing) < _MUCH_LEFT * before:
+                return True
+    return False
+
+
 def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, LightSwitch | None]:
     """The frames that were made alike, or as they are if that makes more sense, without light that was switched.
 

@@ -20,7 +20,7 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.medians import medians
 from scanner.decoding.motion.coarse_frames import CoarseFrames
-from scanner.decoding.sequence_plan import Fringe, SequencePlan
+from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
 
 # A contradiction: in swings of a pixel, in standard deviations of the noise, and in what most pixels have of it (a
 # camera that is not linear, a projector that sharpens or loses the light of fine stripes).
@@ -32,6 +32,8 @@ _LIT_BITS = 0.7
 _LIT, _BRIGHT = 0.1, 0.98
 # Every so many-th of the grid's pixels tells quickly that nothing moved: so few contradictions are no patch.
 _STRIDE, _A_FEW = 3, 4
+# A camera that is not linear sees such pairs of stripes as brighter or darker than others.
+_FINE_BITS = 3
 # Offset, amplitude and phase.
 _PARAMETERS = 3
 _HARMONICS, _TRIMS, _MOST_OFF = (2, 3), 3, 3.0
@@ -95,6 +97,8 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     if not 0 < share <= _MOST:
         return None
     frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
+    if not frames:
+        return None
     rests = coarse.at_full_size(lit & ~moved)
     return Unrest(coarse.at_full_size(moved), rests, share, tuple(sorted(frames)))
 
@@ -146,7 +150,8 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     """What must agree, at lit pixels, `levels` (frames, P)."""
     if not levels.shape[1]:
         return
-    pairs = [*plan.complements]
+    blurred = {frame for code in plan.codes if not plan.fringes for frame in _finest(code)}
+    pairs = [pair for pair in plan.complements if not blurred & {*pair}]
     half_lit = [(levels[a] + levels[b]) / 2 for a, b in pairs]
     even = [fringe for fringe in plan.fringes if fringe.equal_steps]
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
@@ -160,6 +165,12 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
         if len(fringe.frames) > _PARAMETERS:
             yield _Group(fringe.frames, _off_cosine(fringe, levels[list(fringe.frames)]), 1.0)
     yield from _beyond_white_and_black(plan, levels)
+
+
+def _finest(code: GrayCode) -> set[int]:
+    """The frames of bits that may be finer than what camera and projector resolve, or the scene scatters."""
+    fine = range(code.bits - _FINE_BITS, code.bits)
+    return {frames[bit] for frames in (code.normal, code.inverse) for bit in fine if bit in frames}
 
 
 def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
