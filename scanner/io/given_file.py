@@ -61,6 +61,12 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
         return file.read(min(os.fstat(file.fileno()).st_size, most_bytes))
 
 
+def read_whole(path: Path) -> bytes:
+    """All of a regular file that takes its place on the disk, however large. Raises InputError as `opened` does."""
+    with opened(path) as file:
+        return file.read()
+
+
 def copy_given(source: Path, target: Path, most_bytes: int | None = None) -> None:
     """Copy a regular file, holes and all. Raises InputError as `opened` does, OSError if the copy cannot be written."""
     with opened(source, most_bytes) as file, target.open("wb") as copy:
