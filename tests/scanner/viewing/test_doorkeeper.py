@@ -97,18 +97,21 @@ def test_a_host_that_is_named_twice_is_refused(where: str, capfd: pytest.Capture
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_messages_that_are_none_close_their_connection_only(where: str, capfd: pytest.CaptureFixture[str]) -> None:
+def hear_out(page: websockets.sync.client.ClientConnection) -> None:
+    while True:
+        page.recv(timeout=20)
+
+
+@pytest.mark.parametrize("message", [b"\xc1", b"\x91" * 100_000, "text"])
+def test_a_message_that_is_none_closes_its_connection_only(
+    where: str, message: str | bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    place, headers = f"ws://{urlsplit(where).netloc}/", {"Cookie": cookie(where)}
     spoken = [websockets.typing.Subprotocol(f"viser-v{viser.__version__}")]
-    for message in (b"\xc1", b"\x91" * 100_000, "text"):
-        with (
-            websockets.sync.client.connect(
-                f"ws://{urlsplit(where).netloc}/", additional_headers={"Cookie": cookie(where)}, subprotocols=spoken
-            ) as page,
-            pytest.raises(ConnectionClosedError),
-        ):
-            page.send(message)
-            while True:
-                page.recv(timeout=20)
+    with websockets.sync.client.connect(place, additional_headers=headers, subprotocols=spoken) as page:
+        page.send(message)
+        with pytest.raises(ConnectionClosedError):
+            hear_out(page)
     assert ask(where, Cookie=cookie(where)).status == 200
     assert "Traceback" not in capfd.readouterr().err
 
