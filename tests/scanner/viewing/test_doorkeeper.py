@@ -14,6 +14,7 @@ pytest.importorskip("viser", reason="the page needs the extra 'console'")
 
 import viser
 import websockets.sync.client
+import websockets.sync.connection
 import websockets.typing
 from hypothesis import given
 from hypothesis import strategies as st
@@ -97,7 +98,7 @@ def test_a_host_that_is_named_twice_is_refused(where: str, capfd: pytest.Capture
     assert "Traceback" not in capfd.readouterr().err
 
 
-def hear_out(page: websockets.sync.client.ClientConnection) -> None:
+def hear_out(page: websockets.sync.connection.Connection) -> None:
     while True:
         page.recv(timeout=20)
 
