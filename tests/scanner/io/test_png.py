@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pillow
 
-from scanner.io.image_header import damage
+from scanner.io.image_damage import damage
 from scanner.io.png import png_of
 
 
