@@ -8,7 +8,7 @@ An exposure fits between the light of its picture, as late as that can be, and t
 that can be. When that is follows from when the pictures were swapped in, which the process that did it tells. A frame
 counts if it was triggered in time, if the camera's clock agrees, and if its picture and its neighbours' light every
 place alike together (`hw/level_sums.py`). A picture that was missed flies again, behind those that are on their way;
-if that is missed, or the next one, the pictures that follow are taken at rest, for a while: how long, and how much time
+if that is missed, or one soon after it, those that follow are taken at rest, for a while: how long, and how much time
 there is between pictures, depends on how often that happens.
 """
 
@@ -33,6 +33,7 @@ _CYCLE_FADES = 0.9  # of one frame to the next: the time that the slowest took l
 _MOST_AT_REST = 32
 _MOST_EXTRA_S, _EXTRA_FADES = 0.02, 0.95  # after misses, and with every frame that is caught
 _MOST_UNFOUNDED = 3  # doubts that were the scene's own: with blur, flicker, or bounced light sums are never level
+_FEW = 4  # a miss after so few frames that were caught is no single one
 _CALM = 16  # so many frames in a row that were caught make up for a missed one
 
 
@@ -217,8 +218,8 @@ class Flight:
             most = None if most is None else most - 1
 
     def _missed(self, number: int) -> None:
-        """It flies again. All land if it did before, if the one before it was missed too, or if order matters."""
-        lands = self._in_order or not self._caught_in_row or number in self._failed
+        """It flies again. All land if it did before, if one shortly before it was missed too, or if order matters."""
+        lands = self._in_order or self._caught_in_row < _FEW or number in self._failed
         self._failed.add(number)
         self.missed, self._caught_in_row = self.missed + 1, 0
         self._again = sorted({*self._again, number})
