@@ -20,8 +20,8 @@ from scanner.capture.recording import open_capture
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
 from scanner.io.calibration_file import read_calibration
-from scanner.io.image_file import write_png
 from scanner.io.matches_file import read_matches, write_matches
+from scanner.io.png import write_png
 from scanner.io.yaml_text import read_yaml
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.results.finished_scan import read_finished_scan

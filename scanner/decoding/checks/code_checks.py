@@ -12,10 +12,10 @@ from math import sqrt
 import numpy as np
 
 from calib.numerics import Bools, Image, Ints, compiled
-from scanner.decoding.accumulators import GrayFold
 from scanner.decoding.arrays import Words
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.codes.gray_code import cell_numbers
+from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.lines import lines_of
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan

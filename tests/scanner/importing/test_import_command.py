@@ -13,7 +13,8 @@ from scanner.capture.recording import open_capture
 from scanner.commands.main import main
 from scanner.decoding.decoder import Decoder
 from scanner.errors import InputError
-from scanner.io.image_file import read_image, write_png
+from scanner.io.image_file import read_image
+from scanner.io.png import write_png
 from scanner.patterns.pattern import Axis, Black, Gray, Pattern, Phase, White
 from tests.support.foreign_captures import ENDS, Photographer, bits, deep, in_colour, named, photographer, steps
 from tests.support.places import REAL_CAPTURES
