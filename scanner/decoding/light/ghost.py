@@ -26,7 +26,7 @@ _LEAST, _MOST = 0.02, 0.45
 _LEFT = 0.4
 _TRIED = 0.03
 # How far apart the shares of even and odd rows are, if they are not the same.
-_INTERLACED = 0.05
+_INTERLACED, _OF_THE_OTHER = 0.05, 0.3
 _FEWEST_PIXELS = 100
 _MOST_PIXELS = 400
 
@@ -91,11 +91,12 @@ def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64], sa
     """That of all frames which a sample `levels` (frames, P), in some `rows` (P,) of the image, tells of, or else of
     one frame.
     """
-    share, *of_halves = (
-        ghost_share(plan, levels[:, chosen], saturation) for chosen in (np.s_[:], rows % 2 == 0, rows % 2 == 1)
+    share, _ = _share_and_unevenness(plan, levels, saturation)
+    (even, off_even), (odd, off_odd) = (
+        _share_and_unevenness(plan, levels[:, rows % 2 == side], saturation) for side in (0, 1)
     )
-    even, odd = of_halves
-    if abs(even - odd) > _INTERLACED:
+    # The half that has it contradicts itself by more.
+    if min(off_even, off_odd) < _OF_THE_OTHER * max(off_even, off_odd) and abs(even - odd) > _INTERLACED:
         return Ghost(even, of_odd_rows=odd)
     if share:
         return Ghost(share)
@@ -103,24 +104,27 @@ def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64], sa
     return None if late is None else Ghost(late.share, late.place)
 
 
-def ghost_share(plan: SequencePlan, levels: Floats32, saturation: float) -> float:
-    """How much of the picture before each frame of a sample `levels` (frames, P) shows; 0 if none can be told."""
+def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple[float, float]:
+    """How much of the picture before each frame of a sample `levels` (frames, P) shows, 0 if none can be told; and how
+    uneven the frames are with it, per pixel.
+    """
     lit = lit_by(np.ptp(levels, axis=0))
     lit = lit[levels[:, lit].max(axis=0) < saturation]
     if len(lit) < _FEWEST_PIXELS:
-        return 0.0
+        return 0.0, 0.0
     seen = levels[:, lit[:: -(-len(lit) // _MOST_PIXELS)]]
     before = [plan.shown[max(0, plan.shown.index(frame) - 1)] for frame in range(len(seen))]
 
     def left(share: float) -> float:
-        return _uneven(plan, _without(seen, before, share))
+        return _uneven(plan, _without(seen, before, share)) / len(seen[0])
 
     at_first = left(0.0)
     if left(_TRIED) >= at_first:
-        return 0.0
+        return 0.0, at_first
     found = minimize_scalar(left, bounds=(0, _MOST), method="bounded", options={"xatol": 1e-3})
     share = float(found.x)
-    return share if _LEAST < share < _MOST - _LEAST and found.fun < _LEFT * at_first else 0.0
+    is_ghost = _LEAST < share < _MOST - _LEAST and found.fun < _LEFT * at_first
+    return (share if is_ghost else 0.0), at_first
 
 
 def _without(levels: Floats32, before: list[int], share: float) -> Floats32:
