@@ -92,26 +92,26 @@ def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64], sa
     one frame.
     """
     share, _ = _share_and_unevenness(plan, levels, saturation)
-    (even, off_even), (odd, off_odd) = (
-        _share_and_unevenness(plan, levels[:, rows % 2 == side], saturation) for side in (0, 1)
-    )
-    # The half that has it contradicts itself by more.
-    if min(off_even, off_odd) < _OF_THE_OTHER * max(off_even, off_odd) and abs(even - odd) > _INTERLACED:
-        return Ghost(even, of_odd_rows=odd)
+    if share is not None:
+        halves = [_share_and_unevenness(plan, levels[:, rows % 2 == side], saturation) for side in (0, 1)]
+        (even, off_even), (odd, off_odd) = ((of_half or 0.0, off) for of_half, off in halves)
+        # The half that has it contradicts itself by more.
+        if min(off_even, off_odd) < _OF_THE_OTHER * max(off_even, off_odd) and abs(even - odd) > _INTERLACED:
+            return Ghost(even, of_odd_rows=odd)
     if share:
         return Ghost(share)
     late = late_frame(plan, levels, saturation)
     return None if late is None else Ghost(late.share, late.place)
 
 
-def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple[float, float]:
-    """How much of the picture before each frame of a sample `levels` (frames, P) shows, 0 if none can be told; and how
-    uneven the frames are with it, per pixel.
+def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple[float | None, float]:
+    """How much of the picture before each frame of a sample `levels` (frames, P) shows, 0 if it cannot be told, None if
+    a little less of it makes nothing better; and how uneven the frames are with it, per pixel.
     """
     lit = lit_by(np.ptp(levels, axis=0))
     lit = lit[levels[:, lit].max(axis=0) < saturation]
     if len(lit) < _FEWEST_PIXELS:
-        return 0.0, 0.0
+        return None, 0.0
     seen = levels[:, lit[:: -(-len(lit) // _MOST_PIXELS)]]
     before = [plan.shown[max(0, plan.shown.index(frame) - 1)] for frame in range(len(seen))]
 
@@ -120,7 +120,7 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: floa
 
     at_first = left(0.0)
     if left(_TRIED) >= at_first:
-        return 0.0, at_first
+        return None, at_first
     found = minimize_scalar(left, bounds=(0, _MOST), method="bounded", options={"xatol": 1e-3})
     share = float(found.x)
     is_ghost = _LEAST < share < _MOST - _LEAST and found.fun < _LEFT * at_first
