@@ -294,7 +294,8 @@ def test_a_disk_that_does_not_take_what_is_made_of_a_result(
     assert ended.code == 3
     assert str(where) in ended.said
     assert "partial" not in ended.said
-    assert ("choose another --out" in ended.said) and ("Traceback" not in ended.said)
+    assert "choose another --out" in ended.said
+    assert "Traceback" not in ended.said
     assert ended.files == {}
 
 
