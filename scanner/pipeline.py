@@ -256,8 +256,32 @@ def _in_one_light(
         decoder.measure_light(place, frame.image)
     for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out light"):
         decoder.add(frame.image)
-    with progress.step("Matching"):
-        return decoder.finish()
+    try:
+        with progress.step("Matching"):
+            return decoder.finish()
+    except InputError as error:
+        return _as_it_is(stream, progress, calibration, again, error)
+
+
+def _as_it_is(
+    stream: Stream,
+    progress: Progress,
+    calibration: Calibration | None,
+    again: Callable[[], Stream],
+    without_light: InputError,
+) -> Decoding:
+    """The frames once more, if they make no sense `without_light`: what looked like light was something else.
+
+    Raises that error if they make none as they are, either.
+    """
+    decoder = Decoder(stream.patterns, stream.projector_size, calibration)
+    for _, frame in progress.track(again().frames, len(stream.patterns), "Taking the light as it is"):
+        decoder.add(frame.image)
+    try:
+        with progress.step("Matching"):
+            return decoder.finish()
+    except InputError:
+        raise without_light from None
 
 
 def reconstruct(

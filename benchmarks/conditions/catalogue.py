@@ -152,7 +152,7 @@ def _picture() -> Iterator[Condition]:
 def _frames() -> Iterator[Condition]:
     yield Condition("projector late in one frame", "half of it", frames=late(0.5))
     yield Condition("projector late in one frame", "all of it", frames=late(1.0), fault=True)
-    for which in ("upper", "every second"):
+    for which in ("lower", "every second"):
         yield Condition("rows with 25 % of the picture before", which, frames=late_rows(0.25, which))
     yield Condition("finest bit shown twice", frames=finest_bit_twice, fault=True)
     yield Condition("two frames exchanged", frames=exchanged, fault=True)

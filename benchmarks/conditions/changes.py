@@ -91,11 +91,11 @@ def each_exposed(factor: float) -> OfFrames:
 
 
 def late_rows(share: float, which: str) -> OfFrames:
-    """Rows that are read out while the picture changes: the 'upper' quarter, or 'every second' one, interlaced."""
+    """Rows that are read out while the picture changes: the 'lower' quarter, or 'every second' one, interlaced."""
 
     def changed(capture: Capture, _: Random) -> Capture:
         height = len(capture.frames[0])
-        rows = np.s_[: height // 4] if which == "upper" else np.s_[::2]
+        rows = np.s_[3 * height // 4 :] if which == "lower" else np.s_[::2]
         frames = [capture.frames[0]]
         for before, frame in pairwise(capture.frames):
             mixed = frame.copy()

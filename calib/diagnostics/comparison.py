@@ -129,7 +129,8 @@ def _seen(rig: Calibration, pixels: Floats, depth: Floats) -> tuple[Floats, Matc
         # A lens model that folds back brings what is far outside into the picture again: its rays are none.
         off = np.linalg.norm(rig.projector.unproject(projected)[:, :2] - there[:, :2] / there[:, 2:], axis=1)
         inside = np.all((projected >= 0) & (projected <= np.array(rig.projector.size) - 1), axis=1)
-    return points, Matches(pixels, projected), inside & (off < _SAME_RAY) & np.isfinite(points).all(axis=1)
+    somewhere = np.where(inside[:, None], projected, 0.0)  # an extreme lens brings points to no place at all
+    return points, Matches(pixels, somewhere), inside & (off < _SAME_RAY) & np.isfinite(points).all(axis=1)
 
 
 def _centred(points: Floats, weight: Floats) -> Floats:

@@ -1,4 +1,9 @@
-"""What shifts that no residual shows do to a room: to first order, as in `calib.refinement.systematic_shifts`."""
+"""What shifts that no residual shows do to a room: to first order, as in `calib.refinement.systematic_shifts`.
+
+The smooth errors that a decoder is known for are mostly shown by a room's residuals, as one corner's are not: every
+station sees several planes, and places and planes take up a few of each one's twenty polynomials. What residuals show
+is in the cells' variances already. Beyond that errors can only be as large as passes for chance.
+"""
 
 from collections.abc import Sequence
 
@@ -28,6 +33,7 @@ def covariance_of_shifts(
     """
     columns = np.flatnonzero(free)
     covariance = np.zeros_like(fit.information)
+    hidden = [_hidden_px(patches, variances, station, len(columns) / len(patches)) for station in range(len(shifts))]
     for station, of_station in enumerate(shifts):
         every = (*of_station.likely, *of_station.possible)
         together = np.zeros((fit.room.size, len(every)))
@@ -39,12 +45,30 @@ def covariance_of_shifts(
                 at = patch.cells.camera_px, patch.cells.projector_px, _gradient(fit.room, patch)
                 together += _pull(fit.room, patch, variance, np.stack([shift(*at) for shift in every], axis=2))
             if of_station.smooth_px:
-                apart.append(_pull(fit.room, patch, variance, of_station.smooth_px * _fields(patch)))
+                smooth_px = min(of_station.smooth_px, hidden[station])
+                apart.append(_pull(fit.room, patch, variance, smooth_px * _fields(patch)))
         pull = np.concatenate([together, *apart], axis=1)[columns]
         if pull.shape[1]:
             moved = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull)
             covariance[np.ix_(columns, columns)] += levels.stations[station].repeats * moved @ moved.T
     return covariance
+
+
+def _hidden_px(patches: Sequence[Patch], variances: Sequence[Floats], station: int, absorbed: float) -> float:
+    """How large each of a station's smooth errors may be, as of `Shifts.smooth_px`, before its residuals show it.
+
+    Of a patch with M cells of variance v each polynomial's amplitude has the variance v / M by chance. Errors of the
+    variance s² add s² M / v to χ² for each of the F that the fit has not `absorbed`, which is √(2 F) off by chance.
+    """
+    own = [
+        len(patch.cells) / float(np.mean(variance))
+        for patch, variance in zip(patches, variances, strict=True)
+        if patch.station == station
+    ]
+    if not own:
+        return np.inf
+    freedom = len(own) * (2 * CUBIC - absorbed)
+    return float(np.sqrt(np.sqrt(2 / freedom) / np.mean(own))) if freedom > 1 else np.inf
 
 
 def _fields(patch: Patch) -> Floats:

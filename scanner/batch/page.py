@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from math import inf, isfinite
 from urllib.parse import quote
 
 from scanner.batch.place import Place
@@ -64,7 +65,8 @@ def _state(row: Row) -> str:
 
 
 def _with_sigma(value: float | None, sigma: float | None) -> str:
-    if value is None:
+    if value is None or not isfinite(value):
         return ""
-    quantity = Quantity("", value, "px", sigma)
-    return quantity.shown(value) + (f" ± {quantity.shown(sigma)}" if sigma else "")
+    known = sigma if sigma is not None and 0 < sigma < inf else None
+    quantity = Quantity("", value, "px", known)
+    return quantity.shown(value) + (f" ± {quantity.shown(known)}" if known else "")

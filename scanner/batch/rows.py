@@ -1,12 +1,16 @@
 """What a batch's table says of a capture."""
 
 import json
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import get_args
+
+from pydantic import TypeAdapter
 
 from scanner.errors import InputError
+from scanner.results import Grade
 
 ENDING = ".json"
+_LARGEST = 2**63 - 1  # of a table's whole numbers
 
 
 @dataclass(frozen=True)
@@ -49,11 +53,17 @@ class Row:
     def from_json(data: bytes, where: str) -> "Row":
         """From a file. Raises InputError if it is none."""
         try:
-            found: Any = json.loads(data)
-            known = {field.name for field in fields(Row)}
-            return Row(**{key: value for key, value in found.items() if key in known})
-        except (ValueError, TypeError, AttributeError) as error:
-            raise InputError(f"{where}: expected a row of a batch, found something else; remove it: {error}") from error
+            row = _CHECKED.validate_json(data, strict=True)
+            if row.grade not in (None, *get_args(Grade)) or any(
+                isinstance(value, int) and abs(value) > _LARGEST for value in asdict(row).values()
+            ):
+                raise ValueError("beyond what a table has")
+            return row
+        except ValueError as error:
+            raise InputError(f"{where}: expected a row of a batch, found something else; remove it") from error
+
+
+_CHECKED = TypeAdapter(Row)
 
 
 # What differs between two runs of the same batch.

@@ -171,7 +171,8 @@ class Decoder:
         if self._held is None or self._count < len(self._plan.shown) or self._ghost or self._merger is not None:
             return None
         accumulators, sample, *_ = self._held
-        return find_ghost(self._plan, sample.levels, saturation_level(accumulators.peak))
+        rows = sample.pixels // accumulators.brightest.shape[1]
+        return find_ghost(self._plan, sample.levels, rows, saturation_level(accumulators.peak))
 
     def finish(self, *, once_more: bool = False) -> Decoding:
         """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence.

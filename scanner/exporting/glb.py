@@ -1,16 +1,19 @@
 """A mesh as binary glTF 2.0: one node, one mesh, one buffer.
 
-glTF is right-handed, y up, in metres, a camera looks along −z, and vertex colours are linear. The colours are the
-camera's, lit by the projector, so the material is unlit and shows them as they are.
+glTF is right-handed, y up, in metres, a camera looks along −z, and vertex colours are linear, pictures sRGB. The
+colours are the camera's, lit by the projector, so materials are unlit and show them as they are.
 """
 
 import json
 import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.numerics import Floats
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh
 
 # Numbers of the glTF 2.0 specification.
@@ -19,57 +22,104 @@ _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 _FLOAT, _UNSIGNED_SHORT, _UNSIGNED_INT = 5126, 5123, 5125
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 _TRIANGLES = 4
+_LINEAR, _LINEAR_MIPMAPS, _CLAMPED = 9729, 9987, 33071
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Triangles of one material: under a picture, of which each point has its place (N, 2) as shares of width and
+    height from the upper left corner; or, where `jpeg` is empty, of the points' colours.
+    """
+
+    mesh: Mesh
+    places: Floats | None = None
+    jpeg: bytes = b""
 
 
 def write_glb(path: Path, mesh: Mesh, metres_per_unit: float) -> None:
     """Write positions in metres, normals, colours and triangles. Raises OSError."""
-    positions = (mesh.points * metres_per_unit * Y_UP_FROM_CAMERA).astype("<f4")
-    normals = (mesh.normals * Y_UP_FROM_CAMERA).astype("<f4")
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    arrays = (positions, normals, _linear_rgba(mesh.colours), mesh.triangles.astype("<u4").reshape(-1, 1))
-    offsets = np.cumsum([0, *(array.nbytes for array in arrays)]).tolist()
-    views = [
-        {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes, "target": target}
-        for array, offset, target in zip(arrays, offsets, [_ARRAY_BUFFER] * 3 + [_ELEMENT_ARRAY_BUFFER], strict=False)
-    ]
-    accessors = [
-        {
-            **_accessor(0, arrays[0], _FLOAT, "VEC3"),
-            "min": positions.min(axis=0).tolist(),
-            "max": positions.max(axis=0).tolist(),
-        },
-        _accessor(1, arrays[1], _FLOAT, "VEC3"),
-        {**_accessor(2, arrays[2], _UNSIGNED_SHORT, "VEC4"), "normalized": True},
-        _accessor(3, arrays[3], _UNSIGNED_INT, "SCALAR"),
-    ]
-    primitive = {
-        "attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2},
-        "indices": 3,
-        "material": 0,
-        "mode": _TRIANGLES,
-    }
-    material = {
-        "doubleSided": True,
-        "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
-        "extensions": {"KHR_materials_unlit": {}},
-    }
-    document = {
+    write_pieces(path, [Piece(mesh)], metres_per_unit)
+
+
+def write_pieces(path: Path, pieces: Sequence[Piece], metres_per_unit: float) -> None:
+    """The same of a mesh in pieces, with their pictures in the file. Raises OSError."""
+    binary = _Binary()
+    primitives: list[dict[str, object]] = []
+    materials: list[dict[str, object]] = []
+    images: list[dict[str, object]] = []
+    for number, piece in enumerate(pieces):
+        primitives.append(_primitive(binary, piece, number, metres_per_unit))
+        surface: dict[str, object] = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+        if piece.jpeg:
+            surface["baseColorTexture"] = {"index": len(images)}
+            images.append({"bufferView": binary.add(piece.jpeg), "mimeType": "image/jpeg"})
+        materials.append(
+            {"doubleSided": True, "pbrMetallicRoughness": surface, "extensions": {"KHR_materials_unlit": {}}}
+        )
+    document: dict[str, object] = {
         "asset": {"version": "2.0", "generator": "roomscan"},
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": "scan", "mesh": 0}],
-        "meshes": [{"name": "scan", "primitives": [primitive]}],
-        "materials": [material],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": offsets[-1]}],
+        "meshes": [{"name": "scan", "primitives": primitives}],
+        "materials": materials,
+        "accessors": binary.accessors,
+        "bufferViews": binary.views,
+        "buffers": [{"byteLength": binary.length}],
     }
-    path.write_bytes(_container(json.dumps(document).encode(), b"".join(array.tobytes() for array in arrays)))
+    if images:
+        document["images"] = images
+        document["samplers"] = [
+            {"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAPS, "wrapS": _CLAMPED, "wrapT": _CLAMPED}
+        ]
+        document["textures"] = [{"source": number, "sampler": 0} for number in range(len(images))]
+    path.write_bytes(_container(json.dumps(document).encode(), b"".join(binary.parts)))
 
 
-def _accessor(view: int, array: NDArray[np.generic], component: int, kind: str) -> dict[str, object]:
-    return {"bufferView": view, "componentType": component, "count": len(array), "type": kind}
+class _Binary:
+    """The buffer, with its views and accessors."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes] = []
+        self.length = 0
+        self.views: list[dict[str, object]] = []
+        self.accessors: list[dict[str, object]] = []
+
+    def add(self, data: bytes, **more: object) -> int:
+        """Append data, padded to four bytes; the number of its view."""
+        self.views.append({"buffer": 0, "byteOffset": self.length, "byteLength": len(data), **more})
+        self.parts.append(data + b"\0" * (-len(data) % 4))
+        self.length += len(self.parts[-1])
+        return len(self.views) - 1
+
+    def array(self, array: NDArray[np.generic], component: int, kind: str, target: int, **more: object) -> int:
+        """Append an array; the number of its accessor."""
+        view = self.add(array.tobytes(), target=target)
+        self.accessors.append(
+            {"bufferView": view, "componentType": component, "count": len(array), "type": kind, **more}
+        )
+        return len(self.accessors) - 1
+
+
+def _primitive(binary: _Binary, piece: Piece, material: int, metres_per_unit: float) -> dict[str, object]:
+    mesh = piece.mesh
+    positions = (mesh.points * metres_per_unit * Y_UP_FROM_CAMERA).astype("<f4")
+    normals = (mesh.normals * Y_UP_FROM_CAMERA).astype("<f4")
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    extent = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
+    attributes = {
+        "POSITION": binary.array(positions, _FLOAT, "VEC3", _ARRAY_BUFFER, **extent),
+        "NORMAL": binary.array(normals, _FLOAT, "VEC3", _ARRAY_BUFFER),
+    }
+    if piece.jpeg and piece.places is not None:
+        attributes["TEXCOORD_0"] = binary.array(piece.places.astype("<f4"), _FLOAT, "VEC2", _ARRAY_BUFFER)
+    else:
+        colours = _linear_rgba(mesh.colours)
+        attributes["COLOR_0"] = binary.array(colours, _UNSIGNED_SHORT, "VEC4", _ARRAY_BUFFER, normalized=True)
+    corners = mesh.triangles.astype("<u4").reshape(-1, 1)
+    indices = binary.array(corners, _UNSIGNED_INT, "SCALAR", _ELEMENT_ARRAY_BUFFER)
+    return {"attributes": attributes, "indices": indices, "material": material, "mode": _TRIANGLES}
 
 
 def _linear_rgba(colours: NDArray[np.uint8]) -> NDArray[np.uint16]:

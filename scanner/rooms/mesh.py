@@ -25,7 +25,7 @@ _LEAST_PIECE = 200  # triangles
 _LEAST_WEIGHT = 0.5  # of a voxel: one station is enough
 _NO_NORMAL = np.array([0.0, -1.0, 0.0])  # of slivers
 # The room's axes (z up) as those of a camera that is held level, from which meshes are written.
-_CAMERA_FROM_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+CAMERA_FROM_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def fused(room: SolvedRoom) -> Mesh | None:
@@ -82,7 +82,7 @@ def _ideal(
     ideal = Intrinsics(camera.width, camera.height, camera.focal_px, camera.principal_point_px)
     x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
     pixels = camera.project(ideal.unproject(np.stack([x, y], axis=-1))).astype(np.float32)
-    depth = _filled(depths)
+    depth = filled(depths)
     nearest = cv2.INTER_NEAREST  # between a surface and what is behind it there is nothing
     column, row = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
     seen = cv2.remap(depth, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
@@ -90,7 +90,7 @@ def _ideal(
     return ideal, np.ascontiguousarray(seen, np.float32), (colour / 255.0).astype(np.float32)
 
 
-def _filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+def filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     """Depths (H, W), 0 for none; pixels between sparse points have the nearest one's."""
     index = without_gaps(index_of(np.isfinite(depth)))
     return np.where(index == NONE, np.float32(0.0), depth.ravel()[index]).astype(np.float32)
@@ -113,7 +113,7 @@ def _cleaned(mesh: Any, unit: str) -> Mesh | None:
         return None
     mesh.remove_unreferenced_vertices()
     mesh.compute_vertex_normals()
-    points, normals = (np.asarray(each) @ _CAMERA_FROM_ROOM.T for each in (mesh.vertices, mesh.vertex_normals))
+    points, normals = (np.asarray(each) @ CAMERA_FROM_ROOM.T for each in (mesh.vertices, mesh.vertex_normals))
     normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, _NO_NORMAL)
     colours = np.rint(255 * np.asarray(mesh.vertex_colors)).astype(np.uint8)
     return Mesh(points, normals, colours, np.asarray(mesh.triangles).astype(np.int64), unit)

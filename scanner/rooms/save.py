@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.geometry import Motion
 from scanner.configuration import Config
-from scanner.exporting.glb import write_glb
+from scanner.exporting.glb import write_pieces
 from scanner.io import (
     MATCHES_FILE,
     write_calibration,
@@ -37,6 +37,7 @@ from scanner.rooms.floorplan_dxf import write_dxf
 from scanner.rooms.floorplan_svg import plan_svg
 from scanner.rooms.mesh import fused
 from scanner.rooms.page import write_page
+from scanner.rooms.textures import textured
 from scanner.rooms.upright import moved_place
 from scanner.rooms.verdict import verdict_on
 from scanner.ui import Progress
@@ -70,7 +71,7 @@ def save_room(room: SolvedRoom, folder: Path, config: Config, progress: Progress
     with progress.step("Meshing"):
         mesh = fused(room)
         if mesh is not None:
-            write_glb(folder / ROOM_MESH_FILE, mesh, METRES.get(room.unit, 1.0))
+            write_pieces(folder / ROOM_MESH_FILE, textured(room, mesh), METRES.get(room.unit, 1.0))
     with progress.step("Report"):
         write_page(folder / REPORT_FILE, room, plan, cloud, made)
 

@@ -16,7 +16,7 @@ from conditions.judging import (
 )
 from conditions.plain_decoder import plain_matches
 from conditions.table import BEGIN, END, confident_and_wrong, markdown, refused_needlessly, write_into
-from conditions.trial import Outcome, Setup, captured, named
+from conditions.trial import Outcome, Setup, captured, named, run
 
 from calib.geometry import Calibration, DeviceSigmas, Matches, Sigmas
 from scanner.decoding import Decoder
@@ -188,3 +188,12 @@ def test_stray_light_that_a_camera_of_many_bits_sees_is_not_what_was_shown(seque
     matches = decoder.finish().matches
     assert matched_share(matches, truth) > 0.97
     assert 0.005 < np.median(match_errors(matches, truth)) < 0.1
+
+
+def test_what_looks_like_switched_light_and_is_not_is_decoded_as_it_is() -> None:
+    """Plain Gray code, each frame exposed anew: without the light that it looks like, it makes no sense."""
+    outcome = run(named("each frame exposed differently", "up to × 3"), replace(SETUP, sequence="gray"))
+    assert outcome.exit_code == 0, outcome.message
+    assert outcome.match_median_px is not None
+    assert 0.1 < outcome.match_median_px < 0.4
+    assert not outcome.wrong

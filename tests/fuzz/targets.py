@@ -7,14 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz import commands, pictures, programs, readers
+from tests.fuzz import beside, commands, pictures, programs, readers
 from tests.fuzz.guarded import Run, guarded
 from tests.fuzz.mutations import Random
 
 _MADE_IN = (
     *(readers.capture, readers.configuration, readers.calibration, readers.matches, readers.cloud, readers.poses),
     *(readers.room, readers.imports, pictures.masks, pictures.photos, programs.results, programs.calibrating),
-    *(commands.board, commands.batch),
+    *(commands.board, commands.batch, beside.refusal, beside.log, beside.row, beside.left_behind, beside.compared),
+    *(beside.asked,),
 )
 TARGETS: dict[str, Callable[[Path], Run]] = {
     **{make.__name__: make for make in _MADE_IN},

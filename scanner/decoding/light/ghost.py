@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from calib.numerics import Image
@@ -24,42 +25,61 @@ _LEAST, _MOST = 0.02, 0.45
 # What taking it out may leave of the unevenness: of a ghost a sixth is left, of other causes a half, or they want most.
 _LEFT = 0.4
 _TRIED = 0.03
+# How far apart the shares of even and odd rows are, if they are not the same.
+_INTERLACED, _OF_THE_OTHER = 0.05, 0.3
 _FEWEST_PIXELS = 100
 _MOST_PIXELS = 400
 
 
 @dataclass(frozen=True)
 class Ghost:
-    """The `share` of the picture before that the frame in a `place` of the capture shows; None: each frame does."""
+    """The `share` of the picture before that the frame in a `place` of the capture shows; None: each frame does.
+
+    `of_odd_rows`: the share in every second row, from row 1 on, where a device builds up half of the rows at a time;
+    None: the same.
+    """
 
     share: float
     place: int | None = None
+    of_odd_rows: float | None = None
 
     def said(self, plan: SequencePlan) -> str:
         """For the operator."""
+        if self.of_odd_rows is not None:
+            both = f"{self.share:.0%} and {self.of_odd_rows:.0%}"
+            return f"each frame shows {both} of the picture before it in even and in odd rows"
         who = "each frame shows" if self.place is None else f"{plan.name(plan.shown[self.place])} shows"
         return f"{who} {self.share:.0%} of the picture before it"
 
+    def of_rows(self, height: int) -> Floats32:
+        """(height, 1): the share in each row of an image."""
+        odd = self.share if self.of_odd_rows is None else self.of_odd_rows
+        return np.resize(np.array([self.share, odd], np.float32), height)[:, None]
+
 
 class GhostRemover:
-    """Takes a ghost out of frames that come one after the other; before the first it was dark."""
+    """Takes a ghost out of frames that come one after the other.
+
+    Before the first it was dark; where rows differ, the first stood there for long.
+    """
 
     def __init__(self, ghost: Ghost) -> None:
         self._ghost, self._place = ghost, 0
         self._before: Floats32 | None = None
 
     def remove(self, image: Image) -> Image:
-        """The next frame (H, W) without it, if each has one as much darker; a clipped pixel stays as it is."""
+        """The next frame (H, W) without it, if all of each has one as much darker; a clipped pixel stays as it is."""
         place, self._place = self._place, self._place + 1
         if self._ghost.place is not None and place not in (self._ghost.place - 1, self._ghost.place):
             return image
         clipped = image >= saturation_level(image)
         without = image.astype(np.float32)
-        share = self._ghost.share
-        if self._before is not None and self._ghost.place is None:
-            without -= np.float32(share / (1 - share)) * self._before
-        elif self._before is not None:  # as bright as the other frames
-            without = (without - np.float32(share) * self._before) * np.float32(1 / (1 - share))
+        is_even = self._ghost.place is None and self._ghost.of_odd_rows is None
+        if self._before is not None:
+            share = self._ghost.of_rows(len(image))
+            without -= share * self._before if not is_even else share / (1 - share) * self._before
+            # As bright as the other frames, or rows.
+            without *= np.float32(1) if is_even else 1 / (1 - share)
         self._before = without
         highest = np.iinfo(image.dtype).max
         result = cast(Image, np.rint(np.clip(without, 0, highest)).astype(image.dtype))
@@ -67,32 +87,44 @@ class GhostRemover:
         return result
 
 
-def find_ghost(plan: SequencePlan, levels: Floats32, saturation: float) -> Ghost | None:
-    """That of all frames which a sample `levels` (frames, P) tells of, or else of one."""
-    if share := ghost_share(plan, levels, saturation):
+def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64], saturation: float) -> Ghost | None:
+    """That of all frames which a sample `levels` (frames, P), in some `rows` (P,) of the image, tells of, or else of
+    one frame.
+    """
+    share, _ = _share_and_unevenness(plan, levels, saturation)
+    if share is not None:
+        halves = [_share_and_unevenness(plan, levels[:, rows % 2 == side], saturation) for side in (0, 1)]
+        (even, off_even), (odd, off_odd) = ((of_half or 0.0, off) for of_half, off in halves)
+        # The half that has it contradicts itself by more.
+        if min(off_even, off_odd) < _OF_THE_OTHER * max(off_even, off_odd) and abs(even - odd) > _INTERLACED:
+            return Ghost(even, of_odd_rows=odd)
+    if share:
         return Ghost(share)
     late = late_frame(plan, levels, saturation)
     return None if late is None else Ghost(late.share, late.place)
 
 
-def ghost_share(plan: SequencePlan, levels: Floats32, saturation: float) -> float:
-    """How much of the picture before each frame of a sample `levels` (frames, P) shows; 0 if none can be told."""
+def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple[float | None, float]:
+    """How much of the picture before each frame of a sample `levels` (frames, P) shows, 0 if it cannot be told, None if
+    a little less of it makes nothing better; and how uneven the frames are with it, per pixel.
+    """
     lit = lit_by(np.ptp(levels, axis=0))
     lit = lit[levels[:, lit].max(axis=0) < saturation]
     if len(lit) < _FEWEST_PIXELS:
-        return 0.0
+        return None, 0.0
     seen = levels[:, lit[:: -(-len(lit) // _MOST_PIXELS)]]
     before = [plan.shown[max(0, plan.shown.index(frame) - 1)] for frame in range(len(seen))]
 
     def left(share: float) -> float:
-        return _uneven(plan, _without(seen, before, share))
+        return _uneven(plan, _without(seen, before, share)) / len(seen[0])
 
     at_first = left(0.0)
     if left(_TRIED) >= at_first:
-        return 0.0
+        return None, at_first
     found = minimize_scalar(left, bounds=(0, _MOST), method="bounded", options={"xatol": 1e-3})
     share = float(found.x)
-    return share if _LEAST < share < _MOST - _LEAST and found.fun < _LEFT * at_first else 0.0
+    is_ghost = _LEAST < share < _MOST - _LEAST and found.fun < _LEFT * at_first
+    return (share if is_ghost else 0.0), at_first
 
 
 def _without(levels: Floats32, before: list[int], share: float) -> Floats32:

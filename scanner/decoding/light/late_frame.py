@@ -19,8 +19,8 @@ from scanner.decoding.sequence_plan import SequencePlan
 # With more of the picture before than this the frame is that picture; less does no harm.
 _LEAST, _MOST = 0.1, 0.75
 # What taking it out leaves of the contradiction. Of late frames with inverses a few hundredths are left, of brightness
-# a third and more; of bits alone, whose levels bounced light spreads, up to a fifth.
-_LEFT = {"pairs": 0.15, "bits": 0.25}
+# a third and more; of bits alone, whose levels bounced light spreads, up to three tenths.
+_LEFT = {"pairs": 0.15, "bits": 0.35}
 # The contradiction of a tenth, in squares of the pixels' swings; and how many times the usual one it is.
 _NOTABLE, _UNUSUAL = 0.002, {"pairs": 10.0, "bits": 2.5}
 # Of what would be left if frames were brighter or darker. A frame's own inverse before it looks like that.

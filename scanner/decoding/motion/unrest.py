@@ -157,14 +157,29 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
     usual = medians(np.stack(half_lit or means), axis=0) if half_lit or means else None
     if usual is not None:
-        together = zip([*pairs, *(fringe.frames for fringe in even)], [*half_lit, *means], strict=True)
-        for frames, light in together:
-            share = median(light / np.maximum(usual, 1))
-            yield _Group(frames, light - np.float32(share) * usual, 1.0)
+        for frames in pairs:
+            yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0)
+        for fringe, light in zip(even, means, strict=True):
+            yield _Group(fringe.frames, _off_usual(light[None], usual), 1.0)
     for fringe in plan.fringes:
         if len(fringe.frames) > _PARAMETERS:
             yield _Group(fringe.frames, _off_cosine(fringe, levels[list(fringe.frames)]), 1.0)
     yield from _beyond_white_and_black(plan, levels)
+
+
+def _off_usual(levels: Floats32, usual: Floats32) -> Floats32:
+    """What frames (N, P), each as bright as fits best, leave of the usual light (P,).
+
+    How bright they were is known of most and has been taken out; of the first ones it is not, nor where cameras answer
+    to bright light by less.
+    """
+    kept = np.ones(len(usual), np.bool_)
+    for _ in range(_TRIMS):
+        brightness = np.linalg.lstsq(levels[:, kept].T, usual[kept], rcond=None)[0]
+        left = brightness @ levels - usual
+        size = np.abs(left)
+        kept = size <= _MOST_OFF * max(median(size), 1e-6)
+    return cast(Floats32, left)
 
 
 def _finest(code: GrayCode) -> set[int]:

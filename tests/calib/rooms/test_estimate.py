@@ -5,7 +5,7 @@ import pytest
 
 from calib.geometry import Motion
 from calib.numerics import Floats
-from calib.refinement import CAMERA, PROJECTOR, SHARED, Cells, Shifts
+from calib.refinement import CAMERA, CUBIC, PROJECTOR, SHARED, Cells, Shifts, monomials
 from calib.refinement.parameters import TANGENTIAL
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, estimate_room
@@ -191,6 +191,35 @@ def test_smooth_errors_of_the_decoder_add_to_the_covariance(case: Case) -> None:
     before, after = (np.sqrt(np.nan_to_num(np.diag(each.covariance))) for each in (case.found, found))
     assert np.all(after >= before)
     assert 1.2 < after[0] / before[0] < 100
+
+
+def test_smooth_errors_that_residuals_would_show_are_not_supposed(case: Case) -> None:
+    """These cells have none, however bad a decoder they are said to be of."""
+    places = slice(SHARED + PER_PLACE, SHARED + PER_PLACE * STATIONS)
+    before = np.sqrt(np.diag(case.found.covariance)[places])
+    found = [case.estimate(shifts=[Shifts(smooth_px=smooth_px)] * STATIONS) for smooth_px in (1e-4, 0.01, 0.1)]
+    larger = [float(np.median(np.sqrt(np.diag(each.covariance)[places]) / before)) for each in found]
+    assert 1.0 <= larger[0] < larger[1] == pytest.approx(larger[2])
+    assert 1.02 < larger[1] < 1.3
+
+
+def test_smooth_errors_that_there_are_make_sigmas_larger(case: Case) -> None:
+    """As of `Shifts.smooth_px`: polynomials over each plane, orthonormal in the mean."""
+    rng, smooth_px = np.random.default_rng(0), 0.01
+
+    def bent(cells: Cells) -> Cells:
+        shift = np.zeros_like(cells.projector_px)
+        for plane in np.unique(cells.plane):
+            on = cells.plane == plane
+            modes, _ = np.linalg.qr(monomials(cells.camera_px[on])[:, :CUBIC])
+            shift[on] = smooth_px * np.sqrt(on.sum()) * modes @ rng.normal(size=(modes.shape[1], 2))
+        return replace(cells, projector_px=cells.projector_px + shift)
+
+    found = replace(case, cells=[bent(cells) for cells in case.cells])
+    found = replace(found, found=found.estimate(shifts=[Shifts(smooth_px=smooth_px)] * STATIONS))
+    places = slice(SHARED + PER_PLACE, SHARED + PER_PLACE * STATIONS)
+    assert np.median([noise.inflation for noise in found.found.levels.stations]) > 1.5
+    assert 0.6 < np.sqrt(np.nanmean(deviations(found)[places] ** 2)) < 1.5
 
 
 def test_a_prior_on_square_walls_makes_angles_surer(case: Case) -> None:

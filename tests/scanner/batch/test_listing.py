@@ -1,5 +1,6 @@
 """Which captures a batch consists of."""
 
+import json
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -129,7 +130,7 @@ def test_nothing_to_do_is_an_error(tmp_path: Path, source: str) -> None:
 _numbers = st.none() | st.floats(allow_nan=False, allow_infinity=False)
 
 
-@given(st.text(), st.integers(0, 255), st.none() | st.text(), _numbers, st.none() | st.integers(0))
+@given(st.text(), st.integers(0, 255), st.none() | st.text(), _numbers, st.none() | st.integers(0, 2**63 - 1))
 def test_a_row_is_read_back_as_it_was(
     name: str, code: int, reason: str | None, residual: float | None, matches: int | None
 ) -> None:
@@ -137,7 +138,16 @@ def test_a_row_is_read_back_as_it_was(
     assert Row.from_json(row.to_json(), "here") == row
 
 
-@pytest.mark.parametrize("data", [b"", b"[]", b"{", b'{"name": "x"}', b"\xff", b"3"])
+@pytest.mark.parametrize("data", [b"", b"[]", b"{", b'{"name": "x"}', b"\xff", b"3", b"[" * 100_000])
 def test_what_is_no_row_is_said_to_be_none(data: bytes) -> None:
     with pytest.raises(InputError, match="here: expected a row"):
         Row.from_json(data, "here")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("seconds", "x"), ("exit_code", "0"), ("matches", 10**30), ("grade", "<b>"), ("name", ["x"])]
+)
+def test_a_row_with_values_that_no_table_has_is_said_to_be_none(name: str, value: object) -> None:
+    changed = json.loads(Row("x", "capture", "result", 0).to_json()) | {name: value}
+    with pytest.raises(InputError, match=r"here: expected a row of a batch"):
+        Row.from_json(json.dumps(changed).encode(), "here")

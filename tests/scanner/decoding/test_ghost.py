@@ -111,3 +111,25 @@ def test_mistakes_are_no_late_frames(sequence: str) -> None:
             darker[place] = np.rint(0.6 * still[place]).astype(np.uint8)
             for frames in (exchanged, repeated, inverted, darker):
                 assert filled(patterns, frames).ghost() is None
+
+
+FIVE = sequence_for(SCENE.projector, periods=(16.0, 6.7), shifts=5)
+
+
+@pytest.mark.parametrize("odd", [0, 1])
+@pytest.mark.parametrize("patterns", [*SEQUENCES.values(), FIVE], ids=[*SEQUENCES, "five steps"])
+def test_half_of_the_rows_may_be_late(patterns: Sequence[Pattern], odd: int) -> None:
+    """Interlaced: every second row still shows a quarter of the picture before; the first stood there for long."""
+    frames = SCENE.frames(patterns)
+    late = [frames[0], *ghostly(frames, 0.25)[1:]]
+    for mixed, frame in zip(late, frames, strict=True):
+        mixed[1 - odd :: 2] = frame[1 - odd :: 2]
+    found = filled(patterns, late).ghost()
+    assert found is not None
+    shares = found.share, found.of_odd_rows
+    assert shares[odd] == pytest.approx(0.25, abs=0.02)
+    assert shares[1 - odd] == pytest.approx(0, abs=0.02)
+    decoding = filled(patterns, late, found).finish()
+    assert 0.005 < np.median(np.abs(SCENE.errors(decoding))) < (0.4 if patterns is SEQUENCES["gray"] else 0.08)
+    assert np.mean(np.abs(SCENE.errors(decoding)) > 1.2) < 0.005
+    assert any("in even and in odd rows" in warning for warning in decoding.warnings)

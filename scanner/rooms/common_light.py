@@ -1,0 +1,108 @@
+"""Pictures of one room, each lit from where its projector stood, made as bright as each other where they overlap.
+
+Each picture is multiplied by a smooth field, whose logarithm is linear between the nodes of a coarse grid. Least
+squares over all points that two pictures show make their logarithms agree (as exposures of panoramas are made to: Brown
+and Lowe, "Automatic panoramic image stitching using invariant features", 2007, but with a field for each picture).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import block_diag, coo_array, csc_array
+from scipy.sparse.linalg import spsolve
+
+from calib.numerics import Bools, Floats, Ints, evenly
+
+_NODES = 17  # along a picture's longer side
+_POINTS = 4000  # of two pictures
+_SMOOTH, _HELD = 1.0, 0.03  # weights of neighbouring nodes that differ, and of nodes that differ from no change
+_DARK = 8.0  # levels of 255, below which light tells little
+_FARTHEST = 1.5  # of logarithms: pictures that differ more than that do not show the same
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A `picture` (H, W, 3), and at which of its `pixels` (N, 2) each point is, of those that it has `seen` (N,)."""
+
+    picture: NDArray[np.uint8]
+    pixels: Floats
+    seen: Bools
+
+
+def in_common_light(shown: Sequence[Shown]) -> list[NDArray[np.uint8]]:
+    """The pictures (H, W, 3), brighter and darker; the points are the same in all, the sizes, too."""
+    if not shown:
+        return []
+    height, width = shown[0].picture.shape[:2]
+    step = max(height, width) / (_NODES - 1)
+    nodes = int(np.ceil(height / step)) + 1, int(np.ceil(width / step)) + 1
+    fields = _fields(shown, step, nodes)
+    row, column = (np.arange(size, dtype=np.float32) / np.float32(step) for size in (height, width))
+    across, down = np.meshgrid(column, row)
+    pictures = []
+    for each, field in zip(shown, fields, strict=True):
+        gain = np.exp(cv2.remap(field.astype(np.float32), across, down, cv2.INTER_LINEAR))
+        pictures.append(np.asarray(np.clip(np.rint(each.picture * gain[..., None]), 0, 255), np.uint8))
+    return pictures
+
+
+def _fields(shown: Sequence[Shown], step: float, nodes: tuple[int, int]) -> Floats:
+    """Logarithms of the gains at the nodes, (pictures, rows, columns)."""
+    size = nodes[0] * nodes[1]
+    rows, columns, values, right = [], [], [], []
+    count = 0
+    for (a, one), (b, other) in combinations(enumerate(shown), 2):
+        both = evenly(one.seen & other.seen, _POINTS)
+        off = np.log(_light(other, both)) - np.log(_light(one, both))
+        both, off = both[np.abs(off) < _FARTHEST], off[np.abs(off) < _FARTHEST]
+        equation = np.repeat(count + np.arange(len(both)), 4)
+        for number, each, sign in ((a, one, 1.0), (b, other, -1.0)):
+            node, weight = _between(each.pixels[both], step, nodes)
+            rows.append(equation)
+            columns.append(number * size + node.ravel())
+            values.append(sign * weight.ravel())
+        right.append(off)
+        count += len(both)
+    of_points = coo_array(
+        (np.concatenate([*values, []]), (np.concatenate([*rows, []]), np.concatenate([*columns, []]))),
+        (count, size * len(shown)),
+    ).tocsc()
+    held = csc_array(_HELD**2 * np.eye(size) + _SMOOTH**2 * _roughness(nodes))
+    normal = of_points.T @ of_points + block_diag([held] * len(shown), format="csc")
+    found: Floats = spsolve(csc_array(normal), of_points.T @ np.concatenate([*right, []]))
+    return found.reshape(len(shown), *nodes)
+
+
+def _light(shown: Shown, some: Ints) -> Floats:
+    column, row = np.rint(shown.pixels[some]).astype(np.int64).T
+    light: Floats = shown.picture[row, column].astype(np.float64).mean(axis=1) + _DARK
+    return light
+
+
+def _between(pixels: Floats, step: float, nodes: tuple[int, int]) -> tuple[Ints, Floats]:
+    """The four nodes around pixels (N, 2), and how much of each, (N, 4)."""
+    at = pixels / step
+    low = np.minimum(at.astype(np.int64), np.array(nodes[::-1]) - 2)
+    (x, y), (i, j) = (at - low).T, low.T
+    node = np.stack([j * nodes[1] + i, j * nodes[1] + i + 1, (j + 1) * nodes[1] + i, (j + 1) * nodes[1] + i + 1], 1)
+    return node, np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], axis=1)
+
+
+def _roughness(nodes: tuple[int, int]) -> Floats:
+    """The sum of squared differences of neighbouring nodes, as a matrix."""
+    number = np.arange(nodes[0] * nodes[1]).reshape(nodes)
+    pairs = np.concatenate(
+        [
+            np.stack([number[:, 1:].ravel(), number[:, :-1].ravel()], axis=1),
+            np.stack([number[1:].ravel(), number[:-1].ravel()], axis=1),
+        ]
+    )
+    difference = np.zeros((len(pairs), number.size))
+    difference[np.arange(len(pairs)), pairs[:, 0]] = 1.0
+    difference[np.arange(len(pairs)), pairs[:, 1]] = -1.0
+    rough: Floats = difference.T @ difference
+    return rough
