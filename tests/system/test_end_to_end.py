@@ -1,5 +1,6 @@
 """The commands on a simulated room that is small enough for a test: what files appear, and how true they are."""
 
+import re
 import shutil
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -89,6 +90,8 @@ def test_a_result_says_where_it_comes_from(scanned: Scanned) -> None:
     report = (scanned.result / "report.html").read_text(encoding="utf-8")
     for words in ("<h1>result</h1>", f"roomscan {version('roomscan')}", '<a href="cloud.ply">', "backend: simulated"):
         assert words in report
+    linked = set(re.findall(r'<a href="([^"#:]+)">', report))
+    assert linked == names(scanned.result) - {"report.html"}, "and nothing that was only there while it was written"
 
 
 def test_a_replay_finds_the_same(scanned: Scanned, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
