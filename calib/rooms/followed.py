@@ -24,6 +24,7 @@ from calib.rooms.tracks import Track
 
 _MOST, _FEWEST = 200, 8
 _LARGEST_PX = 1000  # along a side of a drawing
+_SAMPLED = 150  # pixels along a row by which a plane's extent is told
 _LEAST_COMMON = 900  # pixels of both drawings
 _WINDOW_PX, _LEVELS = 21, 3
 _QUALITY, _APART_PX = 0.02, 7
@@ -50,16 +51,16 @@ class Sight:
 def find_tracks(sights: Sequence[Sight | None], plane_of: Sequence[Sequence[int]], room: Room) -> tuple[Track, ...]:
     """Between all stations with a picture, on the room's planes that `plane_of` says of each station's labels."""
     found = []
+    on = [
+        None if sight is None else np.array([*planes, -1], np.int32)[sight.labels]
+        for sight, planes in zip(sights, plane_of, strict=True)
+    ]
     for first, second in combinations(range(len(sights)), 2):
-        one, other = sights[first], sights[second]
-        if one is None or other is None:
+        one, other, here, there = sights[first], sights[second], on[first], on[second]
+        if one is None or other is None or here is None or there is None:
             continue
         for plane in sorted({*plane_of[first]} & {*plane_of[second]} - {-1}):
-            masks = (
-                np.isin(sight.labels, np.flatnonzero(np.equal(plane_of[station], plane)))
-                for station, sight in ((first, one), (second, other))
-            )
-            track = _followed((first, second), plane, (one.light, other.light), tuple(masks), room)
+            track = _followed((first, second), plane, (one.light, other.light), (here, there), room)
             if track is not None:
                 found.append(track)
     return tuple(found)
@@ -69,11 +70,14 @@ def _followed(
     stations: tuple[int, int],
     plane: int,
     lights: tuple[NDArray[np.uint8], NDArray[np.uint8]],
-    masks: tuple[NDArray[np.bool_], ...],
+    planes: tuple[NDArray[np.int32], NDArray[np.int32]],
     room: Room,
 ) -> Track | None:
-    """The points of a plane that are in two stations' drawings, as these stand now; None if there are too few."""
-    axes, low, size, shape = _common(stations, plane, masks, room)
+    """The points of a plane that are in two stations' drawings, as these stand now; None if there are too few.
+
+    `planes`: of each station's pixels (H, W), as of the room.
+    """
+    axes, low, size, shape = _common(stations, plane, planes, room)
     if min(shape) < _WINDOW_PX:
         return None
     normal, offset = room.planes[plane].normal, room.planes[plane].offset
@@ -81,9 +85,9 @@ def _followed(
     front = np.stack([u, v], axis=-1) @ axes.T + offset * normal
     drawings: list[tuple[NDArray[np.uint8], NDArray[np.uint8]]] = []
     inside = np.full(u.shape, 255, np.uint8)
-    for station, light, mask in zip(stations, lights, masks, strict=True):
+    for station, light, on in zip(stations, lights, planes, strict=True):
         pixels = _seen_at(room, station, front.reshape(-1, 3)).reshape(*u.shape, 2)
-        drawings.append(drawn(light, mask, pixels))
+        drawings.append(drawn(light, on == plane, pixels))
         inside &= drawings[-1][1]
     if np.count_nonzero(inside) < _LEAST_COMMON:
         return None
@@ -115,24 +119,24 @@ def _forth_and_back(
 
 
 def _common(
-    stations: tuple[int, int], plane: int, masks: tuple[NDArray[np.bool_], ...], room: Room
+    stations: tuple[int, int], plane: int, planes: tuple[NDArray[np.int32], NDArray[np.int32]], room: Room
 ) -> tuple[Floats, Floats, float, tuple[int, int]]:
     """A grid on a plane over what both stations see of it: axes (3, 2), lowest corner (2,), pixel, width and height."""
     wall = room.planes[plane]
     axes, lows, highs, sizes = tangent_basis(wall.normal), [], [], []
-    for station, mask in zip(stations, masks, strict=True):
-        row, column = np.nonzero(mask)
+    for station, on in zip(stations, planes, strict=True):
+        step = max(1, on.shape[1] // _SAMPLED)
+        row, column = np.nonzero(on[::step, ::step] == plane)
         if len(row) == 0:
             return axes, np.zeros(2), 1.0, (0, 0)
-        some = slice(None, None, max(1, len(row) // 2000))
         place = room.places[station]
-        rays, _ = unproject(room.rig.camera, np.stack([column, row], axis=1)[some].astype(np.float64))
+        rays, _ = unproject(room.rig.camera, step * np.stack([column, row], axis=1).astype(np.float64))
         turned = rays @ place.rotation.T
         depth = (wall.offset - float(wall.normal @ place.translation)) / (turned @ wall.normal)
         at = (depth[:, None] * turned + place.translation) @ axes
         lows.append(np.percentile(at, 1, axis=0))
         highs.append(np.percentile(at, 99, axis=0))
-        sizes.append(float(np.median(depth)) / float(np.exp(room.rig.camera[0])))
+        sizes.append(float(np.median(depth)) / float(room.rig.camera[0]))
     low, high = np.max(lows, axis=0), np.min(highs, axis=0)
     size = max(*sizes, float(np.max(high - low)) / _LARGEST_PX)
     width, height = np.maximum(np.floor((high - low) / size), 0).astype(int).tolist()

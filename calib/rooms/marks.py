@@ -18,7 +18,7 @@ from calib.rooms.drawings import drawn, logarithmic
 from calib.rooms.planes import RoomPlane
 
 _MOST_ON_A_PLANE = 300
-_LARGEST_PX = 1600  # along a side of a plane's drawing
+_LARGEST_PX = 800  # along a side of a plane's drawing
 _LEAST_PIXELS = 400  # of a plane in the picture
 _CONTRAST = 0.015
 _RATIO = 0.8  # of the distances to the two nearest descriptors (Lowe 2004)

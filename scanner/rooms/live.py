@@ -1,6 +1,8 @@
 """Stations one after the other with the configured rig: whether each overlaps the earlier ones, where to stand next."""
 
+import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from shutil import copy2
 
@@ -27,7 +29,7 @@ _BINS = 36
 _LEAST_OPEN_DEG = 30.0
 _LEAST_OVERLAP = 0.1
 _COMMON = 1 / 3  # of a view, that the next station should still see
-_COMPARED = 4  # earlier stations
+_PATIENCE_S = 30.0  # that a person with the rig in hand waits to be told
 
 
 def check_stations(config: Config, number: int, terminal: Terminal) -> None:
@@ -48,6 +50,7 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
     captures: list[Decoded] = []
     corners: dict[int, SeenCorner] = {}
     refusal: RefusalError | None = None
+    comparison = Comparison()
     for step in range(number):
         if step and not _ready(config, step, number, terminal):
             break
@@ -64,7 +67,7 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
             refusal = error
         if corners:
             with terminal.step("Comparing with earlier stations"):
-                told = _told(captures, rig_of(corners).calibration)
+                told = comparison.told(captures, rig_of(corners).calibration)
             for sentence in told:
                 terminal.show(sentence)
         else:
@@ -80,10 +83,35 @@ def _ready(config: Config, step: int, number: int, terminal: Terminal) -> bool:
     return terminal.ready(f"Station {step} of {number} is done. Move the rig as a whole")
 
 
+@dataclass
+class Comparison:
+    """Of the newest station with those before it: with all, or with as many of the last ones as there is time for.
+
+    `patience_s`: how long it may take. `pair_s`: how long two stations took each other the last time.
+    """
+
+    patience_s: float = _PATIENCE_S
+    pair_s: float = 0.0
+
+    def told(self, captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
+        """Whether the newest station overlaps the ones before it, and where to stand next."""
+        began = time.monotonic()
+        chosen = captures[len(captures) - self.within_patience(len(captures)) :]
+        sentences = _told(chosen, calibration)
+        self.pair_s = (time.monotonic() - began) / max(1, _pairs(len(chosen)))
+        return sentences
+
+    def within_patience(self, count: int) -> int:
+        """How many of so many stations there is time for, at least two: every pair of them is compared."""
+        return next((n for n in range(count, 2, -1) if self.pair_s * _pairs(n) <= self.patience_s), min(count, 2))
+
+
+def _pairs(stations: int) -> int:
+    return stations * (stations - 1) // 2
+
+
 def _told(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
-    """Whether the newest station overlaps the ones before it, and where to stand next."""
-    first = max(0, len(captures) - 1 - _COMPARED)
-    seen = [look_at(capture, calibration) for capture in captures[first:]]
+    seen = [look_at(capture, calibration) for capture in captures]
     newest = len(seen) - 1
     if newest == 0:
         return [f"Next: {_turn(calibration, 'to either side')}"]
@@ -95,7 +123,7 @@ def _told(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
             f"connects them: go back to where {captures[-2].name} stood, and {_turn(calibration, 'to one side')}"
         ]
     shared = [pair for pair in found.pairs if newest in (pair.first, pair.second)]
-    told = [_overlaps(captures[first:], shared, newest)]
+    told = [_overlaps(captures, shared, newest)]
     return [*told, _next(seen, group, newest, calibration)]
 
 

@@ -107,6 +107,15 @@ def test_nothing_is_begun_without_open3d(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(("pair_s", "compared"), [(0.0, 24), (0.1, 24), (0.2, 17), (2.0, 6), (100.0, 2)])
+def test_live_compares_with_all_stations_that_there_is_time_for(pair_s: float, compared: int) -> None:
+    """Of 24; every pair of those that are compared takes its time."""
+    comparison = live.Comparison(30.0, pair_s)
+    assert comparison.within_patience(24) == compared
+    assert comparison.within_patience(2) == 2
+    assert comparison.within_patience(1) == 1
+
+
 def test_live_says_what_overlaps_and_where_to_turn(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
