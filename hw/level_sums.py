@@ -4,7 +4,7 @@ Of frames that show what they should, the sum over such pictures is level. A fra
 before or after it, or shows another one altogether, makes the differences between neighbours show in that sum.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,29 +39,71 @@ class LevelSums:
         """Brightness (N,) in a frame: 0 where black looks like this, 1 where white does."""
         return (_grey(image[self.pixels]) - self.dark) / self.contrast
 
-    def foreign_share(self, group: Sequence[int], pictures: Sequence[Image], seen: Mapping[int, Floats]) -> float:
+    def foreign_share(
+        self,
+        group: Sequence[int],
+        pictures: Sequence[Image],
+        seen: Mapping[int, Floats],
+        beside: Mapping[int, Collection[int]],
+    ) -> float:
         """About which share of a frame is of another picture than its own, which light every place alike together.
 
-        `group`: their numbers in the series of all frames, of which `seen` has these and those next to them. What of
-        the sum, where it is not level, the differences between neighbours explain (least squares); those are none
-        where a picture stayed too long, so a sum that is far from level, or too dark, is not theirs at all. How a
-        picture looks that is black or white everywhere is known.
+        `group`: their numbers in the series of all frames, of which `seen` has these and those that were on the wall
+        `beside` each. What of the sum, where it is not level, the differences between neighbours explain (least
+        squares); those are none where a picture stayed too long, so a sum that is far from level, or too dark, is not
+        theirs at all. How a picture looks that is black or white everywhere is known.
         """
         plain = [
             abs(float(seen[number].mean()) - picture[0, 0] / 255)
             for number, picture in zip(group, pictures, strict=True)
             if picture.min() == picture.max()
         ]
-        changes = sorted({(first, first + 1) for number in group for first in (number - 1, number)})
-        steps = np.stack([seen[to] - seen[of] for of, to in changes if of in seen and to in seen], axis=1)
-        steps -= steps.mean(axis=0)
-        sizes = steps.std(axis=0)
+        steps, sizes = _steps(group, seen, beside)
         total = np.sum([seen[number] for number in group], axis=0)
         if total.std() > _UNEVEN or not _DARKEST < total.mean() / len(group) < _BRIGHTEST:
             return 1.0
-        told = steps[:, sizes > _LEAST_DIFFERENCE]
-        explained = told @ np.linalg.lstsq(told, total - total.mean(), rcond=_ALIKE)[0]
+        explained = _explained(steps[sizes > _LEAST_DIFFERENCE], total - total.mean())
         return float(max([0.0, *plain, explained.std() / max(sizes.max(), _LEAST_DIFFERENCE)]))
+
+    def changed_share(
+        self,
+        group: Sequence[int],
+        before: Mapping[int, Floats],
+        seen: Mapping[int, Floats],
+        beside: Mapping[int, Collection[int]],
+    ) -> float:
+        """By about which share of a frame the same sum, over frames that were taken again, is not what it was before.
+
+        What is the scene's own does not change; another picture's light is another one's the next time. `beside`: what
+        was on the wall before and after each, either time.
+        """
+        steps, sizes = _steps(group, seen, beside)
+        change = np.sum([seen[number] - before[number] for number in group], axis=0)
+        explained = _explained(steps[sizes > _LEAST_DIFFERENCE], change - change.mean())
+        return float(explained.std() / max(sizes.max(), _LEAST_DIFFERENCE))
+
+
+def _steps(
+    group: Sequence[int], seen: Mapping[int, Floats], beside: Mapping[int, Collection[int]]
+) -> tuple[Floats, Floats]:
+    """The differences (D, N) between frames and those beside them, about their means, and the rms of each (D,)."""
+    changes = sorted({(min(one, other), max(one, other)) for one in group for other in beside[one]})
+    steps = np.stack([seen[to] - seen[of] for of, to in changes if of in seen and to in seen])
+    steps -= steps.mean(axis=1, keepdims=True)
+    return steps, steps.std(axis=1)
+
+
+def _explained(terms: Floats, values: Floats) -> Floats:
+    """What terms (T, N) explain of values (N,): least squares, by the normal equations, for there are few terms and
+    many values; terms that nearly depend on others count for nothing.
+    """
+    if not len(terms):
+        return np.zeros_like(values)
+    squares, directions = np.linalg.eigh(terms @ terms.T)
+    kept = squares > _ALIKE**2 * squares[-1]
+    along = (terms @ values) @ directions[:, kept] / squares[kept]
+    found: Floats = (directions[:, kept] @ along) @ terms
+    return found
 
 
 def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float) -> LevelSums:

@@ -12,9 +12,10 @@ from math import isfinite
 
 from calib.numerics import Image
 from hw.ahead import Ahead
+from hw.appointments import pace
 from hw.errors import DeviceError
 from hw.flashes import Flashes, Latency
-from hw.flight import Flight, pace
+from hw.flight import Flight
 from hw.rig import Frame, Rig
 from hw.timed_devices import TRIGGER_LAG_S, BufferedProjector, TriggeredCamera
 from hw.turns import Timing, Turns

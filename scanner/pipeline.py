@@ -226,7 +226,7 @@ def decode(
         for _, frame in progress.track(stream.frames, len(stream.patterns), what):
             add(frame.image, frame.exposure_us)
             exposures_us += [frame.exposure_us] if frame.exposure_us else []
-    ghost = decoder.ghost() if again else 0.0
+    ghost = decoder.ghost() if again else None
     if again and ghost:
         decoder = Decoder(stream.patterns, stream.projector_size, calibration, ghost=ghost)
         for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out a ghost"):

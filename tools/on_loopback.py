@@ -19,7 +19,7 @@ from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import place_room
 from hw.simulated.truth import true_calibration
-from scanner.commands.arguments import NAMED
+from scanner.commands.catalogue import NAMED
 from scanner.configuration import load_config
 from scanner.io import read_calibration, write_calibration
 from scanner.quantities import truth_line

@@ -22,13 +22,16 @@ SEQUENCES = (*PRESETS, "gray")
 class Capture:
     """Patterns and the frames (H, W) that show them; the projector's size (width, height) as it will be stated.
 
-    `jpeg`: quality at which the frames are saved; None for PNG.
+    `jpeg`: quality at which the frames are saved; None for PNG. `tint`: blue, green and red of a colour image, in parts
+    of the frames' levels; None for grey. `moved_px`: by how much all frames were moved, right and down.
     """
 
     patterns: tuple[Pattern, ...]
     frames: tuple[Image, ...]
     projector_size: tuple[int, int]
     jpeg: int | None = None
+    tint: tuple[float, float, float] | None = None
+    moved_px: tuple[float, float] = (0.0, 0.0)
 
     def replaced(self, frames: dict[int, Image]) -> "Capture":
         """The same with other frames in some places."""
@@ -44,9 +47,14 @@ class Capture:
         for number, (pattern, frame) in enumerate(zip(self.patterns, self.frames, strict=True)):
             file = f"frames/{number:03d}.{'png' if self.jpeg is None else 'jpg'}"
             quality = [cv2.IMWRITE_JPEG_QUALITY, self.jpeg] if self.jpeg is not None else []
-            cv2.imwrite(str(folder / file), frame, quality)
+            image = frame if self.tint is None else _tinted(frame, self.tint)
+            cv2.imwrite(str(folder / file), image, quality)
             lines.append(frame_line(file, pattern))
         (folder / CAPTURE_FILE).write_text("".join(lines), encoding="utf-8")
+
+
+def _tinted(frame: Image, tint: tuple[float, float, float]) -> Image:
+    return cast(Image, np.rint(frame[..., None] * np.array(tint)).astype(np.uint8))
 
 
 def patterns_of(sequence: str, projector_size: tuple[int, int]) -> tuple[Pattern, ...]:

@@ -1,20 +1,36 @@
 """What can be wrong with a capture, each at rising strength."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from conditions.captures import Capture, blended, brightened, inverses
+from conditions.changes import (
+    OfFrames,
+    Random,
+    compressed,
+    each_exposed,
+    exchanged,
+    finest_bit_twice,
+    inverted,
+    late,
+    late_rows,
+    one_frame,
+    phone,
+    repeated,
+    resampled,
+    shaken,
+    stated,
+    swapped,
+    tone_mapped,
+)
 from hw.simulated.simulation import SimulatedRoom
 from scanner.patterns import Pattern
 
 # The room of all conditions has 0.05; white in the camera's range reaches 0.85.
 AMBIENT = 0.05
-Random = np.random.Generator
 OfRig = Mapping[str, Any] | Callable[[Sequence[Pattern], Random], Mapping[str, Any]]
-OfFrames = Callable[[Capture, Random], Capture]
 
 
 @dataclass(frozen=True)
@@ -63,7 +79,8 @@ def _light() -> Iterator[Condition]:
         yield Condition("light switched on, +10 % of white", f"after {share:.0%}", _switched(share, 0.1))
     yield Condition("light switched on, +30 % of white", "after 50%", _switched(0.5, 0.3))
     for factor in (0.6, 1.4):
-        yield Condition("one frame brighter or darker", f"× {factor}", frames=_one_frame(factor))
+        yield Condition("one frame brighter or darker", f"× {factor}", frames=one_frame(factor))
+    yield Condition("each frame exposed differently", "up to × 3", frames=each_exposed(3.0))
 
 
 def _optics() -> Iterator[Condition]:
@@ -89,12 +106,22 @@ def _camera() -> Iterator[Condition]:
     for percent in (10, 30):
         yield Condition("saturated in white", f"{percent} % of lit pixels", exposure=_saturating(percent / 100))
     for quality in (95, 85, 70, 50):
-        yield Condition("JPEG", f"quality {quality}", frames=_compressed(quality))
+        yield Condition("JPEG", f"quality {quality}", frames=compressed(quality))
+    yield Condition("JPEG", "quality 85, colour, 4:2:0", frames=compressed(85, tint=(0.7, 1.0, 0.85)))
+    yield Condition("noise reduction and sharpening", "of a phone", frames=phone)
+    yield Condition("local tone mapping", "of a phone", frames=tone_mapped)
+    yield Condition("frames blurred by motion", "4 px", frames=shaken(4.0))
+    yield Condition("frames stabilised", "by (0.24, 0.18) px", frames=resampled((0.24, 0.18)))
+    yield Condition("frames stabilised", "each by up to 0.25 px", frames=resampled(0.25), moves=True)
+    yield Condition("camera of 12 bits", "20 × as many electrons", {"bit_depth": 12, "full_well_electrons": 210_000.0})
 
 
 def _scene() -> Iterator[Condition]:
     for width in (0.1, 0.2, 0.4):
         yield Condition("somebody goes past", f"{width} m wide", _passing(width))
+    for width in (0.1, 0.3):
+        for by in (0.01, 0.05, 0.3, 2.0):
+            yield Condition("a box is pushed", f"{width} m wide, by {by} m", _pushed(width, by))
     for angle in (2.0, 5.0):
         yield Condition("furniture askew", f"{angle:g}°", {"furniture_askew_deg": angle})
 
@@ -112,28 +139,25 @@ def _motion() -> Iterator[Condition]:
 def _picture() -> Iterator[Condition]:
     yield Condition("picture mirrored", rig={"panel": {"mirrored": True}})
     yield Condition("picture scaled", "80 %", {"panel": {"scale": 0.8}})
-    yield Condition("picture cropped", "of 120 %", {"panel": {"scale": 1.2}})
+    for percent in (103, 105, 120):
+        yield Condition("picture cropped", f"of {percent} %", {"panel": {"scale": percent / 100}})
     yield Condition("picture squeezed", "75 %", {"panel": {"squeeze": 0.75}})
     for percent in (5, 20):
         yield Condition("keystone", f"{percent} %", {"panel": {"keystone": percent / 100}})
     for factor in (0.9, 1.1):
-        yield Condition("projector's size stated", f"× {factor}", frames=_stated(factor), fault=True)
-    yield Condition("projector's size stated", "swapped", frames=_swapped, fault=True)
+        yield Condition("projector's size stated", f"× {factor}", frames=stated(factor), fault=True)
+    yield Condition("projector's size stated", "swapped", frames=swapped, fault=True)
 
 
 def _frames() -> Iterator[Condition]:
-    yield Condition("projector late in one frame", "half of it", frames=_late(0.5))
-    yield Condition("projector late in one frame", "all of it", frames=_late(1.0), fault=True)
-    yield Condition("two frames exchanged", frames=_exchanged, fault=True)
-    yield Condition("one frame repeated", frames=_repeated, fault=True)
-    yield Condition("a bit and its inverse exchanged", frames=_inverted, fault=True)
-
-
-def _compressed(quality: int) -> OfFrames:
-    def frames(capture: Capture, _: Random) -> Capture:
-        return replace(capture, jpeg=quality)
-
-    return frames
+    yield Condition("projector late in one frame", "half of it", frames=late(0.5))
+    yield Condition("projector late in one frame", "all of it", frames=late(1.0), fault=True)
+    for which in ("upper", "every second"):
+        yield Condition("rows with 25 % of the picture before", which, frames=late_rows(0.25, which))
+    yield Condition("finest bit shown twice", frames=finest_bit_twice, fault=True)
+    yield Condition("two frames exchanged", frames=exchanged, fault=True)
+    yield Condition("one frame repeated", frames=repeated, fault=True)
+    yield Condition("a bit and its inverse exchanged", frames=inverted, fault=True)
 
 
 def _saturating(share: float) -> Callable[[SimulatedRoom], float]:
@@ -155,6 +179,13 @@ def _passing(width_m: float) -> OfRig:
     def settings(patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
         first = int(rng.integers(2, len(patterns) - 6))
         return {"passer": {"width_m": width_m, "first_frame": first, "last_frame": first + 5}}
+
+    return settings
+
+
+def _pushed(width_m: float, by_m: float) -> OfRig:
+    def settings(patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
+        return {"pushed": {"width_m": width_m, "by_m": by_m, "frame": int(rng.integers(2, len(patterns)))}}
 
     return settings
 
@@ -181,55 +212,3 @@ def _drifting(device: str, px: float) -> OfRig:
         return {"drift": {"device": device, "px_per_frame": step, "direction_deg": float(rng.uniform(0, 360))}}
 
     return settings
-
-
-def _any_frame(capture: Capture, rng: Random) -> int:
-    """Not one of white and black, which are first."""
-    return int(rng.integers(3, len(capture.frames)))
-
-
-def _one_frame(factor: float) -> OfFrames:
-    def changed(capture: Capture, rng: Random) -> Capture:
-        frame = _any_frame(capture, rng)
-        return capture.replaced({frame: brightened(capture.frames[frame], factor)})
-
-    return changed
-
-
-def _late(share: float) -> OfFrames:
-    def changed(capture: Capture, rng: Random) -> Capture:
-        frame = _any_frame(capture, rng)
-        return capture.replaced({frame: blended(capture.frames[frame], capture.frames[frame - 1], share)})
-
-    return changed
-
-
-def _stated(factor: float) -> OfFrames:
-    def changed(capture: Capture, _: Random) -> Capture:
-        width, height = capture.projector_size
-        return replace(capture, projector_size=(round(factor * width), round(factor * height)))
-
-    return changed
-
-
-def _swapped(capture: Capture, _: Random) -> Capture:
-    return replace(capture, projector_size=capture.projector_size[::-1])
-
-
-def _exchanged(capture: Capture, rng: Random) -> Capture:
-    first, second = (int(frame) for frame in rng.choice(len(capture.frames), 2, replace=False))
-    return capture.replaced({first: capture.frames[second], second: capture.frames[first]})
-
-
-def _repeated(capture: Capture, rng: Random) -> Capture:
-    frame = _any_frame(capture, rng)
-    return capture.replaced({frame: capture.frames[int(rng.choice(frame))]})
-
-
-def _inverted(capture: Capture, rng: Random) -> Capture:
-    pairs = inverses(capture.patterns)
-    if not pairs:
-        frame = _any_frame(capture, rng)  # a code without inverses: turned over by the camera's software
-        return capture.replaced({frame: 255 - capture.frames[frame]})
-    shown, inverse = pairs[int(rng.integers(len(pairs)))]
-    return capture.replaced({shown: capture.frames[inverse], inverse: capture.frames[shown]})

@@ -1,7 +1,7 @@
 """What came of a capture, held against the truth: right, refused although it could be decoded, confident and wrong."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -25,13 +25,21 @@ _NUMBERS = 4
 class Truth:
     """Of a simulated capture: `projector_px` (H, W, 2), NaN where the picture does not reach; `calibration`.
 
-    `pinhole`: whether the projector is one, with square pixels. If not, only the camera's focal length is held against
-    the truth.
+    `moved_px`: of the frames, against `projector_px`. `pinhole`: whether the projector is one, with square pixels. If
+    not, only the camera's focal length is held against the truth.
     """
 
     projector_px: Floats
     calibration: Calibration
     pinhole: bool = True
+    moved_px: tuple[float, float] = (0.0, 0.0)
+
+    def moved(self, by_px: tuple[float, float]) -> "Truth":
+        """That of frames that were moved to the right and down, which moves the camera's principal point along."""
+        camera = self.calibration.camera
+        x, y = camera.principal_point_px
+        there = replace(camera, principal_point_px=(x + by_px[0], y + by_px[1]))
+        return replace(self, calibration=replace(self.calibration, camera=there), moved_px=by_px)
 
     @property
     def lit(self) -> Bools:
@@ -85,7 +93,7 @@ def match_errors(matches: Matches, truth: Truth) -> Floats:
 
 def _expected_px(matches: Matches, truth: Truth) -> Floats:
     """What should have been matched, (N, 2), NaN at edges and where nothing is lit."""
-    places = np.asarray(matches.camera_px, np.float64).T[::-1]
+    places = (np.asarray(matches.camera_px, np.float64) - truth.moved_px).T[::-1]
     expected = [ndimage.map_coordinates(truth.projector_px[..., axis], places, order=1, cval=np.nan) for axis in (0, 1)]
     return np.stack(expected, axis=1)
 

@@ -90,7 +90,8 @@ def captured(condition: Condition, setup: Setup) -> tuple[Capture, Truth]:
     capture = take(room, patterns, condition.exposed(room))
     if condition.frames is not None:
         capture = condition.frames(capture, rng)
-    return capture, _truth(*seen, tuple(settings.get("panel", {}).items()))
+    truth = _truth(*seen, tuple(settings.get("panel", {}).items()))
+    return capture, truth.moved(capture.moved_px) if any(capture.moved_px) else truth
 
 
 def named(name: str, strength: str) -> Condition:

@@ -5,7 +5,7 @@ each measurement as signed amounts, so that what they do to two faces, or to bot
 it is.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,12 +14,13 @@ from scipy.linalg import block_diag
 
 from calib.diagnostics.smooth_errors import smooth_error_px, smooth_modes
 from calib.diagnostics.uncertainty import Uncertainty, moved_calibration
-from calib.geometry import Calibration, Matches, intersect
-from calib.numerics import Floats, Ints
+from calib.geometry import Calibration, Matches, intersect, midpoints
+from calib.numerics import Floats, Ints, in_slices
 from calib.pointcloud import Plane, by_projector_px
 
 _STEP_PX = 0.01  # of a projector pixel, for derivatives
-_AT_ONCE = 20_000  # points, whose derivatives are large
+_AT_ONCE = 4096  # points, whose derivatives are large
+_MOST_FOLLOWED = 8192  # about so many, through the errors of a calibration
 _RULER = 0.03  # half its length, as a share of its distance
 
 
@@ -59,6 +60,10 @@ class Spread:
         return Spread(
             jacobian @ self.scatter @ jacobian.T, jacobian @ self.smooth @ jacobian.T, jacobian @ self.systematic
         )
+
+    def part(self, which: slice) -> "Spread":
+        """Of some of the numbers, whatever those of the others are."""
+        return Spread(self.scatter[which, which], self.smooth[which, which], self.systematic[which])
 
     def budget(self, index: int = 0) -> Budget:
         """Of one of the numbers."""
@@ -134,13 +139,24 @@ class SystematicErrors:
     def of_points(self, matches: Matches, points: Floats) -> Floats:
         """What each cause of one sigma does to triangulated points (N, 3): (N, 3, S), in their unit."""
         moved = points[:, :, None] * self.log_scale
-        if self.uncertainty is not None:
-            count = len(self.uncertainty.along.probability)
-            for cause, (calibration, root) in enumerate(self._along):
-                moved[:, :, cause] += root * (intersect(matches, calibration).points - points)
-            for cause, (ahead, behind) in enumerate(self._across, start=count):
-                moved[:, :, cause] += (intersect(matches, ahead).points - intersect(matches, behind).points) / 2
+        for cause, by_calibration in self._by_calibration(matches, points):
+            moved[:, :, cause] += by_calibration.T
         return moved
+
+    def along(self, direction: Floats, matches: Matches, points: Floats) -> Floats:
+        """The same along a `direction` (N, 3) for each point: (S, N)."""
+        toward = direction.T
+        moved: Floats = self.log_scale[:, None] * np.einsum("in,in->n", toward, points.T)
+        for cause, by_calibration in self._by_calibration(matches, points):
+            moved[cause] += np.einsum("in,in->n", toward, by_calibration)
+        return moved
+
+    def _by_calibration(self, matches: Matches, points: Floats) -> Iterator[tuple[int, Floats]]:
+        """What causes, by number, do to points (3, N) by way of the calibration alone."""
+        for cause, (calibration, root) in enumerate(self._along):
+            yield cause, root * (midpoints(matches, calibration) - points.T)
+        for cause, (ahead, behind) in enumerate(self._across, start=len(self._along)):
+            yield cause, (midpoints(matches, ahead) - midpoints(matches, behind)) / 2
 
     def of_function(self, function: Callable[[Calibration], Floats]) -> Floats:
         """What each cause of one sigma does to numbers (…) that follow from a calibration: (…, S)."""
@@ -222,20 +238,40 @@ def spread_of_fit(fit: LinearFit, matches: Matches, errors: SystematicErrors, of
     met = intersect(matches, errors.calibration)
     modes = smooth_modes(matches.camera_px)
     smooth_px = smooth_error_px(met.residual_px, modes, fit.cluster)
-    systematic = np.zeros((len(influence), len(errors.log_scale)))
-    by_modes = np.zeros((len(influence), 2, modes.shape[1]))
-    for start in range(0, len(matches), _AT_ONCE):
-        at = slice(start, start + _AT_ONCE)
-        part = matches[at]
-        moved = errors.of_points(part, met.points[at])
-        systematic += influence[:, at] @ np.einsum("ni,nij->nj", direction[at], moved)
+
+    chosen, weight = _thinned(influence, fit.cluster)
+
+    def of_piece(at: slice) -> tuple[Floats, Floats]:
+        some = chosen[at]
+        part, by, toward = matches[some], weight[:, at], direction[some]
         by_px = by_projector_px(part, errors.calibration, np.full(len(part), _STEP_PX))
-        toward = np.einsum("ni,nia->na", direction[at], by_px)
-        by_modes += np.einsum("pn,na,nk->pak", influence[:, at], toward, modes[at], optimize=True)
+        along_px = np.einsum("ni,nia->na", toward, by_px)
+        by_modes = np.einsum("pn,na,nk->pak", by, along_px, modes[some], optimize=True)
+        return by @ errors.along(toward, part, met.points[some]).T, by_modes
+
+    pieces = in_slices(len(chosen), _AT_ONCE, of_piece)
+    systematic, by_modes = (np.sum(part, axis=0) for part in zip(*pieces, strict=True))
     flat = by_modes.reshape(len(influence), -1)
     if offsets is not None:
         systematic[:, -2] += influence @ offsets
     return Spread(fit.scatter, smooth_px**2 * flat @ flat.T, systematic)
+
+
+def _thinned(influence: Floats, cluster: Ints) -> tuple[Ints, Floats]:
+    """Some points, which stand for their neighbours in a cluster: their numbers (C,), and the sum of the influence of
+    those that each stands for (P, C).
+
+    What systematic causes do varies smoothly over a surface, and hardly within a cluster.
+    """
+    count = influence.shape[1]
+    together = -(-count // _MOST_FOLLOWED)
+    order = np.argsort(cluster, kind="stable")
+    ordered = cluster[order]
+    begins = np.flatnonzero(np.diff(ordered, prepend=ordered[0] - 1))
+    within = np.arange(count) - np.repeat(begins, np.diff(begins, append=count))
+    starts = np.flatnonzero(within % together == 0)
+    middles = (starts + np.append(starts[1:], count) - 1) // 2
+    return order[middles], np.add.reduceat(influence[:, order], starts, axis=1)
 
 
 def spread_of_vertex(planes: Sequence[Plane], spreads: Sequence[Spread]) -> tuple[Floats, Spread]:

@@ -46,7 +46,8 @@ def run(args: Namespace) -> None:
     chosen = _only_one(files, found, rejected)
     if args.layout is None:
         terminal.show(_table(chosen, found, rejected))
-    left_out = f"; left out: {', '.join(path.name for path in files.left_out)}" if files.left_out else ""
+    unused = [*files.left_out, *(path for path in files.numbered if path not in chosen.files)]
+    left_out = f"; left out: {', '.join(path.name for path in unused)}" if unused else ""
     terminal.show(f"{files}: {chosen.layout.title}, {_shown(chosen.projector_size)} ({chosen.how}){left_out}")
     if output is None:
         return

@@ -125,10 +125,12 @@ class AxisDecoder:
             at_black, per_level = np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)
             _amplitude(cosine, sine, signals.middle, at_black, per_level, powers[k], variances[k])
             self._position(k, cosine, sine, positions[k])
+            del cosine, sine
         wrapped = Wrapped(positions, variances)
         orders = unwrap(self.plan, interval, wrapped, self.tolerances)
         if self.plan.corrects_bits:
             let_fringes_decide(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
+        del wrapped, positions
         against = np.empty(len(signals.middle), np.uint8)
         note_codes(interval.outside, interval.contradictory, against)
         note_orders(orders.agree, orders.unique, against)
@@ -165,8 +167,10 @@ class AxisDecoder:
     def _from_fringes(self, signals: Signals) -> Coordinate:
         measured = self.measure(signals)
         coordinates, variances = measured.orders.coordinates, measured.variances
+        reason, brightness = reasons_of(measured.against), log_amplitude(measured.powers[self.finest])
+        usable = measured.certain
+        del measured  # a third of what decoding a tile takes in memory
         if len(coordinates) > 1:
-            usable = measured.certain
             for fringe, variance in zip(self.plan.fringes, variances, strict=True):
                 usable &= variance <= np.float32(largest_variance(fringe))
             periods = [fringe.period for fringe in self.plan.fringes]
@@ -174,10 +178,8 @@ class AxisDecoder:
         value, variance = coordinates[0].copy(), variances[0].copy()
         for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
             _average_in(of_fringe, own_variance, value, variance)
-        reason = reasons_of(measured.against)
         centre, reach = np.float32((self.plan.length - 1) / 2), np.float32(self.plan.length / 2 + _EDGE_PX)
         _note_beyond(value, centre, reach, np.uint8(MaskReason.OUTSIDE), reason)
-        brightness = log_amplitude(measured.powers[self.finest])
         if signals.log_exposure is not None:
             brightness -= signals.log_exposure
         shape = signals.shape

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image
+from calib.numerics import Image, compiled
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Component, Floats32, Words
 from scanner.decoding.light.equalise import Correction
@@ -44,7 +44,7 @@ class Signals:
         """The components A cos θ and A sin θ of a fringe in grey levels, (P,) each."""
         levels = np.empty((2, *self.shape), np.float32)
         for of_component, component in zip(levels, self.components[number], strict=True):
-            np.multiply(component, np.float32(self.scales[number]), out=of_component, dtype=np.float32)
+            _in_levels(component, np.float32(self.scales[number]), of_component)
         cosine, sine = levels.reshape(2, -1)
         correction = self.corrections[number]
         if correction is None:
@@ -91,3 +91,13 @@ def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:
     for row, image in zip(stack, images, strict=True):
         row[:] = image
     return stack.reshape(len(images), shape[0] * shape[1])
+
+
+@compiled
+def _in_levels(component: Component, scale: np.float32, levels: Floats32) -> None:
+    """A component (H, W) of whole numbers, or others, times its scale."""
+    height, width = component.shape
+    for row in range(height):
+        of_row, into = component[row], levels[row]
+        for i in range(width):
+            into[i] = scale * np.float32(of_row[i])

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Image
-from scanner.decoding.accumulators import Accumulators, GrayFold
+from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.axis_decoder import least_contrasts
 from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.codes.gray_code import cell_numbers
+from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.errors import InputError
 

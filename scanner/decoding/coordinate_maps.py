@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Ints, in_parallel
+from calib.numerics import Bools, Ints, compiled, in_parallel
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
@@ -21,6 +21,7 @@ from scanner.decoding.tiles import in_tiles, widened
 _HALO = 2 * BLOCK_PX
 _TILE_PX = 48
 _MOST_TILES = 48
+_HALF, _UNKNOWN = np.float32(0.5), np.float32(np.nan)
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,13 @@ class Maps:
     footprint_px2: float = 0.0
 
 
-def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Maps:
-    """Both coordinates of all pixels. Without fringes, what is not smooth is left as it is: cells have steps."""
+def coordinate_maps(
+    accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder], moved: Bools | None = None
+) -> Maps:
+    """Both coordinates of all pixels. Without fringes, what is not smooth is left as it is: cells have steps.
+
+    `moved` (H, W): where something did, which is masked.
+    """
     plan, (height, width) = accumulators.plan, accumulators.middle.shape
     footprint_px2 = _footprint(accumulators, decoders)
     projector_px, variance = np.empty((height, width, 2), np.float32), np.empty((height, width), np.float32)
@@ -52,23 +58,47 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         tile, wide, own = (rows, columns), (wide_rows, wide_columns), (own_rows, own_columns)
         # By `map`, which lets go of the signals of x before it takes those of y.
         found = list(map(AxisDecoder.decode, decoders, signals_of(accumulators, lambda image: image[wide])))
+        if moved is not None:
+            for c in found:
+                np.copyto(c.reason, np.uint8(MaskReason.MOVED), where=moved[wide] & (c.reason != MaskReason.DARK))
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
         for c in found:
             if c.log_amplitude is not None:
                 straighten(c.value, c.variance, c.log_amplitude, kept, footprint_px2)
-            np.copyto(c.value, np.float32(np.nan), where=~kept)
+            _forget(c.value.ravel(), kept.ravel())
         if plan.fringes:
             np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
-        for axis, coordinate in enumerate(found):
-            projector_px[*tile, axis] = coordinate.value[own]
+        x, y = (c.value[own] for c in found)
         measured = [c.variance[own] for c, axis in zip(found, plan.axes, strict=True) if axis.is_measured]
-        variance[tile] = np.float32(1 / len(measured)) * sum(measured)
+        _note(x, y, measured[0], measured[-1], projector_px[tile], variance[tile])
         reasons[tile] = reason[own]
         return np.stack([count_reasons(c.reason[own], CONTRADICTIONS) for c in found])
 
     counts = np.sum(in_tiles((height, width), decode), axis=0)
     return Maps(projector_px, variance, reasons, counts, footprint_px2)
+
+
+@compiled
+def _forget(value: Floats32, kept: Bools) -> None:
+    """NaN in place of the values (P,) that are not kept."""
+    for i in range(len(value)):
+        value[i] = value[i] if kept[i] else _UNKNOWN
+
+
+@compiled
+def _note(
+    x: Floats32, y: Floats32, first: Floats32, second: Floats32, projector_px: Floats32, variance: Floats32
+) -> None:
+    """Both coordinates, and the mean of two variances; (H, W), (H, W, 2)."""
+    height, width = x.shape
+    for row in range(height):
+        of_x, of_y, of_first, of_second = x[row], y[row], first[row], second[row]
+        px, mean = projector_px[row], variance[row]
+        for i in range(width):
+            px[i, 0], px[i, 1] = of_x[i], of_y[i]
+        for i in range(width):
+            mean[i] = _HALF * (of_first[i] + of_second[i])
 
 
 def _first_reason(coordinates: list[Coordinate]) -> Reasons:

@@ -6,6 +6,7 @@ to be chosen: noise, saturation and tolerances are measured from the capture.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import hypot
 from typing import cast
 
 import cv2
@@ -22,23 +23,26 @@ from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.checks.roughness import check_roughness, widen_by_roughness
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import coordinate_maps
+from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
 from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
-from scanner.decoding.light.ghost import GhostRemover, ghost_share
+from scanner.decoding.light.ghost import Ghost, GhostRemover, find_ghost
 from scanner.decoding.light.noise_model import NoiseModel, needs_neighbours
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.light_switch import LightRemover, LightSwitch
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.memory import refuse_more_than_there_is
 from scanner.decoding.motion import (
+    CoarseFrames,
     MotionFound,
     TileSample,
     blaming_motion,
     blaming_shifts,
+    mask_broken,
     remarks_on,
 )
 from scanner.decoding.one_axis import one_axis
@@ -87,8 +91,8 @@ class Decoder:
 
     Where each pattern follows itself as often as every other, its frames are those of several exposures, white first.
 
-    Given the rig's calibration, patterns along one axis are enough. `ghost`: the share of the picture before that each
-    frame shows. `switch`: of light that is taken out, once all frames were measured. Raises InputError if the patterns
+    Given the rig's calibration, patterns along one axis are enough. `ghost`: of the picture before, which is taken out.
+    `switch`: of light that is taken out, once all frames were measured. Raises InputError if the patterns
     do not determine both coordinates of a projector of (width, height) pixels.
     """
 
@@ -98,7 +102,7 @@ class Decoder:
         projector_size: tuple[int, int],
         calibration: Calibration | None = None,
         *,
-        ghost: float = 0.0,
+        ghost: Ghost | None = None,
         switch: LightSwitch | None = None,
     ) -> None:
         once, repeats = exposures_of(patterns)
@@ -111,7 +115,7 @@ class Decoder:
         self._count = 0
         self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
         self._projector_size = projector_size
-        self._held: tuple[Accumulators, Sample, TileSample] | None = None
+        self._held: tuple[Accumulators, Sample, TileSample, CoarseFrames] | None = None
         self._lit: EvenlyLit | None = None
         self._texture: Image | None = None
 
@@ -142,31 +146,32 @@ class Decoder:
             refuse_more_than_there_is(shape)
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
             accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape), sample.pixels)
-            self._held = accumulators, sample, TileSample(shape)
+            self._held = accumulators, sample, TileSample(shape), CoarseFrames(shape)
             halves = halves_of(self._plan)
             self._lit = EvenlyLit(halves, shape) if halves else None
-        accumulators, sample, tiles = self._held
+        accumulators, sample, tiles, coarse = self._held
         number = self._plan.shown[self._count]
         if number in self._of_fringes:
             tiles.add(self._count, grey)
         # A pattern that was shown before is a witness of what has changed since, and nothing else.
         if number not in self._plan.shown[: self._count]:
             sample.add(grey)
+            coarse.add(grey)
             accumulators.add(number, grey)
             if self._lit is not None:
                 self._lit.add(number, grey)
             self._note_texture(image, number)
         self._count += 1
 
-    def ghost(self) -> float:
-        """The share of the picture before that all frames were found to show, before they are decoded; 0 if none was.
+    def ghost(self) -> Ghost | None:
+        """What the frames were found to show of the picture before, before they are decoded.
 
         It takes another decoder, that is told of it, to take it out.
         """
         if self._held is None or self._count < len(self._plan.shown) or self._ghost or self._merger is not None:
-            return 0.0
-        accumulators, sample, _ = self._held
-        return ghost_share(self._plan, sample.levels, saturation_level(accumulators.peak))
+            return None
+        accumulators, sample, *_ = self._held
+        return find_ghost(self._plan, sample.levels, saturation_level(accumulators.peak))
 
     def finish(self, *, once_more: bool = False) -> Decoding:
         """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence.
@@ -180,17 +185,21 @@ class Decoder:
             )
         if self._held is None or self._texture is None:
             raise RuntimeError("this decoder has finished already")
-        (accumulators, sample, tiles), self._held = self._held, None
+        (accumulators, sample, tiles, coarse), self._held = self._held, None
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
-        seen = look(accumulators, sample, tiles, self._projector_size)
-        del tiles
+        seen = look(accumulators, sample, tiles, coarse, self._projector_size)
+        del tiles, coarse
         oddities: list[Oddity] = []
         with blaming_motion(lambda: seen.motion, seen.broken):
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities, once_more=once_more and not self._mended)
                 del sample
-                maps = coordinate_maps(accumulators, learnt.decoders)
+                maps = coordinate_maps(
+                    accumulators, learnt.decoders, None if seen.unrest is None else seen.unrest.moved
+                )
+                if seen.unrest is not None:
+                    mask_broken(accumulators.plan, maps)
                 leave_out_stray_light(accumulators, maps)
                 check_roughness(accumulators.plan, maps)
                 widen_by_roughness(accumulators.plan, maps)
@@ -225,7 +234,7 @@ class Decoder:
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,
             footprint_px2=maps.footprint_px2,
-            smooth_px=smooth_error_px(plan.fringes),
+            smooth_px=hypot(smooth_error_px(plan.fringes), between_periods_px(plan, motion)),
         )
 
     @property
@@ -237,10 +246,8 @@ class Decoder:
             said = self._switch.said(self._plan)
             yield f"{said[0].upper()}{said[1:]}, and was taken out. Better: leave the room's light as it is."
         if self._ghost:
-            yield (
-                f"Each frame shows {self._ghost:.0%} of the picture before it, which was taken out. Let the camera "
-                "wait longer for the projector."
-            )
+            said = self._ghost.said(self._plan)
+            yield f"{said[0].upper()}{said[1:]}, which was taken out. Let the camera wait longer for the projector."
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.shown):

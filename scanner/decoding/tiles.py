@@ -1,12 +1,13 @@
 """Work on an image part by part: what lies between stays in the processor's cache, and all processors take part."""
 
 from collections.abc import Callable
+from math import ceil
 from typing import TypeVar
 
 from calib.numerics import in_parallel, in_slices
 
 # Larger ones would cost memory, smaller ones time between the loops: the interpreter serves one thread only.
-_TILE_PX = (128, 816)
+_TILE_PX = (112, 816)
 
 Result = TypeVar("Result")
 
@@ -23,7 +24,9 @@ def in_tiles(shape: tuple[int, int], work: Callable[[slice, slice], Result]) -> 
 
 
 def _parts(size: int, most: int) -> list[slice]:
-    return [slice(start, min(start + most, size)) for start in range(0, size, most)]
+    """Parts of nearly the same size, an even one but for the last."""
+    length = 2 * ceil(size / ceil(size / most) / 2)
+    return [slice(start, min(start + length, size)) for start in range(0, size, length)]
 
 
 def widened(part: slice, by: int, size: int) -> tuple[slice, slice]:

@@ -16,6 +16,9 @@ _DECIDED, _MOST_MISFIT = 0.05, 0.15
 _FEWEST = 200
 _FEWEST_CERTAIN = 0.3
 _FINEST = 2  # bits that a camera may not resolve
+# Levels of a frame next to half-way between black and white, in swings: its darkest and brightest pixels; stripes that
+# are hardly resolved, and neither black nor white.
+_ENDS, _FAINT, _NEITHER = (0.1, 0.9), 0.5, 0.45
 _LEAST_OF_EACH = 0.02
 _SMOOTHED = (5, 5)
 _STEPS_OF_CYCLE = 128  # a projector's gamma bends fringes of three steps by hundredths of a cycle
@@ -88,8 +91,10 @@ def _codes(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Coordin
     number, certain, before = np.zeros(lit.shape), lit.copy(), np.zeros(lit.shape, np.bool_)
     for bit in range(bits):
         normal, inverse = shown.get((bit, False)), shown.get((bit, True))
-        bright = middle if normal is None else levels[normal]
-        dark = middle if inverse is None else levels[inverse]
+        alone = inverse if normal is None else normal
+        half_way = middle if alone is None else middle + _above_middle(samples, levels[alone], middle)
+        bright = half_way if normal is None else levels[normal]
+        dark = half_way if inverse is None else levels[inverse]
         one, decided = bright > dark, np.abs(bright - dark) > _DECIDED * samples.swing
         if bit < bits - _FINEST:
             certain &= decided
@@ -100,6 +105,19 @@ def _codes(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Coordin
     if np.count_nonzero(certain) < max(_FEWEST, _FEWEST_CERTAIN * np.count_nonzero(lit)):
         return f"the bits of {axis} are neither bright nor dark at {1 - certain.sum() / lit.sum():.0%} of the pixels"
     return Coordinates(number, certain)
+
+
+def _above_middle(samples: Samples, frame: Floats, middle: Floats) -> Floats:
+    """How far above the middle (H, W) a bit is decided that has no inverse: half-way between its own two levels.
+
+    Where a camera's curve is bent, stripes that it does not resolve are brighter than half-way between black and white.
+    """
+    relative = ((frame - middle) / np.maximum(samples.swing, 1e-6))[samples.lit]
+    dark, bright = np.quantile(relative, _ENDS)
+    between: Floats = (dark + bright) / 2 * samples.swing
+    # A bit that is alike everywhere is either dark or bright, and a coarse one is decided by the middle as well.
+    is_fine = bright - dark < _FAINT and max(abs(dark), abs(bright)) < _NEITHER
+    return between if is_fine else np.zeros_like(between)
 
 
 def _is_constant(bits: Bools) -> bool:

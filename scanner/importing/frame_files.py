@@ -2,9 +2,10 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Hashable, Iterable
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 
 from scanner.errors import InputError
@@ -13,6 +14,9 @@ from scanner.io import SUFFIXES
 _FEWEST = 3
 _LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
 _NUMBER = re.compile(r"\d+")
+# A moment, down to the second or finer, with whatever is between its parts.
+_MOMENT = re.compile(r"(?<!\d)(?:19|20)\d\d(?:[-_.]?\d\d){2}\D{1,4}\d\d(?:[-_.:h]?\d\d){2}(?:[-_.,]?\d{1,6})?(?!\d)")
+_COPY = re.compile(r" ?\(#\)(?=\.)")  # of a file of the same name
 _NAMES = {"white": ("white", "lit", "light", "on"), "black": ("black", "unlit", "dark", "off")}
 
 
@@ -26,6 +30,11 @@ class FrameFiles:
     black: Path | None = None
     left_out: tuple[Path, ...] = ()
 
+    def without(self, frames: Collection[Path]) -> "FrameFiles":
+        """The same with some of the numbered frames left out."""
+        kept = tuple(path for path in self.numbered if path not in frames)
+        return replace(self, numbered=kept, left_out=(*self.left_out, *frames))
+
     def __str__(self) -> str:
         named = [path.name for path in (self.white, self.black) if path]
         return " and ".join([f"{len(self.numbered)} frames, {_span(self.numbered)}", *named])
@@ -34,15 +43,18 @@ class FrameFiles:
 def find_frames(folder: Path, pattern: str | None = None) -> FrameFiles:
     """The frames in a folder, or in its only sub-folder that has images; of all names only those like `pattern`.
 
-    A series is what differs in its last number only, or else in its numbers; numbers may be missing, and have any
-    number of digits. Raises InputError where there is no series of at least three, or more than one.
+    A series is what differs in its last number only, or else in its numbers, or in the moment that its names tell;
+    numbers may be missing, and have any number of digits. Raises InputError where there is no series of at least three,
+    or more than one.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder with images, found {'a file' if folder.exists() else 'nothing'}")
     place, images = _place_of_images(folder, pattern or "*")
-    series = _largest(images, lambda path: _shape(_LAST_NUMBER, path)) or _largest(
-        images, lambda path: _shape(_NUMBER, path)
-    )
+    last, every, moments = (_largest(images, partial(_shape, part)) for part in (_LAST_NUMBER, _NUMBER, _MOMENT))
+    series = last or every
+    # Names that are moments have a series of last numbers for each minute.
+    if len(moments) == 1 and series and len(moments[0]) > len(series[0]):
+        series = moments
     if not series:
         names = ", ".join(path.name for path in images[:5])
         raise InputError(
@@ -54,10 +66,11 @@ def find_frames(folder: Path, pattern: str | None = None) -> FrameFiles:
             f"{place}: expected the frames of one camera, found several series: {found}; name one, as with "
             f"--frames '{_LAST_NUMBER.sub('*', series[0][0].name)}'"
         )
-    rest = [path for path in images if path not in series[0]]
+    frames = [*_without_number(images, series[0]), *series[0]]
+    rest = [path for path in images if path not in frames]
     white, black = (_named(rest, role) for role in ("white", "black"))
     left_out = tuple(path for path in rest if path not in (white, black))
-    return FrameFiles(place, tuple(series[0]), white, black, left_out)
+    return FrameFiles(place, tuple(frames), white, black, left_out)
 
 
 def _place_of_images(folder: Path, pattern: str) -> tuple[Path, list[Path]]:
@@ -102,6 +115,13 @@ def _largest(paths: Iterable[Path], key: Callable[[Path], Hashable | None]) -> l
             groups[of_path].append(path)
     most = max((len(group) for group in groups.values()), default=0)
     return [group for group in groups.values() if len(group) == most >= _FEWEST]
+
+
+def _without_number(images: Iterable[Path], series: list[Path]) -> list[Path]:
+    """The first of a series like 'frame.png', 'frame (1).png', 'frame (2).png'."""
+    shape = _shape(_LAST_NUMBER, series[0])
+    name = None if shape is None or not _COPY.search(shape) else _COPY.sub("", shape)
+    return [path for path in images if path.stem + path.suffix.lower() == name]
 
 
 def _named(paths: Iterable[Path], role: str) -> Path | None:

@@ -59,25 +59,33 @@ def objection(samples: Samples, patterns: Sequence[Pattern]) -> Objection | None
             return Objection(Stage.SIGNALS, seen)
         if seen is not None:
             found[axis] = seen
-    return _scattered(found) or (_along_the_other(found) if len(found) == 1 else _nonsense(samples, found))
+    # Seen in a mirror, x before y looks like y before x, seen from the side.
+    may_be_turned = len(found) > 1 and next(p.axis for p in patterns if not isinstance(p, White | Black)) == "x"
+    against = None if may_be_turned else _along_the_other(found)
+    return _scattered(found) or against or (_nonsense(samples, found) if len(found) > 1 else None)
 
 
 def _along_the_other(found: dict[Axis, Coordinates]) -> Objection | None:
     """Devices stand roughly upright: x grows along the camera's rows, y along its columns."""
-    ((axis, seen),) = found.items()
-    across, down = (float(np.median(np.abs(after - before))) for before, after in _beside(seen.values, seen.certain))
-    if (across < down) == (axis == "x"):
-        return Objection(Stage.GEOMETRY, f"the stripes run the other way than those of {axis}")
+    for axis, seen in found.items():
+        farthest = _MOST_APART * _spread(seen)
+        steps = [np.abs(after - before) for before, after in _beside(seen.values, seen.certain)]
+        across, down = (float(np.mean(np.minimum(step, farthest))) if len(step) else 0.0 for step in steps)
+        if (across < down) == (axis == "x"):
+            return Objection(Stage.GEOMETRY, f"the stripes run the other way than those of {axis}")
     return None
 
 
 def _scattered(found: dict[Axis, Coordinates]) -> Objection | None:
     for axis, seen in found.items():
-        spread = float(np.ptp(np.percentile(seen.values[seen.certain], (5, 95))))
         steps = np.concatenate([np.abs(after - before) for before, after in _beside(seen.values, seen.certain)])
-        if not len(steps) or np.median(steps) > max(_MOST_APART * spread, 1.0):
+        if not len(steps) or np.median(steps) > max(_MOST_APART * _spread(seen), 1.0):
             return Objection(Stage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
     return None
+
+
+def _spread(seen: Coordinates) -> float:
+    return float(np.ptp(np.percentile(seen.values[seen.certain], (5, 95))))
 
 
 def _nonsense(samples: Samples, found: dict[Axis, Coordinates]) -> Objection | None:

@@ -11,6 +11,8 @@ from scanner.patterns import Black, Gray, Pattern, Phase, White
 
 Size = tuple[int, int]
 _BITS = range(4, 14)
+# A longer series is no capture, and not read: both axes with all bits, inverses, white and black, and one twice.
+MOST_FRAMES = 4 * max(_BITS) + 3
 _MOST_APART = 4  # bits of the longer axis beyond those of the shorter
 
 
@@ -38,7 +40,7 @@ class Layout:
     """Whose order of frames it is (`name`, `title`), where that can be read (`source`), and the order itself.
 
     `sequences`: of each variant. `needs`: which fields of `Given` the frames cannot tell. `settings`: what a file
-    beside the frames says. `names`: the patterns, where the frames' names tell them.
+    beside the frames says. `names`: the patterns, where the frames' names tell them. `last`: tried if no other fits.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Layout:
     needs: tuple[Literal["projector_size", "cell"], ...] = ()
     settings: Callable[[Path], Given] = lambda _: Given()
     names: Callable[[tuple[Path, ...]], tuple[Pattern, ...]] | None = None
+    last: bool = False
 
     def lacks(self, given: Given) -> bool:
         """Whether something is needed that is not given."""
@@ -69,9 +72,11 @@ class Candidate:
     for_size: Callable[[Size], tuple[Pattern, ...]]
 
 
-def candidates(layout: Layout, files: FrameFiles, given: Given) -> Iterator[Candidate]:
-    """All that a layout has for so many frames."""
-    if layout.names is not None:
+def candidates(
+    layout: Layout, files: FrameFiles, given: Given, missing: tuple[Pattern, ...] = ()
+) -> Iterator[Candidate]:
+    """All that a layout has for so many frames, if those of the patterns that are `missing` were not taken."""
+    if layout.names is not None and not missing:
         yield from _by_name(layout.names(files.numbered), files, given)
     cell = given.cell or 1
     known = given.projector_size is not None and not layout.lacks(given)
@@ -80,7 +85,8 @@ def candidates(layout: Layout, files: FrameFiles, given: Given) -> Iterator[Cand
     for sequence, size in product(layout.sequences, sizes):
 
         def for_size(size: Size, sequence: SequenceOf = sequence) -> tuple[Pattern, ...]:
-            return _beside(files, sequence(size, cell, len(files.numbered)))
+            whole = sequence(size, cell, len(files.numbered) + len(missing))
+            return _beside(files, tuple(pattern for pattern in whole if pattern not in missing))
 
         paths, patterns = _paths(files), for_size(size)
         kind = patterns if known else tuple(map(_unsized, patterns))

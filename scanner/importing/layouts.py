@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from scanner.importing.layout import Given, Layout, SequenceOf, Size
-from scanner.importing.orders import bits_of, fringe, gray_bits, pairs, with_ends, x_and_y
+from scanner.importing.orders import bits_of, fringe, gray_bits, other_gray_orders, pairs, with_ends, x_and_y
 from scanner.io import read_text
 from scanner.patterns import Axis, Black, Gray, Pattern, White
 
@@ -174,5 +174,12 @@ LAYOUTS = (
         "https://github.com/jakobwilm/slstudio, src/codec/CodecPhaseShiftNStep.cpp, pstools.cpp",
         tuple(_slstudio_fringes(8, 9, *axes) for axes in _BOTH),
         needs=("projector_size",),
+    ),
+    Layout(
+        "gray",
+        "Gray code in another order",
+        "docs/import.md",
+        other_gray_orders(),
+        last=True,
     ),
 )

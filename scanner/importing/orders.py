@@ -1,6 +1,8 @@
 """Pieces of which the orders of frames are made."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import product
 from math import ceil, log2
 
 from scanner.importing.layout import SequenceOf, Size
@@ -65,3 +67,52 @@ def with_ends(
     found = [placed((), ends) for ends in ENDS] if last else []
     found += [placed(ends, ()) for ends in ENDS] if first else []
     return (*found, *([sequence] if without else []))
+
+
+def other_gray_orders() -> tuple[SequenceOf, ...]:
+    """Gray codes in all other orders that people think of: of both axes, in either order, or of one; the coarsest bit
+    first or the finest; inverses behind each bit, behind those of an axis, behind all, or none; white and black as in
+    `with_ends`.
+    """
+    axes: tuple[tuple[Axis, ...], ...] = (("x", "y"), ("y", "x"), ("x",), ("y",))
+    found: list[SequenceOf] = []
+    for chosen, arranged, fine_first in product(axes, (_by_bit, _by_axis, _at_the_end, _none), (False, True)):
+
+        def sequence(
+            size: Size,
+            cell: int,
+            frames: int,
+            chosen: tuple[Axis, ...] = chosen,
+            arranged: Arrangement = arranged,
+            fine_first: bool = fine_first,
+        ) -> tuple[Pattern, ...]:
+            del frames
+            of_axes = [[*gray_bits(axis, dict(x_and_y(size))[axis], cell, inverses=False)] for axis in chosen]
+            return arranged([bits[::-1] if fine_first else bits for bits in of_axes])
+
+        found += with_ends(sequence, first=True, last=True, without=True)
+    return tuple(found)
+
+
+Arrangement = Callable[[list[list[Gray]]], tuple[Pattern, ...]]
+
+
+def _inverted(bits: list[Gray]) -> list[Gray]:
+    return [replace(bit, inverted=True) for bit in bits]
+
+
+def _by_bit(axes: list[list[Gray]]) -> tuple[Pattern, ...]:
+    return tuple(one for bits in axes for pair in zip(bits, _inverted(bits), strict=True) for one in pair)
+
+
+def _by_axis(axes: list[list[Gray]]) -> tuple[Pattern, ...]:
+    return tuple(one for bits in axes for one in (*bits, *_inverted(bits)))
+
+
+def _at_the_end(axes: list[list[Gray]]) -> tuple[Pattern, ...]:
+    every = [bit for bits in axes for bit in bits]
+    return (*every, *_inverted(every))
+
+
+def _none(axes: list[list[Gray]]) -> tuple[Pattern, ...]:
+    return tuple(bit for bits in axes for bit in bits)

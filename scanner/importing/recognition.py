@@ -1,7 +1,8 @@
 """Whose order of frames is it? Every order that is long enough is tried on the images."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from calib.geometry import Matches
@@ -9,7 +10,8 @@ from scanner.decoding import Decoder
 from scanner.errors import InputError
 from scanner.importing.frame_files import FrameFiles
 from scanner.importing.glance import objection, share_on_epipolar_lines
-from scanner.importing.layout import Candidate, Given, Layout, Size, candidates
+from scanner.importing.incomplete import MISSING_ENDS, without_doubles
+from scanner.importing.layout import MOST_FRAMES, Candidate, Given, Layout, Size, candidates
 from scanner.importing.projector_size import extents_of, find_sizes
 from scanner.importing.samples import Samples
 from scanner.io import read_image
@@ -51,13 +53,59 @@ def recognise(
     """Which of the layouts the frames have, and why not the others. Raises InputError for a file beside the frames.
 
     `look` reads the frames, if any layout has as many. Of a single layout, on a projector that is given, they need not
-    decode if they look right.
+    decode if they look right. Where no layout fits, white and black may be missing, or a frame be there twice.
     """
-    found, rejected = list[Recognised](), list[Rejected]()
     judge = _Judge(progress, lenient=len(layouts) == 1)
+    usual = [layout for layout in layouts if not layout.last or len(layouts) == 1]
+    found, rejected = _tried(files, usual, given, look, judge)
+    if found or any(each.lacking for each in rejected):
+        return found, rejected
+    for less_usual in _less_usual(files, layouts, look):
+        found, _ = _tried(less_usual.files, less_usual.layouts, given, less_usual.look, judge, less_usual.missing)
+        if found:
+            return found, [each for each in rejected if each.layout not in {one.layout for one in found}]
+    return [], rejected
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """What to try next: of some `files`, whose samples are had by `look`, without the patterns that are `missing`."""
+
+    files: FrameFiles
+    layouts: Sequence[Layout]
+    look: Callable[[], Samples]
+    missing: tuple[Pattern, ...] = ()
+
+
+def _less_usual(files: FrameFiles, layouts: Sequence[Layout], look: Callable[[], Samples]) -> Iterator[_Attempt]:
+    usual, last = ([layout for layout in layouts if layout.last == is_last] for is_last in (False, True))
+    for missing in MISSING_ENDS:
+        yield _Attempt(files, usual, look, missing)
+    if len(files.numbered) > MOST_FRAMES:
+        return
+    for fewer, samples in without_doubles(files, look()):
+        seen = partial(_already, samples)
+        yield from (_Attempt(fewer, usual, seen), _Attempt(fewer, last, seen))
+    yield _Attempt(files, last, look)
+
+
+def _already(samples: Samples) -> Samples:
+    return samples
+
+
+def _tried(
+    files: FrameFiles,
+    layouts: Sequence[Layout],
+    given: Given,
+    look: Callable[[], Samples],
+    judge: "_Judge",
+    missing: tuple[Pattern, ...] = (),
+) -> tuple[list[Recognised], list[Rejected]]:
+    """Which of the layouts the frames have, if those of the patterns that are `missing` were not taken."""
+    found, rejected = list[Recognised](), list[Rejected]()
     for layout in layouts:
         known = given.or_else(layout.settings(files.folder))
-        possible = list(candidates(layout, files, known))
+        possible = list(candidates(layout, files, known, missing))
         objections = [objection(look(), candidate.patterns) for candidate in possible]
         fitting = [candidate for candidate, against in zip(possible, objections, strict=True) if against is None]
         results = [judge.judge(layout, candidate, known, look().camera_size) for candidate in fitting]

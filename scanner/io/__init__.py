@@ -12,10 +12,11 @@ from scanner.io.given_file import (
     read_whole,
     refuse_more_pixels,
 )
-from scanner.io.image_file import SUFFIXES, read_image, write_png
+from scanner.io.image_file import SUFFIXES, read_image
 from scanner.io.image_size import UNREADABLE
 from scanner.io.matches_file import MATCHES_FILE, read_matches, read_planes, refuse_one_axis, write_matches
 from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply, write_room_ply
+from scanner.io.png import write_png
 from scanner.io.poses_file import read_poses, write_poses
 from scanner.io.room_file import StoredRoom, StoredStation, read_room, write_room
 from scanner.io.validation import Entry, Flag, Number, Pair, Section, Whole, validate

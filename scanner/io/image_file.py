@@ -21,11 +21,6 @@ _COLOUR = 3  # channels
 _DEEPEST = 6  # bytes of a pixel in 16-bit colour
 _FEW_BYTES = 100_000_000
 _NO_IMAGE = "cannot be decoded as an image: damaged, truncated, or of an unknown format"
-# One filter for all rows instead of a choice for each, and runs only: half the time of level 1, and files that are no
-# larger (benchmarks/bench_recording.py). Where OpenCV is too old to be told the filter, it chooses.
-_QUICK_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-if hasattr(cv2, "IMWRITE_PNG_FILTER"):
-    _QUICK_PNG += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB]
 SUFFIXES = frozenset(_COMMON | _RARE)
 
 
@@ -78,11 +73,3 @@ def _refuse_large(path: Path, data: bytes, most: int) -> None:
             f"{path}: has {found[0]} pixels, which would take {megabytes(found[1])} of memory; "
             f"expected no more than {megabytes(most)}"
         )
-
-
-def write_png(path: Path, image: Image) -> None:
-    """Write a PNG, lightly compressed: a camera should not have to wait for it. Raises OSError."""
-    encoded, data = cv2.imencode(".png", image, _QUICK_PNG)
-    if not encoded:
-        raise ValueError(f"an image of shape {image.shape} and type {image.dtype} cannot be written as PNG")
-    path.write_bytes(data.tobytes())

@@ -4,9 +4,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from calib.diagnostics import (
     LinearFit,
+    PlaneForm,
     Spread,
     SystematicErrors,
     Uncertainty,
@@ -43,8 +45,8 @@ def measure_scene(matches: Matches, calibration: Calibration, uncertainty: Uncer
     to_corner = calibration.sigma.known_camera_to_corner
     if to_corner is not None and len(found) == len(FACE_NAMES):
         errors = _anchored(found, errors, to_corner)
-        found = [replace(face, spread=_spread(face.plane, face.cluster, face.matches, errors)) for face in found]
-    faces = tuple(_measured(face, errors) for face in found)
+        found = [_with_spreads(face, errors) for face in found]
+    faces = tuple(_measured(face) for face in found)
     return Scene(faces, tuple(_angle(*pair) for pair in combinations(found, 2)), errors, known_lengths(points, errors))
 
 
@@ -58,40 +60,56 @@ def _sample(matches: Matches, calibration: Calibration) -> Ints:
 
 @dataclass(frozen=True)
 class _Face:
-    """A face with its matches and the `spread` of its plane's parameters; errors are alike in each `cluster` (N,)."""
+    """A face with its matches, whose errors are alike in each `cluster` (N,); the `spread` of its plane's parameters,
+    and that of its form.
+    """
 
     label: int
     matches: Matches
     plane: Plane
+    form: PlaneForm
     cluster: Ints
     spread: Spread
+    spread_of_form: Spread
 
 
 def _fitted(matches: Matches, points: Floats, label: int, errors: SystematicErrors) -> _Face | None:
     on = np.flatnonzero(matches.face == label)
     if len(on) < _FEWEST_POINTS:
         return None
-    cluster = blocks(_pixels(matches[on]), max(1, round(errors.calibration.camera.width * _ALIKE_OF_WIDTH)))
+    of_face = matches[on]
+    cluster = blocks(_pixels(of_face), max(1, round(errors.calibration.camera.width * _ALIKE_OF_WIDTH)))
     plane = fit_plane(points[on], cluster)
-    return _Face(label, matches[on], plane, cluster, _spread(plane, cluster, matches[on], errors))
+    form = plane_form(plane, of_face.camera_px, cluster)
+    return _Face(label, of_face, plane, form, cluster, *_spreads(plane, form, cluster, of_face, errors))
 
 
-def _spread(plane: Plane, cluster: Ints, matches: Matches, errors: SystematicErrors) -> Spread:
+def _with_spreads(face: _Face, errors: SystematicErrors) -> _Face:
+    spread, of_form = _spreads(face.plane, face.form, face.cluster, face.matches, errors)
+    return replace(face, spread=spread, spread_of_form=of_form)
+
+
+def _spreads(
+    plane: Plane, form: PlaneForm, cluster: Ints, matches: Matches, errors: SystematicErrors
+) -> tuple[Spread, Spread]:
+    """Of the plane's parameters, and of its form's: what moves the points is the same for both, and takes long."""
     direction = np.broadcast_to(plane.normal, (len(matches), 3))
-    return spread_of_fit(LinearFit(plane.influence, direction, plane.covariance, cluster), matches, errors)
+    influence = np.concatenate([plane.influence, form.influence])
+    both = spread_of_fit(
+        LinearFit(influence, direction, block_diag(plane.covariance, form.covariance), cluster), matches, errors
+    )
+    count = len(plane.influence)
+    return both.part(slice(count)), both.part(slice(count, None))
 
 
-def _measured(face: _Face, errors: SystematicErrors) -> FaceMeasurement:
-    form = plane_form(face.plane, face.matches.camera_px, face.cluster)
-    direction = np.broadcast_to(face.plane.normal, (len(face.matches), 3))
-    fit = LinearFit(form.influence, direction, form.covariance, face.cluster)
+def _measured(face: _Face) -> FaceMeasurement:
     return FaceMeasurement(
         FACE_NAMES[face.label],
         face.plane.normal,
         face.plane.offset,
         FitErrors(face.plane.residual, _pixels(face.matches)),
-        form.deviation,
-        spread_of_fit(fit, face.matches, errors).total(),
+        face.form.deviation,
+        face.spread_of_form.total(),
     )
 
 

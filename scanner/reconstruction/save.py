@@ -132,7 +132,8 @@ def _write_report(
     folder: Path, capture: Reconstructed | Refused, company: Company, truth: Calibration | None, made: Provenance
 ) -> None:
     """A capture's report, and its calibration, which says what the report concludes."""
-    files = {MATCHES_FILE, *(path.name for path in folder.iterdir())}
+    # What is still being written has a name that begins with a dot.
+    files = {MATCHES_FILE, *(path.name for path in folder.iterdir() if not path.name.startswith("."))}
     if isinstance(capture, Refused):
         files.add(REFUSAL_FILE)
     if isinstance(capture, Reconstructed):

@@ -19,6 +19,7 @@ from conditions.table import BEGIN, END, confident_and_wrong, markdown, refused_
 from conditions.trial import Outcome, Setup, captured, named
 
 from calib.geometry import Calibration, DeviceSigmas, Matches, Sigmas
+from scanner.decoding import Decoder
 from scanner.patterns import Gray, Phase, draw
 
 PROJECTOR = (214, 120)
@@ -174,3 +175,16 @@ def test_mistakes_with_frames_change_frames_and_nothing_else(undisturbed: tuple[
         assert isinstance(bit, Gray)
         assert replace(bit, inverted=True) == capture.patterns[inverse]
     assert not any(isinstance(capture.patterns[shown], Phase) for shown, _ in inverses(capture.patterns))
+
+
+@pytest.mark.parametrize("sequence", ["quick", "standard"])
+def test_stray_light_that_a_camera_of_many_bits_sees_is_not_what_was_shown(sequence: str) -> None:
+    """It comes by way of other surfaces, with bits of its own, a hundredth as bright, and clear of any noise."""
+    condition = named("camera of 12 bits", "20 × as many electrons")
+    capture, truth = captured(condition, replace(SETUP, sequence=sequence))
+    decoder = Decoder(capture.patterns, capture.projector_size)
+    for frame in capture.frames:
+        decoder.add(frame)
+    matches = decoder.finish().matches
+    assert matched_share(matches, truth) > 0.97
+    assert 0.005 < np.median(match_errors(matches, truth)) < 0.1

@@ -13,7 +13,7 @@ import yaml
 
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
-from scanner.io.image_file import write_png
+from scanner.io.png import write_png
 from scanner.patterns.pattern import Black, Pattern, White, draw, gray_sequence
 from tests.support.documented import PAGES, Documented, commands, commands_in, parse
 from tests.support.places import ROOT

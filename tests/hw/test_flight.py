@@ -27,8 +27,14 @@ def expected(picture: np.ndarray) -> np.ndarray:
     return 10 + 12 * np.where(np.arange(SIZE[0]) % 5 != 4, picture.astype(int), 0)
 
 
-def scanned(monkeypatch: pytest.MonkeyPatch, bench: Bench, late_every: int = 0) -> SynchronisedRig:
-    """A rig that has taken pictures, each frame of which shows its own and at most 0.2 % of others."""
+_WHITE = 3060  # levels from black to white
+_UNTOLD = 0.02  # of a frame: what sums of so few pixels do not tell from noise
+
+
+def scanned(
+    monkeypatch: pytest.MonkeyPatch, bench: Bench, late_every: int = 0, foreign: float = 0.0023
+) -> SynchronisedRig:
+    """A rig that has taken pictures, each frame of which shows its own and at most so much `foreign` light."""
     bench.install(monkeypatch)
     rig = synchronised(bench, bench, {})
     if late_every:
@@ -37,7 +43,7 @@ def scanned(monkeypatch: pytest.MonkeyPatch, bench: Bench, late_every: int = 0) 
     frames = list(rig.photograph(shown, level=pairs()))
     assert len(frames) == len(shown)
     for number, (picture, frame) in enumerate(zip(shown, frames, strict=True)):
-        np.testing.assert_allclose(frame.image, expected(picture), atol=7, err_msg=f"frame {number}")
+        np.testing.assert_allclose(frame.image, expected(picture), atol=foreign * _WHITE, err_msg=f"frame {number}")
     return rig
 
 
@@ -77,8 +83,35 @@ def test_pictures_that_came_late_without_a_word_are_found_out(
     assert 4 <= rig.flight.doubted <= 20
 
 
+@pytest.mark.parametrize("seed", [1, 14])
+def test_a_picture_that_is_late_again_when_it_is_taken_again_is_found_out(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """The same one, of a group whose frames follow each other as before: twice the same is not the scene's own."""
+    bench = Bench(0.12, transfer_s=0.005, jitter_s=0.008, lag_s=0.001, seed=seed)
+    rig = scanned(monkeypatch, bench, late_every=9, foreign=_UNTOLD)
+    assert rig.turns.tally.retriggered > 6
+
+
+@pytest.mark.parametrize("latency_ms", [20, 50, 120])
+def test_a_lost_frame_costs_the_time_of_one(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
+    """Its picture flies again behind those that are on their way, and the others do not wait for it."""
+    lost: dict[bool, float] = {}
+    for loses in (False, True):
+        bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001).install(monkeypatch)
+        rig = synchronised(bench, bench, {})
+        bench._lost = frozenset({bench.exposures + 9} if loses else ())
+        shown = pictures()
+        for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+            np.testing.assert_allclose(frame.image, expected(picture), atol=7)
+        lost[loses] = rig.turns.tally.elapsed_s / bench.exposure_s
+        assert rig.turns.tally.retriggered == loses
+    assert 1 < lost[True] - lost[False] < 2  # the slack that it asks for fades
+
+
 def test_jitter_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, jitter_s=0.015))
+    """A picture that is a little later than any flash was leaves no more of the last one than cannot be told."""
+    rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, jitter_s=0.015), foreign=_UNTOLD)
     assert 1.3 < rig.turns.tally.seconds_per_frame * 30 < 3
 
 

@@ -42,7 +42,8 @@ def foreign(shown: list[np.ndarray], group: tuple[int, int], noise: float = 1.5)
     scene = Scene(noise)
     sums = scene.sums()
     seen = {number: sums.seen(scene.frame(each)) for number, each in enumerate(shown)}
-    return sums.foreign_share(group, [series()[number] for number in group], seen), sums.tolerance
+    beside = {number: (number - 1, number + 1) for number in group}
+    return sums.foreign_share(group, [series()[number] for number in group], seen, beside), sums.tolerance
 
 
 @pytest.mark.parametrize("noise", [0.5, 2.0, 6.0])

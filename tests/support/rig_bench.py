@@ -35,6 +35,7 @@ class Bench:
         lost: frozenset[int] = frozenset(),
         gain: float = 1.0,
         lag_s: float = 0.0,
+        seed: int = 0,
     ) -> None:
         self.now = 0.0
         self.exposure_s = exposure_s
@@ -43,7 +44,7 @@ class Bench:
         self._lost = lost
         self._lag_s = lag_s
         self._late = range(0)
-        self._rng = np.random.default_rng(0)
+        self._rng = np.random.default_rng(seed)
         self._prepared = np.zeros(SIZE[::-1], np.uint8)
         self._wall: list[tuple[float, Image]] = [(-1.0, self._prepared)]
         self._begin = 0.0
@@ -53,7 +54,7 @@ class Bench:
 
     def install(self, monkeypatch: pytest.MonkeyPatch) -> "Bench":
         clock = SimpleNamespace(monotonic=lambda: self.now, sleep=self._sleep)
-        for module in ("hw.flashes", "hw.turns", "hw.flight"):
+        for module in ("hw.flashes", "hw.turns", "hw.flight", "hw.appointments"):
             monkeypatch.setattr(f"{module}.time", clock)
         return self
 

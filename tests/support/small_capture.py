@@ -6,7 +6,7 @@ from typing import Any
 import yaml
 
 from calib.geometry.camera import Size
-from scanner.io.image_file import write_png
+from scanner.io.png import write_png
 from scanner.patterns.pattern import Pattern, draw, sequence_for
 from scanner.patterns.sequence_file import pattern_to_dict
 

@@ -1,5 +1,6 @@
 """The commands on a simulated room that is small enough for a test: what files appear, and how true they are."""
 
+import re
 import shutil
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -19,8 +20,8 @@ from scanner.capture.recording import open_capture
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
 from scanner.io.calibration_file import read_calibration
-from scanner.io.image_file import write_png
 from scanner.io.matches_file import read_matches, write_matches
+from scanner.io.png import write_png
 from scanner.io.yaml_text import read_yaml
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.results.finished_scan import read_finished_scan
@@ -89,6 +90,8 @@ def test_a_result_says_where_it_comes_from(scanned: Scanned) -> None:
     report = (scanned.result / "report.html").read_text(encoding="utf-8")
     for words in ("<h1>result</h1>", f"roomscan {version('roomscan')}", '<a href="cloud.ply">', "backend: simulated"):
         assert words in report
+    linked = set(re.findall(r'<a href="([^"#:]+)">', report))
+    assert linked == names(scanned.result) - {"report.html"}, "and nothing that was only there while it was written"
 
 
 def test_a_replay_finds_the_same(scanned: Scanned, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,10 +12,10 @@ from math import sqrt
 import numpy as np
 
 from calib.numerics import Bools, Image, Ints, compiled
-from scanner.decoding.accumulators import GrayFold
 from scanner.decoding.arrays import Words
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.codes.gray_code import cell_numbers
+from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.lines import lines_of
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
@@ -25,7 +25,9 @@ from scanner.errors import InputError
 _LINES = 128
 _FARTHEST_PX = 16
 _CERTAIN_SIGMAS = 3.0
-_LEAST_DIFFERENCE = 5.0
+# Smaller differences are rounding and compression, in grey levels; or stray light, whose bits are no neighbours', in
+# parts of what the brightest few pixels have: cameras of many bits and little noise see that too.
+_LEAST_DIFFERENCE, _LEAST_PART, _BRIGHTEST = 5.0, 0.03, 0.98
 _FEWEST_CHANGES = 30
 _FEWEST_BITS = 3
 _DIRECTIONS = 2
@@ -69,14 +71,17 @@ class _Changes:
         return _Changes(repair(self.before), repair(self.after), self.bit)
 
 
-def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel, middle: Image) -> list[Oddity]:
+def check_codes(
+    plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel, middle: Image, moved: Bools | None = None
+) -> list[Oddity]:
     """Where the bits of a Gray code do not follow each other as they must.
 
-    `middle` (H, W): grey level half-way between lit and unlit. Raises InputError if they do once bits are exchanged.
+    `middle` (H, W): grey level half-way between lit and unlit; `moved` (H, W): where something did, and nobody is
+    asked. Raises InputError if they do once bits are exchanged.
     """
     found = []
     bases = {(fold.code.axis, fold.code.cell, fold.code.offset) for fold in folds if fold.code.base is not None}
-    for fold, changes in chain.from_iterable(_sampled(fold, noise, middle) for fold in folds):
+    for fold, changes in chain.from_iterable(_sampled(fold, noise, middle, moved) for fold in folds):
         wrong = changes[~changes.adjacent()]
         if len(wrong.bit) < _FEWEST_CHANGES:
             continue
@@ -95,21 +100,23 @@ def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel
     return found
 
 
-def _sampled(fold: GrayFold, noise: NoiseModel, middle: Image) -> Iterator[tuple[GrayFold, _Changes]]:
+def _sampled(
+    fold: GrayFold, noise: NoiseModel, middle: Image, moved: Bools | None
+) -> Iterator[tuple[GrayFold, _Changes]]:
     """The code and its changes; and the same of the code without as many of its finest bits as it takes for all pixels
     to be smaller than cells. What is wrong with coarse bits shows where single cells cannot be told apart.
     """
-    changes, are_single = _changes(fold, noise, middle)
+    changes, are_single = _changes(fold, noise, middle, moved)
     yield fold, changes
     coarser = fold
     while not are_single and fold.code.base is None and coarser.code.bits > _FEWEST_BITS:
         coarser = coarser.without_finest(1)
-        changes, are_single = _changes(coarser, noise, middle)
+        changes, are_single = _changes(coarser, noise, middle, moved)
     if coarser is not fold:
         yield coarser, changes
 
 
-def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> tuple[_Changes, bool]:
+def _changes(fold: GrayFold, noise: NoiseModel, middle: Image, moved: Bools | None = None) -> tuple[_Changes, bool]:
     """Single-bit changes along some rows and columns of the image, between certain pixels; of either, if most are, and
     whether most of both are.
     """
@@ -118,7 +125,10 @@ def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> tuple[_Changes
         words, least, level = (
             lines_of(image.T if is_transposed else image, _LINES) for image in (fold.words, fold.least, middle)
         )
-        certain = least > np.maximum(_LEAST_DIFFERENCE, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
+        least_clear = max(_LEAST_DIFFERENCE, _LEAST_PART * float(np.quantile(least, _BRIGHTEST)))
+        certain = least > np.maximum(least_clear, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
+        if moved is not None:
+            certain &= ~lines_of(moved.T if is_transposed else moved, _LINES)
         one, next_one = np.empty((2, words.size), np.uint32)
         single, changes = _note_changes(words.astype(np.uint32), certain, one, next_one)
         if single >= _MOSTLY_SINGLE * changes:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
@@ -35,6 +36,7 @@ _REPAIRED = 0.5
 # in brighter light, say, any dark frame in its place takes away as much.
 _MUCH_LEFT, _AS_GOOD = 0.3, 0.9
 _DIFFERENT = 0.02
+_MOST_BRIGHTER = 4.0
 _FEWEST_COMPARED = 400
 # Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
 _SAME_SIGMAS = 4.0
@@ -60,6 +62,7 @@ def check_frames(
     if not found and not may_be_switched(plan, shown.levels):
         return [], None
     made_alike, switch = _in_one_light(plan, shown, made_alike)
+    made_alike = _with_brighter_white(plan, made_alike)
     if not found and switch is None:
         return [], None
     switched = [] if switch is None else [Oddity(switch.said(plan), (switch.frame,))]
@@ -68,6 +71,36 @@ def check_frames(
         said = "; ".join([*(oddity.said for oddity in found), proof])
         raise InputError(f"the frames do not show what the capture says: {said}")
     return [*switched, *contradictions(plan, made_alike)], switch
+
+
+def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> bool:
+    """Whether nothing contradicts the sequence in some pixels of the sample (frames, P), and enough of them are lit."""
+    high, low = levels.max(axis=0), levels.min(axis=0)
+    sigma = noise.sigma((high + low) / 2)
+    lit = (high - low > _SEEN * np.sqrt(2) * sigma) & (high - low > _LEAST_SWING) & (high < saturation)
+    if np.count_nonzero(lit) < _ENOUGH_LIT:
+        return False
+    return not contradictions(plan, Shown(levels[:, lit], (high - low)[lit], sigma[lit]))
+
+
+def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequence[int]) -> bool:
+    """Whether pixels of the sample (frames, P) contradict the sequence much less with two frames exchanged, one of them
+    a suspect.
+    """
+    swing = np.ptp(levels, axis=0)
+    lit = np.flatnonzero(swing > _LEAST_SWING)
+    lit = lit[:: max(1, len(lit) // _FEWEST_COMPARED)]
+    seen, swing = levels[:, lit], swing[lit]
+    if not len(lit):
+        return False
+    before = _contradiction(plan, seen, swing)
+    for first in suspects:
+        for second in range(len(seen)):
+            order = np.arange(len(seen))
+            order[[first, second]] = second, first
+            if _contradiction(plan, seen[order], swing) < _MUCH_LEFT * before:
+                return True
+    return False
 
 
 def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, LightSwitch | None]:
@@ -86,6 +119,25 @@ def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown
             without = replace(one, levels=switch.undone(one.levels))
             best = min(best, (without, switch), key=lambda each: _contradiction(plan, each[0].levels, shown.swing))
     return best
+
+
+def _with_brighter_white(plan: SequencePlan, alike: Shown) -> Shown:
+    """The frames with white as many times brighter as makes most sense, for nothing tells its exposure but that it is
+    the brightest: devices that expose each frame anew make it a dark one.
+    """
+    if plan.white is None:
+        return alike
+
+    def brighter(times: float) -> Shown:
+        levels = alike.levels.copy()
+        levels[plan.white] *= np.float32(times)
+        return replace(alike, levels=levels)
+
+    def left(times: float) -> float:
+        return _contradiction(plan, brighter(times).levels, alike.swing)
+
+    found = minimize_scalar(left, bounds=(1, _MOST_BRIGHTER), method="bounded", options={"xatol": 0.01})
+    return brighter(float(found.x)) if found.fun < _REPAIRED * left(1.0) else alike
 
 
 def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Oddity]) -> str:

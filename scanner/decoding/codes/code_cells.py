@@ -14,9 +14,10 @@ from scanner.decoding.arrays import Floats32
 # Mean square radius of the pixels of one code, in pixels²: at most this much plus the usual number of pixels (a compact
 # patch has a sixth of that number, a stripe of four times its width a third).
 _SMALLEST_SPREAD = 1.0
-# A cell of several pixels that has this much fewer than the fullest around it is cut off, and its centre is not the
-# cell's. Below `_COUNTABLE` pixels the numbers vary too much by themselves.
-_WHOLE = 0.75
+# A cell that has many fewer pixels than the fullest around it is cut off, and its centre is not the cell's. The side of
+# a whole one varies by a pixel, as camera and cells beat, and by this share of it, as perspective and shading do; where
+# cells have fewer than `_COUNTABLE` pixels, that is all of it.
+_VARYING_PX, _VARYING = 1.0, 0.13
 _COUNTABLE = 6
 
 
@@ -128,5 +129,6 @@ def _is_whole(cell_x: Ints, cell_y: Ints, count: Ints) -> Bools:
     grid = np.zeros((int(cell_y.max()) + 1, int(cell_x.max()) + 1), np.float32)
     grid[cell_y, cell_x] = count
     fullest = cv2.dilate(grid, np.ones((3, 3), np.uint8))
-    whole: Bools = count >= _WHOLE * fullest[cell_y, cell_x]
+    side, largest = np.sqrt(count), np.sqrt(fullest[cell_y, cell_x])
+    whole: Bools = side >= largest - np.maximum(_VARYING_PX, _VARYING * largest)
     return whole

@@ -28,6 +28,8 @@ _THIN = 4
 _IN_FOCUS = 1.5
 # Fringes that fewer pixels see than this share of those that see all bits leave most of a picture out.
 _LEAST_SEEN = 0.5
+# In parts of what the brightest few pixels have of the projector.
+_LEAST_LIT, _BRIGHTEST = 0.03, 0.98
 # Of half of the light that a pixel has from the projector.
 _FAINT = 0.1
 
@@ -77,7 +79,9 @@ def _is_lost(
     least = np.min([fold.least.reshape(-1)[pixels] for fold in folds], axis=0)
     # Light that was switched on decides bits in the dark, too.
     half_lit = signals.brightest - signals.middle
-    decided = (least > certain_from) & (2 * half_lit > seen_from)
+    # Nor is stray light, which has no fringes and which cameras of many bits see, the projector's.
+    lit = half_lit > _LEAST_LIT * np.quantile(half_lit, _BRIGHTEST)
+    decided = (least > certain_from) & (2 * half_lit > seen_from) & lit
     if np.count_nonzero(decided) < _FEWEST:
         return False
     cosine, sine = signals.fringe(0)

@@ -9,6 +9,7 @@ from calib.numerics import Image, compiled
 from scanner.decoding.arrays import Component
 from scanner.decoding.light.equalise import Correction
 from scanner.decoding.sequence_plan import Fringe
+from scanner.decoding.waiting import Waiting
 
 
 class FringeFold:
@@ -19,14 +20,14 @@ class FringeFold:
     weighted sums.
     """
 
-    def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
+    def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any], waiting: Waiting) -> None:
         self.fringe = fringe
         weights = fringe.weights[1:]
         largest = float(np.abs(weights).max())
         self._signs = np.rint(weights / largest).astype(np.int64)
         opposite = all(sorted(signs) == [-1, 0, 0, 1] for signs in self._signs.tolist())
         self._is_plain = opposite and bool(np.allclose(self._signs * largest, weights, atol=1e-9))
-        self._waiting: dict[int, Image] = {}
+        self._waiting = waiting
         self.scale = largest if self._is_plain else 1.0
         self.correction: Correction | None = None
         # Differences are written, sums begin with nothing.
@@ -43,9 +44,10 @@ class FringeFold:
                 cv2.addWeighted(component, 1, frame, float(weights[step]), 0, dst=component, dtype=cv2.CV_32F)
             return
         number = int(np.flatnonzero(self._signs[:, step])[0])
-        other = self._waiting.pop(number, None)
+        opposite = int(np.flatnonzero(self._signs[number] == -self._signs[number, step])[0])
+        other = self._waiting.take(self.fringe.frames[opposite])
         if other is None:
-            self._waiting[number] = frame.copy()
+            self._waiting.keep(self.fringe.frames[step], frame)
             return
         component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
         _subtract(frame.reshape(-1), other.reshape(-1), sign, component.reshape(-1), peak.reshape(-1))

@@ -29,7 +29,7 @@ _FEWEST = np.float32(0.01)
 _POWER = 3
 # Both periods are drawn to the same side where the crease is near: their difference shows less than the errors are.
 _HIDDEN = 1.6
-_ZERO = np.float32(0)
+_ZERO, _QUARTER, _THREE_QUARTERS, _ONE = (np.float32(number) for number in (0, 0.25, 0.75, 1))
 # What stays in every mean: the standard deviation of each of its modes, as of `calib.refinement.Shifts`, for fringes of
 # 6.7 px in simulated rooms (benchmarks/bench_furnished.py). With longer ones it grows as interreflection does.
 SMOOTH_PX, _SMOOTH_PERIOD_PX = 2.5e-4, 6.7
@@ -55,17 +55,12 @@ def correct_systematic(
 
     From the `coordinates` (fringes, P) of `usable` pixels (P,) in windows around each, in an image of `shape` (H, W).
     """
-    share: Floats32 = np.maximum(_coarse(usable.reshape(shape).astype(np.float32)), _FEWEST)
-
-    def mean(values: Floats32) -> Floats32:
-        return cast(Floats32, _coarse(values.reshape(shape)) / share)
-
-    excess, distance = np.empty((2, len(usable)), np.float32)
     excesses, distances = [], []
     for k in range(len(coordinates) - 1):
-        _compare(coordinates[k], coordinates[k + 1], variances[k], variances[k + 1], usable, excess, distance)
-        excesses.append(_fine(np.maximum(mean(excess), _ZERO), shape))
-        distances.append(_fine(mean(distance), shape))
+        pair = (part.reshape(shape) for part in (*coordinates[k : k + 2], *variances[k : k + 2], usable))
+        excess, distance = _apart(*pair)
+        excesses.append(_fine(np.maximum(excess, _ZERO), shape))
+        distances.append(_fine(distance, shape))
     _bring_together(coordinates, distances)
     powers = np.array(periods) ** _POWER
     of_longer, of_shorter = (_HIDDEN * part / (powers[:-1] + powers[1:]) for part in (powers[:-1], powers[1:]))
@@ -79,10 +74,23 @@ def correct_systematic(
 
 def _bring_together(coordinates: Floats32, distances: Sequence[Floats32]) -> None:
     """Take out of each but the last how far it is from that, given the distances (P,) between every two successive."""
-    apart = np.zeros_like(coordinates[0])
+    apart: Floats32 | None = None
     for coordinate, distance in reversed([*zip(coordinates[:-1], distances, strict=True)]):
-        apart += distance
+        apart = distance if apart is None else apart + distance
         coordinate -= apart
+
+
+def _apart(
+    longer: Floats32, shorter: Floats32, longer_variance: Floats32, shorter_variance: Floats32, usable: Bools
+) -> tuple[Floats32, Floats32]:
+    """By how much the square of the distance of two fringes exceeds the noise, and that distance; (H, W) → means over
+    windows, one for each block.
+    """
+    blocks = np.empty((3, *(-(-size // BLOCK_PX) for size in usable.shape)), np.float32)
+    _compare(longer, shorter, longer_variance, shorter_variance, usable, *blocks)
+    excess, distance, share = (_over_windows(part) for part in blocks)
+    np.maximum(share, _FEWEST, out=share)
+    return excess / share, distance / share
 
 
 @compiled
@@ -94,13 +102,29 @@ def _compare(
     usable: Bools,
     excess: Floats32,
     distance: Floats32,
+    share: Floats32,
 ) -> None:
-    """How far usable pixels of one fringe are from those of another, and by how much the square exceeds the noise."""
-    for i in range(len(excess)):
-        apart = longer[i] - shorter[i]
-        beyond = apart * apart - longer_variance[i] - shorter_variance[i]
-        excess[i] = beyond if usable[i] else _ZERO
-        distance[i] = apart if usable[i] else _ZERO
+    """How far usable pixels (H, W) of one fringe are from those of another, and by how much the square exceeds the
+    noise: of each block the mean over all of its pixels, of which a `share` is usable. Beyond the image is nothing.
+    """
+    height, width = usable.shape
+    of_row = np.zeros((3, 2 * share.shape[1]), np.float32)
+    of_excess, of_distance, of_usable = of_row[0], of_row[1], of_row[2]
+    for block in range(share.shape[0]):
+        of_row[:] = _ZERO
+        for row in range(2 * block, min(2 * block + 2, height)):
+            one, other, chosen = longer[row], shorter[row], usable[row]
+            of_one, of_other = longer_variance[row], shorter_variance[row]
+            for i in range(width):
+                apart = one[i] - other[i]
+                beyond = apart * apart - of_one[i] - of_other[i]
+                of_excess[i] += beyond if chosen[i] else _ZERO
+                of_distance[i] += apart if chosen[i] else _ZERO
+                of_usable[i] += _ONE if chosen[i] else _ZERO
+        for i in range(share.shape[1]):
+            excess[block, i] = _QUARTER * (of_excess[2 * i] + of_excess[2 * i + 1])
+            distance[block, i] = _QUARTER * (of_distance[2 * i] + of_distance[2 * i + 1])
+            share[block, i] = _QUARTER * (of_usable[2 * i] + of_usable[2 * i + 1])
 
 
 @compiled
@@ -112,17 +136,35 @@ def _add_larger(
         variance[i] += max(first_share * first[i], second_share * second[i])
 
 
-def _coarse(image: Floats32) -> Floats32:
-    """Means over windows, one for each block of pixels; beyond the image is nothing."""
-    height, width = image.shape
-    if height % BLOCK_PX or width % BLOCK_PX:
-        image = np.pad(image, ((0, height % BLOCK_PX), (0, width % BLOCK_PX)))
-    blocks = cv2.resize(image, None, fx=1 / BLOCK_PX, fy=1 / BLOCK_PX, interpolation=cv2.INTER_AREA)
+def _over_windows(blocks: Floats32) -> Floats32:
+    """Means over windows of the means over blocks; beyond the image is nothing."""
     return cast(Floats32, cv2.blur(blocks, (3, 3), borderType=cv2.BORDER_CONSTANT))
 
 
 def _fine(blocks: Floats32, shape: tuple[int, int]) -> Floats32:
     """Means over windows, one for each pixel (P,)."""
-    height, width = shape
-    fine = cv2.resize(blocks, (width + width % BLOCK_PX, height + height % BLOCK_PX))
-    return cast(Floats32, np.ascontiguousarray(fine[:height, :width]).reshape(-1))
+    fine = np.empty(shape, np.float32)
+    _interpolate(blocks, fine)
+    return fine.reshape(-1)
+
+
+@compiled
+def _interpolate(blocks: Floats32, fine: Floats32) -> None:
+    """Linearly between the middles of blocks of two by two pixels; beyond the outermost as there."""
+    height, width = fine.shape
+    last_row, last = blocks.shape[0] - 1, blocks.shape[1] - 1
+    between = np.empty(last + 3, np.float32)
+    pair = np.empty(2 * last + 2, np.float32)
+    for row in range(height):
+        near = row // 2
+        far = min(near + 1, last_row) if row % 2 else max(near - 1, 0)
+        of_near, of_far, into = blocks[near], blocks[far], fine[row]
+        for i in range(last + 1):
+            between[i + 1] = _THREE_QUARTERS * of_near[i] + _QUARTER * of_far[i]
+        between[0], between[last + 2] = between[1], between[last + 1]
+        for i in range(last + 1):
+            middle = _THREE_QUARTERS * between[i + 1]
+            pair[2 * i] = middle + _QUARTER * between[i]
+            pair[2 * i + 1] = middle + _QUARTER * between[i + 2]
+        for i in range(width):
+            into[i] = pair[i]

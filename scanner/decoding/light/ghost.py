@@ -5,6 +5,7 @@ with the right share the light of patterns and inverses, and of the steps of fri
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.optimize import minimize_scalar
 from calib.numerics import Image
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.brightness import lit_by
+from scanner.decoding.light.late_frame import late_frame
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
@@ -26,23 +28,51 @@ _FEWEST_PIXELS = 100
 _MOST_PIXELS = 400
 
 
-class GhostRemover:
-    """Takes a share of the picture before out of frames that come one after the other; before the first it was dark."""
+@dataclass(frozen=True)
+class Ghost:
+    """The `share` of the picture before that the frame in a `place` of the capture shows; None: each frame does."""
 
-    def __init__(self, share: float) -> None:
-        self._ratio = np.float32(share / (1 - share))
+    share: float
+    place: int | None = None
+
+    def said(self, plan: SequencePlan) -> str:
+        """For the operator."""
+        who = "each frame shows" if self.place is None else f"{plan.name(plan.shown[self.place])} shows"
+        return f"{who} {self.share:.0%} of the picture before it"
+
+
+class GhostRemover:
+    """Takes a ghost out of frames that come one after the other; before the first it was dark."""
+
+    def __init__(self, ghost: Ghost) -> None:
+        self._ghost, self._place = ghost, 0
         self._before: Floats32 | None = None
 
     def remove(self, image: Image) -> Image:
-        """The next frame (H, W) without it, which is as much darker; a clipped pixel stays as it is."""
+        """The next frame (H, W) without it, if each has one as much darker; a clipped pixel stays as it is."""
+        place, self._place = self._place, self._place + 1
+        if self._ghost.place is not None and place not in (self._ghost.place - 1, self._ghost.place):
+            return image
         clipped = image >= saturation_level(image)
         without = image.astype(np.float32)
-        if self._before is not None:
-            without -= self._ratio * self._before
+        share = self._ghost.share
+        if self._before is not None and self._ghost.place is None:
+            without -= np.float32(share / (1 - share)) * self._before
+        elif self._before is not None:  # as bright as the other frames
+            without = (without - np.float32(share) * self._before) * np.float32(1 / (1 - share))
         self._before = without
-        result = cast(Image, np.rint(np.maximum(without, 0)).astype(image.dtype))
+        highest = np.iinfo(image.dtype).max
+        result = cast(Image, np.rint(np.clip(without, 0, highest)).astype(image.dtype))
         np.copyto(result, image, where=clipped)
         return result
+
+
+def find_ghost(plan: SequencePlan, levels: Floats32, saturation: float) -> Ghost | None:
+    """That of all frames which a sample `levels` (frames, P) tells of, or else of one."""
+    if share := ghost_share(plan, levels, saturation):
+        return Ghost(share)
+    late = late_frame(plan, levels, saturation)
+    return None if late is None else Ghost(late.share, late.place)
 
 
 def ghost_share(plan: SequencePlan, levels: Floats32, saturation: float) -> float:

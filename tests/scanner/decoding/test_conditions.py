@@ -191,3 +191,29 @@ def test_hardly_any_light_is_no_accident(preset: PresetName, share: float) -> No
     scene = replace(SCENE, exposure=share * SCENE.exposure, ambient=0.0, read_noise=0.2)
     with pytest.raises(InputError, match=r"no pixel changes clearly .* is the projector on"):
         scene.decode(PRESETS[preset].patterns(SCENE.projector))
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_frames_that_are_exposed_one_by_one_are_no_exchange(preset: PresetName) -> None:
+    """White is a dark frame then: nothing tells that it is not, but that it is the brightest."""
+    patterns = PRESETS[preset].patterns(SCENE.projector)
+    frames = SCENE.frames(patterns)
+    rng = np.random.default_rng(11)
+    for white in (1 / 3, 0.5, 1.0):
+        factors = [white, 1.0, *rng.uniform(0.4, 1.0, len(frames) - 2)]
+        exposed = [np.rint(frame * by).astype(np.uint8) for frame, by in zip(frames, factors, strict=True)]
+        errors = np.abs(SCENE.errors(decode(patterns, exposed, SCENE.projector)))
+        assert np.mean(errors > 1) < 0.002
+        assert 0.005 < np.median(errors) < 0.12
+
+
+@pytest.mark.parametrize(("preset", "periods"), [("concave", 2), ("quick", 1)])
+def test_frames_that_software_has_moved_are_less_certain(preset: PresetName, periods: int) -> None:
+    """Short fringes lag behind long ones where pixels are means of their neighbours; one period alone shows nothing."""
+    scene = replace(SCENE, read_noise=0.2, electrons_per_level=1000.0, zoom=1.6)
+    patterns = PRESETS[preset].patterns(SCENE.projector)
+    frames = scene.frames(patterns)
+    moved = [np.rint(0.75 * frame + 0.25 * np.roll(frame, 1, axis=1)).astype(np.uint8) for frame in frames]
+    still, shifted = (decode(patterns, one, SCENE.projector).smooth_px for one in (frames, moved))
+    assert 1e-4 < still < 2e-3
+    assert (3 * still < shifted < 0.05) if periods > 1 else shifted == still

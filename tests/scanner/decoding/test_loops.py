@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from calib.numerics.array_types import Image
-from scanner.decoding.accumulators import GrayFold
 from scanner.decoding.checks.code_checks import _changes, _note_changes
 from scanner.decoding.checks.map_checks import _count_jumps
+from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.fringes.edge_shift_correction import shift_per_variance
 from scanner.decoding.fringes.phase_unwrapping import Disagreements, measured_tolerances, widest_tolerances
 from scanner.decoding.light.noise_model import NoiseModel

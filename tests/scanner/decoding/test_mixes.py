@@ -122,6 +122,16 @@ def test_a_code_gives_one_match_per_cell() -> None:
     assert np.mean((fractions > 0.1) & (fractions < 0.9)) > 0.5, "between camera pixels"
 
 
+@pytest.mark.parametrize("cell", [2, 3, 5])
+def test_cells_of_any_size_are_kept_but_for_those_that_are_cut_off(cell: int) -> None:
+    decoding = SCENE.decode(standard(shifts=0, cell=cell))
+    assert 0.8 < np.mean(decoding.reasons[SCENE.well_lit()] == 0) < 0.9, "a twelfth of the cells is on box and wall"
+    errors = SCENE.errors(decoding)
+    scatter = errors.std(axis=0)
+    assert np.all((scatter > 0.08) & (scatter < 0.17)), "the centre of a cell that is cut off errs more"
+    assert np.all(np.percentile(np.abs(errors), 99, axis=0) < 0.5)
+
+
 def test_sigma_is_the_error() -> None:
     for patterns in (standard(), standard(periods=(16.0,), shifts=3), fringes([21, 19, 17], 8)):
         decoding = SCENE.decode(patterns)

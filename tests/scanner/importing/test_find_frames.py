@@ -58,6 +58,28 @@ def test_names_that_differ_in_several_numbers_are_one_series(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
+    "form",
+    [
+        "2024-05-01 12.{:02d}.{:02d}.png",
+        "IMG_20240501_11{:02d}{:02d}.jpg",
+        "Screenshot 2024-05-01 at 12.{:02d}.{:02d}.png",
+    ],
+)
+def test_names_that_are_moments_are_one_series(tmp_path: Path, form: str) -> None:
+    """Each minute has its own last numbers, of which some have more than others."""
+    files = [form.format(second // 60, second % 60) for second in range(7, 300, 13)]
+    assert names(touch(tmp_path, *files, "notes 2024.txt")) == files
+
+
+def test_copies_of_a_name_follow_it(tmp_path: Path) -> None:
+    files = ["frame.png", *(f"frame ({number}).png" for number in range(1, 12))]
+    assert names(touch(tmp_path, *files, "other.png")) == files
+    assert names(touch(tmp_path / "others", "frame1.png", "frame2.png", "frame3.png", "frame.png")) == [
+        "frame1.png", "frame2.png", "frame3.png"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
     ("files", "said"),
     [
         ({}, "expected the frames of a capture, found 0 images"),

@@ -13,7 +13,8 @@ from scanner.capture.recording import open_capture
 from scanner.commands.main import main
 from scanner.decoding.decoder import Decoder
 from scanner.errors import InputError
-from scanner.io.image_file import read_image, write_png
+from scanner.io.image_file import read_image
+from scanner.io.png import write_png
 from scanner.patterns.pattern import Axis, Black, Gray, Pattern, Phase, White
 from tests.support.foreign_captures import ENDS, Photographer, bits, deep, in_colour, named, photographer, steps
 from tests.support.places import REAL_CAPTURES
@@ -134,6 +135,92 @@ def test_a_foreign_folder_becomes_a_capture(
     assert {path.name: path.read_bytes() for path in (out / "frames").iterdir()} == before
     if not told:
         assert f"{case.layout}" in capsys.readouterr().out
+
+
+def turned(image: Image, turns: int) -> Image:
+    for _ in range(turns):
+        image = image.T[::-1].copy()
+    return image
+
+
+def inverses_of(axis: Axis, number: int) -> list[Pattern]:
+    return bits(axis, number)[1::2]
+
+
+X, Y = bits("x", 10, inverses=False), bits("y", 9, inverses=False)
+NOT_X, NOT_Y = inverses_of("x", 10), inverses_of("y", 9)
+FINE_FIRST = [
+    p for of_axis in (PAIRS[:20], PAIRS[20:]) for bit in range(len(of_axis) - 2, -1, -2) for p in of_axis[bit : bit + 2]
+]
+
+
+@pytest.mark.parametrize(
+    ("layout", "patterns"),
+    [
+        ("opencv", [*PAIRS, White()]),
+        ("3dunderworld", [White(), *PAIRS]),
+        ("moreno-taubin", [Black(), *CENTRED]),
+        ("gray", [*bits("y", 9), *bits("x", 10), *ENDS]),
+        ("gray", [*X, *NOT_X, *Y, *NOT_Y, *ENDS]),
+        ("gray", [*ENDS, *X, *Y, *NOT_X, *NOT_Y]),
+        ("gray", [*X, *Y]),
+        ("gray", FINE_FIRST),
+    ],
+    ids=[
+        "no black",
+        "only white first",
+        "no white",
+        "y first",
+        "inverses of axes",
+        "all inverses",
+        "none",
+        "fine first",
+    ],
+)
+def test_less_usual_orders(
+    camera: Photographer,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    layout: str,
+    patterns: list[Pattern],
+) -> None:
+    source = camera.write(tmp_path / "frames", patterns, named("{}.png"))
+    assert imported(source, "--out", tmp_path / "capture") == 0, capsys.readouterr().err
+    recording = open_capture(tmp_path / "capture")
+    assert (recording.patterns, recording.projector_size) == (tuple(patterns), PROJECTOR)
+    assert any(line.split()[:2] == [layout, "yes"] for line in capsys.readouterr().out.splitlines() if line.strip())
+
+
+@pytest.mark.parametrize(("twice", "name"), [(0, "1.png"), (17, "18.png"), (39, "40.png")])
+def test_a_frame_that_was_taken_twice_is_left_out(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str], twice: int, name: str
+) -> None:
+    shown = [*PAIRS, *ENDS]
+    source = camera.write(tmp_path / "frames", [*shown[: twice + 1], *shown[twice:]], named("{}.png"))
+    assert imported(source, "--out", tmp_path / "capture") == 0, capsys.readouterr().err
+    recording = open_capture(tmp_path / "capture")
+    assert (recording.patterns, recording.projector_size) == (tuple(shown), PROJECTOR)
+    assert f"left out: {name}" in " ".join(capsys.readouterr().out.split())
+    assert not (tmp_path / "capture" / "frames" / name).exists()
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_camera_on_its_side(camera: Photographer, tmp_path: Path, turns: int) -> None:
+    source = camera.write(
+        tmp_path / "frames",
+        [*PAIRS, *ENDS],
+        named("{}.png"),
+        lambda image: turned(image, turns),
+    )
+    assert imported(source, "--out", tmp_path / "capture", "--quiet") == 0
+    assert open_capture(tmp_path / "capture").patterns == (*PAIRS, *ENDS)
+
+
+def test_a_mirrored_capture_is_none_of_y_before_x(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("{}.png"), lambda image: image[:, ::-1].copy())
+    assert "mirrored" in refused(capsys, source)
 
 
 def test_what_is_imported_decodes_to_the_truth(

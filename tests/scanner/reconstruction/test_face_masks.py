@@ -7,7 +7,7 @@ import pytest
 from calib.geometry.camera import Size
 from calib.geometry.matches import Matches
 from scanner.errors import InputError
-from scanner.io.image_file import write_png
+from scanner.io.png import write_png
 from scanner.reconstruction.face_masks import label_by_masks, read_masks
 
 SIZE = Size(40, 30)

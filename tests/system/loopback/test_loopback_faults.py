@@ -20,7 +20,8 @@ from scanner.capture.recording import open_capture
 from scanner.capture.stream import capture
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
-from scanner.io.image_file import read_image, write_png
+from scanner.io.image_file import read_image
+from scanner.io.png import write_png
 from scanner.patterns.pattern import Black, White
 from tests.support.loopback_bench import (
     CAMERA,

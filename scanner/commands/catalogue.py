@@ -1,0 +1,127 @@
+"""Every command: what it is for, its arguments, and the module that obeys, which is loaded when it is called."""
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+
+from scanner.commands import arguments
+from scanner.commands.shared_arguments import add_quiet
+
+
+@dataclass(frozen=True)
+class Command:
+    """What it is for, in one line and in more; `add_arguments` declares them; `module` has `run(args)`, which obeys."""
+
+    about: str
+    add_arguments: Callable[[ArgumentParser], None]
+    module: str
+    more: str = ""
+
+    def load(self) -> Callable[[Namespace], None]:
+        """What does the work; it raises InputError, StorageError, DeviceError, RefusalError."""
+        run: Callable[[Namespace], None] = import_module(f"scanner.commands.{self.module}").run
+        return run
+
+
+MAIN = Command("Scan with the configured rig: capture, calibrate, reconstruct.", arguments.of_scan, "scan")
+NAMED = {
+    "replay": Command("Reconstruct from a recorded capture, whoever made it.", arguments.of_replay, "replay"),
+    "calibrate": Command(
+        "Calibrate from matches of another decoder or of earlier results: one capture, or several of one rig at once.",
+        arguments.of_calibrate,
+        "calibrate",
+    ),
+    "batch": Command(
+        "Reconstruct many captures, on all processors of this machine or of many, with one table of all.",
+        arguments.of_batch,
+        "batch",
+        """
+What a capture does, a refusal or a crash, is in its row; the others go on. Interrupted or repeated with the same
+arguments, a batch does what is left. Sources and --out may be far away, as in s3://bucket/folder.
+""",
+    ),
+    "patterns": Command(
+        "Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means.",
+        arguments.of_patterns,
+        "patterns",
+    ),
+    "devices": Command("List cameras and screens, with the lines to paste into a configuration.", add_quiet, "devices"),
+    "check": Command(
+        "Look at the rig before a scan: devices, exposure, light, focus, and how well this view will calibrate.",
+        arguments.of_check,
+        "check",
+        """
+Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
+projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
+these lines change, and the file as it was before the first time is kept beside it as FILE.bak.
+
+Exit codes: 0 if a scan would work, be it poorly; 3 if a device fails; 4 if a scan of this view would be refused. What
+is known is shown in any case.
+""",
+    ),
+    "export": Command("Write a result in another program's format and conventions.", arguments.of_export, "export"),
+    "measure": Command(
+        "Measure in a result: how round a ball and how flat the faces came out, and how far two points are apart.",
+        arguments.of_measure,
+        "measure",
+        """
+The faces are always measured. --sphere finds a ball of known diameter anywhere in the cloud; given twice, it finds two,
+and the distance of their centres is told, too.
+""",
+    ),
+    "accept": Command(
+        "Test the scanner with a calibrated ball bar, after VDI/VDE 2634 part 2.",
+        arguments.of_accept,
+        "accept",
+        """
+Probing, sphere-spacing and flatness errors. Scan the ball bar in several places, with the rig unchanged, and give all
+the results: the largest errors count.
+""",
+    ),
+    "view": Command("Look at a result in 3-D, in the browser.", arguments.of_view, "view"),
+    "console": Command("Check, scan and look at results on a page in the browser.", arguments.of_console, "console"),
+    "photos": Command(
+        "Calibrate an ordinary camera from two or more photos of a corner, and reconstruct what they share.",
+        arguments.of_photos,
+        "photos",
+        """
+The photos may be cropped, if all of them are in the same way: the principal point is found, too. The zoom must not
+change between them. The second photo is the one that the result is about.
+""",
+    ),
+    "board": Command(
+        "Calibrate from captures of a printed board in different poses, and say how true that is.",
+        arguments.of_board,
+        "board",
+        """
+Three captures are the least, six to ten are good: tilted by 20 to 45 degrees to either side and up and down, at
+different distances, so that together they fill the pictures of both devices. Nothing but the board is moved.
+
+Exit codes: 2 if the board is not found; 4 if these boards do not determine a calibration, with the reason.
+""",
+    ),
+    "room": Command(
+        "Put stations of one unchanged rig together to a whole room: where each stood, the walls, one cloud, a plan.",
+        arguments.of_room,
+        "room",
+        """
+Each station should see about a third of what another one saw, and one at least a corner of the room. Stations of
+another room, or of a rig that was changed, are named and left out. To take them: scan --config FILE --stations N.
+
+Exit codes: 4 if no two stations belong together, or if they fit together in more than one way, with both answers.
+""",
+    ),
+    "compare": Command(
+        "Compare two calibrations of one rig: where they differ, and whether their sigmas allow it.",
+        arguments.of_compare,
+        "compare",
+        """
+Differences are told in projector pixels and as lengths, over the camera's picture and by depth, after the rigid motion
+is taken out that brings the two closest. Exit code 0 also where they differ: the sentence at the end says so.
+""",
+    ),
+    "import": Command(
+        "Make a capture of another program's frames, whose order is recognised.", arguments.of_import, "import_"
+    ),
+}

@@ -1,0 +1,38 @@
+"""Arguments that several commands have."""
+
+from argparse import ArgumentParser
+from pathlib import Path
+
+
+def add_result(parser: ArgumentParser) -> None:
+    parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
+
+
+def add_config(parser: ArgumentParser, *, required: bool) -> None:
+    parser.add_argument("--config", type=Path, metavar="FILE", required=required, help="configuration (YAML)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override a key, as in camera.width=640"
+    )
+
+
+def add_calibration(parser: ArgumentParser, kind: type[Path] | type[str] = Path) -> None:
+    parser.add_argument(
+        "--calibration", type=kind, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
+    )
+
+
+def add_out(parser: ArgumentParser, *, default: str | None = None) -> None:
+    text = "folder to make" if default is None else f"folder to make (default: {default})"
+    parser.add_argument("--out", type=Path, metavar="DIR", required=default is None, help=text)
+
+
+def add_overwrite(parser: ArgumentParser) -> None:
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier result of that name")
+
+
+def add_masks(parser: ArgumentParser) -> None:
+    parser.add_argument("--masks", type=Path, metavar="DIR", help="three PNG of the camera's size, nonzero on a face")
+
+
+def add_quiet(parser: ArgumentParser) -> None:
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")

@@ -1,0 +1,129 @@
+"""A single frame that was taken while the projector still showed a part of the picture before.
+
+Frame k shows (1 − g) P(k) + g P(k − 1), all others are right. What no other frame explains then contradicts it: its
+light and that of its inverse do not add up; a bit without an inverse has more levels than two. With the right share
+taken out, they do. Steps of fringes are made alike in brightness anyway, which leaves little of it.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.light.brightness import lit_by
+from scanner.decoding.medians import medians
+from scanner.decoding.sequence_plan import SequencePlan
+
+# With more of the picture before than this the frame is that picture; less does no harm.
+_LEAST, _MOST = 0.1, 0.75
+# What taking it out leaves of the contradiction. Of late frames with inverses a few hundredths are left, of brightness
+# a third and more; of bits alone, whose levels bounced light spreads, up to a fifth.
+_LEFT = {"pairs": 0.15, "bits": 0.25}
+# The contradiction of a tenth, in squares of the pixels' swings; and how many times the usual one it is.
+_NOTABLE, _UNUSUAL = 0.002, {"pairs": 10.0, "bits": 2.5}
+# Of what would be left if frames were brighter or darker. A frame's own inverse before it looks like that.
+_OF_BRIGHTNESS = 0.3
+_LEAST_VARIETY = 0.2  # of the picture before, in swings: black in a frame makes it darker, and nothing else
+_ENDS = (0.05, 0.95)  # of a bit's levels
+_FEWEST_PIXELS, _MOST_PIXELS = 100, 1000
+_FEWEST_GROUPS = 3
+
+Off = Callable[[Floats32], float]
+
+
+@dataclass(frozen=True)
+class LateFrame:
+    """The `frame`, by its place in the capture, that shows a `share` of the picture before."""
+
+    place: int
+    share: float
+
+
+def late_frame(plan: SequencePlan, levels: Floats32, saturation: float) -> LateFrame | None:
+    """The one that a sample `levels` (frames, P) of all frames shows, if there is one."""
+    lit = lit_by(np.ptp(levels, axis=0))
+    lit = lit[levels[:, lit].max(axis=0) < saturation]
+    if len(lit) < _FEWEST_PIXELS:
+        return None
+    seen = levels[:, lit[:: -(-len(lit) // _MOST_PIXELS)]]
+    seen = seen / np.ptp(seen, axis=0)
+    best, least = None, 1.0
+    for kind, frames, off in _groups(plan, seen):
+        at_first = off(seen)
+        if at_first < _NOTABLE:
+            continue
+        for frame in frames:
+            place = plan.shown.index(frame)
+            if place == 0:
+                continue
+            before = seen[plan.shown[place - 1]]
+            if float(np.std(before)) < _LEAST_VARIETY:
+                continue
+
+            def left(share: float, frame: int = frame, before: Floats32 = before, off: Off = off) -> float:
+                levels = seen.copy()
+                levels[frame] = (levels[frame] - share * before) / (1 - share)
+                return off(levels)
+
+            found = minimize_scalar(left, bounds=(0, _MOST), method="bounded", options={"xatol": 1e-3})
+            rest = float(found.fun) / at_first / _LEFT[kind]
+            if plan.shown[place - 1] not in frames and float(found.fun) > _OF_BRIGHTNESS * _off_once_alike(
+                seen, frames
+            ):
+                continue
+            if rest < least and _LEAST < found.x < _MOST - _LEAST:
+                best, least = LateFrame(place, float(found.x)), rest
+    return best
+
+
+def _groups(plan: SequencePlan, seen: Floats32) -> Iterator[tuple[str, tuple[int, ...], Off]]:
+    """Pairs and bits alone that contradict themselves more than usual, and by how much, given levels (frames, P)."""
+    pairs = plan.complements
+    if len(pairs) >= _FEWEST_GROUPS:
+        common = medians(np.stack([np.mean(seen[list(pair)], axis=0) for pair in pairs]), axis=0)
+        yield from _unusual("pairs", [(pair, _off_common(pair, common)) for pair in pairs], seen)
+    if plan.white is not None and plan.black is not None:
+        in_pairs = {frame for pair in plan.complements for frame in pair}
+        bits = {frame for axis in plan.axes for code in axis.codes for frame in code.frames} - in_pairs
+        yield from _unusual(
+            "bits", [((bit,), _off_two_levels(plan.white, plan.black, bit)) for bit in sorted(bits)], seen
+        )
+
+
+def _unusual(
+    kind: str, groups: list[tuple[tuple[int, ...], Off]], seen: Floats32
+) -> Iterator[tuple[str, tuple[int, ...], Off]]:
+    if len(groups) >= _FEWEST_GROUPS:
+        usual = float(np.median([off(seen) for _, off in groups]))
+        yield from ((kind, frames, off) for frames, off in groups if off(seen) > _UNUSUAL[kind] * usual)
+
+
+def _off_common(frames: tuple[int, ...], common: Floats32) -> Off:
+    return lambda levels: float(np.mean((np.mean(levels[list(frames)], axis=0) - common) ** 2))
+
+
+def _off_once_alike(seen: Floats32, frames: tuple[int, ...]) -> float:
+    """What is left of the contradiction if each of the frames is as bright as makes them add up to even light."""
+    if len(frames) == 1:
+        return np.inf
+    light = np.mean(seen, axis=0)
+    design = (seen[list(frames)] / light).T.astype(np.float64)
+    gains = np.linalg.lstsq(design, np.ones(len(design)), rcond=None)[0]
+    return float(np.mean((light * (design @ gains - 1)) ** 2))
+
+
+def _off_two_levels(white: int, black: int, bit: int) -> Off:
+    def off(levels: Floats32) -> float:
+        between = levels[white] - levels[black]
+        lit = between > np.float32(0.5)
+        relative = (levels[bit] - levels[black])[lit] / between[lit]
+        if len(relative) < _FEWEST_PIXELS:
+            return 0.0
+        is_bright = relative > np.mean(np.quantile(relative, _ENDS))
+        groups = [relative[is_bright], relative[~is_bright]]
+        squares = sum(float(np.sum((group - np.median(group)) ** 2)) for group in groups if len(group))
+        return squares / len(relative)
+
+    return off

@@ -1,0 +1,42 @@
+"""What else a folder may be that is no capture in an order that is known: one without white or black, or one that has
+a frame twice.
+
+A camera that triggers once too often takes the same picture again, and who has inverses may do without white and black.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from scanner.importing.frame_files import FrameFiles
+from scanner.importing.samples import Samples
+from scanner.patterns import Black, Pattern, White
+
+# What two frames of the same picture differ by, in swings of the lit pixels: at nearly all of them.
+_SAME, _NEARLY_ALL = 0.1, 0.98
+
+MISSING_ENDS: tuple[tuple[Pattern, ...], ...] = ((Black(),), (White(),), (White(), Black()))
+
+
+def without_doubles(files: FrameFiles, samples: Samples) -> Iterator[tuple[FrameFiles, Samples]]:
+    """The frames without those that look like the ones before them: without all of these, else without one.
+
+    `samples`: of the numbered frames, and then of white and black.
+    """
+    frames = samples.levels[: len(files.numbered), samples.lit] / samples.swing[samples.lit]
+    doubles = [
+        number
+        for number, (before, frame) in enumerate(pairwise(frames), 1)
+        if np.quantile(np.abs(frame - before), _NEARLY_ALL) < _SAME
+    ]
+    for left_out in [doubles, *([[double] for double in doubles] if len(doubles) > 1 else [])]:
+        if left_out:
+            levels = np.delete(samples.levels, left_out, axis=0)
+            yield files.without(_paths(files, left_out)), replace(samples, levels=levels)
+
+
+def _paths(files: FrameFiles, numbers: list[int]) -> list[Path]:
+    return [files.numbered[number] for number in numbers]
