@@ -1,17 +1,18 @@
 """Stations of made-up rooms registered without a guess, against where they stood.
 
-    python benchmarks/bench_registration.py --seeds 0 20 --kinds whole open stranger two moved bare
+    python benchmarks/bench_registration.py --seeds 0 20 --kinds whole open stranger two moved bare [--painted]
 
 Furnished rooms with walls off square by 0.3°, six stations in random order of which neighbours overlap by 30 to 50 %,
 clouds with 3 mm of noise at 3 m and bent by 0.3 % of a wrong calibration. `open`: one station is missing; `stranger`:
 one more is of another room; `two`: four stations of one room and three of another; `moved`: one station's rig was
-changed; `bare`: no furniture. 'wrong': stations that are not where they stood relative to the first of their group (1°,
-80 mm), or in a group with another room's. 'left out': of those that belong. Seconds are of one processor.
+changed; `bare`: no furniture. `--painted`: stations have pictures, of surfaces with a poster here and
+there. 'wrong': stations that are not where they stood relative to the first of their group (1°, 80 mm), or in a group
+with another room's. 'left out': of those that belong. Seconds are of one processor.
 """
 
 import argparse
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from calib.geometry import Motion
 from calib.pointcloud import surface
 from calib.rooms import Registration, StationView, register, station_view
 from calib.rooms.alignment import composed, inverse
-from calib.synthetic.stations import CAMERA, Station, moved_rig, random_room, ring, seen_from
+from calib.rooms.marks import marks_of
+from calib.synthetic.stations import CAMERA, Paint, Station, moved_rig, random_room, ring, seen_from
 
 KINDS = ("whole", "open", "stranger", "two", "moved", "bare")
 _LIMITS = (1.0, 0.08)  # degrees, metres
@@ -33,30 +35,34 @@ class Stop:
     room: int
 
 
-def stops(kind: str, seed: int) -> list[Stop]:
+def stops(kind: str, seed: int, painted: bool = False) -> list[Stop]:
     rng = np.random.default_rng(1000 + seed)
-    found = seen(seed, 0, 0 if kind == "bare" else 8)
+    found = seen(seed, 0, painted, 0 if kind == "bare" else 8)
     if kind == "open":
         found.pop(int(rng.integers(len(found))))
     elif kind == "stranger":
-        found += seen(500 + seed, 1)[:1]
+        found += seen(500 + seed, 1, painted)[:1]
     elif kind == "two":
-        found = found[:4] + seen(500 + seed, 1)[:3]
+        found = found[:4] + seen(500 + seed, 1, painted)[:3]
     elif kind == "moved":
         k = int(rng.integers(len(found)))
         found[k] = Stop(moved_rig(found[k].station), 2)
     return [found[k] for k in rng.permutation(len(found))]
 
 
-def seen(seed: int, name: int, pieces: int = 8) -> list[Stop]:
+def seen(seed: int, name: int, painted: bool, pieces: int = 8) -> list[Stop]:
     rng = np.random.default_rng(seed)
     room = random_room(rng, pieces)
-    return [Stop(seen_from(room, place, rng), name) for place in ring(rng, room, 6)]
+    paint = Paint(seed) if painted else None
+    return [Stop(seen_from(room, place, rng, paint=paint), name) for place in ring(rng, room, 6)]
 
 
 def view_of(station: Station) -> StationView:
     normals = surface(station.points, float(np.mean(CAMERA.focal_px))).normals
-    return station_view(station.points, normals, CAMERA)
+    view = station_view(station.points, normals, CAMERA)
+    if station.picture is None:
+        return view
+    return replace(view, marks=marks_of(station.picture, view.points, view.labels, view.planes, CAMERA))
 
 
 def errors(found: Registration, of: list[Stop]) -> list[tuple[float, float]]:
@@ -79,8 +85,8 @@ def apart(one: Motion, other: Motion) -> tuple[float, float]:
     return float(angle), float(np.linalg.norm(step.translation))
 
 
-def run(kind: str, seed: int) -> dict[str, float]:
-    of = stops(kind, seed)
+def run(kind: str, seed: int, painted: bool) -> dict[str, float]:
+    of = stops(kind, seed, painted)
     views = [view_of(stop.station) for stop in of]
     start = time.process_time()
     found = register(views)
@@ -105,9 +111,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20), metavar=("FIRST", "END"))
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
+    parser.add_argument("--painted", action="store_true")
     args = parser.parse_args()
     for kind in args.kinds:
-        rows = [run(kind, seed) for seed in range(*args.seeds)]
+        rows = [run(kind, seed, args.painted) for seed in range(*args.seeds)]
         total = {name: sum(row[name] for row in rows) for name in rows[0]}
         rooms = sum(row["wrong"] == 0 and row["left out"] == 0 for row in rows)
         print(f"{kind}: {rooms} of {len(rows)} rooms without a fault, {total}\n", flush=True)

@@ -1,13 +1,13 @@
 """Whole rooms: stations registered without a guess, and one estimate of rig, places and walls, against the truth.
 
-    python benchmarks/bench_room.py [--rooms 6] [--stations 6] [--camera 612 512] [--first 0] [--without 2]
+    python benchmarks/bench_room.py [--rooms 6] [--stations 6] [--camera 612 512] [--first 0] [--without 2] [--pictures]
 
 Simulated furnished rooms, walls off square by 0.3°, furniture askew by 4°, two balls 3 m apart. Matches are those of
 rays, one for each camera pixel, with 0.03 projector px of noise; nothing is known of the camera's principal point but
 that it is near the image's centre. Stations come in random order. Errors of places and surfaces are the largest after
 the whole room was laid over the truth; wrong is a station off by more than 20 mm. `--without`: leave one station out,
-so that the chain is open. Seconds are of one processor: start is calibrating from corners, solve is surfaces,
-registration, estimate and final clouds.
+so that the chain is open. `--pictures`: stations have the lit scene's, too. Seconds are of
+one processor: start is calibrating from corners, solve is surfaces, registration, estimate and final clouds.
 """
 
 import argparse
@@ -71,7 +71,9 @@ def config_of(true: Sequence[TrueStation], camera: Size) -> Config:
 def measure(true: Sequence[TrueStation], camera: Size) -> Row:
     config, quiet = config_of(true, camera), Terminal(quiet=True)
     facts = CaptureFacts(camera, Size(*PROJECTOR))
-    captures = [Decoded(facts, each.matches, GivenMatches(), str(number)) for number, each in enumerate(true)]
+    captures = [
+        Decoded(facts, each.matches, GivenMatches(each.picture), str(number)) for number, each in enumerate(true)
+    ]
     began = time.process_time()
     start = rig_from_corners(captures, config, quiet)
     started = time.process_time()
@@ -169,13 +171,14 @@ def main() -> None:
     parser.add_argument("--stations", type=int, default=6)
     parser.add_argument("--camera", type=int, nargs=2, default=(612, 512))
     parser.add_argument("--without", type=int)
+    parser.add_argument("--pictures", action="store_true")
     args = parser.parse_args()
     camera, rows = Size(*args.camera), []
     print("room  joined  wrong  place mm   turn °  surfaces % of the diagonal  balls mm  focal %   start s  solve s")
     for seed in range(args.first, args.first + args.rooms):
         try:
             how = {"furniture_askew_deg": 4.0, "ball_bar_m": _BALLS_M}
-            true = stations(args.stations, seed, camera=args.camera, **how)
+            true = stations(args.stations, seed, camera=args.camera, pictures=args.pictures, **how)
         except DeviceError:
             continue
         kept = [k for k in np.random.default_rng(seed).permutation(len(true)) if k != args.without]

@@ -58,6 +58,16 @@ class PasserSettings(_Part):
     last_frame: int = Field(default=0, ge=0, description="The frame in which it leaves on the right.")
 
 
+class PushedSettings(_Part):
+    """A box stands before the corner of the simulated room, and is pushed to the camera's right during the capture."""
+
+    width_m: float = Field(
+        default=0.0, ge=0.0, le=1.0, description="How wide and deep it is, at a height of 1.2 m; 0 is none."
+    )
+    frame: int = Field(default=0, ge=0, description="The first frame in which it stands elsewhere.")
+    by_m: float = Field(default=0.0, ge=0.0, le=2.0, description="How far it is pushed.")
+
+
 class BoardSettings(_Part):
     """A printed board, held before the simulated rig or lying in its room."""
 
@@ -207,6 +217,9 @@ class SimulatedRigSettings(BaseModel):
     )
     passer: PasserSettings = Field(
         default=PasserSettings(), description="{width_m: …, first_frame: …, last_frame: …}: somebody goes past."
+    )
+    pushed: PushedSettings = Field(
+        default=PushedSettings(), description="{width_m: …, frame: …, by_m: …}: a box is pushed aside."
     )
     board: BoardSettings = Field(
         default=BoardSettings(),

@@ -119,6 +119,9 @@ def _camera() -> Iterator[Condition]:
 def _scene() -> Iterator[Condition]:
     for width in (0.1, 0.2, 0.4):
         yield Condition("somebody goes past", f"{width} m wide", _passing(width))
+    for width in (0.1, 0.3):
+        for by in (0.01, 0.05, 0.3, 2.0):
+            yield Condition("a box is pushed", f"{width} m wide, by {by} m", _pushed(width, by))
     for angle in (2.0, 5.0):
         yield Condition("furniture askew", f"{angle:g}°", {"furniture_askew_deg": angle})
 
@@ -176,6 +179,13 @@ def _passing(width_m: float) -> OfRig:
     def settings(patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
         first = int(rng.integers(2, len(patterns) - 6))
         return {"passer": {"width_m": width_m, "first_frame": first, "last_frame": first + 5}}
+
+    return settings
+
+
+def _pushed(width_m: float, by_m: float) -> OfRig:
+    def settings(patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
+        return {"pushed": {"width_m": width_m, "by_m": by_m, "frame": int(rng.integers(2, len(patterns)))}}
 
     return settings
 

@@ -1,7 +1,9 @@
 """Whole rooms: where several stations of one rig stood, the planes that they share, and one estimate of all of it."""
 
 from calib.rooms.estimate import RoomEstimate, Undetermined, estimate_room
+from calib.rooms.followed import Sight
 from calib.rooms.likelihood import RigPrior
+from calib.rooms.marks import Marks, marks_of
 from calib.rooms.planes import RoomPlane
 from calib.rooms.registration import Alternative, Group, LeftOut, Pair, Registration, register
 from calib.rooms.room import Room

@@ -7,7 +7,8 @@ hidden behind, or out of sight, and says nothing.
 What that is worth is counted in nats. Surfaces are described by fewer numbers if they are the same: a plane that need
 not be described again saves about log(size of a room / tolerance), however large it is, and a little more for every
 patch of it, each of which could have been contradicted; a patch of no plane saves little, for it resembles its
-neighbours. The pose has to be described instead. A patch that contradicts needs an excuse each time.
+neighbours. The pose has to be described instead. A patch that contradicts needs an excuse each time. Marks of the
+pictures that look alike and come to lie on each other say the same of places along the planes.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.numerics import Floats, Ints, compiled
+from calib.rooms.marks import alike
 from calib.rooms.surfaces import Surfaces
 
 # Of the depth, beyond three sigmas of noise: by what a calibration is off, and a pose before it is refined.
@@ -25,6 +27,9 @@ _FREE = 0.015  # a patch in front of a surface by so much more than that is one 
 NATS_PER_PLANE, _PATCHES_PER_PLANE = 6.0, 10.0
 _NATS_PER_PLANE_PATCH, NATS_PER_PATCH, NATS_PER_CONTRADICTION = 0.008, 0.1, 1.0
 NATS_OF_POSE = 17.0
+# Marks of one pattern that is repeated come to lie on each other by the dozen: the first few say nothing, and there is
+# a limit to what they can say.
+_NATS_PER_MARK, _MARKS_BY_CHANCE, _MOST_NATS_OF_MARKS = 2.0, 4, 30.0
 # One answer has to be 1000 times as likely as the next.
 DECIDED_NATS = float(np.log(1000.0))
 _UPRIGHT_SIGMA = np.radians(45.0)
@@ -35,13 +40,14 @@ _CONTRADICTS, _HIDDEN, _UNLIKE, _FATES = 0, 1, 2, 3
 @dataclass(frozen=True)
 class Agreement:
     """Of K poses. `matched` (K, P + 1, Q + 1): patches that agree, by the planes in either station they are on, the
-    last for none; `contradicting`, `hidden`, `unlike` (K,): patches. `seen` (2,): patches of either station.
+    last for none; `contradicting`, `hidden`, `unlike` (K,): patches. `marks` (K,): those of the pictures that agree.
     """
 
     matched: Ints
     contradicting: Ints
     hidden: Ints
     unlike: Ints
+    marks: Ints
 
     @property
     def agreeing(self) -> Ints:
@@ -60,7 +66,7 @@ def gain(seen: Sequence[Agreement], thinned: float = 1.0) -> Floats:
     """What a station is worth in nats, (K,), beside several others, in K poses: `seen` as second station with each.
 
     A plane of it that several others share needs not be described once, not several times; whoever looked through it
-    contradicts.
+    contradicts. Of marks, those count that it shares with one of them.
     """
     on_planes = sum(each.matched[:, :-1, :-1].sum(axis=1) for each in seen) * thinned
     planes = NATS_PER_PLANE * np.sum(1 - np.exp(-on_planes / _PATCHES_PER_PLANE), axis=1)
@@ -70,7 +76,13 @@ def gain(seen: Sequence[Agreement], thinned: float = 1.0) -> Floats:
     worth: Floats = planes + thinned * (
         np.max(_NATS_PER_PLANE_PATCH * shared + NATS_PER_PATCH * others, axis=0) - NATS_PER_CONTRADICTION * against
     )
-    return worth
+    with_marks: Floats = worth + np.max([_nats_of_marks(each.marks) for each in seen], axis=0)
+    return with_marks
+
+
+def _nats_of_marks(count: Ints) -> Floats:
+    nats: Floats = np.clip(_NATS_PER_MARK * (count - _MARKS_BY_CHANCE), 0.0, _MOST_NATS_OF_MARKS)
+    return nats
 
 
 def nats_of_tilt(rotations: Floats) -> Floats:
@@ -94,7 +106,19 @@ def compare(
     _look(second, first, rotations, translations, tolerance, patches, matched.transpose(0, 2, 1), fates)
     back = np.ascontiguousarray(rotations.transpose(0, 2, 1))
     _look(first, second, back, -np.einsum("kij,kj->ki", back, translations), tolerance, patches, matched, fates)
-    return Agreement(matched, fates[:, _CONTRADICTS], fates[:, _HIDDEN], fates[:, _UNLIKE])
+    marks = _marks(first, second, rotations, translations, tolerance)
+    return Agreement(matched, fates[:, _CONTRADICTS], fates[:, _HIDDEN], fates[:, _UNLIKE], marks)
+
+
+def _marks(first: Surfaces, second: Surfaces, rotations: Floats, translations: Floats, tolerance: float) -> Ints:
+    """How many marks that look alike lie on each other, (K,)."""
+    own, other = alike(first.marks, second.marks)
+    if len(own) <= _MARKS_BY_CHANCE:
+        return np.zeros(len(rotations), np.int64)
+    here, there = first.marks.points[own], second.marks.points[other]
+    off = np.einsum("kij,nj->kni", rotations, there) + translations[:, None] - here
+    count: Ints = np.count_nonzero(np.linalg.norm(off, axis=2) < tolerance * here[:, 2], axis=1)
+    return count
 
 
 def compare_one(first: Surfaces, second: Surfaces, pose: Motion) -> Agreement:

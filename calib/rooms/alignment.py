@@ -1,8 +1,8 @@
 """Point-to-plane registration by projection: each patch meets the surface that the other camera saw in its direction.
 
 Chen and Medioni, "Object modelling by registration of multiple range images", 1992; the closest point is looked for
-along the other camera's ray (Blais and Levine 1995), which needs no search tree. Poses move by twists of the room's
-frame: a turn ω and a shift v take X to X + ω × X + v.
+along the other camera's ray (Blais and Levine 1995), which needs no search tree. Marks of the pictures that look alike
+meet, too. Poses move by twists of the room's frame: a turn ω and a shift v take X to X + ω × X + v.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Motion, rotation_about
-from calib.numerics import Floats, Ints, compiled
+from calib.numerics import Floats, compiled
 from calib.rooms.agreement import FINE
+from calib.rooms.marks import alike
 from calib.rooms.surfaces import Surfaces
 
 _LIKE = float(np.cos(np.radians(35.0)))
@@ -25,7 +26,8 @@ _CONVERGED = 1e-6
 @dataclass(frozen=True)
 class NormalEquations:
     """Of the twist of one station against another: `matrix` (6, 6), `gradient` (6,), sums over `count` patches of
-    squared relative distances, whose weighted sum is `square`; `weight` is the sum of the weights.
+    squared relative distances, whose weighted sum is `square`; `weight` is the sum of the weights. Of marks there is
+    something in the first two only.
     """
 
     matrix: Floats
@@ -58,12 +60,10 @@ def normal_equations(
     still_place: Motion,
     tolerance: float,
     patches: int | None = None,
-    *,
-    unlabelled: bool = False,
 ) -> NormalEquations:
     """For the twist of `moving`, from the patches of both; that of `still` has the same with the gradient turned round.
 
-    `tolerance`: relative to the depth, beyond the noise. `unlabelled`: only patches that are on no plane in either.
+    `tolerance`: relative to the depth, beyond the noise.
     """
     sums, scalars = np.zeros((6, 7)), np.zeros(3)
     for one, at, other, other_at, sign in (
@@ -74,25 +74,40 @@ def normal_equations(
         _add_up(
             one.patches[:patches],
             one.patch_normals[:patches],
-            one.patch_labels[:patches],
             at.rotation,
             at.translation,
             other.points,
             other.normals,
-            other.labels,
             other.focal_px,
             other.centre_px,
             other_at.rotation,
             other_at.translation,
             tolerance,
             3 * (one.noise + other.noise),
-            unlabelled,
             part,
             scalars,
         )
         part[:, 6] *= sign
         sums += part
+    sums += _of_marks(moving, place, still, still_place, tolerance)
     return NormalEquations(sums[:, :6], sums[:, 6], float(scalars[0]), float(scalars[1]), int(scalars[2]))
+
+
+def _of_marks(moving: Surfaces, place: Motion, still: Surfaces, still_place: Motion, tolerance: float) -> Floats:
+    """Normal matrix and gradient (6, 7) of marks that look alike and should be at one point, with Tukey's weights."""
+    own, other = alike(moving.marks, still.marks)
+    points = moving.marks.points[own] @ place.rotation.T + place.translation
+    off = points - still.marks.points[other] @ still_place.rotation.T - still_place.translation
+    depth = moving.marks.points[own, 2]
+    relative = np.linalg.norm(off, axis=1) / (tolerance * depth)
+    near = relative < 1
+    points, off = points[near], off[near]
+    weight = ((1 - relative[near] ** 2) / depth[near]) ** 2
+    by_twist = np.concatenate([-np.cross(points[:, None], np.eye(3)), np.broadcast_to(np.eye(3), (len(off), 3, 3))], 1)
+    sums = np.empty((6, 7))
+    sums[:, :6] = np.einsum("n,nia,nja->ij", weight, by_twist, by_twist)
+    sums[:, 6] = np.einsum("n,nia,na->i", weight, by_twist, off)
+    return sums
 
 
 def settled(
@@ -168,32 +183,27 @@ def _step(matrix: Floats, gradient: Floats, centre: Floats) -> Floats:
 def _add_up(
     patches: Floats,
     patch_normals: Floats,
-    patch_labels: Ints,
     rotation: Floats,
     translation: Floats,
     points: Floats,
     normals: Floats,
-    labels: Ints,
     focal_px: float,
     centre_px: tuple[float, float],
     camera_rotation: Floats,
     camera_translation: Floats,
     tolerance: float,
     noise: float,
-    unlabelled: bool,
     sums: Floats,
     scalars: Floats,
 ) -> None:
     """Add to `sums` (6, 7), the normal matrix and the gradient by the patches' twist, with Tukey's weights; and to
     `scalars` (3,): squares, weights, number.
     """
-    height, width = labels.shape
+    height, width = points.shape[:2]
     r = camera_rotation.T @ rotation
     t = camera_rotation.T @ (translation - camera_translation)
     j6 = np.empty(6)
     for m in range(len(patches)):
-        if unlabelled and patch_labels[m] >= 0:
-            continue
         a, b, c = patches[m, 0], patches[m, 1], patches[m, 2]
         z = r[2, 0] * a + r[2, 1] * b + r[2, 2] * c + t[2]
         if not z > 1e-9:
@@ -205,7 +215,7 @@ def _add_up(
             continue
         i, j = int(row), int(column)
         depth = points[i, j, 2]
-        if not depth > 0 or (unlabelled and labels[i, j] >= 0):
+        if not depth > 0:
             continue
         within = depth * (tolerance + noise * depth)
         p, q, s = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]

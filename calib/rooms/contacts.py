@@ -145,10 +145,13 @@ def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Fl
     variance: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
     variance *= max(1.0, (SIGMA_PER_MEDIAN * median(np.abs(distances) / np.sqrt(variance))) ** 2)
     relative = np.clip(distances / np.sqrt(variance), -ROBUST_SIGMAS, ROBUST_SIGMAS)
-    pixel = contact.matches[0].camera_px
+    return variance * alike_in_blocks(contact.matches[0].camera_px, relative)
+
+
+def alike_in_blocks(pixel: Floats, relative: Floats) -> float:
+    """By what factor variances are larger because errors (N,), in sigmas, are alike in blocks of pixels (N, 2)."""
     place = ((pixel - pixel.min(axis=0)) / (np.ptp(pixel, axis=0) + 1e-9) * _BLOCKS).astype(np.int64)
     block = place[:, 0] * (_BLOCKS + 1) + place[:, 1]
     count, total = np.bincount(block), np.bincount(block, relative)
     full = count >= _FEWEST_IN_BLOCK
-    alike = float(np.mean(total[full] ** 2 / count[full])) if full.any() else 1.0
-    return variance * max(1.0, alike)
+    return max(1.0, float(np.mean(total[full] ** 2 / count[full]))) if full.any() else 1.0

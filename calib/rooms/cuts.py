@@ -7,7 +7,7 @@ linkage cluster analysis", 1969).
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -66,7 +66,7 @@ def _of_planes(seen: Agreement, plane_of: Sequence[int], planes: int) -> Agreeme
     """With the second station's labels replaced by the planes they are on, of which there are so many."""
     is_on: Ints = np.eye(planes + 1, dtype=np.int64)[[*plane_of, -1]]
     matched: Ints = seen.matched @ is_on
-    return Agreement(matched, seen.contradicting, seen.hidden, seen.unlike)
+    return replace(seen, matched=matched)
 
 
 def _parts(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> Iterator[tuple[int, ...]]:

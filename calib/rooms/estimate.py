@@ -15,6 +15,7 @@ from calib.numerics import Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, Cells, Shifts, State, covariance_of
 from calib.rooms.contacts import Contact, find_contacts
 from calib.rooms.flatness import covariance_of_waves
+from calib.rooms.followed import Sight, find_tracks
 from calib.rooms.likelihood import Fit, RigPrior, RoomPrior, minimise, rig_of
 from calib.rooms.noise import Levels, measured, rough_levels
 from calib.rooms.patches import Patch, patches_of, predict_patch
@@ -22,9 +23,11 @@ from calib.rooms.planes import RoomPlane
 from calib.rooms.room import Room
 from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
 from calib.rooms.smooth_errors import covariance_of_shifts
+from calib.rooms.tracks import Track
 
 _ROUGH = 0.01  # tolerance in cost while noise is measured
 _ROUNDS = 3
+_FOLLOWED = 2  # rounds: what is drawn from nearer the truth is followed better
 _ANY_TURN = 1.0  # radians
 _FAR_OFF = 0.1  # radians, and of the reach: a direction that is less sure than that is not determined
 NEAR = (0.02, 0.01, 0.005, 0.005)  # of the reach: points of two stations that may be on one surface
@@ -53,6 +56,7 @@ class RoomEstimate:
     `residual_px` (S,): root mean square of each coordinate of a station's cells, robustly; NaN without cells. `reach`:
     median distance of what was seen from the camera, in baselines. `waves` (P,): by how much each plane is not flat,
     root mean square, in baselines; 0 where nothing shows it. `contacts`: of surfaces that are no planes.
+    `tracks`: of points on planes that two pictures show.
     """
 
     fit: Fit
@@ -64,6 +68,7 @@ class RoomEstimate:
     reach: float
     waves: Floats
     contacts: tuple[Contact, ...]
+    tracks: tuple[Track, ...]
 
     @property
     def room(self) -> Room:
@@ -117,6 +122,7 @@ def estimate_room(
     shifts: Sequence[Shifts] = (),
     place_sigma: tuple[float, float] | None = None,
     loose: Sequence[Matches] = (),
+    sights: Sequence[Sight | None] = (),
 ) -> RoomEstimate:
     """From a start: the rig's as calibrated, `places` of stations and `planes` as registered, in baselines.
 
@@ -125,7 +131,8 @@ def estimate_room(
     `shifts`: for each station by what its matches may be shifted, for the covariance. `place_sigma`: how well the
     registration has places, as standard deviations of a turn in radians and a shift in baselines, where it knows more
     than these planes tell; by default a radian and the reach: nothing. `loose`: for each station matches that are on
-    no plane; where two stations saw one surface, it ties them.
+    no plane; where two stations saw one surface, it ties them. `sights`: of each station that has a picture;
+    what two of them show on a plane ties them along it.
 
     Raises RefusalError if the start puts cells behind a device, ValueError if the sequences do not fit each other.
     """
@@ -149,10 +156,14 @@ def estimate_room(
         known = replace(known, rig=rig)
         free = known.free(seen(fit.room, patches))
         fit = minimise(patches, replace(fit.room, rig=without), known, variances, free)
+    tracks: tuple[Track, ...] = ()
+    for _ in range(_FOLLOWED) if sights else ():
+        tracks = find_tracks(sights, _planes_of_labels(patches, plane_of), fit.room)
+        fit = minimise(patches, fit.room, known, variances, free, joints=tracks)
     contacts: tuple[Contact, ...] = ()
     for share in NEAR if loose else ():
         contacts = find_contacts(loose, fit.room, [noise.match_px for noise in levels.stations], share * reach)
-        fit = minimise(patches, fit.room, known, variances, free, contacts=contacts)
+        fit = minimise(patches, fit.room, known, variances, free, joints=(*contacts, *tracks))
 
     of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
     covariance = levels.alike * (covariance_of(fit.information, free) + of_terms + of_waves)
@@ -165,7 +176,15 @@ def estimate_room(
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
     undetermined = undetermined_in(fit.room, covariance, reach)
-    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves, contacts)
+    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves, contacts, tracks)
+
+
+def _planes_of_labels(patches: Sequence[Patch], plane_of: Sequence[Sequence[int]]) -> list[list[int]]:
+    """As `plane_of`, for the planes that the patches turned out to be on; −1 for labels without cells."""
+    found = [[-1] * len(labels) for labels in plane_of]
+    for patch in patches:
+        found[patch.station][int(patch.cells.plane[0])] = patch.plane
+    return found
 
 
 def _reach(room: Room, patches: Sequence[Patch]) -> float:

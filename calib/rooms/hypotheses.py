@@ -14,8 +14,9 @@ import numpy as np
 from calib.geometry import Motion
 from calib.numerics import Bools, Floats, Ints
 from calib.rooms.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
-from calib.rooms.alignment import settled
+from calib.rooms.alignment import normal_equations, settled
 from calib.rooms.features import feature_poses
+from calib.rooms.marked_poses import marked_poses
 from calib.rooms.surfaces import Surfaces
 
 _MOST_PLANES = 14
@@ -27,6 +28,7 @@ _MOST_ROTATIONS, _MOST_PAIRS_OF_PLANES, _MOST_TRIPLES, _MOST_LINES, _LINE_STEPS 
 _COARSE_PATCHES, _SETTLING_PATCHES = 150, 500
 _REFINED, _KEPT = 40, 12
 _LEAST_NATS = 3.0
+_SLIDES = np.array([0.0, -0.04, -0.03, -0.02, -0.01, 0.01, 0.02, 0.03, 0.04])  # of the distance; the first is to stay
 _HOLDING_PATCHES = 20
 
 
@@ -42,10 +44,11 @@ class Hypothesis:
 def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
     """Relative poses of two stations that are worth following up, best first.
 
-    Features are asked where planes are too few to fix a pose; and the rig may hardly have been moved at all.
+    Marks of the pictures suggest some. Features of the surfaces are asked where planes are too few to fix a pose; and
+    the rig may hardly have been moved at all.
     """
     rotations, translations = _supposed(first, second)
-    others = [Motion(np.eye(3), np.zeros(3))]
+    others = [Motion(np.eye(3), np.zeros(3)), *marked_poses(first, second)]
     if min(_fixed_directions(first), _fixed_directions(second)) < 3:
         others += feature_poses(first, second)
     rotations = np.concatenate([rotations, np.stack([pose.rotation for pose in others])])
@@ -57,8 +60,8 @@ def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
     size = _SAME_PLACE * (first.distance + second.distance) / 2
     found = []
     for k in _distinct(rotations, translations, worth, size, _REFINED):
-        pose = Motion(rotations[k], translations[k])
-        found.append(judged(first, second, refined(first, second, pose)))
+        pose = refined(first, second, Motion(rotations[k], translations[k]))
+        found.append(judged(first, second, _slid(first, second, pose)))
     found.sort(key=lambda each: -each.nats)
     poses = np.stack([each.pose.rotation for each in found]), np.stack([each.pose.translation for each in found])
     kept = _distinct(*poses, np.array([each.nats for each in found]), size, _KEPT)
@@ -75,6 +78,22 @@ def refined(first: Surfaces, second: Surfaces, pose: Motion) -> Motion:
     """The pose at which the second station's surfaces fit the first one's."""
     still = Motion(np.eye(3), np.zeros(3))
     return settled(second, pose, [(first, still)], (COARSE, FINE), _SETTLING_PATCHES)
+
+
+def _slid(first: Surfaces, second: Surfaces, pose: Motion) -> Motion:
+    """The pose, or a likelier one a little further along the direction that holds the second station least: what holds
+    it there, the side of a cupboard, may have been too far off to be found.
+    """
+    still = Motion(np.eye(3), np.zeros(3))
+    shifts = normal_equations(second, pose, first, still, FINE, _SETTLING_PATCHES).matrix[3:, 3:]
+    along = np.linalg.eigh(shifts)[1][:, 0]
+    steps = _SLIDES * (first.distance + second.distance) / 2
+    translations = pose.translation + steps[:, None] * along
+    rotations = np.broadcast_to(pose.rotation, (len(steps), 3, 3))
+    best = int(np.argmax(gain([compare(first, second, rotations, translations, FINE)])))
+    if steps[best] == 0.0:
+        return pose
+    return settled(second, Motion(pose.rotation, translations[best]), [(first, still)], (FINE,), _SETTLING_PATCHES)
 
 
 def judged(first: Surfaces, second: Surfaces, pose: Motion) -> Hypothesis:

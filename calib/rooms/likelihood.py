@@ -26,6 +26,7 @@ from calib.refinement import (
 from calib.rooms.contacts import Contact
 from calib.rooms.patches import PER_PATCH, Patch, carried, columns_of, predict_patch
 from calib.rooms.room import Room
+from calib.rooms.tracks import Track
 
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
 _STEPS = 60
@@ -192,7 +193,7 @@ def evaluate(
     room: Room,
     prior: RoomPrior,
     variances: Sequence[Floats],
-    contacts: Sequence[Contact] = (),
+    joints: Sequence[Contact | Track] = (),
 ) -> Fit:
     """The cost of a room with its derivatives.
 
@@ -214,9 +215,9 @@ def evaluate(
         columns, by_room = columns_of(room, patch), carried(room, patch)
         gradient[columns] += by_room.T @ slope
         information[np.ix_(columns, columns)] += by_room.T @ curvature @ by_room
-    for contact in contacts:
-        own, slope, curvature = contact.misfit(room)
-        columns = contact.columns(room)
+    for joint in joints:
+        own, slope, curvature = joint.misfit(room)
+        columns = joint.columns(room)
         cost += own
         gradient[columns] += slope
         information[np.ix_(columns, columns)] += curvature
@@ -230,7 +231,7 @@ def minimise(
     variances: Sequence[Floats],
     free: Bools,
     *,
-    contacts: Sequence[Contact] = (),
+    joints: Sequence[Contact | Track] = (),
     tolerance: float = CONVERGED,
 ) -> Fit:
     """The nearest minimum over the `free` columns (size,), by Levenberg and Marquardt.
@@ -239,10 +240,10 @@ def minimise(
     """
 
     def moved(fit: Fit, step: Floats) -> Fit:
-        return evaluate(patches, fit.room.moved(step), prior, variances, contacts)
+        return evaluate(patches, fit.room.moved(step), prior, variances, joints)
 
     def enough(_: float, decrement: float) -> bool:
         return decrement < tolerance
 
-    start = evaluate(patches, room, prior, variances, contacts)
+    start = evaluate(patches, room, prior, variances, joints)
     return descend(start, moved, enough, _DAMPING, _STEPS, free=np.flatnonzero(free))

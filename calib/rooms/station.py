@@ -1,11 +1,12 @@
 """What one station saw of a room."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Intrinsics
+from calib.rooms.marks import Marks, no_marks
 from calib.rooms.planes import RoomPlane
 from calib.rooms.segments import find_segments, relative_noise
 
@@ -15,7 +16,8 @@ class StationView:
     """An organised cloud in its camera's frame, with the planes in it.
 
     `points`, `normals` (H, W, 3), NaN where there is none; `labels` (H, W): the plane of each pixel as an index of
-    `planes`, −1 for none. `noise`: standard deviation of a point along its ray at depth z is `noise` · z².
+    `planes`, −1 for none. `noise`: standard deviation of a point along its ray at depth z is `noise` · z². `marks`:
+    what its picture shows on the planes, none without a picture.
     """
 
     points: NDArray[np.float32]
@@ -24,6 +26,7 @@ class StationView:
     planes: tuple[RoomPlane, ...]
     camera: Intrinsics
     noise: float
+    marks: Marks = field(default_factory=no_marks)
 
 
 def station_view(points: NDArray[np.float32], normals: NDArray[np.float32], camera: Intrinsics) -> StationView:

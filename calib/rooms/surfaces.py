@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from calib.numerics import Floats, Ints
+from calib.rooms.marks import Marks
 from calib.rooms.station import StationView
 
 _COLUMNS = 306
@@ -24,7 +25,7 @@ class Surfaces:
     """`points`, `normals` (h, w, 3), `labels` (h, w) as in the view, on the grid of a pinhole camera with `focal_px`
     and `centre_px`; `near` (h, w): least depth around each pixel. All NaN where nothing was
     measured. `patches`, `patch_normals` (M, 3), `patch_labels` (M,), in random order. `planes` (P, 4): normals and
-    offsets, `plane_area` (P,): patches on each. `distance`: median depth.
+    offsets, `plane_area` (P,): patches on each. `distance`: median depth. `marks`: of the picture.
     """
 
     points: Floats
@@ -40,6 +41,7 @@ class Surfaces:
     plane_area: Ints
     noise: float
     distance: float
+    marks: Marks
 
 
 def surfaces_of(view: StationView) -> Surfaces:
@@ -73,6 +75,7 @@ def surfaces_of(view: StationView) -> Surfaces:
         np.bincount(patch_labels[patch_labels >= 0], minlength=len(planes)),
         view.noise,
         float(np.nanmedian(depth)),
+        view.marks,
     )
 
 

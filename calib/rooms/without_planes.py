@@ -42,12 +42,12 @@ def estimate_without_planes(
                 "The stations' surfaces do not lie on each other closely enough to be estimated together.",
                 "Let them share more of what they see.",
             )
-        fit = minimise((), fit.room, known, (), free, contacts=contacts)
+        fit = minimise((), fit.room, known, (), free, joints=contacts)
     covariance = covariance_of(fit.information, free)
     levels = Levels(tuple(Noise(_MATCH_PX, 0.0, 0.0, 1.0) for _ in loose), np.zeros(0), 1.0)
     nothing = np.full(len(loose), np.nan)
     loosely = undetermined_in(fit.room, covariance, reach)
-    return RoomEstimate(fit, covariance, levels, (), nothing, loosely, reach, np.zeros(0), contacts)
+    return RoomEstimate(fit, covariance, levels, (), nothing, loosely, reach, np.zeros(0), contacts, ())
 
 
 def _reach(loose: Sequence[Matches], rig: State) -> float:

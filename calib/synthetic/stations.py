@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Intrinsics, Motion
-from calib.numerics import Bools, Floats
+from calib.numerics import Bools, Floats, Image
 from calib.synthetic.captures import look_at
 
 _UP = np.array([0.0, 0.0, 1.0])
+_POSTER_M, _PRINTED_M = 0.6, (0.23, 0.11, 0.07)
+_OFF_THE_WALLS = np.array([0.37, 0.41, 0.43])
+_TABLE, _PRIMES = 65_521, np.array([7919, 104_729, 1_299_709])
 CAMERA = Intrinsics(612, 512, (450.0, 450.0), (309.0, 251.0), (-0.06, 0.01, 0.0, 0.0, 0.0))
 
 
@@ -62,10 +65,38 @@ class Room:
 
 @dataclass(frozen=True)
 class Station:
-    """`points` (H, W, 3) in the camera's frame, as measured, NaN where there is none; `place`: X_world = R X + t."""
+    """`points` (H, W, 3) in the camera's frame, as measured, NaN where there is none; `place`: X_world = R X + t.
+
+    `picture` (H, W): the lit scene, None of a room without paint.
+    """
 
     points: NDArray[np.float32]
     place: Motion
+    picture: Image | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Paint:
+    """Plain surfaces with posters here and there: steps of brightness in `posters` of the volume's cubes of 0.6 m.
+
+    It is a function of where a point is, so that all stations see the same.
+    """
+
+    seed: int
+    posters: float = 0.12
+
+    def albedo(self, points: Floats) -> Floats:
+        """Of points (N, 3) in metres, (N,)."""
+        drawn = self._drawn(points, _POSTER_M, 0) < self.posters
+        fine = np.mean([self._drawn(points, size, 1 + k) for k, size in enumerate(_PRINTED_M)], axis=0)
+        return np.where(drawn, fine, 0.6)
+
+    def _drawn(self, points: Floats, cell: float, layer: int) -> Floats:
+        """A random number (N,) for the cube that each point is in, its corners away from the walls' planes."""
+        cube = np.floor(points / cell + _OFF_THE_WALLS).astype(np.int64) + 64
+        table = np.random.default_rng([self.seed, layer]).random(_TABLE)
+        found: Floats = table[(cube @ _PRIMES) % _TABLE]
+        return found
 
 
 @dataclass(frozen=True)
@@ -126,9 +157,16 @@ def ring(rng: np.random.Generator, room: Room, stations: int, step_deg: float = 
 
 
 def seen_from(
-    room: Room, place: Motion, rng: np.random.Generator, errors: Errors | None = None, camera: Intrinsics = CAMERA
+    room: Room,
+    place: Motion,
+    rng: np.random.Generator,
+    errors: Errors | None = None,
+    camera: Intrinsics = CAMERA,
+    paint: Paint | None = None,
 ) -> Station:
-    """The cloud of one station; the projector stands 0.3 m beside the camera and casts shadows."""
+    """The cloud of one station, and with `paint` its picture; the projector stands 0.3 m beside the camera and casts
+    shadows.
+    """
     errors = errors or Errors()
     x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     rays = camera.unproject(np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float64))
@@ -142,7 +180,13 @@ def seen_from(
     z = points[:, 2:]
     bent = 1 + errors.shape * ((z / 3.0 - 1) + 0.7 * points[:, :1] / z - 0.5 * (points[:, 1:2] / z) ** 2)
     along = 1 + errors.noise_m / 9.0 * z * rng.normal(size=z.shape)
-    return Station((points * bent * along).reshape(camera.height, camera.width, 3).astype(np.float32), place)
+    cloud = (points * bent * along).reshape(camera.height, camera.width, 3).astype(np.float32)
+    if paint is None:
+        return Station(cloud, place)
+    light = np.where(lit, paint.albedo(hit) / np.sum((hit - projector) ** 2, axis=1), 0.0)
+    light = np.minimum(light / np.percentile(light, 98), 1.0) + 0.01 * rng.normal(size=len(light))
+    picture = np.rint(255 * np.clip(light, 0.0, 1.0)).astype(np.uint8).reshape(camera.height, camera.width)
+    return Station(cloud, place, picture)
 
 
 def moved_rig(station: Station, stretch: float = 0.08) -> Station:

@@ -64,14 +64,14 @@ class FootprintCaster:
     painted: Ints | None = None
     board: Sheet | None = None
 
-    def moved(self, camera: PlacedDevice, projector: PlacedDevice, passer: Block | None) -> "FootprintCaster":
-        """The same with the devices elsewhere, and perhaps one more block in the scene, which has the walls' paint."""
+    def moved(self, camera: PlacedDevice, projector: PlacedDevice, *blocks: Block) -> "FootprintCaster":
+        """The same with the devices elsewhere, and perhaps more `blocks` in the scene, which have the walls' paint."""
         scene, painted = self.light.scene, None
-        if passer is not None:
+        if blocks:
             # The surfaces of a scene are numbered: the room's, the blocks' in turn, the spheres'.
             known = np.arange(scene.surface_count)
-            painted = np.insert(known, scene.sphere_surface, np.full(6, _OPPOSITE_WALL)).astype(np.int32)
-            scene = replace(scene, blocks=(*scene.blocks, passer))
+            painted = np.insert(known, scene.sphere_surface, np.full(6 * len(blocks), _OPPOSITE_WALL)).astype(np.int32)
+            scene = replace(scene, blocks=(*scene.blocks, *blocks))
         return replace(self, camera=camera, light=ProjectorLight(scene, projector), painted=painted)
 
     def cast(self) -> Footprints:

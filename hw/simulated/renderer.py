@@ -82,13 +82,13 @@ class Renderer:
             light = np.asarray(cv2.warpPerspective(light, self.turn, light.shape[::-1]), np.float32)
         return self._of_nodes(self.interreflection.irradiance(self.picture.pyramid(light)))
 
-    def moved(self, camera: PlacedDevice, projector: PlacedDevice, passer: Block | None = None) -> "Renderer":
+    def moved(self, camera: PlacedDevice, projector: PlacedDevice, *blocks: Block) -> "Renderer":
         """The view after the devices of a renderer that has not moved were turned a little: only rays are cast anew.
 
         A projector that turns about its lens lights the room like one that rests and shows its picture turned. What
-        goes past hides and shades, but the exchange of light between surfaces is taken to go on without it.
+        moves in the room, `blocks`, hides and shades; light is taken to go between surfaces as it does without.
         """
-        caster = self.caster.moved(camera, projector, passer)
+        caster = self.caster.moved(camera, projector, *blocks)
         turn = steered(self.caster.light.projector, projector)
         return replace(self, caster=caster, footprints=caster.cast(), turn=turn)
 

@@ -11,7 +11,7 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.device import PlacedDevice
 from hw.simulated.motion import offset_px, turned
-from hw.simulated.passer import passer_in
+from hw.simulated.passer import box_in, passer_in
 from hw.simulated.placement import resized
 from hw.simulated.renderer import Renderer, build_renderer
 from hw.simulated.room import Room, draw_room
@@ -80,12 +80,13 @@ class SimulatedRoom:
         bump, drift = self.settings.bump, self.settings.drift
         camera, projector = (offset_px(name, bump, drift, frame) for name in ("camera", "projector"))
         placed = turned(self.room.camera, camera)
-        passer = passer_in(frame, self.settings.passer, placed)
-        if passer is None and not any((*camera, *projector)):
+        bodies = passer_in(frame, self.settings.passer, placed), box_in(frame, self.settings.pushed, placed)
+        blocks = [body for body in bodies if body is not None]
+        if not blocks and not any((*camera, *projector)):
             return self.renderer
-        moved = (*camera, *projector, *(() if passer is None else passer.origin))
+        moved = (*camera, *projector, *(number for block in blocks for number in block.origin))
         if self._last is None or self._last[0] != moved:
-            self._last = moved, self.renderer.moved(placed, turned(self.room.projector, projector), passer)
+            self._last = moved, self.renderer.moved(placed, turned(self.room.projector, projector), *blocks)
         return self._last[1]
 
     def ambient_level(self, frame: int) -> float:

@@ -13,9 +13,10 @@ from scanner.capture import CAPTURE_FILE
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.results import CAPTURE_FOLDER
-from scanner.shown_text import shown
+from scanner.shown_text import harmless, shown
 
 _COLUMNS = {"capture", "name", "config", "calibration", "set"}
+_LINE_BREAKS = frozenset("\n\r\t")
 _LONGEST_NAME_BYTES = 240  # common file systems have 255
 
 
@@ -134,6 +135,9 @@ def _from_rows(rows: "csv.DictReader[str]", file: Place, asked: Asked) -> Iterat
         name = row.get("name") or _name(capture, capture)
         if not all(map(_may_be_a_name, name.split("/"))):
             raise InputError(f"{file.url}, line {number}: expected a name below the results, found {shown(name)}")
+        for text in (row["capture"], name):  # which become names of files, and cells of tables
+            if harmless(text) != text or not _LINE_BREAKS.isdisjoint(text):
+                raise InputError(f"{file.url}, line {number}: a name has a control character, found {shown(text)}")
         yield replace(template_of(own), name=name, capture=capture)
 
 

@@ -4,7 +4,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from scanner.errors import InputError
-from scanner.io import new_file, refuse_existing
+from scanner.io import new_files, refuse_existing
 from scanner.measuring import (
     ACCEPTANCE_FILE,
     ACCEPTANCE_PAGE,
@@ -29,10 +29,9 @@ def run(args: Namespace) -> None:
     for name in (ACCEPTANCE_FILE, ACCEPTANCE_PAGE):
         refuse_existing(out / name, overwrite=args.overwrite)
     acceptance = _accept(args.results, args.ball_bar, terminal)
-    with new_file(out / ACCEPTANCE_FILE, overwrite=args.overwrite) as path:
-        write_acceptance(path, acceptance)
-    with new_file(out / ACCEPTANCE_PAGE, overwrite=args.overwrite) as path:
-        write_acceptance_page(path, acceptance)
+    with new_files(out, (ACCEPTANCE_FILE, ACCEPTANCE_PAGE), overwrite=args.overwrite) as (document, page):
+        write_acceptance(document, acceptance)
+        write_acceptance_page(page, acceptance)
     terminal.show(*dict.fromkeys(acceptance.sentences), summary_table(acceptance))
     for remark in remarks(acceptance):
         terminal.show(f"Note: {remark}")

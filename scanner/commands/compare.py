@@ -11,7 +11,7 @@ from scanner.comparing import (
     write_compare,
     write_compare_page,
 )
-from scanner.io import new_file, refuse_existing
+from scanner.io import new_files, refuse_existing
 from scanner.ui import Terminal
 
 
@@ -25,8 +25,7 @@ def run(args: Namespace) -> None:
     found = compare_files(args.first, args.second, depths)
     terminal.show(table(found), *summary(found))
     if args.out:
-        with new_file(args.out / COMPARE_FILE, overwrite=args.overwrite) as path:
-            write_compare(path, found)
-        with new_file(args.out / COMPARE_PAGE, overwrite=args.overwrite) as path:
-            write_compare_page(path, found)
+        with new_files(args.out, (COMPARE_FILE, COMPARE_PAGE), overwrite=args.overwrite) as (document, page):
+            write_compare(document, found)
+            write_compare_page(page, found)
         terminal.show(f"Written: {args.out} ({COMPARE_PAGE}, {COMPARE_FILE})")

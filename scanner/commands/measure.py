@@ -3,7 +3,7 @@
 from argparse import Namespace
 
 from scanner.errors import InputError
-from scanner.io import new_file, refuse_existing
+from scanner.io import new_files, refuse_existing
 from scanner.measuring import (
     FIGURE_FILE,
     MEASURE_FILE,
@@ -40,12 +40,12 @@ def run(args: Namespace) -> None:
         )
     for name in (MEASURE_FILE, FIGURE_FILE):
         refuse_existing(out / name, overwrite=args.overwrite)
-    with new_file(out / MEASURE_FILE, overwrite=args.overwrite) as path:
-        write_document(path, measured, str(args.result))
-    if measured.pictured:
-        with new_file(out / FIGURE_FILE, overwrite=args.overwrite) as path:
+    names = (MEASURE_FILE, FIGURE_FILE) if measured.pictured else (MEASURE_FILE,)
+    with new_files(out, names, overwrite=args.overwrite) as (document, *figure):
+        write_document(document, measured, str(args.result))
+        for path in figure:
             write_figure(path, measured)
-    else:
+    if not measured.pictured:
         (out / FIGURE_FILE).unlink(missing_ok=True)  # an earlier measurement's
     terminal.show(measured.scene.sentence, *tables(measured))
     if args.shares:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Ints, in_parallel
+from calib.numerics import Bools, Ints, in_parallel
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
@@ -38,8 +38,13 @@ class Maps:
     footprint_px2: float = 0.0
 
 
-def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Maps:
-    """Both coordinates of all pixels. Without fringes, what is not smooth is left as it is: cells have steps."""
+def coordinate_maps(
+    accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder], moved: Bools | None = None
+) -> Maps:
+    """Both coordinates of all pixels. Without fringes, what is not smooth is left as it is: cells have steps.
+
+    `moved` (H, W): where something did, which is masked.
+    """
     plan, (height, width) = accumulators.plan, accumulators.middle.shape
     footprint_px2 = _footprint(accumulators, decoders)
     projector_px, variance = np.empty((height, width, 2), np.float32), np.empty((height, width), np.float32)
@@ -52,6 +57,9 @@ def coordinate_maps(accumulators: Accumulators, decoders: tuple[AxisDecoder, Axi
         tile, wide, own = (rows, columns), (wide_rows, wide_columns), (own_rows, own_columns)
         # By `map`, which lets go of the signals of x before it takes those of y.
         found = list(map(AxisDecoder.decode, decoders, signals_of(accumulators, lambda image: image[wide])))
+        if moved is not None:
+            for c in found:
+                np.copyto(c.reason, np.uint8(MaskReason.MOVED), where=moved[wide] & (c.reason != MaskReason.DARK))
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
         for c in found:

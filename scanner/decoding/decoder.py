@@ -37,10 +37,12 @@ from scanner.decoding.light_switch import LightRemover, LightSwitch
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.memory import refuse_more_than_there_is
 from scanner.decoding.motion import (
+    CoarseFrames,
     MotionFound,
     TileSample,
     blaming_motion,
     blaming_shifts,
+    mask_broken,
     remarks_on,
 )
 from scanner.decoding.one_axis import one_axis
@@ -113,7 +115,7 @@ class Decoder:
         self._count = 0
         self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
         self._projector_size = projector_size
-        self._held: tuple[Accumulators, Sample, TileSample] | None = None
+        self._held: tuple[Accumulators, Sample, TileSample, CoarseFrames] | None = None
         self._lit: EvenlyLit | None = None
         self._texture: Image | None = None
 
@@ -144,16 +146,17 @@ class Decoder:
             refuse_more_than_there_is(shape)
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
             accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape), sample.pixels)
-            self._held = accumulators, sample, TileSample(shape)
+            self._held = accumulators, sample, TileSample(shape), CoarseFrames(shape)
             halves = halves_of(self._plan)
             self._lit = EvenlyLit(halves, shape) if halves else None
-        accumulators, sample, tiles = self._held
+        accumulators, sample, tiles, coarse = self._held
         number = self._plan.shown[self._count]
         if number in self._of_fringes:
             tiles.add(self._count, grey)
         # A pattern that was shown before is a witness of what has changed since, and nothing else.
         if number not in self._plan.shown[: self._count]:
             sample.add(grey)
+            coarse.add(grey)
             accumulators.add(number, grey)
             if self._lit is not None:
                 self._lit.add(number, grey)
@@ -167,7 +170,7 @@ class Decoder:
         """
         if self._held is None or self._count < len(self._plan.shown) or self._ghost or self._merger is not None:
             return None
-        accumulators, sample, _ = self._held
+        accumulators, sample, *_ = self._held
         rows = sample.pixels // accumulators.brightest.shape[1]
         return find_ghost(self._plan, sample.levels, rows, saturation_level(accumulators.peak))
 
@@ -183,17 +186,21 @@ class Decoder:
             )
         if self._held is None or self._texture is None:
             raise RuntimeError("this decoder has finished already")
-        (accumulators, sample, tiles), self._held = self._held, None
+        (accumulators, sample, tiles, coarse), self._held = self._held, None
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
-        seen = look(accumulators, sample, tiles, self._projector_size)
-        del tiles
+        seen = look(accumulators, sample, tiles, coarse, self._projector_size)
+        del tiles, coarse
         oddities: list[Oddity] = []
         with blaming_motion(lambda: seen.motion, seen.broken):
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities, once_more=once_more and not self._mended)
                 del sample
-                maps = coordinate_maps(accumulators, learnt.decoders)
+                maps = coordinate_maps(
+                    accumulators, learnt.decoders, None if seen.unrest is None else seen.unrest.moved
+                )
+                if seen.unrest is not None:
+                    mask_broken(accumulators.plan, maps)
                 leave_out_stray_light(accumulators, maps)
                 check_roughness(accumulators.plan, maps)
                 widen_by_roughness(accumulators.plan, maps)

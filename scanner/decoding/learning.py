@@ -13,7 +13,7 @@ from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
 from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Oddity
-from scanner.decoding.checks.frame_checks import check_frames
+from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.fringes.blur import leave_out_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
@@ -23,11 +23,14 @@ from scanner.decoding.light.noise_model import NoiseModel, measure_noise
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.light_switch import LightSwitchedError
 from scanner.decoding.motion import (
+    CoarseFrames,
     CodeShift,
     MotionFound,
     TileSample,
+    Unrest,
     blaming_shifts,
     broken_between,
+    find_unrest,
     measure_motion,
     shifts_of_codes,
 )
@@ -41,7 +44,8 @@ from scanner.errors import InputError
 class Seen:
     """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken.
 
-    Motion is measured while other things go on; between which frames fringes were `broken`, only if asked.
+    `unrest`: where something moved, if the frames agree elsewhere. Motion of the devices is measured while other things
+    go on; between which frames fringes were `broken`, only if asked.
     """
 
     levels: Image
@@ -52,6 +56,7 @@ class Seen:
     code_shifts: tuple[CodeShift, ...]
     notes: tuple[str, ...]
     broken: Callable[[], tuple[int, int] | None]
+    unrest: Unrest | None = None
 
     @property
     def motion(self) -> MotionFound | None:
@@ -59,7 +64,13 @@ class Seen:
         return self.measuring_motion.result()
 
 
-def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projector_size: tuple[int, int]) -> Seen:
+def look(
+    accumulators: Accumulators,
+    sample: Sample,
+    tiles: TileSample,
+    coarse: CoarseFrames,
+    projector_size: tuple[int, int],
+) -> Seen:
     """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
     notes = list(_finish(accumulators, sample))
     mosaic = log_mosaic(accumulators.brightest) if accumulators.log_exposure is None else None
@@ -69,11 +80,21 @@ def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projecto
             "The frames are raw ones of a colour camera, pixel by pixel behind filters; they are taken as grey."
         )
     levels = sample.as_taken
-    flicker = _equalise(accumulators, sample, tiles)
     saturation = saturation_level(accumulators.peak)
+    shown = accumulators.plan
+    unrest = _unrest(shown, sample, coarse, measure_noise(shown, sample, saturation))
+    flicker = _equalise(accumulators, sample, tiles, coarse, unrest)
     noise = measure_noise(accumulators.plan, sample, saturation)
     notes += leave_out_lost_fringes(accumulators, noise, sample.pixels)
     notes += resolve_bits(accumulators, noise, sample.pixels)
+    if coarse.are_divided or accumulators.plan != shown:
+        unrest = _unrest(accumulators.plan, sample, coarse, noise)
+    if unrest is not None:
+        rests = sample.levels[:, unrest.rests.reshape(-1)[sample.pixels]]
+        unrest = unrest if agree(accumulators.plan, rests, noise, saturation) else None
+    if unrest is not None:
+        tiles.leave_out(unrest.moved)
+        notes.append(unrest.said(accumulators.plan))
     plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
     aside = ThreadPoolExecutor(1)
     motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
@@ -84,10 +105,20 @@ def look(accumulators: Accumulators, sample: Sample, tiles: TileSample, projecto
         saturation,
         flicker,
         motion,
-        shifts_of_codes(plan, (x, y), noise),
+        shifts_of_codes(plan, (x, y), noise, tiles.resting),
         tuple(notes),
         lambda: broken_between(plan, tiles, noise),
+        unrest,
     )
+
+
+def _unrest(plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel) -> Unrest | None:
+    """Where something moved, if exchanged frames are not why it looks so."""
+    found = find_unrest(plan, coarse, noise)
+    if found is None:
+        return None
+    levels = sample.levels[:, found.moved.reshape(-1)[sample.pixels]]
+    return None if an_exchange_explains(plan, levels, found.frames) else found
 
 
 def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
@@ -105,12 +136,19 @@ def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
     )
 
 
-def _equalise(accumulators: Accumulators, sample: Sample, tiles: TileSample) -> float | None:
-    """Make frames of different brightness alike, in the samples and for good; returns the flicker, None if unknown."""
+def _equalise(
+    accumulators: Accumulators, sample: Sample, tiles: TileSample, coarse: CoarseFrames, unrest: Unrest | None
+) -> float | None:
+    """Make frames of different brightness alike, in the samples and for good; returns the flicker, None if unknown.
+
+    `unrest`: where something moved, which makes frames brighter or darker there.
+    """
     plan, (height, width) = accumulators.plan, accumulators.brightest.shape
     found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
     levels = sample.levels
     lit = lit_by(np.ptp(levels, axis=0))
+    if unrest is not None:
+        lit = lit[unrest.rests.reshape(-1)[sample.pixels[lit]]]
     few = sample.pixels[lit]
     middle, brightest = (
         image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
@@ -127,10 +165,12 @@ def _equalise(accumulators: Accumulators, sample: Sample, tiles: TileSample) -> 
             rows = sample.pixels // width
             for frame, of_frame, of_tiles in zip(frames, gains.at(rows), gains.at(tiles.rows), strict=True):
                 sample.divide(frame, of_frame)
+                coarse.divide(frame, gains.at(coarse.rows)[frames.index(frame)])
                 tiles.divide(plan.shown.index(frame), of_tiles)
     for group, by in out_of_line([(frames, gains.matter) for frames, gains in found], sample):
         for frame in group:
             sample.divide(frame, np.array([by]))
+            coarse.divide(frame, np.array([by]))
     return flicker_of([gains for _, gains in found])
 
 
@@ -149,18 +189,20 @@ def learn(
 
     Raises InputError; LightSwitchedError if they had better be decoded `once_more`, which is possible.
     """
-    plan = accumulators.plan
+    plan, levels, moved = accumulators.plan, sample.levels, None if seen.unrest is None else seen.unrest.moved
+    if moved is not None:
+        sample.leave_out(moved.reshape(-1)[sample.pixels])
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin)
-        odd, switch = check_frames(plan, seen.levels.astype(np.float32), sample.levels, seen.noise, seen.saturation)
+        odd, switch = check_frames(plan, seen.levels.astype(np.float32), levels, seen.noise, seen.saturation)
         if once_more and switch is not None and switch.is_harmful:
             raise LightSwitchedError(switch)
         oddities += odd
-        odd_codes = check_codes(plan, accumulators.codes, seen.noise, accumulators.middle)
-        oddities += _passed_over(plan, odd_codes, oddities)
+        odd_codes = check_codes(plan, accumulators.codes, seen.noise, accumulators.middle, moved)
+        oddities += _passed_over(plan, odd_codes, oddities, seen.unrest)
         decoders = calibrating.result()
         with blaming_shifts(plan, seen.code_shifts):
             for decoder, signals in zip(decoders, thin, strict=True):
@@ -169,13 +211,17 @@ def learn(
         return Learnt(decoders, modulation(decoders, thin))
 
 
-def _passed_over(plan: SequencePlan, odd_codes: Sequence[Oddity], seen: Sequence[Oddity]) -> Sequence[Oddity]:
-    """The odd codes, if pairs of their bits were `seen` not to add up, as where someone walks by.
+def _passed_over(
+    plan: SequencePlan, odd_codes: Sequence[Oddity], seen: Sequence[Oddity], unrest: Unrest | None
+) -> Sequence[Oddity]:
+    """The odd codes, if pairs of their bits were `seen` not to add up, or something moved in their frames.
 
     Raises InputError if one was not: an exchange between pairs is known from their sums, but nothing else tells others.
     """
+    moved = set() if unrest is None else {*unrest.frames}
     suspected = {frame for oddity in seen for frame in oddity.frames}
     for oddity in odd_codes:
-        if not any({*pair} <= suspected.intersection(oddity.frames) for pair in plan.complements):
+        doubted = suspected.intersection(oddity.frames)
+        if not moved & {*oddity.frames} and not any({*pair} <= doubted for pair in plan.complements):
             raise InputError(oddity.said)
     return odd_codes

@@ -34,6 +34,8 @@ class MaskReason(IntEnum):
     """Codes and fringes contradict each other where more light comes from other surfaces than from the projector."""
     ALONG_EPIPOLAR_LINE = 8
     """Only stripes along its epipolar line were shown, which do not tell how far away it is."""
+    MOVED = 9
+    """Something moved there during the capture, so that its frames contradict each other."""
 
 
 # What many pixels have only if frames are not what the capture says.

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Image
+from calib.numerics import Bools, Floats, Image
 from scanner.decoding.arrays import Floats32
 
 _MOST_PIXELS = 16384
@@ -57,6 +57,12 @@ class Sample:
         """Make a frame that has come darker by so many times, (P,) or (1,), and its neighbours with it."""
         for levels in (self._frames, self._left, self._right)[: 3 if self._margin else 1]:
             levels[frame] = (levels[frame] / by).astype(np.float32)
+
+    def leave_out(self, chosen: Bools) -> None:
+        """Forget pixels of it, (P,), once all frames are in."""
+        self.pixels = self.pixels[~chosen]
+        for levels in (self._frames, self._left, self._right):
+            levels[:] = [of_frame[~chosen] for of_frame in levels]
 
     @property
     def as_taken(self) -> Image:

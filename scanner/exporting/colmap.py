@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Intrinsics, Motion
 from calib.numerics import Floats, Ints
 from scanner.exporting.formats import Request
-from scanner.io import new_file, refuse_existing
+from scanner.io import new_files, refuse_existing
 from scanner.quantities import unit_name
 from scanner.results import FinishedScan, read_finished_room, read_finished_scan
 
@@ -70,9 +70,10 @@ def write_colmap(
     chosen = [(scan, place, *_evenly(scan.pixel, most_points // len(scans))) for scan, place in scans]
     every = [_Chosen(scan, place, points) for scan, place, points, _ in chosen]
     contents = (_cameras(every[0].scan), _images(every), _points(every))
-    for name, lines in zip(COLMAP_FILES, contents, strict=True):
-        with new_file(folder / name, overwrite=overwrite) as path, path.open("w", encoding="utf-8") as file:
-            file.writelines(f"{line}\n" for line in lines)
+    with new_files(folder, COLMAP_FILES, overwrite=overwrite) as paths:
+        for path, lines in zip(paths, contents, strict=True):
+            with path.open("w", encoding="utf-8") as file:
+                file.writelines(f"{line}\n" for line in lines)
     return ModelSize(sum(len(each.points) for each in every), max(step for *_, step in chosen))
 
 

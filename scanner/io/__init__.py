@@ -1,12 +1,19 @@
 """Files of each format, read and written whole or not at all. Knows nothing of scans."""
 
-from scanner.io.atomic_file import new_file, refuse_existing
+from scanner.io.atomic_file import new_file, new_files, refuse_existing
 from scanner.io.calibration_file import read_calibration, write_calibration
 from scanner.io.disk_space import require_space
 from scanner.io.durable import exchange, sync, sync_open, sync_tree
-from scanner.io.given_file import LONGEST_SIDE_PX, MOST_IMAGE_FILE_BYTES, copy_given, read_bytes, refuse_more_pixels
+from scanner.io.given_file import (
+    LONGEST_SIDE_PX,
+    MOST_IMAGE_FILE_BYTES,
+    copy_given,
+    read_bytes,
+    read_whole,
+    refuse_more_pixels,
+)
 from scanner.io.image_file import SUFFIXES, read_image, write_png
-from scanner.io.image_header import UNREADABLE
+from scanner.io.image_size import UNREADABLE
 from scanner.io.matches_file import MATCHES_FILE, read_matches, read_planes, refuse_one_axis, write_matches
 from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply, write_room_ply
 from scanner.io.poses_file import read_poses, write_poses

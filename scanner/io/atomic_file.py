@@ -1,8 +1,8 @@
 """Files that appear whole or not at all, and never over others unless that is asked for."""
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from scanner.errors import InputError, cannot_write
@@ -14,6 +14,13 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
         raise InputError(f"{path}: is a folder, expected the name of a file to write")
     if path.exists() and not overwrite:
         raise InputError(f"{path}: already exists; choose another --out, or replace it with --overwrite")
+
+
+@contextmanager
+def new_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> Iterator[list[Path]]:
+    """Several of them that belong together, all of them or none; else as `new_file`."""
+    with ExitStack() as together:
+        yield [together.enter_context(new_file(folder / name, overwrite=overwrite)) for name in names]
 
 
 @contextmanager
@@ -35,4 +42,5 @@ def new_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     except OSError as error:
         raise cannot_write(path, error) from error
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):  # of a disk that takes nothing, which is said already
+            partial.unlink(missing_ok=True)

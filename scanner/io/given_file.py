@@ -5,7 +5,6 @@ points) and none for files that are small on disk and enormous in memory.
 """
 
 import os
-import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ MOST_IMAGE_FILE_BYTES = MOST_IMAGE_BYTES + 10_000_000  # stored as it is, with w
 _MOST_UNPACKED_BYTES = 256_000_000
 _MOST_UNPACKED_OF_DISK = 64  # what is beyond these bytes takes its place on the disk, too, but for compression
 _ON_DISK_BLOCK = 512  # of st_blocks, whatever the file system's is
+_PIECE_BYTES = 1 << 20
 # Where there is no such thing as a pipe among files, there is no need not to wait for it.
 _WITHOUT_WAITING = getattr(os, "O_NONBLOCK", 0)
 
@@ -61,10 +61,23 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
         return file.read(min(os.fstat(file.fileno()).st_size, most_bytes))
 
 
+def read_whole(path: Path) -> bytes:
+    """All of a regular file that takes its place on the disk, however large. Raises InputError as `opened` does."""
+    with opened(path) as file:
+        return file.read()
+
+
 def copy_given(source: Path, target: Path, most_bytes: int | None = None) -> None:
     """Copy a regular file, holes and all. Raises InputError as `opened` does, OSError if the copy cannot be written."""
-    with opened(source, most_bytes) as file, target.open("wb") as copy:
-        shutil.copyfileobj(file, copy)
+    # What is written is written outside of `opened`, which would take a full disk for a file that cannot be read.
+    with target.open("wb") as copy:
+        copy.writelines(_pieces(source, most_bytes))
+
+
+def _pieces(path: Path, most_bytes: int | None) -> Iterator[bytes]:
+    with opened(path, most_bytes) as file:
+        while piece := file.read(_PIECE_BYTES):
+            yield piece
 
 
 def refuse_bomb(path: Path, file: BinaryIO, needed: int) -> None:

@@ -1,21 +1,26 @@
 """Image files: whatever OpenCV reads, as it is in the file."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.geometry import Size
 from calib.numerics import Image
 from scanner.errors import InputError
 from scanner.io.given_file import MOST_IMAGE_BYTES, MOST_IMAGE_FILE_BYTES, megabytes, read_bytes
-from scanner.io.image_header import damage, size_in_header
+from scanner.io.image_damage import damage
+from scanner.io.image_size import size_in_header
 from scanner.shown_text import shown
 
 _COMMON = {".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".dib", ".webp", ".gif", ".jp2"}
 _RARE = {".pgm", ".ppm", ".pnm", ".pbm", ".ras", ".sr", ".exr", ".hdr", ".avif"}
+_COLOUR = 3  # channels
 _DEEPEST = 6  # bytes of a pixel in 16-bit colour
 _FEW_BYTES = 100_000_000
+_NO_IMAGE = "cannot be decoded as an image: damaged, truncated, or of an unknown format"
 # One filter for all rows instead of a choice for each, and runs only: half the time of level 1, and files that are no
 # larger (benchmarks/bench_recording.py). Where OpenCV is too old to be told the filter, it chooses.
 _QUICK_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
@@ -43,8 +48,8 @@ def read_image(path: Path, expected: Size | None = None) -> Image:
     except cv2.error as error:
         raise InputError(f"{path}: cannot be decoded as an image: {shown(error.err)}") from error
     if image is None:
-        raise InputError(f"{path}: cannot be decoded as an image: damaged, truncated, or of an unknown format")
-    colours = np.ascontiguousarray(image[:, :, :3]) if image.ndim == 3 else image
+        raise InputError(f"{path}: {_NO_IMAGE}")
+    colours = _without_alpha(image) if image.ndim == 3 else image
     if colours.dtype == np.uint8:
         return colours.astype(np.uint8, copy=False)
     if colours.dtype == np.uint16:
@@ -52,10 +57,23 @@ def read_image(path: Path, expected: Size | None = None) -> Image:
     raise InputError(f"{path}: expected 8 or 16 bit whole numbers per channel, found {image.dtype}")
 
 
+def _without_alpha(image: NDArray[Any]) -> NDArray[Any]:
+    """The first three channels of an image (H, W, C), moved together where they are: a copy could be large."""
+    height, width, channels = image.shape
+    if channels == _COLOUR:
+        return image
+    together: NDArray[Any] = image.reshape(-1)[: height * width * _COLOUR].reshape(height, width, _COLOUR)
+    for row in range(height):
+        together[row] = image[row, :, :_COLOUR].copy()
+    return together
+
+
 def _refuse_large(path: Path, data: bytes, most: int) -> None:
-    """Raise InputError for more pixels than anyone has; of files without a header that is known OpenCV says it."""
+    """Raise InputError for more pixels than anyone has, or if nobody can tell how many there are."""
     found = size_in_header(data)
-    if found and found[1] > most:
+    if found is None:
+        raise InputError(f"{path}: {_NO_IMAGE}")
+    if found[1] > most:
         raise InputError(
             f"{path}: has {found[0]} pixels, which would take {megabytes(found[1])} of memory; "
             f"expected no more than {megabytes(most)}"

@@ -11,6 +11,7 @@ from scanner.rendering.cloud_views import (
 from scanner.rendering.colours import (
     BLACK,
     BLUE,
+    BROWN,
     CIVIDIS,
     FACE_COLOURS,
     GREEN,

@@ -17,6 +17,7 @@ from scanner.quantities import FACE_NAMES, Quantity, device_quantities, percent,
 from scanner.rendering import (
     BLACK,
     BLUE,
+    BROWN,
     FACE_COLOURS,
     GREEN,
     GREY,
@@ -61,6 +62,7 @@ _REASONS = {
     MaskReason.OUTSIDE: ("a code that no projector pixel has", SKY_BLUE),
     MaskReason.ISOLATED: ("at an occlusion edge, or alone", ORANGE),
     MaskReason.INDIRECT: ("lit more by other surfaces than by the projector", BLUE),
+    MaskReason.MOVED: ("something moved there", BROWN),
     MaskReason.ALONG_EPIPOLAR_LINE: ("stripes along the epipolar line, which tell no distance", BLACK),
 }
 

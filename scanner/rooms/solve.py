@@ -16,9 +16,11 @@ from calib.rooms import (
     Registration,
     RigPrior,
     RoomEstimate,
+    Sight,
     StationView,
     estimate_room,
     estimate_without_planes,
+    marks_of,
     register,
     split_planes,
     station_view,
@@ -46,10 +48,14 @@ class Seen:
 
 
 def look_at(capture: Decoded, calibration: Calibration) -> Seen:
-    """A capture's planes."""
+    """A capture's planes, and the marks on them where it has a picture."""
     cloud = build_cloud(capture.matches, None, calibration)
     view = station_view(cloud.points, cloud.normals, calibration.camera)
-    return Seen(capture, *split_planes(view, capture.matches, calibration))
+    view, plane = split_planes(view, capture.matches, calibration)
+    if capture.texture is not None:
+        marks = marks_of(capture.texture, view.points, view.labels, view.planes, view.camera)
+        view = replace(view, marks=marks)
+    return Seen(capture, view, plane)
 
 
 def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedRoom:
@@ -129,7 +135,13 @@ def _estimated(members: Sequence[Seen], group: Group, start: RigStart, config: C
         squareness_deg=config.corner.squareness_deg,
         shifts=[shifts_of(each.decoded) for each in members],
         loose=loose,
+        sights=[_sight(each) for each in members] if is_estimated(start) else (),
     )
+
+
+def _sight(seen: Seen) -> Sight | None:
+    picture = seen.decoded.texture
+    return None if picture is None else Sight.of(picture, seen.view.labels)
 
 
 def _cells(matches: Matches, plane: Ints) -> Cells:

@@ -23,6 +23,7 @@ from websockets.http11 import Request, Response
 
 _TOKEN = "token"
 _FOREIGN = "This page answers to its own address only.\n"
+_NO_REQUEST = "This is no request for a page.\n"
 _NO_TOKEN = "Open the address that the program has printed, with its token.\n"
 
 
@@ -100,8 +101,11 @@ def _serve(
     **options: Any,
 ) -> Any:
     def asked(connection: ServerConnection, request: Request) -> Any:
-        refused = doorkeeper.answer(request.path, request.headers)
-        return process_request(connection, request) if refused is None else refused
+        try:
+            refused = doorkeeper.answer(request.path, request.headers)
+            return process_request(connection, request) if refused is None else refused
+        except (LookupError, OSError, ValueError):  # a header that is there twice, a name that no file can have
+            return _response(http.HTTPStatus.BAD_REQUEST, _NO_REQUEST)
 
     return serve(*arguments, process_request=asked, **options)
 

@@ -8,6 +8,7 @@ from typing import Any
 import viser
 
 from scanner.exporting import FORMATS, Request
+from scanner.io import read_whole
 from scanner.results import (
     CALIBRATION_FILE,
     CLOUD_FILE,
@@ -30,9 +31,10 @@ def add_files(gui: viser.GuiApi, folder: Path, link: Callable[[Path], str]) -> N
     if REPORT_FILE in names:
         gui.add_html(link_html(link(folder / REPORT_FILE), "Open the report"))
     with gui.add_folder("Files", expand_by_default=False):
+        told = gui.add_markdown("")
         for name in names:
             button = gui.add_button(f"Download {name}", color=PLAIN)
-            button.on_click(_sending(f"{folder.name}-{name}", (folder / name).read_bytes))
+            button.on_click(_sending(f"{folder.name}-{name}", folder / name, told))
         if (folder / CALIBRATION_FILE).is_file():
             _add_exports(gui, folder)
 
@@ -61,9 +63,14 @@ def _add_exports(gui: viser.GuiApi, folder: Path) -> None:
     button.on_click(export)
 
 
-def _sending(name: str, content: Callable[[], bytes]) -> Callable[[viser.GuiEvent[Any]], None]:
+def _sending(name: str, path: Path, told: viser.GuiMarkdownHandle) -> Callable[[viser.GuiEvent[Any]], None]:
     def send(event: viser.GuiEvent[Any]) -> None:
-        if event.client is not None:
-            event.client.send_file_download(name, content(), save_immediately=True)
+        if event.client is None:
+            return
+        told.content = ""
+        try:
+            event.client.send_file_download(name, read_whole(path), save_immediately=True)
+        except Exception as error:
+            told.content = bold(failure_of(error).message)
 
     return send

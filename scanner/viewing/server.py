@@ -1,5 +1,6 @@
 """The page's server: viser, as quiet and as private as it can be, and readable."""
 
+import logging
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -35,6 +36,8 @@ def serving(title: str, host: str, wanted_port: int | None) -> Iterator[Serving]
     Raises InputError if it cannot be had at that address.
     """
     port = free_port(host, wanted_port)
+    # What somebody sends who does not speak the page's language is no news for the terminal.
+    logging.getLogger("websockets").addHandler(logging.NullHandler())
     shelf = Shelf()
     doorkeeper = Doorkeeper(host, shelf.answer)
     with doorkeeper.watching(), redirect_stdout(StringIO()):  # viser prints a banner; the address is ours to say

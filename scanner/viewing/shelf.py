@@ -5,6 +5,7 @@ run no script but the report's own viewer, and load nothing; everything else is 
 """
 
 import http
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from urllib.parse import quote, unquote
@@ -12,6 +13,8 @@ from urllib.parse import quote, unquote
 from websockets.datastructures import Headers
 from websockets.http11 import Response
 
+from scanner.errors import InputError
+from scanner.io import read_whole
 from scanner.rendering import script, script_hash
 
 _PREFIX = "results"
@@ -40,9 +43,10 @@ class Shelf:
         if first != _PREFIX:
             return None
         found = self._file([unquote(part) for part in rest.split("/")])
-        if found is None:
-            return _response(http.HTTPStatus.NOT_FOUND, b"There is no such file.\n", {"Content-Type": "text/plain"})
-        return _response(http.HTTPStatus.OK, found.read_bytes(), _headers(found))
+        if found is not None:
+            with suppress(InputError):  # one that unpacks to nothing much, or may not be read
+                return _response(http.HTTPStatus.OK, read_whole(found), _headers(found))
+        return _response(http.HTTPStatus.NOT_FOUND, b"There is no such file.\n", {"Content-Type": "text/plain"})
 
     def _file(self, parts: list[str]) -> Path | None:
         key, *names = parts
@@ -50,8 +54,11 @@ class Shelf:
             folder = self._folders.get(key)
         if folder is None or not names or any(not name or "\0" in name for name in names):
             return None
-        found = folder.joinpath(*names).resolve()  # also where a link leads
-        return found if found.is_relative_to(folder) and found.is_file() else None
+        try:
+            found = folder.joinpath(*names).resolve()  # also where a link leads
+            return found if found.is_relative_to(folder) and found.is_file() else None
+        except (OSError, RuntimeError):  # a name that is too long, links in a circle
+            return None
 
 
 def _headers(path: Path) -> dict[str, str]:

@@ -1,27 +1,31 @@
 """A simulated whole room without its light: what each station sees, by casting rays alone, in milliseconds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.geometry import Calibration, Matches, Motion
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Image, Ints
 from hw.settings import SimulatedRigSettings
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.room import Room
 from hw.simulated.scene import Scene
 from hw.simulated.simulation import place_room
+from hw.simulated.texture import Texture, paint
 from hw.simulated.truth import true_calibration, true_place
 
 CAMERA = (612, 512)
 PROJECTOR = (854, 480)
+_SIDE = 3  # samples along a pixel of a picture
+_PAINT_STREAM, _PICTURE_STREAM = 300, 301
+_FULL_WELL = 20_000.0  # electrons
 
 
 @dataclass(frozen=True)
 class TrueStation:
     """In metres. `matches` have noise; `pixel` (N,): row · width + column of each; `surface` (N,): the surface of
     `scene` that it is on; `points` (N, 3): where, in the camera's frame. X_world = place.rotation X_camera +
-    place.translation.
+    place.translation. `picture` (H, W): under the projector's light, without what bounces; None if not asked for.
     """
 
     scene: Scene
@@ -31,17 +35,29 @@ class TrueStation:
     pixel: Ints
     surface: Ints
     points: Floats
+    picture: Image | None = None
 
 
 def stations(
-    number: int = 6, seed: int = 1, *, camera: tuple[int, int] = CAMERA, noise_px: float = 0.03, **settings: object
+    number: int = 6,
+    seed: int = 1,
+    *,
+    camera: tuple[int, int] = CAMERA,
+    noise_px: float = 0.03,
+    pictures: bool = False,
+    **settings: object,
 ) -> list[TrueStation]:
     """All round one room, with matches at the centres of the camera's pixels."""
     found = []
+    texture: Texture | None = None
     for pose in range(number):
         about = {"seed": seed, "room": "whole", "stations": number, "pose": pose, "walls_off_deg": 0.3, **settings}
         room = place_room(SimulatedRigSettings.model_validate(about), camera, PROJECTOR)
-        found.append(_observed(room, np.random.default_rng([seed, pose]), noise_px))
+        seen = _observed(room, np.random.default_rng([seed, pose]), noise_px)
+        if pictures:
+            texture = texture or paint(room.scene, np.random.default_rng([seed, _PAINT_STREAM]), None)
+            seen = replace(seen, picture=_picture(room, texture, np.random.default_rng([seed, _PICTURE_STREAM, pose])))
+        found.append(seen)
     return found
 
 
@@ -67,3 +83,21 @@ def _observed(room: Room, rng: np.random.Generator, noise_px: float) -> TrueStat
         surface[pixel],
         (room.camera.rotation @ (points[:, pixel] - room.camera.centre[:, None])).T,
     )
+
+
+def _picture(room: Room, texture: Texture, rng: np.random.Generator) -> Image:
+    """Of 8 bits, with shot noise."""
+    optics, light = room.camera.optics, ProjectorLight(room.scene, room.projector)
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(optics.width), np.arange(optics.height)))
+    mean = np.zeros(len(x))
+    steps = (np.arange(_SIDE) + 0.5) / _SIDE - 0.5
+    for aside in steps:
+        for down in steps:
+            directions = room.camera.rays(np.stack([x + aside, y + down]))
+            t, surface = room.scene.cast(room.camera.centre[:, None], directions)
+            points = room.camera.centre[:, None] + t * directions
+            uv = room.scene.surface_coordinates(surface, points)
+            mean += texture.albedo(surface, uv) * light.direct(surface, points)[1] / _SIDE**2
+    electrons = rng.poisson(np.clip(mean / np.percentile(mean, 99), 0.0, 1.0) * _FULL_WELL)
+    grey = np.rint(255 * np.clip(electrons / _FULL_WELL, 0.0, 1.0)).astype(np.uint8)
+    return grey.reshape(optics.height, optics.width)

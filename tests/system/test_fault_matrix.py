@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from scanner.capture.recording import open_capture
@@ -15,6 +16,7 @@ from scanner.decoding.stopped_sequence import usable
 from scanner.errors import InputError
 from tests.support.fault_bench import FaultBench
 from tests.support.places import ROOT
+from tests.support.result_folder import write_result
 from tests.support.small_capture import SIZE
 
 CONFIG = "rig: {backend: simulated}\ncamera: {width: 48, height: 32}\nprojector: {width: 48, height: 32}\n"
@@ -264,6 +266,37 @@ def test_a_disk_that_does_not_take_it(bench: FaultBench, config: Path, disk: Dis
     assert len(images) == disk.frames
     others = {"filling", "room-incomplete/scan.log", "room-incomplete/capture/capture.yaml"} if disk.filled else set()
     assert set(ended.files) == {*images, *others}  # nothing that looks like a result
+
+
+MADE_OF_A_RESULT = {
+    "the cloud": ("export", "{result}", "--to", "ply", "--out", "{disk}/cloud.ply"),
+    "three files that belong together": ("export", "{result}", "--to", "colmap", "--out", "{disk}/model"),
+    "a page and a document": ("compare", "{result}", "{result}", "--out", "{disk}/compared"),
+    "a picture and a document": ("measure", "{result}", "--out", "{disk}/measured"),
+}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_result(tmp_path_factory.mktemp("made") / "room", keep=lambda px: np.all(px % 8 < 1, axis=1)).folder
+
+
+@pytest.mark.parametrize("read_only", [False, True], ids=["full", "read-only"])
+@pytest.mark.parametrize("made", MADE_OF_A_RESULT)
+def test_a_disk_that_does_not_take_what_is_made_of_a_result(
+    bench: FaultBench, result: Path, tmp_path: Path, made: str, read_only: bool
+) -> None:
+    where = tmp_path / "disk"
+    where.mkdir()
+    mount = {"where": where, "options": "size=12k", "read_only": read_only}
+    command = [word.format(result=result, disk=where) for word in MADE_OF_A_RESULT[made]]
+    ended = bench.run(tmp_path, *command, mount=mount)
+    assert ended.code == 3
+    assert str(where) in ended.said
+    assert "partial" not in ended.said
+    assert "choose another --out" in ended.said
+    assert "Traceback" not in ended.said
+    assert ended.files == {}
 
 
 @pytest.mark.parametrize("largest_file", [1200, 3500])

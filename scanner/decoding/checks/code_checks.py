@@ -71,14 +71,17 @@ class _Changes:
         return _Changes(repair(self.before), repair(self.after), self.bit)
 
 
-def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel, middle: Image) -> list[Oddity]:
+def check_codes(
+    plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel, middle: Image, moved: Bools | None = None
+) -> list[Oddity]:
     """Where the bits of a Gray code do not follow each other as they must.
 
-    `middle` (H, W): grey level half-way between lit and unlit. Raises InputError if they do once bits are exchanged.
+    `middle` (H, W): grey level half-way between lit and unlit; `moved` (H, W): where something did, and nobody is
+    asked. Raises InputError if they do once bits are exchanged.
     """
     found = []
     bases = {(fold.code.axis, fold.code.cell, fold.code.offset) for fold in folds if fold.code.base is not None}
-    for fold, changes in chain.from_iterable(_sampled(fold, noise, middle) for fold in folds):
+    for fold, changes in chain.from_iterable(_sampled(fold, noise, middle, moved) for fold in folds):
         wrong = changes[~changes.adjacent()]
         if len(wrong.bit) < _FEWEST_CHANGES:
             continue
@@ -97,21 +100,23 @@ def check_codes(plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel
     return found
 
 
-def _sampled(fold: GrayFold, noise: NoiseModel, middle: Image) -> Iterator[tuple[GrayFold, _Changes]]:
+def _sampled(
+    fold: GrayFold, noise: NoiseModel, middle: Image, moved: Bools | None
+) -> Iterator[tuple[GrayFold, _Changes]]:
     """The code and its changes; and the same of the code without as many of its finest bits as it takes for all pixels
     to be smaller than cells. What is wrong with coarse bits shows where single cells cannot be told apart.
     """
-    changes, are_single = _changes(fold, noise, middle)
+    changes, are_single = _changes(fold, noise, middle, moved)
     yield fold, changes
     coarser = fold
     while not are_single and fold.code.base is None and coarser.code.bits > _FEWEST_BITS:
         coarser = coarser.without_finest(1)
-        changes, are_single = _changes(coarser, noise, middle)
+        changes, are_single = _changes(coarser, noise, middle, moved)
     if coarser is not fold:
         yield coarser, changes
 
 
-def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> tuple[_Changes, bool]:
+def _changes(fold: GrayFold, noise: NoiseModel, middle: Image, moved: Bools | None = None) -> tuple[_Changes, bool]:
     """Single-bit changes along some rows and columns of the image, between certain pixels; of either, if most are, and
     whether most of both are.
     """
@@ -122,6 +127,8 @@ def _changes(fold: GrayFold, noise: NoiseModel, middle: Image) -> tuple[_Changes
         )
         least_clear = max(_LEAST_DIFFERENCE, _LEAST_PART * float(np.quantile(least, _BRIGHTEST)))
         certain = least > np.maximum(least_clear, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
+        if moved is not None:
+            certain &= ~lines_of(moved.T if is_transposed else moved, _LINES)
         one, next_one = np.empty((2, words.size), np.uint32)
         single, changes = _note_changes(words.astype(np.uint32), certain, one, next_one)
         if single >= _MOSTLY_SINGLE * changes:

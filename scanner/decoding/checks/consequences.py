@@ -51,7 +51,10 @@ def judge(oddities: Sequence[Oddity], reasons: Reasons, matches: Matches, *, one
     broken = int(sum(counts[reason] for reason in _BROKEN))
     share = broken / max(1, broken + int(counts[MaskReason.KEPT]))
     if share > _MOST_BROKEN:
-        raise InputError(f"{_said(oddities)}; and {share:.0%} of the lit pixels contradict themselves or their surface")
+        raise InputError(
+            f"{_said(oddities)}; and {share:.0%} of the lit pixels contradict themselves or their surface: did "
+            "something move in most of the picture, or were frames exchanged?"
+        )
     if len(matches) < _FEWEST_MATCHES:
         return f"{_said(oddities)}. Too few pixels have a match to tell what comes of it."
     if one_axis:

@@ -73,6 +73,36 @@ def check_frames(
     return [*switched, *contradictions(plan, made_alike)], switch
 
 
+def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> bool:
+    """Whether nothing contradicts the sequence in some pixels of the sample (frames, P), and enough of them are lit."""
+    high, low = levels.max(axis=0), levels.min(axis=0)
+    sigma = noise.sigma((high + low) / 2)
+    lit = (high - low > _SEEN * np.sqrt(2) * sigma) & (high - low > _LEAST_SWING) & (high < saturation)
+    if np.count_nonzero(lit) < _ENOUGH_LIT:
+        return False
+    return not contradictions(plan, Shown(levels[:, lit], (high - low)[lit], sigma[lit]))
+
+
+def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequence[int]) -> bool:
+    """Whether pixels of the sample (frames, P) contradict the sequence much less with two frames exchanged, one of them
+    a suspect.
+    """
+    swing = np.ptp(levels, axis=0)
+    lit = np.flatnonzero(swing > _LEAST_SWING)
+    lit = lit[:: max(1, len(lit) // _FEWEST_COMPARED)]
+    seen, swing = levels[:, lit], swing[lit]
+    if not len(lit):
+        return False
+    before = _contradiction(plan, seen, swing)
+    for first in suspects:
+        for second in range(len(seen)):
+            order = np.arange(len(seen))
+            order[[first, second]] = second, first
+            if _contradiction(plan, seen[order], swing) < _MUCH_LEFT * before:
+                return True
+    return False
+
+
 def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, LightSwitch | None]:
     """The frames that were made alike, or as they are if that makes more sense, without light that was switched.
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Image, compiled
+from calib.numerics import Bools, Floats, Image, compiled
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.light.balanced_stripes import gains_of_stripes
 from scanner.decoding.light.brightness import (
     BANDS,
     LEAST_DIFFERENCE,
@@ -47,6 +48,14 @@ class PairEqualiser:
         self._total, self._pairs = np.zeros(len(self._rows), np.float32), 0
         self._swing = np.zeros_like(self._total)
         self._lit = np.arange(0)
+        self._coarser = {
+            pair: [code.pairs[coarser] for coarser in sorted(code.pairs) if coarser < bit]
+            for axis in plan.axes
+            for code in axis.codes
+            if code.base is None and not code.unpaired
+            for bit, pair in code.pairs.items()
+        }
+        self._bits: dict[tuple[int, int], Bools] = {}
 
     def gains(self, pair: tuple[int, int]) -> Gains | None:
         """Those of two frames that are in the sample; None if they do not matter."""
@@ -54,25 +63,39 @@ class PairEqualiser:
         if not self._pairs:
             self._begin_with_white_and_black()
         if not self._pairs:
-            self._add(first, second)
+            self._add(pair, first, second)
             return None
-        if _is_steady(first, second, self._total, self._lit):
-            self.found[pair] = Gains(np.ones((2, 1)))
-            self._add(first, second)
-            return None
-        common: Floats32 = self._total[self._lit] / np.float32(2 * self._pairs)
-        levels = np.stack([first, second], dtype=np.float32)
-        gains = gains_of_pair(levels[:, self._lit], common, Places(self._rows[self._lit], self._height))
+        gains = self._between(pair, first, second)
         self.found[pair] = gains
-        self._add(*(levels / gains.at(self._rows)).astype(np.float32))
-        return gains if gains.matter else None
+        if not gains.matter:
+            self._add(pair, first, second)
+            return None
+        by_pixel = gains.at(self._rows).astype(np.float32)
+        self._add(pair, first / by_pixel[0], second / by_pixel[1])
+        return gains
+
+    def _between(self, pair: tuple[int, int], first: Levels, second: Levels) -> Gains:
+        levels = np.stack([first[self._lit], second[self._lit]], dtype=np.float32)
+        coarser = self._coarser.get(pair)
+        if coarser is not None and all(each in self._bits for each in coarser):
+            of_stripes = gains_of_stripes(levels, [self._bits[each][self._lit] for each in coarser])
+            if of_stripes is not None:
+                return of_stripes
+        if _is_steady(first, second, self._total, self._lit):
+            return Gains(np.ones((2, 1)))
+        common: Floats32 = self._total[self._lit] / np.float32(2 * self._pairs)
+        return gains_of_pair(levels, common, Places(self._rows[self._lit], self._height))
 
     def _begin_with_white_and_black(self) -> None:
         white, black = self._plan.white, self._plan.black
         if white is not None and black is not None and self._sample.has(white, black):
-            self._add(self._sample.level(white), self._sample.level(black))
+            self._add_to_common(self._sample.level(white), self._sample.level(black))
 
-    def _add(self, first: Levels, second: Levels) -> None:
+    def _add(self, pair: tuple[int, int], first: Levels, second: Levels) -> None:
+        self._bits[pair] = first > second
+        self._add_to_common(first, second)
+
+    def _add_to_common(self, first: Levels, second: Levels) -> None:
         self._total += first
         self._total += second
         self._pairs += 1

@@ -8,23 +8,29 @@ from scanner.decoding.motion.blame import (
     remarks_on,
 )
 from scanner.decoding.motion.broken_fringes import broken_between
+from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
 from scanner.decoding.motion.found import SUSPECTED_PX, MotionFound, who_moved
 from scanner.decoding.motion.measure import measure_motion
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.tile_sample import TileSample
+from scanner.decoding.motion.unrest import Unrest, find_unrest, mask_broken
 
 __all__ = [
     "SUSPECTED_PX",
     "UNSEEN_MOTION",
+    "CoarseFrames",
     "CodeShift",
     "Fit",
     "MotionFound",
     "TileSample",
+    "Unrest",
     "blaming_motion",
     "blaming_shifts",
     "broken_between",
+    "find_unrest",
     "fit_motion",
+    "mask_broken",
     "measure_motion",
     "moved",
     "remarks_on",

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.numerics import Bools
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
@@ -28,13 +29,15 @@ class CodeShift:
     px: float
 
 
-def shifts_of_codes(plan: SequencePlan, signals: tuple[Signals, Signals], noise: NoiseModel) -> tuple[CodeShift, ...]:
-    """Those that are more than nothing, given the signals of some pixels."""
-    found = (_shift(axis, of_axis, noise) for axis, of_axis in zip(plan.axes, signals, strict=True))
+def shifts_of_codes(
+    plan: SequencePlan, signals: tuple[Signals, Signals], noise: NoiseModel, resting: Bools
+) -> tuple[CodeShift, ...]:
+    """Those that are more than nothing, given the signals of some pixels (P,); those that are `resting` (P,) count."""
+    found = (_shift(axis, of_axis, noise, resting) for axis, of_axis in zip(plan.axes, signals, strict=True))
     return tuple(shift for shift in found if shift is not None)
 
 
-def _shift(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> CodeShift | None:
+def _shift(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools) -> CodeShift | None:
     if not axis.codes or not axis.fringes or axis.cell >= axis.fringes[0].period:
         return None
     longest = axis.fringes[0]
@@ -43,7 +46,9 @@ def _shift(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> CodeShift | N
     interval = interval_of(axis, signals.words, len(signals.middle))
     cosine, sine = signals.fringe(0)
     amplitude2 = cosine**2 + sine**2
-    seen = interval.possible & (amplitude2 > (_SEEN * longest.noise_gain) ** 2 * noise.variance(signals.middle))
+    seen = (
+        resting & interval.possible & (amplitude2 > (_SEEN * longest.noise_gain) ** 2 * noise.variance(signals.middle))
+    )
     if np.count_nonzero(seen) < _FEWEST:
         return None
     beyond = np.arctan2(sine, cosine) - 2 * np.pi / longest.period * interval.centre

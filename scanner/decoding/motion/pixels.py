@@ -46,7 +46,7 @@ def choose_pixels(
     """Some pixels of the tiles; None where too few are fit for it, or a coordinate is not known without the others."""
     if not tiles.count or not all(axis.fringes for axis in plan.axes):
         return None
-    usable = np.asarray(signals[0].peak < saturation)
+    usable = np.asarray(signals[0].peak < saturation) & tiles.resting
     coordinates = []
     for axis, of_axis in zip(plan.axes, signals, strict=True):
         coordinate, seen = _rough_coordinate(axis, of_axis, noise)

@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Image, Ints
+from calib.numerics import Bools, Floats, Image, Ints
 from scanner.decoding.arrays import Floats32
 
 TILE_PX = 10
@@ -24,6 +24,16 @@ class TileSample:
 
     shape: tuple[int, int]
     _frames: dict[int, Image] = field(default_factory=dict)
+    _moved: Bools | None = None
+
+    def leave_out(self, moved: Bools) -> None:
+        """Tell nothing of devices from pixels of the image (H, W) where something else moved."""
+        self._moved = cast(Bools, self.of(moved))
+
+    @property
+    def resting(self) -> Bools:
+        """(P,): the pixels that tell of devices."""
+        return np.ones(len(self.tile), np.bool_) if self._moved is None else ~self._moved
 
     def add(self, number: int, grey: Image) -> None:
         """Take the tiles of a frame (H, W)."""

@@ -105,12 +105,13 @@ def test_many_unknown_keys_are_told_on_a_screen(tmp_path: Path) -> None:
     assert max(map(len, str(caught.value).splitlines())) < 1500
 
 
+def chunk(name: bytes, content: bytes) -> bytes:
+    """A part of a PNG."""
+    return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+
+
 def palette_png(width: int, height: int) -> bytes:
     """A PNG of one colour, which is next to nothing on the disk."""
-
-    def chunk(name: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
-
     compressor = zlib.compressobj(9)
     row = bytes(1 + (width + 7) // 8)
     pixels = b"".join(compressor.compress(row * 64) for _ in range(height // 64)) + compressor.flush()
@@ -126,7 +127,53 @@ def long_chunk() -> bytes:
     return whole[:at] + b"\x7f\xff\xff\xf0" + whole[at + 4 :]
 
 
+def unmeasured_png() -> bytes:
+    """A huge PNG whose comment is broken: readers that look at it say no size, and OpenCV reads the pixels."""
+    whole = palette_png(32704, 32704)
+    at = whole.index(b"PLTE") - 4
+    return whole[:at] + chunk(b"pHYs", b"1") + whole[at:]
+
+
+def tiff(size: int, strips: int, bits: int, compression: int, strip: bytes) -> bytes:
+    """A grey TIFF all of whose strips are at the same place."""
+    after = 8 + len(strip)
+    lists = after + 2 + 12 * 9 + 4
+    tags = [(256, size), (257, size), (258, bits), (259, compression), (262, 1), (277, 1), (278, -(-size // strips))]
+    entries = [struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags]
+    for number, tag in enumerate((273, 279)):
+        entries.insert(5 + 3 * number, struct.pack("<HHII", tag, 4, strips, lists + 4 * strips * number))
+    places, lengths = struct.pack("<I", 8) * strips, struct.pack("<I", len(strip)) * strips
+    directory = struct.pack("<H", len(entries)) + b"".join(entries) + bytes(4)
+    return b"II*\0" + struct.pack("<I", after) + strip + directory + places + lengths
+
+
+def resized(kind: str, marker: bytes, form: str, side: int = 14_999, **options: Any) -> bytes:
+    """A small image whose header, at a marker, says that it is huge."""
+    stream = io.BytesIO()
+    Image.new("RGB", (64, 64)).save(stream, kind, **options)
+    data = stream.getvalue()
+    at = data.index(marker) + len(marker)
+    size = struct.pack(form, side, side)
+    return data[:at] + size + data[at + len(size) :]
+
+
+def many_scans() -> bytes:
+    """A progressive JPEG whose last scan is repeated."""
+    stream = io.BytesIO()
+    Image.new("L", (64, 64)).save(stream, "JPEG", progressive=True)
+    data = stream.getvalue()
+    last = data.rindex(b"\xff\xda")
+    return data[:last] + data[last:-2] * 20_000 + b"\xff\xd9"
+
+
 IMAGES: dict[str, tuple[bytes, str]] = {
+    "PNG that Pillow gives up": (unmeasured_png(), "32704 × 32704 pixels, which would take 3,209 MB"),
+    "TIFF of 32 bits": (tiff(14_999, 1, 32, 5, bytes(100)), "which would take 900 MB"),
+    "TIFF, shared strips": (tiff(500, 500, 8, 8, zlib.compress(bytes(5_000_000))), "unpack to more than an image has"),
+    "JPEG 2000": (resized("JPEG2000", b"\xff\x4f\xff\x51\0\x2f\0\0", ">II", no_jp2=True), "which would take 3,375 MB"),
+    "progressive JPEG": (resized("JPEG", b"\xff\xc2\0\x11\x08", ">HH", progressive=True), "would take 1,350 MB"),
+    "JPEG written over": (many_scans(), "its pixels are written 20,00. times over"),
+    "GIF": (resized("GIF", b"GIF87a", "<HH"), "14999 × 14999 pixels, which would take"),
     "palette PNG": (palette_png(32704, 32704), "32704 × 32704 pixels, which would take 3,209 MB"),
     "PGM header": (b"P5\n52000 52000\n255\n" + bytes(1000), "52000 × 52000 pixels"),
     "16-bit PPM header": (b"P6\n14000 14000\n65535\n" + bytes(1000), "14000 × 14000 pixels"),

@@ -1,6 +1,7 @@
 """Who may talk to the page: over real sockets, with what a browser would send from elsewhere."""
 
 import http.client
+import os
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -11,10 +12,13 @@ import pytest
 
 pytest.importorskip("viser", reason="the page needs the extra 'console'")
 
+import viser
 import websockets.sync.client
+import websockets.sync.connection
+import websockets.typing
 from hypothesis import given
 from hypothesis import strategies as st
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
 from scanner.viewing.doorkeeper import Doorkeeper
 from scanner.viewing.server import Serving, serving
@@ -78,6 +82,41 @@ def test_a_name_from_a_strangers_dns_is_refused(where: str) -> None:
     assert ask(where, Host="evil.example:8080", Cookie=cookie(where)).status == 403
 
 
+@pytest.mark.parametrize("path", ["/" + "a" * 5000, "/results/1-x/" + "a" * 5000, "/%00", "/..%2f..%2fetc%2fpasswd"])
+def test_what_is_no_file_of_the_page_is_answered(where: str, path: str) -> None:
+    answer = ask(where, path, Cookie=cookie(where))
+    assert answer.status in (400, 404)
+    assert "/" not in answer.text  # nor is it said what there is
+
+
+def test_a_host_that_is_named_twice_is_refused(where: str, capfd: pytest.CaptureFixture[str]) -> None:
+    with closing(http.client.HTTPConnection(urlsplit(where).netloc, timeout=20)) as connection:
+        connection.putrequest("GET", "/")
+        connection.putheader("Host", "evil.example")
+        connection.endheaders()
+        assert connection.getresponse().status == 400
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def hear_out(page: websockets.sync.connection.Connection) -> None:
+    while True:
+        page.recv(timeout=20)
+
+
+@pytest.mark.parametrize("message", [b"\xc1", b"\x91" * 100_000, "text"])
+def test_a_message_that_is_none_closes_its_connection_only(
+    where: str, message: str | bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    place, headers = f"ws://{urlsplit(where).netloc}/", {"Cookie": cookie(where)}
+    spoken = [websockets.typing.Subprotocol(f"viser-v{viser.__version__}")]
+    with websockets.sync.client.connect(place, additional_headers=headers, subprotocols=spoken) as page:
+        page.send(message)
+        with pytest.raises(ConnectionClosedError):
+            hear_out(page)
+    assert ask(where, Cookie=cookie(where)).status == 200
+    assert "Traceback" not in capfd.readouterr().err
+
+
 @pytest.mark.parametrize("own", [True, False])
 def test_a_websocket_has_to_come_from_the_page_itself(where: str, own: bool) -> None:
     netloc = urlsplit(where).netloc
@@ -104,6 +143,8 @@ def report(served: Serving, tmp_path_factory: pytest.TempPathFactory) -> str:
     (folder / "captures/1/calibration.yaml").write_text("camera: {}")
     (folder.parent / "secret.html").write_text("secret")
     (folder / "out.html").symlink_to(folder.parent / "secret.html")
+    (folder / "room.glb").touch()
+    os.truncate(folder / "room.glb", 50_000_000_000)
     return served.shelf.link(folder / "report.html")
 
 
@@ -131,6 +172,7 @@ def test_files_want_the_token_too(where: str, report: str) -> None:
         "../secret.html",
         "..%2Fsecret.html",
         "out.html",
+        "room.glb",
         "captures",
         "",
         "%00",

@@ -1,0 +1,186 @@
+"""Points of one station's drawing of a plane, found again in another's.
+
+They are followed as of Lucas and Kanade ("An iterative image registration technique", 1981; pyramids by Bouguet, 2000),
+forth and back, light that falls differently being taken out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import project, tangent_basis, unproject
+from calib.numerics import MEDIAN_LENGTH, Floats, Image, median
+from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.rooms.contacts import alike_in_blocks
+from calib.rooms.drawings import drawn, logarithmic
+from calib.rooms.room import Room
+from calib.rooms.tracks import Track
+
+_MOST, _FEWEST = 200, 8
+_LARGEST_PX = 1000  # along a side of a drawing
+_LEAST_COMMON = 900  # pixels of both drawings
+_WINDOW_PX, _LEVELS = 21, 3
+_QUALITY, _APART_PX = 0.02, 7
+_BACK_PX = 0.3  # of a point that is followed forth and back
+_LIKE = 0.8  # correlation of what is around a point in both drawings
+_SHADING_PX = 12.0
+_OUTLIER_SIGMAS = 4.0
+_STATED_PX = 0.1  # of the camera: no point is found better than that
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A station's picture (H, W), of logarithms, and the plane's label of each of its pixels (H, W), −1 for none."""
+
+    light: NDArray[np.uint8]
+    labels: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, picture: Image, labels: NDArray[np.int32]) -> "Sight":
+        """From the picture (H, W) or (H, W, 3) of the lit scene."""
+        return cls(logarithmic(picture), labels)
+
+
+def find_tracks(sights: Sequence[Sight | None], plane_of: Sequence[Sequence[int]], room: Room) -> tuple[Track, ...]:
+    """Between all stations with a picture, on the room's planes that `plane_of` says of each station's labels."""
+    found = []
+    for first, second in combinations(range(len(sights)), 2):
+        one, other = sights[first], sights[second]
+        if one is None or other is None:
+            continue
+        for plane in sorted({*plane_of[first]} & {*plane_of[second]} - {-1}):
+            masks = (
+                np.isin(sight.labels, np.flatnonzero(np.equal(plane_of[station], plane)))
+                for station, sight in ((first, one), (second, other))
+            )
+            track = _followed((first, second), plane, (one.light, other.light), tuple(masks), room)
+            if track is not None:
+                found.append(track)
+    return tuple(found)
+
+
+def _followed(
+    stations: tuple[int, int],
+    plane: int,
+    lights: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    masks: tuple[NDArray[np.bool_], ...],
+    room: Room,
+) -> Track | None:
+    """The points of a plane that are in two stations' drawings, as these stand now; None if there are too few."""
+    axes, low, size, shape = _common(stations, plane, masks, room)
+    if min(shape) < _WINDOW_PX:
+        return None
+    normal, offset = room.planes[plane].normal, room.planes[plane].offset
+    u, v = np.meshgrid(low[0] + size * np.arange(shape[0]), low[1] + size * np.arange(shape[1]))
+    front = np.stack([u, v], axis=-1) @ axes.T + offset * normal
+    drawings: list[tuple[NDArray[np.uint8], NDArray[np.uint8]]] = []
+    inside = np.full(u.shape, 255, np.uint8)
+    for station, light, mask in zip(stations, lights, masks, strict=True):
+        pixels = _seen_at(room, station, front.reshape(-1, 3)).reshape(*u.shape, 2)
+        drawings.append(drawn(light, mask, pixels))
+        inside &= drawings[-1][1]
+    if np.count_nonzero(inside) < _LEAST_COMMON:
+        return None
+    flat = [_without_shading(*each) for each in drawings]
+    here, there = _forth_and_back(flat[0], flat[1], inside)
+    if len(here) < _FEWEST:
+        return None
+    one, other = (
+        _seen_at(room, station, (low + size * each) @ axes.T + offset * normal)
+        for station, each in zip(stations, (here, there), strict=True)
+    )
+    return _without_outliers(Track(*stations, plane, (one, other), np.ones(len(here))), room)
+
+
+def _forth_and_back(
+    one: NDArray[np.uint8], other: NDArray[np.uint8], inside: NDArray[np.uint8]
+) -> tuple[Floats, Floats]:
+    """Points (N, 2) of a drawing, and where they are in the other."""
+    corners: Any = cv2.goodFeaturesToTrack(one, _MOST, _QUALITY, _APART_PX, mask=inside)
+    if corners is None:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    follow: Any = partial(cv2.calcOpticalFlowPyrLK, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS)
+    moved, found, _ = follow(one, other, corners, None)
+    back, again, _ = follow(other, one, moved, None)
+    here, there, returned = (each.reshape(-1, 2).astype(np.float64) for each in (corners, moved, back))
+    good = (found.ravel() > 0) & (again.ravel() > 0) & (np.linalg.norm(returned - here, axis=1) < _BACK_PX)
+    good[good] = _correlation((one, other), here[good], there[good]) > _LIKE
+    return here[good], there[good]
+
+
+def _common(
+    stations: tuple[int, int], plane: int, masks: tuple[NDArray[np.bool_], ...], room: Room
+) -> tuple[Floats, Floats, float, tuple[int, int]]:
+    """A grid on a plane over what both stations see of it: axes (3, 2), lowest corner (2,), pixel, width and height."""
+    wall = room.planes[plane]
+    axes, lows, highs, sizes = tangent_basis(wall.normal), [], [], []
+    for station, mask in zip(stations, masks, strict=True):
+        row, column = np.nonzero(mask)
+        if len(row) == 0:
+            return axes, np.zeros(2), 1.0, (0, 0)
+        some = slice(None, None, max(1, len(row) // 2000))
+        place = room.places[station]
+        rays, _ = unproject(room.rig.camera, np.stack([column, row], axis=1)[some].astype(np.float64))
+        turned = rays @ place.rotation.T
+        depth = (wall.offset - float(wall.normal @ place.translation)) / (turned @ wall.normal)
+        at = (depth[:, None] * turned + place.translation) @ axes
+        lows.append(np.percentile(at, 1, axis=0))
+        highs.append(np.percentile(at, 99, axis=0))
+        sizes.append(float(np.median(depth)) / float(np.exp(room.rig.camera[0])))
+    low, high = np.max(lows, axis=0), np.min(highs, axis=0)
+    size = max(*sizes, float(np.max(high - low)) / _LARGEST_PX)
+    width, height = np.maximum(np.floor((high - low) / size), 0).astype(int).tolist()
+    return axes, low, size, (width, height)
+
+
+def _seen_at(room: Room, station: int, points: Floats) -> Floats:
+    """Camera pixels (N, 2) of points (N, 3) of the room, NaN behind the camera."""
+    place = room.places[station]
+    own = (points - place.translation) @ place.rotation
+    pixels, _, _ = project(room.rig.camera, own)
+    return np.where(own[:, 2:] > 0, pixels, np.nan)
+
+
+def _without_shading(drawing: NDArray[np.uint8], inside: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Without what changes slowly, about a middle grey."""
+    weight = (inside > 0).astype(np.float32)
+    light = drawing.astype(np.float32) * weight
+    blurred = cv2.GaussianBlur(light, (0, 0), _SHADING_PX) / np.maximum(
+        cv2.GaussianBlur(weight, (0, 0), _SHADING_PX), 1e-3
+    )
+    return np.clip(np.rint(128 + 2 * (light - blurred) * weight), 0, 255).astype(np.uint8)
+
+
+def _correlation(flat: Sequence[NDArray[np.uint8]], here: Floats, there: Floats) -> Floats:
+    """Of what is around points (N, 2) of two drawings, (N,)."""
+    found = np.zeros(len(here))
+    for i, both in enumerate(zip(here, there, strict=True)):
+        one, other = (
+            cv2.getRectSubPix(drawing, (_WINDOW_PX, _WINDOW_PX), (float(x), float(y))).astype(np.float64)
+            for drawing, (x, y) in zip(flat, both, strict=True)
+        )
+        one, other = one - one.mean(), other - other.mean()
+        found[i] = np.sum(one * other) / max(float(np.sqrt(np.sum(one**2) * np.sum(other**2))), 1e-9)
+    return found
+
+
+def _without_outliers(track: Track, room: Room) -> Track | None:
+    """With variances by how the points scatter about their common shift, and without those that are far off it."""
+    off, _, by_pixels = track.differences(room)
+    track = replace(track, variance=_STATED_PX**2 * np.sum(by_pixels**2, axis=(1, 2)) / 2)
+    left = off - np.median(off, axis=0)
+    size = np.linalg.norm(left, axis=1) / np.sqrt(track.variance)
+    larger = max(1.0, median(size) / MEDIAN_LENGTH)
+    good = size < _OUTLIER_SIGMAS * larger
+    if np.count_nonzero(good) < _FEWEST:
+        return None
+    kept = replace(track, variance=larger**2 * track.variance)[good]
+    relative = np.clip(left[good] / np.sqrt(kept.variance)[:, None], -ROBUST_SIGMAS, ROBUST_SIGMAS)
+    alike = np.mean([alike_in_blocks(kept.pixels[0], column) for column in relative.T])
+    return replace(kept, variance=float(alike) * kept.variance)

@@ -1,0 +1,64 @@
+"""Supposed relative poses from marks of two pictures that look alike: three of them, drawn at random, fix one.
+
+Fischler and Bolles, "Random sample consensus", 1981; the pose through three points is Kabsch's (1976).
+"""
+
+import numpy as np
+
+from calib.geometry import Motion
+from calib.numerics import Bools, Floats
+from calib.rooms.agreement import COARSE
+from calib.rooms.marks import alike
+from calib.rooms.surfaces import Surfaces
+
+_DRAWN = 2000
+_FEWEST = 5
+_WIDEST = 0.1  # of the depth: three marks nearer to each other than that turn with every millimetre
+_ROUNDS = 3
+_MOST = 3
+
+
+def marked_poses(first: Surfaces, second: Surfaces) -> list[Motion]:
+    """X_first = R X_second + t at which most marks lie on those that they look like; none if fewer than five do."""
+    own, other = alike(first.marks, second.marks)
+    here, there = first.marks.points[own], second.marks.points[other]
+    found: list[Motion] = []
+    left = np.ones(len(own), np.bool_)
+    rng = np.random.default_rng(0)
+    while len(found) < _MOST and np.count_nonzero(left) >= _FEWEST:
+        pose, near = _likeliest(here[left], there[left], rng)
+        if pose is None or np.count_nonzero(near) < _FEWEST:
+            break
+        found.append(pose)
+        left[np.flatnonzero(left)[near]] = False
+    return found
+
+
+def _likeliest(here: Floats, there: Floats, rng: np.random.Generator) -> tuple[Motion | None, Bools]:
+    """The pose that brings most points `there` (M, 3) to those `here`, and which of them (M,)."""
+    within = COARSE * here[:, 2]
+    three = rng.integers(0, len(here), (_DRAWN, 3))
+    sides = [np.linalg.norm(each[three] - each[np.roll(three, 1, axis=1)], axis=2) for each in (here, there)]
+    wide = sides[0].min(axis=1) > _WIDEST * float(np.median(here[:, 2]))
+    three = three[wide & (np.abs(sides[0] - sides[1]).max(axis=1) < 2 * within[three].min(axis=1))]
+    if len(three) == 0:
+        return None, np.zeros(len(here), np.bool_)
+    rotations, translations = _through(here[three], there[three])
+    off = np.einsum("kij,nj->kni", rotations, there) + translations[:, None] - here
+    near = np.linalg.norm(off, axis=2) < within
+    best = near[int(np.argmax(np.count_nonzero(near, axis=1)))]
+    for _ in range(_ROUNDS):
+        rotation, translation = (each[0] for each in _through(here[best][None], there[best][None]))
+        best = np.linalg.norm(there @ rotation.T + translation - here, axis=1) < within
+        if np.count_nonzero(best) < 3:
+            return None, best
+    return Motion(rotation, translation), best
+
+
+def _through(here: Floats, there: Floats) -> tuple[Floats, Floats]:
+    """Rotations (K, 3, 3) and translations (K, 3) that bring points `there` (K, M, 3) nearest to those `here`."""
+    middle, other = here.mean(axis=1), there.mean(axis=1)
+    u, _, vt = np.linalg.svd(np.swapaxes(here - middle[:, None], 1, 2) @ (there - other[:, None]))
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    rotations: Floats = u @ vt
+    return rotations, middle - np.einsum("kij,kj->ki", rotations, other)

@@ -1,0 +1,128 @@
+"""What a picture shows on the planes that a station sees: posters, boards, stains, anything that is not plain.
+
+They are looked for in drawings of the planes (drawings.py). Lowe, "Distinctive image features from scale-invariant
+keypoints", 2004; descriptors are compared by Hellinger's distance (Arandjelović and Zisserman, "Three things everyone
+should know to improve object retrieval", 2012).
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Intrinsics, Motion, tangent_basis
+from calib.numerics import Floats, Image, Ints
+from calib.rooms.drawings import drawn, logarithmic
+from calib.rooms.planes import RoomPlane
+
+_MOST_ON_A_PLANE = 300
+_LARGEST_PX = 1600  # along a side of a plane's drawing
+_LEAST_PIXELS = 400  # of a plane in the picture
+_CONTRAST = 0.015
+_RATIO = 0.8  # of the distances to the two nearest descriptors (Lowe 2004)
+_SAME = 0.01  # between descriptors of single precision
+_DESCRIPTOR = 128
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """`pixels` (N, 2) of the camera; `points` (N, 3) on the planes, in the camera's frame; `labels` (N,): which plane;
+    `descriptors` (N, 128), of length 1.
+    """
+
+    pixels: Floats
+    points: Floats
+    labels: Ints
+    descriptors: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+def no_marks() -> Marks:
+    """Of a station without a picture."""
+    nothing = np.zeros((0, _DESCRIPTOR), np.float32)
+    return Marks(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0, np.int64), nothing)
+
+
+def marks_of(
+    picture: Image,
+    points: NDArray[np.float32],
+    labels: NDArray[np.int32],
+    planes: tuple[RoomPlane, ...],
+    camera: Intrinsics,
+) -> Marks:
+    """Of the lit scene's picture (H, W) or (H, W, 3), on planes as of `StationView`.
+
+    Raises ValueError if it does not have the size of the camera's image.
+    """
+    if picture.shape[:2] != labels.shape:
+        raise ValueError(f"the picture must have the shape {labels.shape}, found {picture.shape[:2]}")
+    light = logarithmic(picture)
+    found = [no_marks()]
+    for label, plane in enumerate(planes):
+        on_plane = labels == label
+        own = points[on_plane]
+        if len(own) >= _LEAST_PIXELS:
+            found.append(_on_plane(light, on_plane, own.astype(np.float64), label, plane, camera))
+    return Marks(
+        np.concatenate([each.pixels for each in found]),
+        np.concatenate([each.points for each in found]),
+        np.concatenate([each.labels for each in found]),
+        np.concatenate([each.descriptors for each in found]),
+    )
+
+
+@lru_cache(maxsize=512)
+def alike(first: Marks, second: Marks) -> tuple[Ints, Ints]:
+    """Marks of two stations, (M,) of either, that look like each other more than like any other mark."""
+    if min(len(first), len(second)) < 2:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    product = first.descriptors @ second.descriptors.T
+    there = _distinct(product)
+    back = _distinct(product.T)
+    own = np.flatnonzero(there >= 0)
+    mutual: Ints = own[back[there[own]] == own]
+    return mutual, there[mutual]
+
+
+def apart(first: Marks, second: Marks, pose: Motion) -> tuple[Floats, Floats]:
+    """Of marks that look alike, (M,): how far apart they are at the pose X_first = R X_second + t, and their depth."""
+    own, other = alike(first, second)
+    moved = second.points[other] @ pose.rotation.T + pose.translation
+    return np.linalg.norm(moved - first.points[own], axis=1), first.points[own, 2]
+
+
+def _distinct(product: NDArray[np.float32]) -> Ints:
+    """For each row of products of descriptors the column that is nearest, −1 where another one is almost as near."""
+    nearest: Ints = product.argmax(axis=1)
+    rows = np.arange(len(product))
+    rest = product.copy()
+    rest[rows, nearest] = -1.0
+    near, next_one = (np.sqrt(np.maximum(2 - 2 * each, 0.0)) for each in (product[rows, nearest], rest.max(axis=1)))
+    return np.where(near + _SAME < _RATIO * next_one, nearest, -1)
+
+
+def _on_plane(
+    light: NDArray[np.uint8], on_plane: NDArray[np.bool_], own: Floats, label: int, plane: RoomPlane, camera: Intrinsics
+) -> Marks:
+    """`on_plane` (H, W): the plane's pixels, whose points are `own` (N, 3)."""
+    axes = tangent_basis(plane.normal)
+    places = own @ axes
+    low, high = np.percentile(places, (0.5, 99.5), axis=0)
+    size = float(np.median(own[:, 2]) / np.mean(camera.focal_px))
+    size = max(size, float(np.max(high - low)) / _LARGEST_PX)
+    width, height = (np.ceil((high - low) / size).astype(int) + 1).tolist()
+    u, v = np.meshgrid(low[0] + size * np.arange(width), low[1] + size * np.arange(height))
+    front = np.stack([u, v], axis=-1) @ axes.T + plane.offset * plane.normal
+    drawing, mask = drawn(light, on_plane, np.where(front[..., 2:] > 0, camera.project(front), np.nan))
+    finder = cv2.SIFT.create(nfeatures=_MOST_ON_A_PLANE, contrastThreshold=_CONTRAST)
+    keypoints, descriptors = finder.detectAndCompute(drawing, mask)
+    if not keypoints:
+        return no_marks()
+    at = low + size * np.array([keypoint.pt for keypoint in keypoints])
+    points = at @ axes.T + plane.offset * plane.normal
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
+    return Marks(camera.project(points), points, np.full(len(points), label), root.astype(np.float32))

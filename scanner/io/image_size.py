@@ -1,0 +1,146 @@
+"""How large an image file says that it is, and what it takes to decode: told from its header alone.
+
+OpenCV has no such function. Pillow has, but reads more than the size, and gives up at what OpenCV never looks at, such
+as a PNG's broken comment: a file must not choose who measures it. So the common formats are measured here. Decoders of
+some formats hold more than the pixels: all coefficients of a progressive JPEG, JPEG 2000 in whole numbers of 32 bits.
+"""
+
+import re
+import struct
+from collections.abc import Callable
+from io import BytesIO
+from math import ceil
+from typing import Any
+
+from PIL import Image, TiffImagePlugin
+
+from calib.geometry import Size
+from scanner.io.jpeg_markers import FRAMES, PROGRESSIVE, SCAN, segments
+
+# Of what Pillow cannot read at all.
+UNREADABLE = (OSError, SyntaxError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError)
+PNG_START = b"\x89PNG\r\n\x1a\n"
+_TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_CODESTREAM = b"\xff\x4f\xff\x51"
+_COLOUR = 3  # also of palettes, which OpenCV resolves
+_WITH_ALPHA = 4
+# By the colour type in a PNG's header (ISO/IEC 15948, table 11.1).
+_PNG_CHANNELS = {0: 1, 2: _COLOUR, 3: _COLOUR, 4: _WITH_ALPHA, 6: _WITH_ALPHA}
+_MODES = {"1": 1, "L": 1, "I": 1, "F": 1, "I;16": 1, "I;16B": 1, "I;16L": 1, "LA": 4, "RGBA": 4, "PA": 4, "CMYK": 4}
+_WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _SAMPLES = 256, 257, 258, 262, 277  # tags of TIFF 6.0
+_PALETTE = 3
+_IN_A_BYTE = 255
+_HELD_BESIDE = {
+    "JPEG2000": 4,
+    "AVIF": 4,
+    "GIF": 2,
+    "WEBP": 1,
+}  # bytes of a channel that a decoder takes beyond the picture itself
+
+# Pillow's own limit is lower than today's photos have pixels; ours is held against what is told here.
+Image.MAX_IMAGE_PIXELS = None
+
+
+def size_in_header(data: bytes) -> tuple[Size, int] | None:
+    """Width and height that an image file promises, and the bytes of memory that it takes to decode it.
+
+    None if nobody can tell.
+    """
+    measure: Callable[[bytes], tuple[int, int, int]] = _by_pillow
+    if data.startswith(PNG_START):
+        measure = _of_png
+    elif data.startswith(b"\xff\xd8"):
+        measure = _of_jpeg
+    elif data.startswith(b"BM"):
+        measure = _of_bmp
+    elif data.startswith(_TIFF_STARTS):
+        measure = _of_tiff
+    try:
+        width, height, pixel_bytes = measure(data)
+    except (struct.error, *UNREADABLE):
+        return None
+    return (Size(width, height), width * height * pixel_bytes) if width > 0 and height > 0 else None
+
+
+def _of_png(data: bytes) -> tuple[int, int, int]:
+    """Its first chunk, without which no decoder reads on."""
+    name, width, height, bits, colours = struct.unpack_from(">4sIIBB", data, 12)
+    if name != b"IHDR":
+        raise ValueError("no header")
+    return width, height, _PNG_CHANNELS[colours] * (2 if bits > 8 else 1)
+
+
+def _of_jpeg(data: bytes) -> tuple[int, int, int]:
+    """Where the components do not come together in one scan, all coefficients are held until the last has come."""
+    frame, is_progressive = b"", False
+    for marker, content in segments(data):
+        if marker in FRAMES:
+            frame, is_progressive = content, marker in PROGRESSIVE
+        elif marker == SCAN:
+            height, width, components = struct.unpack_from(">HHB", frame, 1)
+            channels = 1 if components == 1 else _COLOUR
+            if is_progressive or content[0] < components:
+                channels += _coefficient_bytes(frame[7 : 6 + 3 * components : 3])
+            return width, height, channels
+    raise ValueError("no picture")
+
+
+def _coefficient_bytes(factors: bytes) -> int:
+    """Of 16 bits each, for one pixel; `factors`: how finely each component is sampled, across and down."""
+    sampled = [(factor >> 4) * (factor & 15) for factor in factors]
+    return ceil(2 * sum(sampled) / max(sampled))
+
+
+def _of_bmp(data: bytes) -> tuple[int, int, int]:
+    (header_bytes,) = struct.unpack_from("<I", data, 14)
+    old = header_bytes == 12  # of OS/2: shorter numbers
+    width, height, _, bits = struct.unpack_from("<HHHH" if old else "<iiHH", data, 18)
+    return abs(width), abs(height), _WITH_ALPHA if bits > 24 else _COLOUR
+
+
+def _of_tiff(data: bytes) -> tuple[int, int, int]:
+    """Its first directory; Pillow would open only what it can show as well."""
+    file = BytesIO(data)
+    tags: Any = TiffImagePlugin.ImageFileDirectory_v2(file.read(16 if b"+" in data[:4] else 8))
+    file.seek(tags.next)
+    tags.load(file)
+    width, height, samples = int(tags[_WIDTH]), int(tags[_HEIGHT]), int(tags.get(_SAMPLES, 1))
+    bits = max(map(int, tags.get(_BITS, (1,))))
+    channels = _COLOUR if tags.get(_PHOTOMETRIC) == _PALETTE else samples
+    return width, height, max(1, channels) * max(1, -(-bits // 8))
+
+
+def _by_pillow(data: bytes) -> tuple[int, int, int]:
+    with Image.open(BytesIO(data)) as image:
+        channels = _MODES.get(image.mode, _COLOUR)
+        pixel_bytes = channels * _depth(image, data)
+        return image.width, image.height, pixel_bytes + channels * _HELD_BESIDE.get(image.format or "", 0)
+
+
+def _depth(image: Image.Image, data: bytes) -> int:
+    """Bytes of a channel, where Pillow's mode does not tell."""
+    tiles = getattr(image, "tile", None)
+    layout = str(tiles[0][3]) if tiles else ""
+    match image.format:
+        case "PPM":
+            highest = max(map(int, re.findall(r"\d+", layout)), default=1)
+            return 2 if "I;16" in layout or highest > _IN_A_BYTE else 1
+        case "JPEG2000":
+            return _depth_of_jpeg2000(data)
+        case "AVIF":
+            return 2  # 10 or 12 bits, maybe
+    return 2 if "16" in image.mode else 1
+
+
+def _depth_of_jpeg2000(data: bytes) -> int:
+    """By the codestream (ISO/IEC 15444-1, A.5.1), behind boxes of a length and a name each (I.4)."""
+    at = 0
+    while data[at : at + 4] != _CODESTREAM:
+        length, name = struct.unpack_from(">I4s", data, at)
+        start = 8
+        if length == 1:
+            (length,), start = struct.unpack_from(">Q", data, at + 8), 16
+        at += start if name == b"jp2c" else max(start, length)
+    (count,) = struct.unpack_from(">H", data, at + 40)
+    depths = struct.unpack_from(f">{count * 3}B", data, at + 42)[::3]
+    return 2 if max(depths) & 0x7F > 7 else 1

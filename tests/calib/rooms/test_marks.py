@@ -1,0 +1,78 @@
+"""Pictures hold what surfaces leave open: a bare room, whose corners are all alike."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.rooms import StationView, marks_of, register
+from calib.rooms.alignment import composed, inverse
+from calib.rooms.marked_poses import marked_poses
+from calib.rooms.marks import Marks, alike, apart
+from calib.rooms.surfaces import surfaces_of
+from calib.synthetic.stations import Paint, Station, random_room, ring, seen_from
+from tests.calib.rooms.test_registration import CAMERA, off, view_of
+
+
+def with_marks(station: Station) -> StationView:
+    view = view_of(station)
+    return replace(view, marks=marks_of(station.picture, view.points, view.labels, view.planes, view.camera))
+
+
+@pytest.fixture(scope="module")
+def painted() -> list[Station]:
+    """Three neighbours of a bare room that is ambiguous without its pictures (test_registration)."""
+    rng = np.random.default_rng(3)
+    room = random_room(rng, 0)
+    places = ring(rng, room, 6)[:3]
+    return [seen_from(room, place, rng, camera=CAMERA, paint=Paint(3, 0.3)) for place in places]
+
+
+@pytest.fixture(scope="module")
+def views(painted: list[Station]) -> list[StationView]:
+    return [with_marks(station) for station in painted]
+
+
+def test_marks_that_look_alike_are_one(painted: list[Station], views: list[StationView]) -> None:
+    pose = composed(inverse(painted[0].place), painted[1].place)
+    far, depth = apart(views[0].marks, views[1].marks, pose)
+    assert len(far) >= 12
+    right = far < 0.02 * depth
+    assert 0.6 < right.mean() <= 1.0
+    # The calibration that bends the cloud by 0.3 % moves them, too.
+    assert 0.0005 < np.median(far[right]) < 0.03
+
+
+def test_marks_alone_tell_the_pose(painted: list[Station], views: list[StationView]) -> None:
+    poses = marked_poses(*(surfaces_of(view) for view in views[:2]))
+    degrees, metres = off(poses[0], composed(inverse(painted[0].place), painted[1].place))
+    assert 1e-3 < degrees < 0.8
+    assert 1e-4 < metres < 0.04
+
+
+def test_a_bare_room_is_settled_by_its_pictures(painted: list[Station], views: list[StationView]) -> None:
+    (group,) = register([views[2], views[0], views[1]]).groups
+    assert group.stations == (0, 1, 2)
+    assert not group.ambiguous
+    for number, k in ((1, 0), (2, 1)):
+        degrees, metres = off(group.places[number], composed(inverse(painted[2].place), painted[k].place))
+        assert 1e-4 < degrees < 0.6
+        assert 1e-4 < metres < 0.05
+
+
+def test_a_repeated_mark_is_like_none(views: list[StationView]) -> None:
+    marks = views[0].marks
+    twice = Marks(
+        np.tile(marks.pixels, (2, 1)),
+        np.tile(marks.points, (2, 1)),
+        np.tile(marks.labels, 2),
+        np.tile(marks.descriptors, (2, 1)),
+    )
+    assert len(alike(marks, marks)[0]) > 0.8 * len(marks)
+    assert len(alike(marks, twice)[0]) == 0
+
+
+def test_a_picture_of_another_size_is_an_error(painted: list[Station], views: list[StationView]) -> None:
+    view = views[0]
+    with pytest.raises(ValueError, match=r"\(256, 306\)"):
+        marks_of(painted[0].picture[1:], view.points, view.labels, view.planes, view.camera)

@@ -1,0 +1,123 @@
+"""Something moves in a part of the picture while frames are taken: that part is masked, and the rest is right."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.numerics import Bools, Image
+from scanner.decoding import Decoding
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.motion.coarse_frames import CoarseFrames
+from scanner.errors import InputError
+from scanner.patterns import PRESETS, Pattern, PresetName, sequence_for
+from tests.support.synthetic_capture import Scene, decode
+
+SCENE = Scene()
+STANDARD = sequence_for(SCENE.projector)
+# Another surface at another place, twice as bright: who walks by is closer to the projector.
+OTHER = replace(SCENE, turn_deg=-20.0, zoom=0.6, exposure=400.0, seed=2)
+# Of the camera's 225 × 300 pixels.
+PLACE = np.s_[60:190, 200:250]
+EVERYWHERE = np.s_[:, :]
+
+
+def passed(
+    patterns: Sequence[Pattern], numbers: Sequence[int], place: tuple[slice, slice] = PLACE, other: Scene = OTHER
+) -> list[Image]:
+    """Frames that show something else in some place, in those of some numbers."""
+    frames = SCENE.frames(patterns)
+    for number in numbers:
+        frames[number] = frames[number].copy()
+        frames[number][place] = other.frame(patterns[number], number)[place]
+    return frames
+
+
+def around(margin_px: int) -> Bools:
+    """(H, W): the place, and so many pixels around it."""
+    chosen = np.zeros(SCENE.camera[::-1], np.bool_)
+    rows, columns = PLACE
+    chosen[rows.start - margin_px : rows.stop + margin_px, columns.start - margin_px : columns.stop + margin_px] = True
+    return chosen
+
+
+def wrong(decoding: Decoding) -> float:
+    """The share of the matches that are off by more than a pixel."""
+    return float(np.mean(np.abs(SCENE.errors(decoding)).max(axis=1) > 1))
+
+
+@pytest.mark.parametrize(
+    ("preset", "first", "named"),
+    [
+        ("standard", 6, "gray x bit 2"),
+        ("standard", 30, "phase"),
+        ("concave", 28, "phase"),
+        ("quick", 4, "gray x bit"),
+        ("quick", 15, "phase"),
+    ],
+)
+def test_who_goes_past_is_masked(preset: PresetName, first: int, named: str) -> None:
+    patterns = PRESETS[preset].patterns(SCENE.projector)
+    decoding = decode(patterns, passed(patterns, range(first, first + 4)), SCENE.projector)
+    moved, lit = decoding.reasons == MaskReason.MOVED, SCENE.well_lit()
+    assert np.mean(moved[around(-4) & lit]) > 0.95
+    assert not np.any(moved & ~around(20))
+    assert np.mean(decoding.reasons[lit & ~around(20)] == MaskReason.KEPT) > 0.99
+    assert wrong(decoding) < 0.002
+    assert any("Something moved in" in warning and named in warning for warning in decoding.warnings)
+
+
+def test_what_is_pushed_aside_is_masked_where_it_was_and_is() -> None:
+    frames = passed(STANDARD, range(30, len(STANDARD)), other=replace(SCENE, turn_deg=9.0))
+    decoding = decode(STANDARD, frames, SCENE.projector)
+    assert np.mean((decoding.reasons == MaskReason.MOVED)[around(-4)]) > 0.8
+    assert wrong(decoding) < 0.005
+
+
+def test_a_hand_is_masked_as_small_as_it_is() -> None:
+    hand = np.s_[100:125, 210:235]
+    decoding = decode(STANDARD, passed(STANDARD, range(28, 32), hand), SCENE.projector)
+    moved = decoding.reasons == MaskReason.MOVED
+    assert np.mean(moved[hand]) > 0.9
+    assert 0.005 < np.mean(moved) < 0.03, "0.009 is the hand"
+
+
+@pytest.mark.parametrize("number", [5, 17, 30])
+def test_a_frame_of_another_scene_is_nothing_that_moved(number: int) -> None:
+    """All over the picture it contradicts the others: it is named, whatever is masked."""
+    frames = passed(STANDARD, [number], EVERYWHERE, replace(SCENE, turn_deg=90.0, zoom=0.5))
+    try:
+        decoding = decode(STANDARD, frames, SCENE.projector)
+    except InputError as error:
+        said = str(error)
+    else:
+        said = " ".join(decoding.warnings)
+        assert wrong(decoding) < 0.02
+    assert f"frame {number} " in said
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize(
+    "scene",
+    [SCENE, replace(SCENE, projector_blur_px=3.0), replace(SCENE, gamma=3.0), replace(SCENE, read_noise=6.0)],
+    ids=["at rest", "blurred projector", "strong gamma", "noisy camera"],
+)
+def test_nothing_moved(preset: PresetName, scene: Scene) -> None:
+    try:
+        decoding = scene.decode(PRESETS[preset].patterns(scene.projector))
+    except InputError as error:
+        assert "moved" not in str(error)  # noqa: PT017
+        return
+    assert not np.any(decoding.reasons == MaskReason.MOVED)
+
+
+@pytest.mark.parametrize("shape", [(225, 300), (7, 5), (1000, 1501), (224, 449)])
+def test_the_grid_is_put_back_where_it_was_taken(shape: tuple[int, int]) -> None:
+    coarse = CoarseFrames(shape)
+    row, column = np.mgrid[: shape[0], : shape[1]]
+    chosen = np.asarray(coarse.of(column), np.float64) > shape[1] / 2
+    assert np.array_equal(coarse.of(coarse.at_full_size(chosen)), chosen)
+    beside = np.abs(column - shape[1] / 2) > coarse.step
+    assert np.array_equal(coarse.at_full_size(chosen)[beside], (column > shape[1] / 2)[beside])
+    assert np.array_equal(coarse.rows, coarse.of(row)[:, 0])
