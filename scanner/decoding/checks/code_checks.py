@@ -125,7 +125,7 @@ def _changes(fold: GrayFold, noise: NoiseModel, middle: Image, moved: Bools | No
         words, least, level = (
             lines_of(image.T if is_transposed else image, _LINES) for image in (fold.words, fold.least, middle)
         )
-        least_clear = max(_LEAST_DIFFERENCE, _LEAST_PART * float(np.quantile(least, _BRIGHTEST)))
+        least_clear = max(_LEAST_DIFFERENCE, _LEAST_PART * float(np.quantile(least[:, ::_FARTHEST_PX], _BRIGHTEST)))
         certain = least > np.maximum(least_clear, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
         if moved is not None:
             certain &= ~lines_of(moved.T if is_transposed else moved, _LINES)
