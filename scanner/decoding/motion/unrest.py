@@ -5,6 +5,7 @@ moved, or its shadow, breaks it in patches, beside which all frames agree.
 """
 
 from dataclasses import dataclass
+from math import hypot
 from typing import cast
 
 import cv2
@@ -31,8 +32,9 @@ _MUCH_OF_IT = 0.1
 _BROKEN = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE, MaskReason.ISOLATED)
 # Of a period: a bit that is wrong leaves the fringes' positions as they are; and how far most neighbours are apart.
 _JUMP, _TIMES_USUAL = 0.7, 4.0
-# Where more than this moved, it is no thing before what rests.
-_MOST = 0.6
+# Where more than this moved, it is no thing before what rests; nor if the picture as a whole is elsewhere, in pixels of
+# the grid.
+_MOST, _MOVED_PX = 0.6, 0.5
 
 
 @dataclass(frozen=True)
@@ -72,10 +74,27 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     if not 0 < share <= _MOST:
         return None
     frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
-    if not frames:
+    if not frames or _picture_moved(levels, [of for of, _ in groups], frames):
         return None
     rests = coarse.at_full_size(lit & ~moved)
     return Unrest(coarse.at_full_size(moved), rests, share, tuple(sorted(frames)))
+
+
+def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int]) -> bool:
+    """Whether all of the picture, `levels` (frames, h, w), is elsewhere in the `frames` that contradict the others: the
+    camera moved.
+    """
+    even = [group for group in groups if len(group) > 1]
+    contradicting, others = (
+        [levels[list(group)].mean(axis=0) for group in even if frames.issuperset(group) == is_odd]
+        for is_odd in (True, False)
+    )
+    if not contradicting or not others:
+        return False
+    window = cast(Floats32, cv2.createHanningWindow((levels.shape[2], levels.shape[1]), cv2.CV_32F))
+    before, after = (np.log1p(np.stack(each).mean(axis=0)) for each in (others, contradicting))
+    shift, _ = cv2.phaseCorrelate(before, after, window)
+    return hypot(*shift) > _MOVED_PX
 
 
 def mask_broken(plan: SequencePlan, maps: Maps) -> None:

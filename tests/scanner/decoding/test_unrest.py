@@ -8,10 +8,12 @@ import pytest
 
 from calib.numerics import Bools, Image
 from scanner.decoding import Decoding
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.motion.coarse_frames import CoarseFrames
+from scanner.decoding.motion import CoarseFrames, find_unrest
+from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
-from scanner.patterns import PRESETS, Pattern, PresetName, sequence_for
+from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for
 from tests.support.synthetic_capture import Scene, decode
 
 SCENE = Scene()
@@ -110,6 +112,21 @@ def test_nothing_moved(preset: PresetName, scene: Scene) -> None:
         assert "moved" not in str(error)  # noqa: PT017
         return
     assert not np.any(decoding.reasons == MaskReason.MOVED)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("knocked_px", [6, 14])
+def test_a_camera_that_was_knocked_is_no_thing_that_moved(preset: PresetName, knocked_px: int) -> None:
+    patterns = PRESETS[preset].patterns(SCENE.projector)
+    plan, coarse = plan_sequence(patterns, SCENE.projector), CoarseFrames(SCENE.camera[::-1])
+    first = next(number for number, pattern in enumerate(patterns) if isinstance(pattern, Phase))
+    frames = [
+        np.roll(frame, knocked_px, axis=1) if number >= first else frame
+        for number, frame in enumerate(SCENE.frames(patterns))
+    ]
+    for number in range(len(plan.patterns)):
+        coarse.add(frames[plan.shown.index(number)])
+    assert find_unrest(plan, coarse, NoiseModel(at_black=1.0, gain=1 / 30)) is None
 
 
 @pytest.mark.parametrize("shape", [(225, 300), (7, 5), (1000, 1501), (224, 449)])
