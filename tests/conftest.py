@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 # As the command does (scanner/commands/main.py); with several test processes on two cores it matters even more.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# In the background of a script, or by nohup, Ctrl-C is ignored, and what a test starts would inherit that.
-if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# Scripts ignore Ctrl-C in the background, and nohup that the terminal closes: what tests start would inherit it.
+for ignored, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(ignored) == signal.SIG_IGN:
+        signal.signal(ignored, usual)
 
 # No test is timed: the first example may wait for a compiler, any for a busy machine.
 settings.register_profile("untimed", deadline=None)
