@@ -196,10 +196,8 @@ class Decoder:
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities, once_more=once_more and not self._mended)
                 del sample
-                maps = coordinate_maps(
-                    accumulators, learnt.decoders, None if seen.unrest is None else seen.unrest.moved
-                )
-                if seen.unrest is not None:
+                maps = coordinate_maps(accumulators, learnt.decoders, seen.moved)
+                if seen.moved is not None:
                     mask_broken(accumulators.plan, maps)
                 leave_out_stray_light(accumulators, maps)
                 check_roughness(accumulators.plan, maps)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Image
+from calib.numerics import Bools, Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
@@ -57,6 +57,11 @@ class Seen:
     notes: tuple[str, ...]
     broken: Callable[[], tuple[int, int] | None]
     unrest: Unrest | None = None
+
+    @property
+    def moved(self) -> Bools | None:
+        """(H, W): where something moved; None if nothing did."""
+        return None if self.unrest is None else self.unrest.moved
 
     @property
     def motion(self) -> MotionFound | None:
@@ -163,9 +168,10 @@ def _equalise(
     for frames, gains in found:
         if gains.matter:
             rows = sample.pixels // width
-            for frame, of_frame, of_tiles in zip(frames, gains.at(rows), gains.at(tiles.rows), strict=True):
+            by_rows = (gains.at(each) for each in (rows, coarse.rows, tiles.rows))
+            for frame, of_frame, of_coarse, of_tiles in zip(frames, *by_rows, strict=True):
                 sample.divide(frame, of_frame)
-                coarse.divide(frame, gains.at(coarse.rows)[frames.index(frame)])
+                coarse.divide(frame, of_coarse)
                 tiles.divide(plan.shown.index(frame), of_tiles)
     for group, by in out_of_line([(frames, gains.matter) for frames, gains in found], sample):
         for frame in group:
@@ -189,7 +195,7 @@ def learn(
 
     Raises InputError; LightSwitchedError if they had better be decoded `once_more`, which is possible.
     """
-    plan, levels, moved = accumulators.plan, sample.levels, None if seen.unrest is None else seen.unrest.moved
+    plan, levels, moved = accumulators.plan, sample.levels, seen.moved
     if moved is not None:
         sample.leave_out(moved.reshape(-1)[sample.pixels])
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])

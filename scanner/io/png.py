@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Image, in_slices, processors
+from scanner.io.image_size import PNG_START
 
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOUR_TYPES = {1: 0, 3: 2, 4: 6}  # by channels: grey, RGB, RGB with transparency
 _DEPTHS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
 _LEFT = 1  # the filter's number (PNG, section 9.2)
@@ -48,7 +48,7 @@ def png_of(image: Image) -> bytes:
     header = struct.pack(">IIBBBBB", width, height, _DEPTHS[image.dtype], _COLOUR_TYPES[channels], 0, 0, 0)
     return b"".join(
         [
-            _SIGNATURE,
+            PNG_START,
             _chunk(b"IHDR", header),
             _chunk(b"IDAT", _ZLIB_HEADER),
             *(part.chunk for part in parts),

@@ -82,7 +82,8 @@ def _off_usual(levels: Floats32, usual: Floats32) -> Floats32:
     How bright they were is known of most and has been taken out; of the first ones it is not, nor where cameras answer
     to bright light by less.
     """
-    return _brightness(levels, usual) @ levels - usual
+    _, left = _fit_most(levels.T, usual[:, None])
+    return left[:, 0]
 
 
 def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
@@ -95,20 +96,23 @@ def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32
     _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
     phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
     every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
-    brightness = _brightness(every, usual)
+    brightness, left = _fit_most(every.T, usual[:, None])
     # Fringes swing by half of the pixel's range at most; the harmonic may be left out once, and be too much elsewhere.
-    bent = np.float32(np.hypot(*brightness[2:])) * (frames.max(axis=0) - parts[1])
-    return cast(Floats32, np.maximum(np.abs(brightness @ every - usual) - bent, 0))
+    bent = np.float32(np.hypot(*brightness[2:, 0])) * (frames.max(axis=0) - parts[1])
+    return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
 
 
-def _brightness(levels: Floats32, usual: Floats32) -> Floats32:
-    """By how much to multiply the levels (N, P) to explain the usual light (P,) where most pixels agree, (N,)."""
-    kept = np.ones(len(usual), np.bool_)
+def _fit_most(terms: Floats32, targets: Floats32) -> tuple[Floats32, Floats32]:
+    """By how much to multiply the terms (P, N) to explain the targets (P, K) where most pixels agree, (N, K); and what
+    is left of these (P, K).
+    """
+    kept = np.ones(len(targets), np.bool_)
     for _ in range(_TRIMS):
-        brightness = np.linalg.lstsq(levels[:, kept].T, usual[kept], rcond=None)[0]
-        size = np.abs(brightness @ levels - usual)
+        factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
+        left = targets - terms @ factors
+        size = np.sqrt(np.mean(left**2, axis=1))
         kept = size <= _MOST_OFF * max(median(size), 1e-6)
-    return cast(Floats32, brightness)
+    return cast(Floats32, factors), left
 
 
 def _finest(code: GrayCode) -> set[int]:
@@ -142,9 +146,5 @@ def _off_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
     left = levels - design @ fit
     phase, amplitude = np.arctan2(fit[2], fit[1]), np.hypot(fit[1], fit[2])
     terms = np.stack([amplitude * wave(k * phase) for k in _HARMONICS for wave in (np.cos, np.sin)], axis=1)
-    kept = np.ones(len(phase), np.bool_)
-    for _ in range(_TRIMS):
-        parts = np.linalg.lstsq(terms[kept], left[:, kept].T, rcond=None)[0]
-        size = np.sqrt(np.mean((left - (terms @ parts).T) ** 2, axis=0))
-        kept = size <= _MOST_OFF * max(median(size), 1e-6)
-    return cast(Floats32, size)
+    _, left = _fit_most(terms, left.T)
+    return cast(Floats32, np.sqrt(np.mean(left**2, axis=1)))
