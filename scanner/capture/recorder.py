@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from io import FileIO
@@ -42,9 +41,7 @@ def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
         for index, (pattern, frame) in enumerate(stream.frames):
             file = frame_file(index)
             syncing.wait()
-            with _both_or_neither(listing, folder / file):
-                _write_whole(folder / file, frame)
-                _append(listing, frame_line(file, pattern, **_read_back(frame)))
+            _write_both(listing, frame_line(file, pattern, **_read_back(frame)), folder / file, frame)
             syncing.begin([folder / file, folder / "frames", folder / CAPTURE_FILE])
             yield pattern, frame
         _append(listing, _keys(stream.account()))
@@ -96,15 +93,16 @@ def _write_whole(path: Path, frame: Frame) -> None:
         raise
 
 
-@contextmanager
-def _both_or_neither(listing: FileIO, image: Path) -> Iterator[None]:
-    """An image and its line in the listing belong together, also when Ctrl-C or a full disk comes between them."""
+def _write_both(listing: FileIO, line: str, image: Path, frame: Frame) -> None:
+    """An image and its line in the listing, or neither, also when Ctrl-C or a full disk comes between them."""
     end = listing.tell()
     try:
-        yield
+        _write_whole(image, frame)
+        _append(listing, line)
     except BaseException:
-        listing.truncate(end)
-        image.unlink(missing_ok=True)
+        if listing.tell() < end + len(line.encode()):  # a frame that is listed is safe: what comes later does not take it back
+            listing.truncate(end)
+            image.unlink(missing_ok=True)
         raise
 
 

@@ -79,7 +79,11 @@ def test_a_device_that_fails_leaves_a_capture_of_the_frames_so_far(tmp_path: Pat
     assert open_capture(tmp_path / "capture").patterns == PATTERNS[:1]
 
 
-def interrupt_at_line(number: int) -> Callable[[FrameType, str, Any], Any]:
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, and how many frames were listed by then."""
+
+
+def interrupt_at_line(number: int, folder: Path) -> Callable[[FrameType, str, Any], Any]:
     """A trace function that presses Ctrl-C at the so-many-th line run of the modules that write a capture."""
     lines = count()
 
@@ -87,7 +91,7 @@ def interrupt_at_line(number: int) -> Callable[[FrameType, str, Any], Any]:
         if frame.f_code.co_filename not in (recorder.__file__, images.__file__):
             return None
         if event == "line" and next(lines) == number:
-            raise KeyboardInterrupt
+            raise Interrupted((folder / "capture.yaml").read_text().count("file:"))
         return trace
 
     return trace
@@ -99,14 +103,14 @@ def test_whenever_ctrl_c_comes_listing_and_frames_agree(tmp_path: Path) -> None:
         frames = record(stream_of(islice(photographs(), 4)), folder).frames
         next(frames)
         before = sys.gettrace()
-        sys.settrace(interrupt_at_line(number))
+        sys.settrace(interrupt_at_line(number, folder))
         try:
-            rest = sum(1 for _ in frames)
-        except KeyboardInterrupt:
-            rest = None
+            rest, listed = sum(1 for _ in frames), 4
+        except Interrupted as interruption:
+            rest, listed = None, interruption.args[0]
         finally:
             sys.settrace(before)
-        assert 1 <= len(open_capture(folder).patterns) <= 4
+        assert len(open_capture(folder).patterns) == listed  # what is listed is safe
         if rest == 3:
             break
     assert number > 50, "the interruptions did not reach into the writing"
