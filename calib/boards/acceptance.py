@@ -182,13 +182,15 @@ def straightness(found: Estimate) -> float:
     A valley that flattens out is wider than its floor is curved.
     """
     factor = 1.0
+    # The covariance knows of other choices of lens terms, too; along the valley of the one that was made, these stay.
+    free = found.prior.free(found.state)[:SHARED]
     for column in (CAMERA.start, PROJECTOR.start):
         sigma = float(np.sqrt(found.covariance[column, column]))
         held = found.prior.knowing([column])
         for side in (-1.0, 1.0):
             step = np.zeros(found.state.size)
             step[column] = side * _WALK_SIGMAS * sigma
-            response = found.covariance[:, column] / found.covariance[column, column]
+            response = np.where(free, found.covariance[:, column] / found.covariance[column, column], 0.0)
             step[:SHARED] = response * step[column]
             fit = minimise(found.views, found.state.moved(step), held, found.levels, tolerance=0.01)
             rise = max(fit.cost - found.fit.cost, 1e-3)

@@ -103,6 +103,6 @@ def test_a_board_that_moved_is_named_and_left_out() -> None:
     ],
 )
 def test_what_does_not_determine_a_rig_is_refused_with_a_reason(changes: dict[str, Any], reason: str) -> None:
-    boards = made_up(2, **changes)
+    boards = made_up(4, **changes)
     with pytest.raises(RefusalError, match=reason):
         calibrated(boards)
