@@ -6,22 +6,24 @@
 
 An exposure fits between the light of its picture, as late as that can be, and the light of the next one, as soon as
 that can be. When that is follows from when the pictures were swapped in, which the process that did it tells. A frame
-counts if it was triggered in time, if the camera's clock agrees, and if its picture and its neighbours' light every
-place alike together (`hw/level_sums.py`). A picture that was missed flies again, behind those that are on their way;
-if that is missed, or one soon after it, those that follow are taken at rest, for a while: how long, and how much time
-there is between pictures, depends on how often that happens.
+counts if it was triggered in time, if the camera's clock agrees, and if its picture and others light every place alike
+together (`hw/level_sums.py`) or, bits without inverses, an even number of times (`hw/parity.py`). A picture that was
+missed flies again, behind those that are on their way; if that is missed, or one soon after it, those that follow are
+taken at rest, for a while: how long, and how much time there is between pictures, depends on how often that happens.
 """
 
 import logging
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from itertools import islice
 
 from calib.numerics import Image
 from hw.appointments import SLACK_S, Appointments, Pace
 from hw.errors import DeviceError, FrameLostError
 from hw.level_sums import LevelSums
 from hw.numbered_pictures import NumberedPictures
+from hw.parity import WithParity, with_parity
 from hw.proofs import Group, Proofs
 from hw.rig import Frame
 from hw.timed_devices import ATTEMPTS, BufferedProjector, TriggeredCamera
@@ -65,9 +67,12 @@ class Flight:
         """Whether the camera still exposes for as long as the pace was measured for."""
         return self._camera.exposure_s == self._exposure_s
 
-    def frames(self, images: Iterable[Image], level: Sequence[Sequence[int]]) -> Iterator[Frame]:
+    def frames(
+        self, images: Iterable[Image], level: Sequence[Sequence[int]], unpaired: Sequence[Sequence[int]] = ()
+    ) -> Iterator[Frame]:
         """A frame of each image, when it is proven. `level`: the numbers of images that light every place alike
-        together; images that are in none of these are taken at rest.
+        together; `unpaired`: of images of black and white that one more picture is to prove. Images that are in none of
+        these are taken at rest.
 
         Raises DeviceError, and whatever `images` raises.
         """
@@ -75,7 +80,8 @@ class Flight:
         self.missed = self.doubted = 0
         taken: dict[int, Frame] = {}
         following = 0
-        for number, frame in self._series(images, level):
+        shown = with_parity(images, level, unpaired)
+        for number, frame in self._series(shown):
             taken[number] = frame
             self._proofs.note(number, frame.image)
             if not self._appointments.outstanding:
@@ -84,22 +90,24 @@ class Flight:
                 self._prove(group, foreign, taken)
                 self._proofs.settle(group)
             while following in taken and not self._proofs.lacks(following):
-                self.tally.take()
-                yield taken.pop(following)
+                proven = taken.pop(following)
+                if following not in shown.added:
+                    self.tally.take()
+                    yield proven
                 following += 1
                 self._pictures.forget(following)
 
     def rehearse(self, images: Iterable[Image]) -> Iterator[Frame]:
         """The same without any proof but that of time: somebody else looks at the frames, in their order."""
-        return (frame for _, frame in self._series(images, None))
+        return (frame for _, frame in self._series(with_parity(images, (), ()), proven=False))
 
-    def _series(self, images: Iterable[Image], level: Sequence[Sequence[int]] | None) -> Iterator[tuple[int, Frame]]:
-        """Frames and numbers; between them, others may be taken again after `_land`. What is in a `level` group may
-        fly; without these all may, and frames come in the order of their pictures.
+    def _series(self, shown: WithParity, *, proven: bool = True) -> Iterator[tuple[int, Frame]]:
+        """Frames and numbers; between them, others may be taken again after `_land`. What is in a group may fly; if
+        nothing is to be proven all may, and frames come in the order of their pictures.
         """
-        self._pictures = NumberedPictures(iter(images))
-        self._proofs = Proofs(self._sums, self._pictures, level or ())
-        self._in_order = level is None
+        self._pictures = NumberedPictures(shown.images)
+        self._proofs = Proofs(self._sums, self._pictures, shown.level, shown.even)
+        self._in_order = not proven
         self._resting, self._penalty, self._caught_in_row = 0, 1, 0
         self._rested, self._unfounded = set[int](), 0
         # The first that was not tried, those that are to be tried again, and those that were missed.
@@ -155,6 +163,18 @@ class Flight:
         frames = self._turns.at_rest(pictures, numbers=numbers)
         for number, following, frame in zip(numbers, [*numbers[1:], None], frames, strict=True):
             self._appointments.settle(*(() if following is None else (following,)))  # it has left when a frame is there
+            yield number, frame
+
+    def _retaken(self, group: Group, numbers: Sequence[int]) -> Iterator[tuple[int, Frame]]:
+        """Frames at rest of some of a group, by which the group is proven, or else the second of each: so long after
+        its picture has left, nothing of those before is on the wall.
+        """
+        if not self._proofs.is_even(group):
+            yield from self._rest(numbers)
+            return
+        frames = self._rest([number for number in numbers for _ in range(2)])
+        for number, frame in islice(frames, 1, None, 2):
+            self._proofs.stood_alone(number)
             yield number, frame
 
     def _land(self) -> None:
@@ -252,18 +272,19 @@ class Flight:
             if foreign <= proofs.tolerance:
                 return
             log.info("frames %s: %.1f %% are foreign", group, 100 * foreign)
+            suspects = proofs.suspects(group)
             if last is None:
-                self.doubted += len(group)
+                self.doubted += len(suspects)
                 self.missed, self._caught_in_row = self.missed + 1, 0
                 self._ask_for_slack()
                 self._rest_a_while()
-            elif proofs.is_as_before(group, last):
+            elif proofs.is_as_before(last) and last.frames.keys() >= {*suspects}:
                 break
-            self.tally.retriggered += len(group)
-            last = proofs.look(group)
+            self.tally.retriggered += len(suspects)
+            last = proofs.look(suspects)
             self._land()
             # The other way around, for the same picture to be late again would look the same otherwise.
-            for number, frame in self._rest(group if attempt % 2 else group[::-1]):
+            for number, frame in self._retaken(group, suspects if attempt % 2 else suspects[::-1]):
                 taken[number] = frame
                 proofs.note(number, frame.image)
             foreign = proofs.foreign_share(group)

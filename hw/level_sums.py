@@ -11,7 +11,8 @@ import numpy as np
 
 from calib.numerics import Floats, Image
 
-_MOST_PIXELS = 20_000
+_MOST_PAIRS = 10_000
+_APART = 75  # of the width of an image: how far pixels of a pair are apart at most; at least two and three pixels
 _LEAST_TOLERANCE = 0.015
 _MOST_TERMS = 10  # differences between neighbours, times frames in the sum, of two or four frames
 _LEAST_DIFFERENCE = 0.15  # of neighbours, rms; that of black and white is nothing but noise
@@ -26,6 +27,8 @@ _UNEVEN, _DARKEST, _BRIGHTEST = 0.35, 0.2, 0.7
 @dataclass(frozen=True)
 class LevelSums:
     """Judges frames at pixels (N,) that the projector lights: `dark` (N,) and `contrast` (N,) are of black and white.
+
+    The second half of all pixels are each near their counterpart in the first.
 
     `tolerance`: the largest share of another picture that is not told from noise.
     """
@@ -108,16 +111,31 @@ def _explained(terms: Floats, values: Floats) -> Floats:
 
 def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float) -> LevelSums:
     """From frames of black and of white at rest, and the pixels (H, W) that tell them apart."""
-    rows, columns = np.nonzero(lit)
-    chosen = np.random.default_rng(0).permutation(len(rows))[:_MOST_PIXELS]
-    pixels = rows[chosen], columns[chosen]
+    pixels = _pairs(lit)
     levels = [np.stack([_grey(image[pixels]) for image in images]) for images in (dark, bright)]
     contrast = levels[1].mean(axis=0) - levels[0].mean(axis=0)
     # Noise is in a frame and in its differences to others alike, which looks as if they had to do with each other.
     variance = float(np.mean(np.diff(levels[1], axis=0) ** 2 / 2 / contrast**2))
-    by_chance = 6 * np.sqrt(_MOST_TERMS * variance / len(chosen))
+    by_chance = 6 * np.sqrt(_MOST_TERMS * variance / len(pixels[0]))
     noise = 4 * variance + by_chance
     return LevelSums(pixels, levels[0].mean(axis=0), contrast, max(_LEAST_TOLERANCE, tolerance) + float(noise))
+
+
+def _pairs(lit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of pixels that are lit (H, W), then of one near each, in any direction, that is lit, too."""
+    rng = np.random.default_rng(0)
+    rows, columns = np.nonzero(lit)
+    chosen = rng.permutation(len(rows))[:_MOST_PAIRS]
+    first = np.stack([rows[chosen], columns[chosen]])
+    angle = 2 * np.pi * rng.random(len(chosen))
+    apart = rng.uniform(2, max(3.0, lit.shape[1] / _APART), len(chosen))
+    second = first + np.rint(apart * np.stack([np.sin(angle), np.cos(angle)])).astype(np.int64)
+    inside = np.all((second >= 0) & (second < np.array(lit.shape)[:, None]), axis=0)
+    inside[inside] = lit[tuple(second[:, inside])]
+    if not inside.any():  # there is hardly any light: pixels count twice, and there is nothing between them
+        return np.tile(first[0], 2), np.tile(first[1], 2)
+    found = np.concatenate([first[:, inside], second[:, inside]], axis=1)
+    return found[0], found[1]
 
 
 def _grey(pixels: Image) -> Floats:

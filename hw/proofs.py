@@ -1,30 +1,47 @@
-"""What proves frames: groups of them that light every place alike together, judged when all that may show in them is
-known: the frames themselves, and those of the pictures that were on the wall beside them.
+"""What proves frames: groups of them that light every place alike together, or an even number of times, judged when all
+that may show in them is known: the frames themselves, and those of the pictures that were on the wall beside them.
 """
 
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 from calib.numerics import Floats, Image
 from hw.level_sums import LevelSums
 from hw.numbered_pictures import NumberedPictures
+from hw.parity import mixed_share, odd_share
 
 Group = tuple[int, ...]
-# What a group looked like before it was taken again, and beside what.
-Look = tuple[dict[int, Floats], dict[int, set[int]]]
+
+
+@dataclass(frozen=True)
+class Look:
+    """What some frames looked like before they were taken again, and what was on the wall beside their pictures."""
+
+    frames: dict[int, Floats]
+    beside: dict[int, set[int]]
 
 
 class Proofs:
-    """Of the frames of some pictures; `groups` are of numbers. `judged`: which share of a frame is of another picture,
-    of groups that are not proven yet.
+    """Of the frames of some pictures; groups are of numbers: `level` ones light every place alike together, `even` ones
+    an even number of times (`hw/parity.py`). `judged`: which share of a frame is of another picture, of groups that are
+    not proven yet.
     """
 
-    def __init__(self, sums: LevelSums, pictures: NumberedPictures, groups: Iterable[Sequence[int]]) -> None:
+    def __init__(
+        self,
+        sums: LevelSums,
+        pictures: NumberedPictures,
+        level: Iterable[Sequence[int]],
+        even: Iterable[Sequence[int]] = (),
+    ) -> None:
         self._sums = sums
         self._pictures = pictures
-        self._unproven = {number: tuple(group) for group in groups for number in group}
+        self._even = frozenset(map(tuple, even))
+        self._unproven = {number: tuple(group) for group in [*level, *self._even] for number in group}
         self._seen: dict[int, Floats] = {}
         self._beside: dict[int, set[int]] = {}
+        self._at_rest: set[int] = set()
         self.judged: dict[Group, float] = {}
 
     @property
@@ -37,17 +54,23 @@ class Proofs:
         return number in self._unproven
 
     def stood_beside(self, number: int, others: Iterable[int]) -> None:
-        """These pictures were on the wall before and after that one, when it was last taken."""
+        """These pictures were on the wall before and after that one, when it was last taken, in flight."""
         self._beside[number] = {*others} - {number}
+        self._at_rest.discard(number)
 
     def stood_in_row(self, numbers: Sequence[int], before: Collection[int]) -> None:
-        """These pictures followed each other."""
+        """These pictures followed each other, each at rest when it was taken."""
         self.stood_beside(numbers[0], before)
         for number in numbers[1:]:
             self.stood_beside(number, ())
         for one, other in pairwise(numbers):
-            self._beside[one].add(other)
-            self._beside[other].add(one)
+            self._beside[one] |= {other} - {one}
+            self._beside[other] |= {one} - {other}
+        self._at_rest.update(numbers)
+
+    def stood_alone(self, number: int) -> None:
+        """Nothing else was on the wall, even if the picture came later than any."""
+        self._beside[number] = set()
 
     def note(self, number: int, image: Image) -> None:
         """The frame that was taken of a picture."""
@@ -61,23 +84,47 @@ class Proofs:
 
     def foreign_share(self, group: Group) -> float:
         """Of a group, as it is now."""
+        if self.is_even(group):
+            return max([odd_share(group, self._seen), *(self._mixed_share(number) for number in group[1:])])
         pictures = [self._pictures[number] for number in group]
         return self._sums.foreign_share(group, pictures, self._seen, self._beside)
 
-    def look(self, group: Group) -> Look:
-        """Of a group, to be compared with what it looks like when it has been taken again."""
-        return {number: self._seen[number] for number in group}, {number: self._beside[number] for number in group}
+    def is_even(self, group: Group) -> bool:
+        """Whether the group lights every place an even number of times."""
+        return group in self._even
 
-    def is_as_before(self, group: Group, look: Look) -> bool:
-        """Whether a group's sum does not depend on what was on the wall beside its pictures."""
-        before, beside = look
-        either = {number: self._beside[number] | beside[number] for number in group}
-        return self._sums.changed_share(group, before, self._seen, either) <= self.tolerance
+    def suspects(self, group: Group) -> Group:
+        """Those frames of a group whose share of another picture is too large, if that can be told; else all."""
+        if not self.is_even(group) or odd_share(group, self._seen) > self.tolerance:
+            return group
+        return tuple(number for number in group[1:] if self._mixed_share(number) > self.tolerance)
+
+    def look(self, group: Group) -> Look:
+        """Of frames, to be compared with what they look like when they have been taken again."""
+        return Look(
+            {number: self._seen[number] for number in group}, {number: self._beside[number] for number in group}
+        )
+
+    def is_as_before(self, look: Look) -> bool:
+        """Whether the sum of frames does not depend on what was on the wall beside their pictures."""
+        group = tuple(look.frames)
+        either = {number: self._beside[number] | look.beside[number] for number in group}
+        return self._sums.changed_share(group, look.frames, self._seen, either) <= self.tolerance
 
     def settle(self, group: Group) -> None:
         """The group is proven, as far as it can be."""
         self.judged.pop(group, None)
         self._unproven = {number: of for number, of in self._unproven.items() if of != group}
+
+    def _mixed_share(self, number: int) -> float:
+        """Of a frame in an even group; where those beside it cannot tell, only one at rest counts as right."""
+        beside = sorted(self._beside[number])
+        if not beside:
+            return 0.0
+        if not self._seen.keys() >= {*beside}:
+            return 1.0
+        share = mixed_share(self._seen[number], [self._seen[other] for other in beside], self.tolerance)
+        return (0.0 if number in self._at_rest else 1.0) if share is None else share
 
     def _is_told(self, number: int) -> bool:
         return number in self._seen and self._beside[number] <= self._seen.keys()

@@ -83,12 +83,15 @@ class Rig:
         self,
         images: Iterable[Image],
         exposures_us: Sequence[float] = (),
-        level: Sequence[Sequence[int]] = (),  # noqa: ARG002  # of devices that wait for each other nothing has to be proven
+        # Of devices that wait for each other nothing has to be proven.
+        level: Sequence[Sequence[int]] = (),  # noqa: ARG002
+        unpaired: Sequence[Sequence[int]] = (),  # noqa: ARG002
     ) -> Iterator[Frame]:
         """Show images one after the other, and yield a frame of each; the frame is taken when it is asked for.
 
-        `level`: the numbers of images that together light every place alike. Rigs of
-        real devices are faster where they can tell from these that every frame is of its own image.
+        `level`: the numbers of images that together light every place alike. `unpaired`: those of black and white
+        images of which none is an exclusive or of others, in groups of at least two. Rigs of real devices are faster
+        where they can tell from these that every frame is of its own image.
 
         `exposures_us` take turns; without any, the camera's exposure stays as it is. Raises what the devices raise, and
         DeviceError if there are exposures that the camera cannot change to.

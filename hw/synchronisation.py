@@ -95,20 +95,26 @@ class SynchronisedRig(Rig):
     _lately: _Lately = field(default_factory=_Lately)
 
     def photograph(
-        self, images: Iterable[Image], exposures_us: Sequence[float] = (), level: Sequence[Sequence[int]] = ()
+        self,
+        images: Iterable[Image],
+        exposures_us: Sequence[float] = (),
+        level: Sequence[Sequence[int]] = (),
+        unpaired: Sequence[Sequence[int]] = (),
     ) -> Iterator[Frame]:
         """A frame of each image, taken when its light is on the wall. Raises DeviceError.
 
-        Images of which some are `level` together are a capture: its frames are taken some ahead of who asks for them,
-        and its pictures are in flight, where that works. All others are taken in turns, when they are asked for.
+        Images of which some prove each other are a capture: its frames are taken some ahead of who asks for them, and
+        its pictures are in flight, where that works, each for one frame. All others are taken in turns, when they are
+        asked for.
         """
-        flying = self.flight if level and not exposures_us else None
+        captures = bool(level or unpaired)
+        flying = self.flight if captures and not exposures_us else None
         self._lately.flew = flying is not None and flying.possible
         if flying is not None and self._lately.flew:
-            frames = flying.frames(images, level)
+            frames = flying.frames(images, level, unpaired)
         else:
             frames = self.turns.frames(images, exposures_us)
-        self._lately.ahead = Ahead(frames, MOST_AHEAD) if level else None
+        self._lately.ahead = Ahead(frames, MOST_AHEAD) if captures else None
         return iter(self._lately.ahead or frames)
 
     def stop(self) -> None:

@@ -4,6 +4,8 @@ its way while the frame of the last one is still being transferred.
     screen      ▏picture 1                    ▏picture 2                      ▏
     wall                     ▏picture 1                      ▏picture 2
     camera                    ▐ exposure ▌ transfer           ▐ exposure ▌ transfer
+
+A picture of which there are several frames rests on the wall until the last of them is exposed.
 """
 
 import logging
@@ -81,6 +83,8 @@ class Turns:
     def frames(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
         """A frame of each image, the exposures (if there are any) taking turns; taken when it is asked for.
 
+        An image that follows itself (the same array) stays where it is.
+
         Raises DeviceError, and whatever `images` raises.
         """
         self.tally.begin()
@@ -94,25 +98,28 @@ class Turns:
         """The same, as a part of something longer that counts its frames itself: these have `numbers`."""
         exposures, numbered = cycle(exposures_us or (None,)), iter(count() if numbers is None else numbers)
         upcoming: Iterator[Image | None] = chain(images, [None])
-        image = self._prepare(next(upcoming))
-        if image is not None:
-            self._flip()
+        image = next(upcoming)
+        self._prepare(image)
+        self._flip(image)
         while image is not None:
-            following = self._prepare(next(upcoming))
+            following = next(upcoming)
+            changed = None if following is image else following
+            self._prepare(changed)
             self._set_exposure(next(exposures))
             self._expose()
-            if self._overlaps and following is not None:
-                self._flip()
-            yield self._collect(image, following, next(numbered))
+            if self._overlaps:
+                self._flip(changed)
+            yield self._collect(image, changed, next(numbered))
             image = following
 
-    def _prepare(self, image: Image | None) -> Image | None:
+    def _prepare(self, image: Image | None) -> None:
         if image is not None:
             self._projector.prepare(image)
-        return image
 
-    def _flip(self) -> None:
-        self._flipped_s = self._projector.flip().done_s
+    def _flip(self, image: Image | None) -> None:
+        """To the image that was prepared, if one was."""
+        if image is not None:
+            self._flipped_s = self._projector.flip().done_s
 
     def _set_exposure(self, exposure_us: float | None) -> None:
         """Before an exposure, when the frame before it has arrived: no frame has parts of two."""
@@ -123,26 +130,25 @@ class Turns:
         time.sleep(max(0.0, self._flipped_s + self._delay_s - time.monotonic()))
         self._camera.expose()
 
-    def _collect(self, image: Image, following: Image | None, number: int) -> Frame:
-        """The frame of `image`, taken again if it was lost; afterwards `following` is on its way to the wall."""
+    def _collect(self, image: Image, changed: Image | None, number: int) -> Frame:
+        """The frame of `image`, taken again if it was lost; afterwards what was prepared is on its way to the wall."""
         try:
             frame = self._camera.collect()
         except FrameLostError as lost:
             frame = self._again(image, lost, number)
-            self._prepare(following)
+            self._prepare(changed)
         else:
             if self._overlaps:
                 return frame
-        if following is not None:
-            self._flip()
+        self._flip(changed)
         return frame
 
     def _again(self, image: Image, lost: FrameLostError, number: int) -> Frame:
         for attempt in range(1, ATTEMPTS):
             log.warning("frame %d was lost (%s), attempt %d", number, lost, attempt)
             self.tally.retriggered += 1
-            self._projector.prepare(image)
-            self._flip()
+            self._prepare(image)
+            self._flip(image)
             self._expose()
             try:
                 return self._camera.collect()

@@ -1,12 +1,14 @@
 """Rig and patterns → the stream that everything else consumes."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 from calib.geometry import Size
+from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Frame, Rig, exposure_control
-from scanner.patterns import Pattern, ProjectorResponse, draw, level_groups
+from scanner.patterns import Pattern, ProjectorResponse, draw, level_groups, unpaired_bits
 
 
 @dataclass(frozen=True)
@@ -58,15 +60,22 @@ def _frames(
     rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, ...], response: ProjectorResponse | None
 ) -> Iterator[tuple[Pattern, Frame]]:
     width, height = rig.camera.size
-    pictures = (draw(pattern, rig.projector.size) for pattern in patterns)
-    if response is not None:
-        pictures = (response.compensation[picture] for picture in pictures)
-    frames = rig.photograph(pictures, exposures_us, level_groups(patterns))
+    pictures = _pictures(patterns, rig.projector.size, response)
+    frames = rig.photograph(pictures, exposures_us, level_groups(patterns), unpaired_bits(patterns))
     for pattern, frame in zip(patterns, frames, strict=True):
         if frame.image.shape[:2] != (height, width):
             found = f"{frame.image.shape[1]} × {frame.image.shape[0]}"
             raise DeviceError(f"the camera says that its frames are {width} × {height}, but delivered one of {found}")
         yield pattern, frame
+
+
+def _pictures(
+    patterns: Iterable[Pattern], size: tuple[int, int], response: ProjectorResponse | None
+) -> Iterator[Image]:
+    """The picture of each pattern; the same one where a pattern follows itself."""
+    for pattern, repeated in groupby(patterns):
+        picture = draw(pattern, size) if response is None else response.compensation[draw(pattern, size)]
+        yield from (picture for _ in repeated)
 
 
 def _try_exposures(rig: Rig, exposures_us: tuple[float, ...]) -> None:

@@ -1,6 +1,7 @@
 """Patterns as values, the sequences made of them, and how they are drawn."""
 
 from scanner.patterns.level import level_groups
+from scanner.patterns.parity import unpaired_bits
 from scanner.patterns.pattern import (
     Axis,
     Black,

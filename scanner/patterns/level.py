@@ -18,11 +18,11 @@ def level_groups(patterns: Sequence[Pattern]) -> tuple[tuple[int, ...], ...]:
     """
     of: dict[Hashable, list[int]] = defaultdict(list)
     for number, pattern in enumerate(patterns):
-        of[_kind(pattern)].append(number)
+        of[kind(pattern)].append(number)
     return tuple(tuple(group) for group in of.values() if _is_whole([patterns[number] for number in group]))
 
 
-def _kind(pattern: Pattern) -> Hashable:
+def kind(pattern: Pattern) -> Hashable:
     """What a pattern shares with those that complete it."""
     match pattern:
         case White() | Black():

@@ -12,7 +12,7 @@ from hw.simulated.rig import SimulatedCamera
 from hw.synchronisation import synchronised
 from hw.turns import Timing, Turns
 from scanner.capture.stream import capture
-from scanner.patterns.pattern import Black, White
+from scanner.patterns.pattern import Black, White, draw, sequence_for
 from tests.support.rig_bench import SIZE, Bench
 
 
@@ -58,6 +58,22 @@ def test_each_frame_is_of_its_own_picture_and_exposure(
         np.testing.assert_allclose(
             frame.image, share * (10 + 12 * np.where(lit, pictures[number].astype(int), 0)), atol=1
         )
+
+
+@pytest.mark.parametrize("latency_ms", [20, 120])
+def test_the_latency_of_a_picture_is_waited_for_once(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
+    bench = AdjustableBench(latency_ms / 1e3, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    patterns, exposures_us = sequence_for(SIZE, cell=4), (10_000.0, 20_000.0, 30_000.0)
+    bench.log.clear()
+    for number, (pattern, frame) in enumerate(capture(rig, patterns, exposures_us).frames):
+        share = exposures_us[number % 3] / 1e6 * 30
+        lit = np.arange(SIZE[0]) % 5 != 4
+        expected = share * (10 + 12 * np.where(lit, draw(pattern, SIZE).astype(int), 0))
+        np.testing.assert_allclose(frame.image, expected, atol=1)
+    assert bench.log.count("flip") == len(patterns)
+    per_picture_s = rig.turns.tally.elapsed_s / len(patterns)
+    assert 0 < per_picture_s - (latency_ms / 1e3 + 0.06) < 0.025  # three transfers, and a margin
 
 
 def test_a_camera_whose_exposure_is_fixed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from hw.errors import DeviceError
 from hw.synchronisation import SynchronisedRig, synchronised
+from scanner.patterns import draw, level_groups, sequence_for, unpaired_bits
 from tests.support.rig_bench import SIZE, Bench
 
 COUNT = 40
@@ -24,7 +25,7 @@ def pairs(count: int = COUNT) -> list[tuple[int, int]]:
 
 def expected(picture: np.ndarray) -> np.ndarray:
     """What the bench's camera sees of a picture that rests."""
-    return 10 + 12 * np.where(np.arange(SIZE[0]) % 5 != 4, picture.astype(int), 0)
+    return 10 + 12 * np.where(np.arange(picture.shape[1]) % 5 != 4, picture.astype(int), 0)
 
 
 _WHITE = 3060  # levels from black to white
@@ -148,6 +149,51 @@ def test_pictures_that_nothing_proves_are_taken_at_rest(monkeypatch: pytest.Monk
     begun = bench.log[-bench.log[::-1].index("prepare") :]
     assert begun  # the pictures in turns are flipped one by one
     assert rig.turns.tally.seconds_per_frame > 0.06
+
+
+QUICK_SIZE = (96, 64)
+QUICK = sequence_for(QUICK_SIZE, cell=4, inverses=False, periods=(13.0,), shifts=4)
+
+
+def scanned_without_inverses(
+    monkeypatch: pytest.MonkeyPatch, bench: Bench, *, late_every: int = 0, noise: float = 0.0
+) -> SynchronisedRig:
+    """A rig that has taken bits without inverses, each frame of which shows its own picture and no share of others."""
+    bench.install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    if late_every:
+        bench.delay_every(late_every)
+    shown = [draw(pattern, QUICK_SIZE) for pattern in QUICK]
+    frames = list(rig.photograph(shown, (), level_groups(QUICK), unpaired_bits(QUICK)))
+    assert len(frames) == len(shown)
+    for number, (picture, frame) in enumerate(zip(shown, frames, strict=True)):
+        off = frame.image - expected(picture)
+        assert np.abs(off).max() < _UNTOLD * _WHITE + 5 * noise, f"frame {number}"
+    return rig
+
+
+@pytest.mark.parametrize("latency_ms", [5, 50, 120])
+def test_bits_without_inverses_fly_too(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
+    """One more picture for each axis, that nobody sees, is what this costs."""
+    bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001, noise=30.0, size=QUICK_SIZE)
+    rig = scanned_without_inverses(monkeypatch, bench, noise=30.0)
+    assert rig.flight is not None
+    assert (rig.flight.missed, rig.flight.doubted) == (0, 0)
+    count = len(QUICK)
+    exposures = (rig.turns.tally.elapsed_s - latency_ms / 1e3) / bench.exposure_s
+    assert 1.1 * (count + 2) < exposures < 1.3 * (count + 2)
+
+
+@pytest.mark.parametrize("exposure_s", [1 / 60, 1 / 30])
+@pytest.mark.parametrize("late_every", [5, 8])
+def test_bits_without_inverses_that_came_late_without_a_word_are_found_out(
+    monkeypatch: pytest.MonkeyPatch, exposure_s: float, late_every: int
+) -> None:
+    """By half an exposure, or by a whole one: then a frame shows the picture before its own, and nothing else."""
+    bench = Bench(0.05, exposure_s=exposure_s, transfer_s=0.003, size=QUICK_SIZE)
+    rig = scanned_without_inverses(monkeypatch, bench, late_every=late_every)
+    assert rig.flight is not None
+    assert 1 <= rig.flight.doubted <= 30
 
 
 @pytest.mark.parametrize(("latency_ms", "most"), [(0, 3.3), (20, 3.3), (50, 2.5), (120, 2.5)])

@@ -7,6 +7,7 @@ from pathlib import Path
 from hw.rig import Frame, Rig
 from scanner.checking.report import CheckReport, CheckRow
 from scanner.console.worker import Status
+from scanner.results import Scan
 
 
 class Notebook:
@@ -16,6 +17,7 @@ class Notebook:
         self.statuses: list[Status] = []
         self.frames: list[Frame] = []
         self.rigs: list[Rig] = []
+        self.clouds: list[Scan] = []
         self.results: list[Path] = []
         self.captured = 0
 
@@ -34,6 +36,9 @@ class Notebook:
     def on_row(self, row: CheckRow) -> None: ...
 
     def on_report(self, report: CheckReport) -> None: ...
+
+    def on_cloud(self, scan: Scan) -> None:
+        self.clouds.append(scan)
 
     def on_result(self, folder: Path) -> None:
         self.results.append(folder)

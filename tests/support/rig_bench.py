@@ -18,7 +18,6 @@ class Bench:
     """Both devices; the wall shows a picture `latency_s` after its flip, the camera sees the wall pixel by pixel."""
 
     name = "bench"
-    size = SIZE
     highest_level = 4095
     wait_s = 0.0
     late_s = 0.0
@@ -36,8 +35,10 @@ class Bench:
         gain: float = 1.0,
         lag_s: float = 0.0,
         seed: int = 0,
+        size: tuple[int, int] = SIZE,
     ) -> None:
         self.now = 0.0
+        self.size = size
         self.exposure_s = exposure_s
         self._latency_s, self._transfer_s, self._readout_s, self._jitter_s = latency_s, transfer_s, readout_s, jitter_s
         self._noise, self._gain = noise, gain
@@ -45,7 +46,7 @@ class Bench:
         self._lag_s = lag_s
         self._late = range(0)
         self._rng = np.random.default_rng(seed)
-        self._prepared = np.zeros(SIZE[::-1], np.uint8)
+        self._prepared = np.zeros(size[::-1], np.uint8)
         self._wall: list[tuple[float, Image]] = [(-1.0, self._prepared)]
         self._begin = 0.0
         self._swaps: list[Swap] = []
@@ -112,8 +113,8 @@ class Bench:
         self.log.append("collect")
         if self.exposures - 1 in self._lost:
             raise FrameLostError("incomplete: missing-packets")
-        rows = [self._seen(row) for row in range(SIZE[1])]
-        image = self._gain * np.stack(rows) + self._noise * self._rng.standard_normal(SIZE[::-1])
+        rows = [self._seen(row) for row in range(self.size[1])]
+        image = self._gain * np.stack(rows) + self._noise * self._rng.standard_normal(self.size[::-1])
         return Frame(np.rint(image).clip(0, 4095).astype(np.uint16))
 
     def grab(self) -> Frame:
@@ -122,13 +123,13 @@ class Bench:
 
     def _seen(self, row: int) -> np.ndarray:
         """A row of the wall, averaged over its exposure; levels 10 to 3070, and one pixel in five unlit."""
-        begin = self._begin + self._readout_s * row / SIZE[1]
+        begin = self._begin + self._readout_s * row / self.size[1]
         end = begin + self.exposure_s
         since = [moment for moment, _ in self._wall]
-        total = np.zeros(SIZE[0])
+        total = np.zeros(self.size[0])
         for (moment, image), until in zip(self._wall, [*since[1:], np.inf], strict=True):
             total += max(0.0, min(until, end) - max(moment, begin)) / self.exposure_s * image[row]
-        lit = np.arange(SIZE[0]) % 5 != 4
+        lit = np.arange(self.size[0]) % 5 != 4
         return 10.0 + 12.0 * total * lit
 
     def _sleep(self, seconds: float) -> None:

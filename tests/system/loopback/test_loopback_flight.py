@@ -27,11 +27,12 @@ def busy() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("busy")
+@pytest.mark.parametrize("inverses", ["true", "false"])
 def test_no_frame_of_a_wrong_picture_is_accepted_on_a_busy_computer(
-    config: Path, rig: Loopback, room: SimulatedRoom
+    config: Path, rig: Loopback, room: SimulatedRoom, inverses: str
 ) -> None:
     rig.camera.change(Conditions(latency_ms=50, jitter_ms=1, missed_refreshes=0.03))
-    code, folder = scan(config)
+    code, folder = scan(config, "--set", f"sequence.inverses={inverses}")
     assert code in (0, 3)  # where frames come late eight times in a row, a scan ends
     planned = len(open_capture(folder).planned)
     assert check_frames(folder, room) == planned if code == 0 else check_frames(folder, room) < planned
