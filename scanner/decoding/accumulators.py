@@ -39,7 +39,9 @@ class Accumulators:
         self.log_exposure: Floats32 | None = None
         shape = first.shape[0], first.shape[1]
         self.codes = [
-            GrayFold(code, shape, first.dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
+            GrayFold(code, shape, first.dtype, contrast=not axis.fringes, edges=not plan.fringes)
+            for axis in plan.axes
+            for code in axis.codes
         ]
         self._waiting = Waiting()
         self.fringes = [FringeFold(fringe, shape, first.dtype, self._waiting) for fringe in plan.fringes]

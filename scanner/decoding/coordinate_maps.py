@@ -12,7 +12,8 @@ from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.discontinuities import breaks
-from scanner.decoding.fringes.edge_shift_correction import TYPICAL_PX2, footprint_variance, straighten
+from scanner.decoding.fringes.edge_shift_correction import Footprint, straighten
+from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
 from scanner.decoding.fringes.systematic_error import BLOCK_PX
 from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reasons
 from scanner.decoding.tiles import in_tiles, widened
@@ -28,8 +29,8 @@ _HALF, _UNKNOWN = np.float32(0.5), np.float32(np.nan)
 class Maps:
     """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), NaN where one of them is not known; the
     mean `variance` of those that are measured; the `reason` not to use them. `counts` (2, reasons): how many pixels of
-    x and of y by itself have each of the `CONTRADICTIONS`. `footprint_px2`: variance of a camera pixel's footprint, 0
-    if the capture does not show it.
+    x and of y by itself have each of the `CONTRADICTIONS`. `footprint_px2`: variance of a camera pixel's footprint
+    in the direction in which it is largest.
     """
 
     projector_px: Floats32
@@ -40,14 +41,18 @@ class Maps:
 
 
 def coordinate_maps(
-    accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder], moved: Bools | None = None
+    accumulators: Accumulators,
+    decoders: tuple[AxisDecoder, AxisDecoder],
+    moved: Bools | None = None,
+    spoilt: Bools | None = None,
 ) -> Maps:
     """Both coordinates of all pixels. Without fringes, what is not smooth is left as it is: cells have steps.
 
-    `moved` (H, W): where something did, which is masked.
+    `moved` (H, W): where something did, which is why pixels contradict themselves there; `spoilt` (H, W): what that is
+    masked of, whatever they say.
     """
     plan, (height, width) = accumulators.plan, accumulators.middle.shape
-    footprint_px2 = _footprint(accumulators, decoders)
+    footprint = _footprint(accumulators, decoders)
     projector_px, variance = np.empty((height, width, 2), np.float32), np.empty((height, width), np.float32)
     reasons = np.empty((height, width), np.uint8)
 
@@ -58,14 +63,15 @@ def coordinate_maps(
         tile, wide, own = (rows, columns), (wide_rows, wide_columns), (own_rows, own_columns)
         # By `map`, which lets go of the signals of x before it takes those of y.
         found = list(map(AxisDecoder.decode, decoders, signals_of(accumulators, lambda image: image[wide])))
-        if moved is not None:
+        if moved is not None and spoilt is not None:
             for c in found:
-                np.copyto(c.reason, np.uint8(MaskReason.MOVED), where=moved[wide] & (c.reason != MaskReason.DARK))
+                why = (spoilt[wide] & (c.reason != MaskReason.DARK)) | (moved[wide] & np.isin(c.reason, CONTRADICTIONS))
+                np.copyto(c.reason, np.uint8(MaskReason.MOVED), where=why)
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
         for c in found:
             if c.log_amplitude is not None:
-                straighten(c.value, c.variance, c.log_amplitude, kept, footprint_px2)
+                straighten(c.value, c.variance, c.log_amplitude, kept, footprint)
             _forget(c.value.ravel(), kept.ravel())
         if plan.fringes:
             np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
@@ -76,7 +82,7 @@ def coordinate_maps(
         return np.stack([count_reasons(c.reason[own], CONTRADICTIONS) for c in found])
 
     counts = np.sum(in_tiles((height, width), decode), axis=0)
-    return Maps(projector_px, variance, reasons, counts, footprint_px2)
+    return Maps(projector_px, variance, reasons, counts, max(footprint.largest_px2, 0.0))
 
 
 @compiled
@@ -108,13 +114,13 @@ def _first_reason(coordinates: list[Coordinate]) -> Reasons:
     return reason
 
 
-def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> float:
-    """The variance of a camera pixel's footprint, from tiles spread over the lit part of the image."""
+def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Footprint:
+    """A camera pixel's footprint, from tiles spread over the lit part of the image."""
     height, width = accumulators.middle.shape
     rows, columns = (np.arange(0, size - _TILE_PX + 1, _TILE_PX) for size in (height, width))
     corners = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
     if not accumulators.fringes or not len(corners):
-        return TYPICAL_PX2
+        return Footprint.round(TYPICAL_PX2)
     middles = tuple((corners + _TILE_PX // 2).T)
     lit = np.ones(len(corners), np.bool_)
     for decoder, at_middles in zip(decoders, signals_of(accumulators, lambda image: image[middles][None]), strict=True):
@@ -123,7 +129,7 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     corners = corners[lit]
     corners = corners[np.linspace(0, len(corners) - 1, min(len(corners), _MOST_TILES)).astype(np.int64)]
     if not len(corners):
-        return TYPICAL_PX2
+        return Footprint.round(TYPICAL_PX2)
 
     def tiles(image: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([image[row : row + _TILE_PX, column : column + _TILE_PX] for row, column in corners])
@@ -137,4 +143,4 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
         log_lit -= tiles(accumulators.log_exposure)
     # Of three steps harmonics ripple the amplitude as they do the phase: what goes with its slope is not shading alone.
     rippled = any(len(fringe.shifts) == 3 for decoder in decoders for fringe in decoder.plan.fringes)
-    return footprint_variance(shaded, log_lit, usable, _TILE_PX, 0.0 if rippled else TYPICAL_PX2)
+    return footprint_of(shaded, log_lit, usable, _TILE_PX, 0.0 if rippled else TYPICAL_PX2)

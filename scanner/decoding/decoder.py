@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.checked_maps import checked_maps
 from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Oddity
-from scanner.decoding.checks.cycle_checks import check_cycles
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
-from scanner.decoding.checks.roughness import check_roughness, widen_by_roughness
-from scanner.decoding.checks.stray_light import leave_out_stray_light
-from scanner.decoding.coordinate_maps import coordinate_maps
 from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
@@ -42,7 +39,6 @@ from scanner.decoding.motion import (
     TileSample,
     blaming_motion,
     blaming_shifts,
-    mask_broken,
     remarks_on,
 )
 from scanner.decoding.one_axis import one_axis
@@ -60,9 +56,10 @@ _DEPTHS = (np.uint8, np.uint16)
 class Decoding:
     """What a capture says.
 
-    `matches` with `sigma_px`, one per decoded camera pixel; where no fringe refines either axis one per projector cell,
-    at the centre of the camera pixels that see it. `texture`: the scene fully lit, (H, W) or (H, W, 3), as the camera
-    gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of a camera pixel, in grey levels.
+    `matches` with `sigma_px`, one per decoded camera pixel; where neither fringes nor edges of stripes refine the
+    cells of the codes one per cell, at the centre of the camera pixels that see it. `texture`: the scene fully lit,
+    (H, W) or (H, W, 3), as the camera gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of
+    a camera pixel, in grey levels.
     `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
     `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
     `footprint_px2`: variance of what a camera pixel sees, along an axis, in camera pixels; 0 if unknown.
@@ -196,14 +193,7 @@ class Decoder:
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities, once_more=once_more and not self._mended)
                 del sample
-                maps = coordinate_maps(accumulators, learnt.decoders, seen.moved)
-                if seen.moved is not None:
-                    mask_broken(accumulators.plan, maps)
-                leave_out_stray_light(accumulators, maps)
-                check_roughness(accumulators.plan, maps)
-                widen_by_roughness(accumulators.plan, maps)
-                with blaming_shifts(accumulators.plan, seen.code_shifts):
-                    check_cycles(accumulators.plan, maps.projector_px)
+                maps, by_pixel = checked_maps(accumulators, learnt, seen, odd=bool(oddities))
                 motion = seen.motion
                 if self._lit is not None:
                     motion = motion_between(
@@ -217,7 +207,7 @@ class Decoder:
                 del accumulators
             with blaming_shifts(plan, seen.code_shifts):
                 with suspecting(oddities):
-                    matches, reasons = match_kept(plan, maps, brightest, self._one_axis)
+                    matches, reasons = match_kept(plan, maps, brightest, self._one_axis, by_pixel=by_pixel)
                 odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
         darkness = too_dark(seen.levels, seen.noise)
         told = warnings_of(reasons, learnt.modulation, seen.flicker, darkness)

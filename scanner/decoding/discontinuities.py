@@ -29,10 +29,12 @@ _FAINT_SIGMAS = 3.0
 _LINES = ((np.s_[:-2, :], np.s_[1:-1, :], np.s_[2:, :]), (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]))
 
 
-def breaks(kept: Bools, coordinates: Sequence[Coordinate], axes: Sequence[AxisPlan]) -> Bools:
+def breaks(
+    kept: Bools, coordinates: Sequence[Coordinate], axes: Sequence[AxisPlan], *, between_edges: bool = False
+) -> Bools:
     """Which pixels (H, W) break the map of any axis, or cannot be compared with `kept` ones on opposite sides.
 
-    The coordinates of others are NaN.
+    The coordinates of others are NaN. `between_edges`: those by codes were interpolated, so that they have no steps.
     """
     broken = np.ones(kept.shape, np.bool_)
     for before, middle, after in _LINES:
@@ -40,7 +42,8 @@ def breaks(kept: Bools, coordinates: Sequence[Coordinate], axes: Sequence[AxisPl
     for coordinate, axis in zip(coordinates, axes, strict=True):
         value, variance, amplitude = coordinate.value, coordinate.variance, coordinate.log_amplitude
         # Cells of a Gray code may be two apart, whatever the variance.
-        least, sigmas = (_BEND_PX, _SIGMAS * sqrt(6)) if axis.fringes else (_BEND_PX + 2 * axis.cell, 0.0)
+        smooth = between_edges or axis.fringes
+        least, sigmas = (_BEND_PX, _SIGMAS * sqrt(6)) if smooth else (_BEND_PX + 2 * axis.cell, 0.0)
         for down, across in ((1, 0), (0, 1)):
             _note_bends(value, variance, np.float32(least), np.float32(sigmas), down, across, broken)
         if amplitude is not None:

@@ -19,11 +19,11 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 
 def match_kept(
-    plan: SequencePlan, maps: Maps, brightest: Image, one_axis: OneAxis | None
+    plan: SequencePlan, maps: Maps, brightest: Image, one_axis: OneAxis | None, *, by_pixel: bool
 ) -> tuple[Matches, NDArray[np.uint8]]:
     """The matches, and for all pixels (H, W) the reason why they have none. Raises InputError; uses up the maps.
 
-    `brightest`: (H, W) grey.
+    `brightest`: (H, W) grey. `by_pixel`: each pixel has a coordinate of its own; else one match per cell of the codes.
     """
     reasons = maps.reason
     if one_axis:
@@ -31,7 +31,7 @@ def match_kept(
         check_maps(plan, maps, reasons == np.uint8(MaskReason.KEPT))
         one_axis.complete(maps)
     kept = reasons == np.uint8(MaskReason.KEPT)
-    if plan.fringes:
+    if by_pixel:
         np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
     else:
         if one_axis:
@@ -42,7 +42,7 @@ def match_kept(
     kept = reasons == np.uint8(MaskReason.KEPT)
     if not one_axis:
         check_maps(plan, maps, kept)
-    if plan.fringes:
+    if by_pixel:
         return _pixel_matches(kept, maps), reasons
     return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
 

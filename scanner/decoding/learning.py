@@ -64,6 +64,11 @@ class Seen:
         return None if self.unrest is None else self.unrest.moved
 
     @property
+    def spoilt(self) -> Bools | None:
+        """(H, W): where no coordinate can be had for it; None if nothing moved."""
+        return None if self.unrest is None else self.unrest.spoilt
+
+    @property
     def motion(self) -> MotionFound | None:
         """Once it is measured."""
         return self.measuring_motion.result()

@@ -5,13 +5,13 @@ smooth by the cell's length over √12, be it flat or in relief. Finest bits tha
 jumble that is more than twice as rough, whatever each bit by itself looks like, and whether or not the camera resolves
 the single cells.
 
-Fringes have a sigma by noise. Where neighbours are farther off what is smooth, as by what a file format leaves out, the
-sigma is what they are off.
+Fringes, and edges of stripes, have a sigma by noise. Where neighbours are farther off what is smooth, as by what a file
+format leaves out, the sigma is what they are off.
 """
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.numerics import Floats, Ints
 from scanner.decoding.axis_decoder import largest_variance
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
@@ -20,6 +20,8 @@ from scanner.errors import InputError
 
 _TILE_PX = 12
 _MOST_ALONG, _MOST_ALONG_FRINGES = 32, 10
+# So many along each side of the image are looked through for them.
+_GRID = 64
 _FEWEST_KNOWN = 0.6
 _FEWEST_TILES = 20
 # Variance off what is smooth, in those of a cell: 1 for a staircase, less where pixels average over cells, up to 3
@@ -57,16 +59,22 @@ def widen_by_roughness(plan: SequencePlan, maps: Maps) -> None:
     maps.projector_px[dark] = np.nan
 
 
+def widen_between_edges(plan: SequencePlan, maps: Maps) -> None:
+    """Raise the variance of coordinates between edges of stripes to what neighbours are off what is smooth, in place.
+
+    How a lens, or a camera's software, shapes an edge is not known, and is more than noise in a good light.
+    """
+    if plan.only_axis is None:
+        relative = max(1.0, float(np.mean(_roughness(maps, _MOST_ALONG))))
+        np.multiply(maps.variance, np.float32(relative), out=maps.variance)
+
+
 def _roughness(maps: Maps, most_along: int) -> tuple[float, float]:
     """Of x and y, the variance off smooth surfaces through small tiles, over the stated one; the median, 0 if few."""
-    height, width = maps.reason.shape
-    rows, columns = (np.linspace(0, n - _TILE_PX, min(most_along, n // _TILE_PX)).astype(int) for n in (height, width))
-    down, across = (np.arange(_TILE_PX)[:, None], np.arange(_TILE_PX)[None, :])
-    row = (rows[:, None, None, None] + down).repeat(len(columns), axis=1) + 0 * across
-    column = (columns[None, :, None, None] + across).repeat(len(rows), axis=0) + 0 * down
-    seen = maps.projector_px[row, column].reshape(-1, _TILE_PX**2, 2).astype(np.float64)
-    variance = maps.variance[row, column].reshape(-1, _TILE_PX**2)
-    known = np.isfinite(seen).all(axis=2) & (maps.reason[row, column].reshape(-1, _TILE_PX**2) == 0)
+    pixels = _in_tiles(maps, most_along)
+    seen = maps.projector_px.reshape(-1, 2)[pixels].astype(np.float64)
+    variance = maps.variance.reshape(-1)[pixels]
+    known = np.isfinite(seen).all(axis=2) & (maps.reason.reshape(-1)[pixels] == 0)
     enough = known.mean(axis=1) > _FEWEST_KNOWN
     if np.count_nonzero(enough) < _FEWEST_TILES:
         return 0.0, 0.0
@@ -75,6 +83,19 @@ def _roughness(maps: Maps, most_along: int) -> tuple[float, float]:
     cells = np.sum(np.where(known, variance, 0), axis=1)
     x, y = np.median(square / cells[:, None], axis=0)
     return float(x), float(y)
+
+
+def _in_tiles(maps: Maps, most_along: int) -> Ints:
+    """The pixels (T, P) of some tiles in which most are kept, however little of the image that is."""
+    height, width = maps.reason.shape
+    rows, columns = (np.linspace(0, n - _TILE_PX, min(_GRID, n // _TILE_PX)).astype(np.int64) for n in (height, width))
+    corners = (rows[:, None] * width + columns).reshape(-1)
+    within = (np.arange(_TILE_PX)[:, None] * width + np.arange(_TILE_PX)).reshape(-1)
+    kept = maps.reason.reshape(-1)[corners[:, None] + within] == np.uint8(MaskReason.KEPT)
+    corners = corners[kept.mean(axis=1) > _FEWEST_KNOWN]
+    chosen = corners[np.linspace(0, len(corners) - 1, min(len(corners), most_along**2)).astype(np.int64)]
+    pixels: Ints = chosen[:, None] + within
+    return pixels
 
 
 def _off_smooth(seen: Floats, known: np.ndarray) -> Floats:

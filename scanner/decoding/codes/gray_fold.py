@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Image, compiled
 from scanner.decoding.arrays import Words
+from scanner.decoding.codes.stripe_edges import StripeEdges
 from scanner.decoding.sequence_plan import GrayCode
 
 Planes = NDArray[np.uint8]
@@ -23,10 +24,13 @@ class GrayFold:
 
     `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels; `contrast`
     is None where fringes tell what is lit. Where none do, the `fine` bits have images of their own, by bit, and are not
-    among the `least`: whether the camera resolves them is known in the end. They may then be `optional`.
+    among the `least`: whether the camera resolves them is known in the end. They may then be `optional`. `edges`: of
+    its stripes, if they are to be kept; None of an XOR code, most of whose edges belong to no cell.
     """
 
-    def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool) -> None:
+    def __init__(
+        self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool, edges: bool = False
+    ) -> None:
         self.code = code
         self.contrast: Image | None = np.zeros(shape, dtype) if contrast else None
         self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
@@ -34,6 +38,7 @@ class GrayFold:
         self.optional: dict[int, Image] = {}
         self._least_of_others = self.least
         self._keeps_fine = contrast and code.base is None
+        self.edges = StripeEdges(shape, dtype) if edges and code.base is None else None
         planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
         self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
 
@@ -44,6 +49,9 @@ class GrayFold:
         least = self.least
         if self._keeps_fine and 0 < self.code.bits - bit <= _FINE_BITS < self.code.bits:
             least = self.fine.setdefault(bit, np.full_like(self.least, largest))
+        if self.edges is not None:
+            threshold = (bright if bit in self.code.inverse else dark) if half else None
+            self.edges.fold(bit, bright, dark, threshold)
         bright, dark = bright.reshape(-1), dark.reshape(-1)
         _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, least.reshape(-1))
         if self.contrast is not None:
@@ -67,12 +75,16 @@ class GrayFold:
     def without_finest(self, count: int, *, optional: bool = False) -> "GrayFold":
         """The coarser code that the other bits are, once all frames are in; its `least` is that of all its bits.
 
+        If the lenses blur stripes away, the edges of the next ones are not where the projector has them either.
+
         `optional`: a pixel may do without some of the fine bits that are left.
         """
         other = copy(self)
         other.code, other.fine = self.code.without_finest(count), {}
         other.words = self.words >> self.words.dtype.type(count)
         other.least = self.least.copy()
+        if count:
+            other.edges = None
         for bit, image in self.fine.items():
             if bit < other.code.bits:
                 np.minimum(other.least, image, out=other.least)

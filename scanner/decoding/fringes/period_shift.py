@@ -19,7 +19,7 @@ def between_periods_px(plan: SequencePlan, motion: MotionFound | None) -> float:
     """What coordinates may err smoothly if a motion was seen between fringes of two periods, and was none, as of
     `calib.refinement.Shifts`; 0 if none was seen.
     """
-    if motion is None or not motion.significant or motion.slow:
+    if motion is None or not motion.significant or motion.slow or motion.one_by_one:
         return 0.0
     periods = sorted({fringe.period for fringe in plan.fringes}, reverse=True)
     for longer, shorter in pairwise(periods):

@@ -13,11 +13,8 @@ import numpy as np
 from calib.numerics import Bools, Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.halves.tile_moments import centres_of_tiles, moments_of_tiles
+from scanner.decoding.slopes import LEVEL, SLOPE
 
-# Taps that blur alike and differ by a derivative, so that the slope is that of the blurred picture (Farid and
-# Simoncelli, IEEE TIP 13, 2004, table I). Plain differences would tell 9 % too much of a sharp edge's motion.
-_LEVEL = np.array([0.037659, 0.249153, 0.426375, 0.249153, 0.037659])
-_SLOPE = np.array([-0.109604, -0.276691, 0.0, 0.276691, 0.109604])
 _FEWEST_PX = 24
 _PARAMETERS = 4
 _SINGULAR = 1e-6
@@ -42,8 +39,8 @@ def shifts_of_tiles(before: Floats32, after: Floats32, chosen: Bools, blur_px: f
     mean = before + after
     mean *= np.float32(0.5)
     mean -= np.float32(mean.mean())
-    level, by_x, by_y = (_filtered(mean, *taps) for taps in ((_LEVEL, _LEVEL), (_SLOPE, _LEVEL), (_LEVEL, _SLOPE)))
-    difference = _filtered(after - before, _LEVEL, _LEVEL)
+    level, by_x, by_y = (_filtered(mean, *taps) for taps in ((LEVEL, LEVEL), (SLOPE, LEVEL), (LEVEL, SLOPE)))
+    difference = _filtered(after - before, LEVEL, LEVEL)
     moments = moments_of_tiles([np.ones_like(level), level, -by_x, -by_y, difference], chosen).reshape(-1, 5, 5)
     return TileShifts(centres_of_tiles(mean.shape).reshape(-1, 2), *_of_moments(moments))
 

@@ -14,7 +14,8 @@ from scanner.decoding.motion.found import SUSPECTED_PX, MotionFound, who_moved
 from scanner.decoding.motion.measure import measure_motion
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.tile_sample import TileSample
-from scanner.decoding.motion.unrest import Unrest, find_unrest, mask_broken
+from scanner.decoding.motion.unrest import Unrest, find_unrest
+from scanner.decoding.motion.wrong_bits import mask_wrong_bits
 
 __all__ = [
     "SUSPECTED_PX",
@@ -30,7 +31,7 @@ __all__ = [
     "broken_between",
     "find_unrest",
     "fit_motion",
-    "mask_broken",
+    "mask_wrong_bits",
     "measure_motion",
     "moved",
     "remarks_on",

@@ -1,7 +1,7 @@
 """What was found of a motion of camera or projector during a capture, and what it did to the coordinates."""
 
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import pi, sqrt
 
 import numpy as np
 
@@ -10,9 +10,14 @@ from calib.refinement import Shifts
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 
-# More than this breaks fringes, so that single matches err; of a slow motion, each fringe sees a part only.
+# More than this breaks fringes, so that single matches err; of a slow motion, each fringe sees a part only. Between the
+# axes it breaks none, but nothing confirms it either.
 _LARGEST_BUMP_PX = 0.35
+# Frames before and after a bump by u px make a fringe of period λ, up to first order; what is left is up to π u² / λ.
+_BEYOND_FIRST_ORDER_PX = 0.06
 _LARGEST_DRIFT_PX = 3.0
+# Of single frames: half a radian of a fringe of six pixels, beyond which its change is no longer linear.
+_LARGEST_OF_FRAMES_PX = 0.5
 # Drifts explain 80 to 90 % of what contradicts rest. What is called one and explains a third is a bump of many px.
 _LEAST_EXPLAINED = 0.5
 # A device counts as moved if its motion is this share of the other's.
@@ -72,7 +77,9 @@ class MotionFound:
     `first` and `last`. `size_px`: how far it moved the coordinates. `explained`: the share that it explains of what
     contradicts rest. `shift`: by what it shifted x and y against each other; `others`: the same of courses that explain
     it about as well. `unseen`: shifts of one standard deviation each that may have been beside it; `blind`: nothing
-    in the frames tells whether one of the devices turned between the axes.
+    in the frames tells whether one of the devices turned between the axes. `largest_px`: the largest bump that leaves
+    single matches right. `one_by_one`: each frame by itself, of which `motion` is the root mean square, and `shift` the
+    means over the fringes.
     """
 
     motion: Floats
@@ -86,12 +93,16 @@ class MotionFound:
     others: tuple[Disturbance, ...]
     unseen: tuple[Disturbance, ...] = ()
     blind: bool = False
+    largest_px: float = _LARGEST_BUMP_PX
+    one_by_one: bool = False
 
     @property
     def is_too_large(self) -> bool:
         """Whether single matches can no longer be trusted."""
+        if self.one_by_one:
+            return self.significant and self.size_px > _LARGEST_OF_FRAMES_PX
         can_be_followed = self.slow and self.explained > _LEAST_EXPLAINED
-        return self.significant and self.size_px > (_LARGEST_DRIFT_PX if can_be_followed else _LARGEST_BUMP_PX)
+        return self.significant and self.size_px > (_LARGEST_DRIFT_PX if can_be_followed else self.largest_px)
 
     @property
     def shifts(self) -> Shifts:
@@ -104,8 +115,16 @@ class MotionFound:
 
     def __str__(self) -> str:
         """In words, as in: the projector moved by 1.2 px between frames 18 and 24."""
+        if self.one_by_one:
+            px = float(np.hypot(*self.motion[PER_DEVICE : PER_DEVICE + 2]))
+            return f"the camera's frames are each somewhere else, by {px:.2g} px"
         when = "slowly, from frame {} to {}" if self.slow else "between frames {} and {}"
         return f"{who_moved(self.motion)} {when.format(self.first, self.last)}"
+
+
+def largest_bump_px(finest_period: float) -> float:
+    """The largest bump, in px, that breaks no fringe of this or a longer period."""
+    return sqrt(_BEYOND_FIRST_ORDER_PX * finest_period / pi)
 
 
 def who_moved(motion: Floats) -> str:

@@ -41,17 +41,23 @@ class _Group:
     noise_gain: float
 
 
-def contradictions(plan: SequencePlan, levels: Floats32, noise: NoiseModel) -> list[tuple[tuple[int, ...], Bools]]:
-    """Groups of frames, and where they contradict each other or the rest (P,), at lit pixels, `levels` (frames, P)."""
+def contradictions(
+    plan: SequencePlan, levels: Floats32, noise: NoiseModel, part: float = 1.0, resting: Bools | None = None
+) -> list[tuple[tuple[int, ...], Bools]]:
+    """Groups of frames, and where they contradict each other or the rest (P,), at lit pixels, `levels` (frames, P).
+
+    `part`: of a contradiction, that is enough; `resting` (P,): the pixels that tell what is usual, by default all.
+    """
     swing = np.ptp(levels, axis=0)
     sigma = np.sqrt(noise.variance(levels.max(axis=0))) / swing
-    return [(group.frames, _contradicts(group, swing, sigma)) for group in _groups(plan, levels)]
+    return [(group.frames, _contradicts(group, swing, sigma, part, resting)) for group in _groups(plan, levels)]
 
 
-def _contradicts(group: _Group, swing: Floats32, sigma: Floats32) -> Bools:
+def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, part: float, resting: Bools | None) -> Bools:
     off = np.abs(group.off) / swing
-    usual = _TIMES_USUAL * float(np.quantile(off, _MOST_PIXELS))
-    return cast(Bools, off > np.maximum(max(_LEAST, usual), _SIGMAS * group.noise_gain * sigma))
+    some = off if resting is None or not resting.any() else off[resting]
+    usual = _TIMES_USUAL * float(np.quantile(some, _MOST_PIXELS))
+    return cast(Bools, off > part * np.maximum(max(_LEAST, usual), _SIGMAS * group.noise_gain * sigma))
 
 
 def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:

@@ -10,9 +10,10 @@ from calib.numerics import Floats, median
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.courses import Course, Showing, Witnesses, showings_of
-from scanner.decoding.motion.found import Disturbance, MotionFound
+from scanner.decoding.motion.found import Disturbance, MotionFound, largest_bump_px
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
+from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.sequence_plan import SequencePlan
 
@@ -51,6 +52,7 @@ class MotionMeter:
         projector_size: tuple[int, int],
     ) -> None:
         self._pixels, self._repeats = pixels, plan.repeats
+        self._finest_period = min(fringe.period for fringe in plan.fringes)
         self._sizes = (tiles.shape[1], tiles.shape[0]), projector_size
         self._showings = showings_of(plan, tiles, pixels)
         self._witnesses = Witnesses(self._showings, self._showings, pixels)
@@ -85,6 +87,7 @@ class MotionMeter:
             explained=explained,
             shift=shift,
             others=tuple(others),
+            largest_px=largest_bump_px(self._finest_period),
         )
 
     @property
@@ -161,4 +164,10 @@ def measure_motion(
 ) -> MotionFound | None:
     """The motion during a capture, given the signals of its tiles; None where too few fringes are on smooth places."""
     pixels = choose_pixels(plan, tiles, signals, noise, saturation)
-    return None if pixels is None else MotionMeter(plan, tiles, pixels, projector_size).measure()
+    if pixels is None:
+        return None
+    found = MotionMeter(plan, tiles, pixels, projector_size).measure()
+    shifts = shifts_of_frames(plan, tiles, noise, saturation) if found.significant else None
+    if shifts is None or not shifts.is_no_event:
+        return found
+    return moved_one_by_one(found, plan, shifts, pixels)

@@ -11,11 +11,9 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, median
+from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.light_arithmetic import contradictions
 from scanner.decoding.sequence_plan import SequencePlan
@@ -27,23 +25,24 @@ _STRIDE, _A_FEW = 3, 4
 # So many of the lit pixels around one are in contradiction where something moved; its edges are lit by both.
 _WINDOW, _DENSE, _ENOUGH_LIT = 9, 0.3, 0.3
 _SMALLEST, _MARGIN = 30, 1
+# Beside what surely moved, so much of a contradiction is one.
+_FAINT = 0.5
 # Frames that contradict the others in so much of where something moved are those in which it did.
 _MUCH_OF_IT = 0.1
-_BROKEN = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE, MaskReason.ISOLATED)
-# Of a period: a bit that is wrong leaves the fringes' positions as they are; and how far most neighbours are apart.
-_JUMP, _TIMES_USUAL = 0.7, 4.0
-# Where more than this moved, it is no thing before what rests; nor if the picture as a whole is elsewhere, in pixels of
-# the grid.
-_MOST, _MOVED_PX = 0.6, 0.5
+# Where more than this moved, it is no thing before what rests, unless it was in few places at once: a bump is all over
+# the picture in the same frames. Nor is it if the picture as a whole is elsewhere, in pixels of the grid.
+_MOST, _MOST_IN_ALL, _FEW_AT_ONCE, _MOVED_PX = 0.6, 0.9, 0.25, 0.5
 
 
 @dataclass(frozen=True)
 class Unrest:
     """Where something `moved` (H, W), a `share` of what is lit; and where what is lit `rests`. `frames`: those that
-    contradict others where something moved.
+    contradict others where something moved. `spoilt` (H, W): where no coordinate can be had for it, which is where
+    fringes changed; what changed in codes only shows in the cycles (cycles.py), if there are fringes.
     """
 
     moved: Bools
+    spoilt: Bools
     rests: Bools
     share: float
     frames: tuple[int, ...]
@@ -52,7 +51,7 @@ class Unrest:
         """For the operator."""
         return (
             f"Something moved in {max(self.share, 0.01):.0%} of the lit picture, which shows in "
-            f"{plan.names(self.frames)}; it was masked, and the rest is used."
+            f"{plan.names(self.frames)}; what that spoilt was masked, and the rest is used."
         )
 
 
@@ -68,16 +67,32 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     groups = contradictions(plan, levels[:, lit], noise)
     off = np.zeros(lit.shape, np.bool_)
     off[lit] = np.any([each for _, each in groups], axis=0) if groups else False
-    moved = _patches(off, lit)
+    moved = patches(off, lit)
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
-    if not 0 < share <= _MOST:
+    at_once = max((float(each.mean()) for _, each in groups), default=0.0)
+    if not 0 < share <= (_MOST_IN_ALL if at_once <= _FEW_AT_ONCE else _MOST):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
     if not frames or _picture_moved(levels, [of for of, _ in groups], frames):
         return None
+    spoilt = _spoilt(plan, levels, lit, moved, noise) if plan.fringes else moved
     rests = coarse.at_full_size(lit & ~moved)
-    return Unrest(coarse.at_full_size(moved), rests, share, tuple(sorted(frames)))
+    return Unrest(coarse.at_full_size(moved), coarse.at_full_size(spoilt), rests, share, tuple(sorted(frames)))
+
+
+def _spoilt(plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel) -> Bools:
+    """Where fringes changed, if only half as much as tells that something moved (hysteresis), (h, w).
+
+    Pixel by pixel: a fringe that is dark where a shadow falls does not change, and stays right.
+    """
+    of_fringes = {frame for fringe in plan.fringes for frame in fringe.frames}
+    off = np.zeros(lit.shape, np.bool_)
+    for frames, each in contradictions(plan, levels[:, lit], noise, _FAINT, ~moved[lit]):
+        if not of_fringes.isdisjoint(frames):
+            off[lit] |= each
+    near: Bools = cv2.dilate(moved.astype(np.uint8), np.ones((_WINDOW, _WINDOW), np.uint8)) > 0
+    return off & near
 
 
 def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int]) -> bool:
@@ -97,37 +112,7 @@ def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[
     return hypot(*shift) > _MOVED_PX
 
 
-def mask_broken(plan: SequencePlan, maps: Maps) -> None:
-    """Mask, in place, patches in which pixels contradict themselves or their surface, where something moved elsewhere.
-
-    A shadow turns bits over that have no inverse, and nothing but their coordinates tells.
-    """
-    coarse = CoarseFrames((maps.reason.shape[0], maps.reason.shape[1]))
-    reason = coarse.of(maps.reason)
-    broken = np.isin(reason, _BROKEN) | _jumps(plan, coarse, maps)
-    patches = _patches(broken, broken | (reason == MaskReason.KEPT))
-    more = coarse.at_full_size(patches) & (maps.reason != MaskReason.DARK)
-    maps.reason[more] = np.uint8(MaskReason.MOVED)
-    maps.projector_px[more] = np.nan
-
-
-def _jumps(plan: SequencePlan, coarse: CoarseFrames, maps: Maps) -> Bools:
-    """Pixels of the grid (h, w) that are farther from the next one than a wrong bit leaves fringes, or cells."""
-    found = np.zeros(coarse.of(maps.reason).shape, np.bool_)
-    for number, axis in enumerate(plan.axes):
-        value = cast(Floats32, coarse.of(maps.projector_px[..., number]))
-        least = _JUMP * (axis.fringes[-1].period if axis.fringes else 2 * axis.cell)
-        for here, there in (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]):
-            distance = np.abs(value[here] - value[there])
-            known = np.isfinite(distance)
-            usual = median(distance[known]) if known.any() else 0.0
-            far = known & (distance > max(least, _TIMES_USUAL * usual))
-            found[here] |= far
-            found[there] |= far
-    return found
-
-
-def _patches(off: Bools, lit: Bools) -> Bools:
+def patches(off: Bools, lit: Bools) -> Bools:
     """Where most lit pixels around are off, (h, w), as far as they hang together, with a margin."""
     window = (_WINDOW, _WINDOW)
     wrong, around = (

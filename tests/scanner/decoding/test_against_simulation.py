@@ -141,7 +141,7 @@ CODES = sequence_for(PROJECTOR, cell=1, shifts=0)
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize(
     ("patterns", "median", "largest"),
-    [(PRESETS["standard"].patterns(PROJECTOR), (0.01, 0.05), (0.1, 0.8)), (CODES, (0.1, 0.6), (0.5, 2.0))],
+    [(PRESETS["standard"].patterns(PROJECTOR), (0.01, 0.05), (0.1, 0.8)), (CODES, (0.005, 0.05), (0.2, 1.5))],
     ids=["fringes", "codes"],
 )
 def test_one_axis_and_the_calibration_give_both_coordinates(

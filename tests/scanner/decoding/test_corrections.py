@@ -5,12 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scanner.decoding.fringes.edge_shift_correction import (
-    TYPICAL_PX2,
-    footprint_variance,
-    log_amplitude,
-    shift_per_variance,
-)
+from scanner.decoding.fringes.edge_shift_correction import Footprint, log_amplitude, shading_shift
+from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
 from scanner.decoding.fringes.systematic_error import correct_systematic
 
 TILE = 48
@@ -18,14 +14,23 @@ OVERSAMPLED = 8
 Floats = NDArray[np.float32]
 
 
-def seen(sigma_px: float, seed: int = 1) -> tuple[Floats, Floats, Floats]:
-    """A slanted coordinate through a Gaussian footprint on patchy paint: its true and its seen value, and ln A."""
+def seen(
+    sigma_px: float, seed: int = 1, *, slope: tuple[float, float] = (0.7, 0.2), shaken_px: float = 0.0
+) -> tuple[Floats, Floats, Floats]:
+    """A slanted coordinate through a Gaussian footprint on patchy paint: its true and its seen value, and ln A.
+
+    `slope`: per column and per row. `shaken_px`: what the camera moves while it looks, down and to the right at once,
+    as a standard deviation of either.
+    """
     rng = np.random.default_rng(seed)
     paint = np.kron(rng.uniform(0.5, 1.0, (6, 6)), np.ones((TILE * OVERSAMPLED // 6,) * 2))
     step = (np.arange(TILE * OVERSAMPLED) + 0.5) / OVERSAMPLED - 0.5
-    coordinate = 0.7 * step[None, :] + 0.2 * step[:, None]
+    coordinate = slope[0] * step[None, :] + slope[1] * step[:, None]
     phasor = paint * np.exp(2j * np.pi * coordinate / 8)
     blurred = [cv2.GaussianBlur(part, (0, 0), sigma_px * OVERSAMPLED) for part in (phasor.real, phasor.imag)]
+    if shaken_px:
+        along = np.diag(cv2.getGaussianKernel(round(6 * shaken_px * OVERSAMPLED) | 1, shaken_px * OVERSAMPLED)[:, 0])
+        blurred = [cv2.filter2D(part, -1, along) for part in blurred]
     middle = np.s_[OVERSAMPLED // 2 :: OVERSAMPLED]
     cosine, sine = (part[middle, middle].astype(np.float32) for part in blurred)
     true = coordinate[middle, middle].astype(np.float32)
@@ -38,7 +43,7 @@ def test_shading_is_taken_out(sigma_px: float) -> None:
     true, value, log_a = seen(sigma_px)
     usable = np.ones(value.shape, np.bool_)
     inner = np.s_[4:-4, 4:-4]
-    shift = sigma_px**2 * shift_per_variance(value, log_a, usable)
+    shift = shading_shift(value, log_a, usable, Footprint.round(sigma_px**2))
     before, after = (np.sqrt(np.mean((v - true)[inner] ** 2)) for v in (value, value - shift))
     assert before > 0.01
     assert 1e-4 < after < before / 2
@@ -46,14 +51,31 @@ def test_shading_is_taken_out(sigma_px: float) -> None:
 
 @pytest.mark.parametrize("sigma_px", [0.5, 0.8])
 def test_the_footprint_is_measured(sigma_px: float) -> None:
-    tiles = [seen(sigma_px, seed) for seed in range(12)]
-    value, log_a = (np.concatenate([tile[k] for tile in tiles]) for k in (1, 2))
-    usable = np.ones(value.shape, np.bool_)
+    found = measured([[seen(sigma_px, seed) for seed in range(12)]])
+    assert found.across_px2 == found.down_px2
+    assert found.mixed_px2 == 0
+    assert 0.8 * sigma_px**2 < found.across_px2 < 1.3 * sigma_px**2
+
+
+def measured(axes: list[list[tuple[Floats, Floats, Floats]]]) -> Footprint:
+    """The footprint from noisy tiles of each axis, as of `seen`."""
     rng = np.random.default_rng(0)
-    noisy = value + rng.normal(0, 0.02, value.shape).astype(np.float32)
-    log_lit = log_a + rng.normal(0, 0.01, value.shape).astype(np.float32)
-    found = footprint_variance([(noisy, log_a)], log_lit, usable, TILE, TYPICAL_PX2)
-    assert 0.8 * sigma_px**2 < found < 1.3 * sigma_px**2
+    shaded, log_lit = [], np.empty(0, np.float32)
+    for tiles in axes:
+        value, log_a = (np.concatenate([tile[k] for tile in tiles]) for k in (1, 2))
+        shaded.append((value + rng.normal(0, 0.02, value.shape).astype(np.float32), log_a))
+        log_lit = log_a + rng.normal(0, 0.01, value.shape).astype(np.float32)
+    return footprint_of(shaded, log_lit, np.ones(log_lit.shape, np.bool_), TILE, TYPICAL_PX2)
+
+
+def test_a_camera_that_shook_has_a_long_footprint() -> None:
+    slopes = (0.7, 0.2), (-0.15, 0.6)
+    found = measured([[seen(0.5, seed, slope=slope, shaken_px=0.8) for seed in range(16)] for slope in slopes])
+    lens, motion = 0.5**2, 0.8**2
+    assert 0.8 * (lens + motion) < found.across_px2 < 1.3 * (lens + motion)
+    assert 0.8 * (lens + motion) < found.down_px2 < 1.3 * (lens + motion)
+    assert 0.8 * motion < found.mixed_px2 < 1.3 * motion
+    assert 0.8 * (lens + 2 * motion) < found.largest_px2 < 1.3 * (lens + 2 * motion)
 
 
 def test_of_a_plain_wall_the_footprint_is_a_typical_one() -> None:
@@ -61,17 +83,15 @@ def test_of_a_plain_wall_the_footprint_is_a_typical_one() -> None:
     shape = (8 * TILE, TILE)
     value = np.broadcast_to(0.7 * np.arange(TILE), shape) + rng.normal(0, 0.02, shape)
     log_a, log_lit = (rng.normal(0, 0.01, shape).astype(np.float32) for _ in range(2))
-    found = footprint_variance(
-        [(value.astype(np.float32), log_a)], log_lit, np.ones(shape, np.bool_), TILE, TYPICAL_PX2
-    )
-    assert found == TYPICAL_PX2
+    found = footprint_of([(value.astype(np.float32), log_a)], log_lit, np.ones(shape, np.bool_), TILE, TYPICAL_PX2)
+    assert found == Footprint.round(TYPICAL_PX2)
 
 
 def test_nothing_is_corrected_beside_unusable_pixels() -> None:
     _, value, log_a = seen(0.5)
     usable = np.ones(value.shape, np.bool_)
     usable[20, 20] = False
-    shift = shift_per_variance(value, log_a, usable)
+    shift = shading_shift(value, log_a, usable, Footprint.round(1.0))
     assert not shift[[20, 19, 21, 20, 20], [20, 20, 20, 19, 21]].any()
     assert shift[18, 18] != 0
 

@@ -12,7 +12,7 @@ from calib.numerics.array_types import Image
 from scanner.decoding.checks.code_checks import _changes, _note_changes
 from scanner.decoding.checks.map_checks import _count_jumps
 from scanner.decoding.codes.gray_fold import GrayFold
-from scanner.decoding.fringes.edge_shift_correction import shift_per_variance
+from scanner.decoding.fringes.edge_shift_correction import Footprint, shading_shift
 from scanner.decoding.fringes.phase_unwrapping import Disagreements, measured_tolerances, widest_tolerances
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.planning import plan_sequence
@@ -48,8 +48,9 @@ def test_the_shift_is_the_product_of_the_slopes() -> None:
     # Central differences of these are exact; none of the four slopes is like another, nor constant.
     v, u = np.mgrid[:9, :11].astype(np.float32)
     value, log_amplitude = 0.5 * u * u - 0.3 * v * v, 0.2 * u * v + 0.1 * v * v
-    shift = shift_per_variance(value, log_amplitude, np.ones(u.shape, np.bool_))
-    expected = u * 0.2 * v + -0.6 * v * (0.2 * u + 0.2 * v)
+    shift = shading_shift(value, log_amplitude, np.ones(u.shape, np.bool_), Footprint(2.0, 3.0, -0.5))
+    value_u, value_v, log_u, log_v = u, -0.6 * v, 0.2 * v, 0.2 * u + 0.2 * v
+    expected = 2 * value_u * log_u + 3 * value_v * log_v - 0.5 * (value_u * log_v + value_v * log_u)
     np.testing.assert_allclose(shift[1:-1, 1:-1], expected[1:-1, 1:-1], rtol=1e-4, atol=1e-4)
     assert not shift[[0, -1]].any()
     assert not shift[:, [0, -1]].any()

@@ -147,6 +147,29 @@ def test_a_camera_that_turned_between_the_axes(right_px: float, down_px: float) 
         assert np.abs(np.median(SCENE.errors(decoding), axis=0)).max() < 0.03  # taken back
 
 
+def test_frames_that_are_each_somewhere_else() -> None:
+    moves = np.random.default_rng(3).uniform(-0.25, 0.25, (len(STANDARD), 2))
+    frames = [
+        Turned(SCENE.camera, SCENE.projector, right_px=right, down_px=down).frame(pattern, number)
+        for number, (pattern, (right, down)) in enumerate(zip(STANDARD, moves.tolist(), strict=True))
+    ]
+    decoding = decode(STANDARD, frames, SCENE.projector)
+    motion = found(decoding)
+    assert motion.one_by_one
+    assert not motion.is_too_large
+    assert "each somewhere else, by 0.2" in str(motion)
+    shortest = min(pattern.period for pattern in STANDARD if isinstance(pattern, Phase))
+    of_x, of_y = (
+        [n for n, p in enumerate(STANDARD) if isinstance(p, Phase) and (p.axis, p.period) == (axis, shortest)]
+        for axis in ("x", "y")
+    )
+    apart = moves[of_x].mean(axis=0) - moves[of_y].mean(axis=0)
+    assert np.linalg.norm(apart) > 0.1  # what would be left
+    assert motion.shift.motions[0, 4:6] - motion.shift.motions[1, 4:6] == pytest.approx(apart, abs=0.03)
+    spread = [float(np.linalg.norm(each.motions[:, 4:6])) for each in motion.unseen]
+    assert all(0.005 < each < 0.03 for each in spread)
+
+
 def test_a_projector_that_turned_between_the_axes_shows_by_the_border_of_its_picture() -> None:
     whole = replace(Moved(SCENE.camera, SCENE.projector), zoom=1.6)
     after = replace(whole, right_px=0.1, down_px=0.25)

@@ -44,6 +44,11 @@ def around(margin_px: int) -> Bools:
     return chosen
 
 
+def of_fringes(patterns: Sequence[Pattern]) -> set[int]:
+    """Numbers of the frames that show fringes."""
+    return {number for number, pattern in enumerate(patterns) if isinstance(pattern, Phase)}
+
+
 def wrong(decoding: Decoding) -> float:
     """The share of the matches that are off by more than a pixel."""
     return float(np.mean(np.abs(SCENE.errors(decoding)).max(axis=1) > 1))
@@ -62,10 +67,13 @@ def wrong(decoding: Decoding) -> float:
 def test_who_goes_past_is_masked(preset: PresetName, first: int, named: str) -> None:
     patterns = PRESETS[preset].patterns(SCENE.projector)
     decoding = decode(patterns, passed(patterns, range(first, first + 4)), SCENE.projector)
-    moved, lit = decoding.reasons == MaskReason.MOVED, SCENE.well_lit()
-    assert np.mean(moved[around(-4) & lit]) > 0.95
-    assert not np.any(moved & ~around(20))
-    assert np.mean(decoding.reasons[lit & ~around(20)] == MaskReason.KEPT) > 0.99
+    moved, kept, lit = decoding.reasons == MaskReason.MOVED, decoding.reasons == MaskReason.KEPT, SCENE.well_lit()
+    assert np.mean(kept[lit & ~around(6)]) > 0.99
+    assert np.mean(moved & ~around(6)) < 0.005, "the place has 0.1"
+    if first in of_fringes(patterns):
+        assert np.mean(moved[around(-4) & lit]) > 0.95
+    else:
+        assert 0.1 < np.mean(kept[around(-4) & lit]) < 0.9, "fringes tell where the codes were right"
     assert wrong(decoding) < 0.002
     assert any("Something moved in" in warning and named in warning for warning in decoding.warnings)
 
@@ -73,7 +81,7 @@ def test_who_goes_past_is_masked(preset: PresetName, first: int, named: str) -> 
 def test_what_is_pushed_aside_is_masked_where_it_was_and_is() -> None:
     frames = passed(STANDARD, range(30, len(STANDARD)), other=replace(SCENE, turn_deg=9.0))
     decoding = decode(STANDARD, frames, SCENE.projector)
-    assert np.mean((decoding.reasons == MaskReason.MOVED)[around(-4)]) > 0.8
+    assert 0.5 < np.mean((decoding.reasons == MaskReason.MOVED)[around(-4)]) < 0.8, "not all of what is there changed"
     assert wrong(decoding) < 0.005
 
 
@@ -81,8 +89,9 @@ def test_a_hand_is_masked_as_small_as_it_is() -> None:
     hand = np.s_[100:125, 210:235]
     decoding = decode(STANDARD, passed(STANDARD, range(28, 32), hand), SCENE.projector)
     moved = decoding.reasons == MaskReason.MOVED
-    assert np.mean(moved[hand]) > 0.9
-    assert 0.005 < np.mean(moved) < 0.03, "0.009 is the hand"
+    assert np.mean(moved[hand]) > 0.8
+    assert 0.007 < np.mean(moved) < 0.011, "0.009 is the hand"
+    assert wrong(decoding) < 0.0005
 
 
 @pytest.mark.parametrize("number", [5, 17, 30])

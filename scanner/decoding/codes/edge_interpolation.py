@@ -1,0 +1,221 @@
+"""The projector's coordinate at camera pixels, interpolated between the edges of stripes on either side.
+
+Along rows, and along columns, each edge is a camera position of known projector coordinate; between two that follow
+each other the coordinate is taken to be straight. What is left of two directions is their mean.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Bools, Floats, Image, Ints, compiled
+from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.codes.gray_code import cell_numbers
+from scanner.decoding.codes.stripe_edges import Packed, unpacked
+from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.sequence_plan import GrayCode
+
+# Stripes of two cells are resolved from a camera pixel each on: so many cells at most are between two pixels, and twice
+# as many between edges, if some of them were not.
+CELLS_PER_PIXEL = 2
+# A surface bends, from one pair of edges to the next, by this much of its slope where no other pair tells. Where it is
+# so many times as steep as between the next ones, and by so many sigmas steeper than that, there is a jump.
+_BEND_OF_SLOPE = 0.25
+_JUMP, _SIGMAS = 1.5, 3.0
+# Edges of the same stripe so close together are one, which noise has split.
+_SAME_EDGE_PX, _SHORTEST_PX = 2.0, 0.1
+# What the shape of an edge that is taken for a Gaussian's leaves: standard deviation of its place, in camera pixels.
+_SHAPE_PX = 0.02
+# By how much pattern and inverse differ in the light that comes by way of other surfaces, in parts of what there is
+# between dark and bright; the more a lens has blurred an edge, the farther does that move it.
+_STRAY = 0.01
+# From this share of the light on, noise decides how far away an edge seems to be.
+_SATURATED = 0.97
+# Variance of a pair's difference, and of twice that of a frame and its threshold, in those of a pixel.
+_PAIR, _HALF = 2.0, 6.0
+# Of each edge: its place along the line with the variance, which edge of the code it is, how many cells the pixels on
+# either side are apart, whether the surface goes on from the edge before.
+_ROWS = 5
+_PLACE, _SPREAD, _EDGE, _STEP, _FOLLOWS = range(_ROWS)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """L rows, or columns, of N pixels: (L, N) each.
+
+    `words` of the code; `usable`: lit, and with a code; from the contrast `least` on an edge is certain; `middle` and
+    `brightest` as of `Signals`; `packed` and `contrast` as of `StripeEdges`, towards the next pixel of the line.
+    """
+
+    words: Words
+    usable: Bools
+    least: Floats32
+    middle: Image
+    brightest: Image
+    packed: Packed
+    contrast: Image
+
+
+def interpolate(code: GrayCode, noise: NoiseModel, lines: Lines, value: Floats32, variance: Floats32) -> None:
+    """Average the coordinates along lines into `value` and `variance` (L, N), in cells from the code's first on.
+
+    Where nothing is known yet, and stays so, the variance is infinite.
+    """
+    # Variance of each bit's difference, in that of a pixel.
+    factors = np.array([_HALF if bit in code.unpaired else _PAIR for bit in range(code.bits)])
+    numbers = cell_numbers(lines.words).astype(np.int32)
+    _interpolate(
+        numbers,
+        lines.usable,
+        lines.least,
+        lines.middle,
+        lines.brightest,
+        value,
+        variance,
+        *unpacked(lines.packed),
+        lines.contrast,
+        factors,
+        noise.at_black,
+        noise.gain,
+    )
+
+
+@compiled
+def _interpolate(
+    numbers: Ints,
+    usable: Bools,
+    least: Floats32,
+    middle: Image,
+    brightest: Image,
+    value: Floats32,
+    variance: Floats32,
+    bit: Ints,
+    part: Floats32,
+    contrast: Image,
+    factors: Floats,
+    at_black: float,
+    per_level: float,
+) -> None:
+    """Along lines (L, N): average what is interpolated into `value`, in cells from the code's first on, and `variance`.
+
+    `numbers`: of the cells. `bit` and `part` as of `unpacked`.
+    """
+    edges = np.empty((_ROWS, numbers.shape[1]))
+    for line in range(len(numbers)):
+        of_line = numbers[line], usable[line], least[line], bit[line], part[line], contrast[line]
+        of_noise = middle[line], brightest[line], factors, at_black, per_level
+        count = _list_edges(of_line, of_noise, edges)
+        for k in range(1, count):
+            if edges[_FOLLOWS, k]:
+                curved = _curved(edges, k, count)
+                if not np.isnan(curved):
+                    _fill(edges, k, curved, numbers[line], value[line], variance[line])
+
+
+@compiled
+def _list_edges(
+    of_line: tuple[Ints, Bools, Floats32, Ints, Floats32, Image],
+    of_noise: tuple[Image, Image, Floats, float, float],
+    edges: Floats,
+) -> int:
+    """Note the edges along a line (N,) in columns of `edges` (rows, N); returns how many there are."""
+    numbers, usable, least, bit, part, contrast = of_line
+    middle, brightest, factors, at_black, per_level = of_noise
+    bits, most = len(factors), 2 * CELLS_PER_PIXEL
+    count, goes_on = 0, False
+    for i in range(len(numbers) - 1):
+        if not (usable[i] and usable[i + 1]):
+            goes_on = False
+            continue
+        if bit[i] >= bits or contrast[i] < least[i]:
+            continue
+        low, high = min(numbers[i], numbers[i + 1]), max(numbers[i], numbers[i + 1])
+        size = bits - 1 - bit[i]
+        number = (high >> size) << size
+        if number <= low or (number >> size) & 1 == 0 or high - low > most:
+            goes_on = False
+            continue
+        level = np.float64(middle[i])
+        sharp = contrast[i] / max(np.float64(brightest[i]) - level, 1.0)
+        place = i + _of_blurred(np.float64(part[i]), sharp)
+        noise = factors[bit[i]] * (at_black + per_level * level) / (2.0 * contrast[i]) ** 2
+        before = max(count - 1, 0)
+        apart = abs(number - edges[_EDGE, before]) if goes_on else 0.0
+        if goes_on and apart == 0 and place - edges[_PLACE, before] < _SAME_EDGE_PX:
+            edges[_PLACE, before] = 0.5 * (edges[_PLACE, before] + place)
+            continue
+        edges[_PLACE, count], edges[_EDGE, count], edges[_STEP, count] = place, number, high - low
+        edges[_SPREAD, count] = ((1 - part[i]) ** 2 + part[i] ** 2) * noise + _SHAPE_PX**2 + (_STRAY / sharp) ** 2
+        edges[_FOLLOWS, count] = 0 < apart <= most
+        goes_on = True
+        count += 1
+    return count
+
+
+@compiled
+def _of_blurred(part: float, sharp: float) -> float:
+    """Where an edge is between two pixels, that were taken to be joined by a straight line, if it is a Gaussian's.
+
+    `part`: distance from the first pixel on the straight line. `sharp`: by how much the two differ, in parts of half of
+    all the light that there is between dark and bright.
+    """
+    here, there = _inverse_error_function(part * sharp), _inverse_error_function((1.0 - part) * sharp)
+    return float(here / max(here + there, 1e-9))
+
+
+@compiled
+def _inverse_error_function(value: float) -> float:
+    """To 0.2 %, of 0 to 1 (Winitzki, A handy approximation for the error function and its inverse, 2008)."""
+    logarithm = np.log(1.0 - min(value, _SATURATED) ** 2)
+    half = 2.0 / (np.pi * 0.147) + 0.5 * logarithm
+    return float(np.sqrt(max(np.sqrt(half * half - logarithm / 0.147) - half, 0.0)))
+
+
+@compiled
+def _slope(edges: Floats, k: int, count: int) -> float:
+    """In cells per camera pixel, from the edge before an edge to it; 0 if it does not follow that."""
+    if not 0 < k < count or not edges[_FOLLOWS, k]:
+        return 0.0
+    return float(
+        abs(edges[_EDGE, k] - edges[_EDGE, k - 1]) / max(edges[_PLACE, k] - edges[_PLACE, k - 1], _SHORTEST_PX)
+    )
+
+
+@compiled
+def _curved(edges: Floats, k: int, count: int) -> float:
+    """By how many cells the surface between an edge and the one before may be off the straight line, from the slopes
+    next to it; NaN if there is a jump.
+    """
+    length = max(edges[_PLACE, k] - edges[_PLACE, k - 1], _SHORTEST_PX)
+    slope, before, after = _slope(edges, k, count), _slope(edges, k - 1, count), _slope(edges, k + 1, count)
+    steps = max(edges[_STEP, k], edges[_STEP, k - 1])
+    if before == 0 and after == 0:
+        return _BEND_OF_SLOPE * slope * length / 8 if steps == 1 else np.nan
+    by_noise = _SIGMAS * slope * np.sqrt(edges[_SPREAD, k] + edges[_SPREAD, k - 1]) / length
+    steepest = _JUMP * max(before, after) + by_noise
+    if slope > steepest or steps > 1 + steepest:
+        return np.nan
+    bend = max(0.0 if before == 0 else abs(slope - before), 0.0 if after == 0 else abs(slope - after))
+    # A slope that changes by so much from the middle of one piece to that of the next.
+    return float(bend * length / 8)
+
+
+@compiled
+def _fill(edges: Floats, k: int, curved: float, numbers: Ints, value: Floats32, variance: Floats32) -> None:
+    """Average in what pixels between an edge and the one before are, if it is in their cell or the one next to it."""
+    start, first, cells = edges[_PLACE, k - 1], edges[_EDGE, k - 1], edges[_EDGE, k] - edges[_EDGE, k - 1]
+    length = max(edges[_PLACE, k] - start, _SHORTEST_PX)
+    slope = cells / length
+    for i in range(int(np.ceil(start)), int(np.floor(edges[_PLACE, k])) + 1):
+        share = (i - start) / length
+        found = first + share * cells
+        if abs(found - numbers[i] - 0.5) > 1.5:
+            continue
+        noise = (1 - share) ** 2 * edges[_SPREAD, k - 1] + share * share * edges[_SPREAD, k]
+        own = slope * slope * noise + curved * curved
+        if np.isinf(variance[i]):
+            value[i], variance[i] = found, own
+        else:
+            part = variance[i] / (variance[i] + own)
+            value[i] += part * (found - value[i])
+            variance[i] *= 1.0 - part

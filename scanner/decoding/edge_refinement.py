@@ -1,0 +1,173 @@
+"""Where only Gray codes tell the coordinates: those between the edges of stripes in place of the centres of cells."""
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools, Ints, compiled
+from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.arrays import Floats32, Reasons
+from scanner.decoding.axis_decoder import Coordinate, least_contrasts
+from scanner.decoding.checks.roughness import widen_between_edges
+from scanner.decoding.codes.edge_interpolation import CELLS_PER_PIXEL, Lines, interpolate
+from scanner.decoding.codes.gray_fold import GrayFold
+from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.discontinuities import breaks
+from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.tiles import in_strips, widened
+
+_UNKNOWN = np.float32(np.nan)
+_STRIP = 32
+_MOST_LINES = 100
+# If fewer of the pixels are between edges, cells are what was measured.
+_MOSTLY = 0.5
+# In cells longer than so many camera pixels, one that is not between edges is in a cell that is cut off.
+_LONG_PX = 2.0
+# How far, in cells, the centre of a pixel's cell may be from the pixels around it, across the diagonal.
+_APART = 0.5 + 1.5 * CELLS_PER_PIXEL
+# Of eight, how many of the pixels around an undecided one are certain, if it is at an edge.
+_FEWEST_AROUND = 4
+_KEPT, _UNDECIDED, _ISOLATED = (
+    np.uint8(reason) for reason in (MaskReason.KEPT, MaskReason.UNDECIDED, MaskReason.ISOLATED)
+)
+
+
+def refine_by_edges(accumulators: Accumulators, maps: Maps, noise: NoiseModel, undecided: Bools) -> bool:
+    """Interpolate coordinates between the edges of stripes, in place; False if too few pixels are between such.
+
+    Of `undecided` pixels (H, W), those that are between edges are kept then. What is not between edges along one of the
+    axes has the centre of its cell there, if that is short and continues the pixels around it.
+    """
+    measured = [number for number, axis in enumerate(accumulators.plan.axes) if axis.is_measured]
+    folds = [_finest(accumulators, number) for number in measured]
+    kept = maps.reason == _KEPT
+    # An edge is a line of undecided pixels; where they are many, it is too dark for edges, too.
+    around = cv2.boxFilter(kept.view(np.uint8), cv2.CV_8U, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    usable = kept | (undecided & (maps.reason == _UNDECIDED) & (around >= _FEWEST_AROUND))
+    value = np.full((len(measured), *kept.shape), np.nan, np.float32)
+    variance = np.full(value.shape, np.inf, np.float32)
+    for fold, *into in zip(folds, value, variance, strict=True):
+        if fold is None:
+            return False
+        _interpolate(accumulators, fold, noise, usable, *into)
+    between = np.isfinite(variance).all(axis=0)
+    if np.count_nonzero(between & kept) < max(1.0, _MOSTLY * np.count_nonzero(kept)):
+        return False
+    apart = np.array([_apart(v, fold.code.cell) for v, fold in zip(value, folds, strict=True) if fold], np.float32)
+    _take_over(value, variance, np.array(measured), apart, usable, maps.projector_px, maps.variance, maps.reason)
+    _mask_breaks(accumulators.plan, maps)
+    widen_between_edges(accumulators.plan, maps)
+    return True
+
+
+def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
+    """Mask what breaks the surface around it, now that it can be seen; in place."""
+    kept = maps.reason == _KEPT
+    axes = [(number, axis) for number, axis in enumerate(plan.axes) if axis.is_measured]
+    broken = np.zeros_like(kept)
+
+    def find(rows: slice) -> None:
+        wide, own = widened(rows, 1, len(kept))
+        there = kept[wide]
+        coordinates = [
+            Coordinate(
+                np.where(there, maps.projector_px[wide][..., n], _UNKNOWN), maps.variance[wide], maps.reason[wide]
+            )
+            for n, _ in axes
+        ]
+        broken[rows] = breaks(there, coordinates, [axis for _, axis in axes], between_edges=True)[own]
+
+    in_strips(len(kept), _STRIP, find)
+    np.copyto(maps.reason, _ISOLATED, where=kept & broken)
+
+
+def _finest(accumulators: Accumulators, axis: int) -> GrayFold | None:
+    """What was folded of the finest plain code of an axis, if its edges were kept."""
+    codes = accumulators.plan.axes[axis].codes
+    folds = [fold for fold in accumulators.codes if fold.code in codes and fold.edges is not None]
+    return min(folds, key=lambda fold: fold.code.cell, default=None)
+
+
+def _interpolate(
+    accumulators: Accumulators, fold: GrayFold, noise: NoiseModel, usable: Bools, value: Floats32, variance: Floats32
+) -> None:
+    """The coordinates (H, W) that a code's edges tell, into `value`, NaN where unknown; and the `variance`."""
+    edges, fold.edges = fold.edges, None
+    if edges is None:
+        return
+    for direction, turned in enumerate((False, True)):
+        images = (fold.words, usable, accumulators.middle, accumulators.brightest)
+        all_images = (*images, edges.packed[direction], edges.contrast[direction], value, variance)
+        turned_images = [image.T if turned else image for image in all_images]
+
+        def along(some: slice, images: list[np.ndarray] = turned_images) -> None:
+            words, lit, middle, brightest, packed, contrast, *into = (image[some] for image in images)
+            least, _ = least_contrasts(noise, middle)
+            interpolate(fold.code, noise, Lines(words, lit, least, middle, brightest, packed, contrast), *into)
+
+        in_strips(len(turned_images[0]), _STRIP, along)
+    value *= np.float32(fold.code.cell)
+    value -= np.float32(fold.code.offset + 0.5)
+    variance *= np.float32(fold.code.cell**2)
+
+
+def _apart(value: Floats32, cell: int) -> float:
+    """How far in projector pixels a cell's centre may be from the values (H, W) around it; less than 0: it must not be
+    taken.
+    """
+    slopes = [
+        np.nanmedian(np.abs(np.diff(lines[:: max(1, len(lines) // _MOST_LINES)], axis=1))) for lines in (value, value.T)
+    ]
+    return _APART * cell if cell < _LONG_PX * float(np.hypot(*slopes)) else -1.0
+
+
+@compiled
+def _take_over(
+    value: Floats32,
+    spread: Floats32,
+    axes: Ints,
+    apart: Floats32,
+    usable: Bools,
+    projector_px: Floats32,
+    variance: Floats32,
+    reason: Reasons,
+) -> None:
+    """Put the values (A, H, W) of the measured `axes` (A,), and the mean of their variances, in their place.
+
+    A centre that stays must not be farther than `apart` (A,) from the values around it.
+    """
+    count, height, width = value.shape
+    for row in range(height):
+        for column in range(width):
+            if not usable[row, column]:
+                continue
+            known = 0
+            for k in range(count):
+                known += np.isfinite(spread[k, row, column])
+            if known < count and reason[row, column] == _UNDECIDED:
+                continue
+            own, mean, lone = variance[row, column], np.float32(0), False
+            for k in range(count):
+                if np.isfinite(spread[k, row, column]):
+                    projector_px[row, column, axes[k]] = value[k, row, column]
+                    mean += spread[k, row, column]
+                    continue
+                mean += own
+                near = _around(value[k], spread[k], row, column)
+                lone |= not abs(projector_px[row, column, axes[k]] - near) <= apart[k]
+            variance[row, column] = mean / np.float32(count)
+            reason[row, column] = _ISOLATED if lone else _KEPT
+
+
+@compiled
+def _around(value: Floats32, spread: Floats32, row: int, column: int) -> float:
+    """The mean of what is known next to a pixel of an image (H, W); NaN if nothing is."""
+    height, width = value.shape
+    total, count = 0.0, 0
+    for i in range(max(row - 1, 0), min(row + 2, height)):
+        for j in range(max(column - 1, 0), min(column + 2, width)):
+            if np.isfinite(spread[i, j]):
+                total += value[i, j]
+                count += 1
+    return total / count if count else np.nan

@@ -1,0 +1,148 @@
+"""What a camera pixel sees: the covariance of its footprint, from what edges of paint and light do to coordinates.
+
+The shift at such edges is linear in the covariance (`edge_shift_correction`), which is the same all over the image, and
+is measured where the capture has them. A lens blurs alike in all directions; a camera that shook while frames were
+exposed blurs along one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import erfc, sqrt
+
+import cv2
+import numpy as np
+from scipy.stats import f
+
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.fringes.edge_shift_correction import UNITS, Footprint, shading_shift
+
+_FINE_PX, _COARSE_PX = 3, 9
+_MARGIN_PX = 6
+# No surface bends this much, in projector pixels, over the coarse window; a wrong fringe order does.
+_JUMP_PX = 0.5
+_FEWEST_TILES = 4
+# Standard deviation of a median of n normal deviates, times √n, over their median deviation from it.
+_MEDIAN_SIGMA = 1.2533 * SIGMA_PER_MEDIAN
+_SIGNIFICANT = 5.0
+_BY_CHANCE = erfc(_SIGNIFICANT / sqrt(2))
+_LARGEST_PX2 = 9.0
+# Where a capture does not show it: a pixel's own area (1/12) behind a lens that blurs by a third of a pixel. Of a plain
+# wall a variance of none is further off, whatever the lens.
+TYPICAL_PX2 = 0.2
+# Where all edges run one way, they say nothing of the direction along them.
+_LARGEST_CONDITION = 100.0
+_ITERATIONS = 20
+
+
+@dataclass(frozen=True)
+class _Tiles:
+    """Of each tile, normal equations `matrix` (T, 3, 3) and `vector` (T, 3) of the covariance, in `UNITS`."""
+
+    matrix: Floats
+    vector: Floats
+
+
+def footprint_of(
+    shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, usable: Bools, tile_px: int, assumed_px2: float
+) -> Footprint:
+    """The footprint, round unless the capture shows another; of a variance `assumed_px2` if it does not show any.
+
+    `shaded`: of one or both axes, the coordinate and the logarithm of its amplitude; `log_lit`: that of the grey level
+    in full light; in square tiles of `tile_px` one above the other, (T · tile, tile).
+    """
+    tiles = _equations(shaded, log_lit, usable, tile_px)
+    # Of a round one the two variances are the same.
+    found, weight = tiles.vector[:, :2].sum(axis=1), tiles.matrix[:, :2, :2].sum(axis=(1, 2))
+    telling = weight > 0
+    if np.count_nonzero(telling) < _FEWEST_TILES:
+        return Footprint.round(assumed_px2)
+    long = _not_round(_Tiles(tiles.matrix[telling], tiles.vector[telling]))
+    if long is not None:
+        return long
+    variance, scatter = _weighted_median(found[telling] / weight[telling], weight[telling])
+    return Footprint.round(min(variance, _LARGEST_PX2) if variance > _SIGNIFICANT * scatter else assumed_px2)
+
+
+def _equations(shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, usable: Bools, tile_px: int) -> _Tiles:
+    bends = [_band(value) for value, _ in shaded]
+    inner = _inner(usable & np.all([np.abs(bend) < _JUMP_PX for bend in bends], axis=0), tile_px)
+    matrix = np.zeros((len(usable) // tile_px, len(UNITS), len(UNITS)))
+    vector = np.zeros(matrix.shape[:2])
+    for bend, (value, log_amplitude) in zip(bends, shaded, strict=True):
+        # An instrument: it knows the paint, but not the noise of the amplitude, nor the ripples of amplitude and phase
+        # that go with each other where light has bounced.
+        instruments, shifts = (
+            np.stack(
+                [_of_tiles(_band(shading_shift(value, of, usable, unit)), inner, tile_px) for unit in UNITS], axis=1
+            )
+            for of in (log_lit, log_amplitude)
+        )
+        matrix += instruments @ shifts.transpose(0, 2, 1)
+        vector += (instruments @ _of_tiles(bend, inner, tile_px)[..., None])[..., 0]
+    return _Tiles(matrix, vector)
+
+
+def _not_round(tiles: _Tiles) -> Footprint | None:
+    """The footprint that is not the same in all directions; None if it may be.
+
+    By weights that make of the mean over tiles a median (Weiszfeld); its covariance is that of the tiles' scatter, and
+    the test that of Hotelling, which knows how few they are.
+    """
+    count, unknowns = tiles.vector.shape
+    if count <= 2 * unknowns or np.linalg.cond(tiles.matrix.sum(axis=0)) > _LARGEST_CONDITION:
+        return None
+    size = np.sqrt(np.maximum(np.trace(tiles.matrix, axis1=1, axis2=2), np.finfo(float).tiny))
+    weight = np.ones(count)
+    for _ in range(_ITERATIONS):
+        total = np.einsum("t,tij->ij", weight, tiles.matrix)
+        covariance = np.linalg.solve(total, weight @ tiles.vector)
+        left = tiles.vector - tiles.matrix @ covariance
+        off = np.linalg.norm(left, axis=1) / size
+        weight = 1 / np.maximum(1, off / np.median(off))
+    response = np.linalg.solve(total, (weight[:, None] * left).T)
+    uncertain = response @ response.T
+    # The difference of the two variances, and what they have in common: both are zero of a round one.
+    apart = np.array([[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+    difference = apart @ covariance
+    squared = float(difference @ np.linalg.solve(apart @ uncertain @ apart.T, difference))
+    free = count - unknowns
+    by_chance = f.sf(squared * (free - 1) / (2 * free), 2, free - 1)
+    found = Footprint(*covariance.tolist())
+    return found if by_chance < _BY_CHANCE and found.largest_px2 < _LARGEST_PX2 else None
+
+
+def _weighted_median(values: Floats, weights: Floats) -> tuple[float, float]:
+    """The weighted median and its standard deviation, from the scatter of the values about it."""
+
+    def median(of: Floats) -> float:
+        order = np.argsort(of)
+        cumulated = np.cumsum(weights[order])
+        return float(of[order][np.searchsorted(cumulated, cumulated[-1] / 2)])
+
+    middle = median(values)
+    effective_count = weights.sum() ** 2 / np.sum(weights**2)
+    return middle, _MEDIAN_SIGMA * median(np.abs(values - middle)) / float(np.sqrt(effective_count))
+
+
+def _band(image: Floats32) -> Floats32:
+    """What is left of an image between two scales: no noise of single pixels, no slope of the surface."""
+    fine, coarse = (cv2.blur(image, (size, size)) for size in (_FINE_PX, _COARSE_PX))
+    return np.asarray(fine - coarse, np.float32)
+
+
+def _inner(usable: Bools, tile_px: int) -> Bools:
+    """Pixels of each tile whose windows are in it and hold nothing unusable."""
+    size = 2 * _MARGIN_PX + 1
+    whole = cv2.erode(usable.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+    tiles = whole.reshape(-1, tile_px, tile_px)
+    inside: Bools = np.zeros_like(tiles)
+    middle = slice(_MARGIN_PX, tile_px - _MARGIN_PX)
+    inside[:, middle, middle] = tiles[:, middle, middle]
+    return inside.reshape(usable.shape)
+
+
+def _of_tiles(values: Floats32, chosen: Bools, tile_px: int) -> Floats:
+    """(T, tile · tile), zero where not chosen."""
+    tiles: Floats = np.where(chosen, values, np.float32(0)).reshape(-1, tile_px**2).astype(np.float64)
+    return tiles

@@ -1,0 +1,151 @@
+"""Segments of a surface whose fringes name another cycle than those beside them: there a bit of the code was wrong.
+
+What passes by while codes are shown, or its shadow, turns bits over. Fringes that were taken before or after still give
+the position within a period, so that it goes on from one segment to the next, but for a whole number of periods. At
+edges of surfaces it does not go on. Borders, the longest first, tie segments together (union by weight of relative
+cycles, as region-wise phase unwrapping does), and those are wrong that are not in the cycle of most of their surface.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools, Ints, compiled
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.sequence_plan import SequencePlan
+
+# Neighbours that are farther apart are of two segments, in periods.
+_APART = 0.5
+# Across so many pixels that have no coordinate a surface goes on as its slope over as many says.
+_WIDEST_GAP, _SLOPE_PX = 8, 4
+# It goes on within so much of a period, at most places of a border; few places say nothing.
+_GOES_ON, _MOST, _FEWEST = 0.08, 0.6, 4
+# A surface that is smaller than this share of all of them tells of itself too little.
+_SMALLEST = 0.001
+
+
+@dataclass(frozen=True)
+class _Borders:
+    """Between segments `first` and `second` (B,), the latter is so many `cycles` (B,) ahead at `count` (B,) places."""
+
+    first: Ints
+    second: Ints
+    cycles: Ints
+    count: Ints
+
+    def longest_first(self) -> Iterator[tuple[int, int, int]]:
+        for border in np.argsort(-self.count, kind="stable"):
+            yield int(self.first[border]), int(self.second[border]), int(self.cycles[border])
+
+
+def in_wrong_cycles(plan: SequencePlan, maps: Maps) -> Bools:
+    """Pixels (H, W) that are whole periods off the surface around them, along either axis."""
+    wrong = np.zeros(maps.reason.shape, np.bool_)
+    for number, axis in enumerate(plan.axes):
+        if axis.codes and axis.fringes:
+            value = np.ascontiguousarray(maps.projector_px[..., number]) / np.float32(axis.fringes[-1].period)
+            wrong |= _wrong_along(value)
+    return wrong
+
+
+def _wrong_along(position: Floats32) -> Bools:
+    """The same along an axis, by positions (H, W) in periods, NaN where there is none."""
+    count, labels = cv2.connectedComponents(_without_jumps(position).astype(np.uint8), connectivity=4)
+    segment = cast(Ints, labels)
+    area = np.bincount(segment.reshape(-1), minlength=count)
+    area[0] = 0
+    tree, ahead = _tied(count, _borders(position, segment))
+    cycle, cycles = np.unique(np.stack([tree, ahead]), axis=1, return_inverse=True)
+    size = np.bincount(cycles.reshape(-1), area)
+    largest = np.full(count, _SMALLEST * area.sum())
+    np.maximum.at(largest, cycle[0], size)
+    wrong = size[cycles.reshape(-1)] < largest[tree]
+    wrong[0] = False
+    return cast(Bools, wrong[segment])
+
+
+def _without_jumps(position: Floats32) -> Bools:
+    known: Bools = np.isfinite(position)
+    for here, there in (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]):
+        far = np.abs(position[here] - position[there]) > _APART
+        known[here] &= ~far
+        known[there] &= ~far
+    return known
+
+
+def _borders(position: Floats32, segment: Ints) -> _Borders:
+    """Those that most places agree on."""
+    found = []
+    for turned in (False, True):
+        values = np.ascontiguousarray(position.T if turned else position)
+        labels = np.ascontiguousarray(segment.T if turned else segment)
+        first, second = np.empty((2, values.size // 2 + 1), np.int32)
+        apart = np.empty(len(first), np.float32)
+        crossed = _cross(values, labels, first, second, apart)
+        found.append((first[:crossed], second[:crossed], apart[:crossed]))
+    first, second, apart = (np.concatenate(each) for each in zip(*found, strict=True))
+    apart = np.where(first < second, apart, -apart)
+    first, second = np.minimum(first, second), np.maximum(first, second)
+    cycles = np.rint(apart).astype(np.int32)
+    _, border, all_places = np.unique(np.stack([first, second]), axis=1, return_inverse=True, return_counts=True)
+    on = np.abs(apart - cycles) < _GOES_ON
+    ties, at, count = np.unique(np.stack([first, second, cycles])[:, on], axis=1, return_index=True, return_counts=True)
+    whole = all_places[border.reshape(-1)[on][at]]
+    agreed = (count >= _FEWEST) & (count > _MOST * whole)
+    return _Borders(*(each[agreed] for each in (*ties, count)))
+
+
+@compiled
+def _cross(position: Floats32, segment: Ints, first: Ints, second: Ints, apart: Floats32) -> int:
+    """Note where lines (lines, P) go from one segment into another, and by how much more than the slopes say."""
+    crossed = 0
+    for line in range(position.shape[0]):
+        last = -1
+        for place in range(position.shape[1]):
+            if segment[line, place] == 0:
+                continue
+            if last >= 0 and segment[line, place] != segment[line, last] and place - last <= _WIDEST_GAP:
+                back = ahead = 0
+                while back < min(_SLOPE_PX, last) and segment[line, last - back - 1] == segment[line, last]:
+                    back += 1
+                while (
+                    ahead < min(_SLOPE_PX, position.shape[1] - 1 - place)
+                    and segment[line, place + ahead + 1] == segment[line, place]
+                ):
+                    ahead += 1
+                if back + ahead > 0:
+                    rises = position[line, last] - position[line, last - back]
+                    rises += position[line, place + ahead] - position[line, place]
+                    first[crossed], second[crossed] = segment[line, last], segment[line, place]
+                    steps = rises / (back + ahead) * (place - last)
+                    apart[crossed] = position[line, place] - position[line, last] - steps
+                    crossed += 1
+            last = place
+    return crossed
+
+
+def _tied(count: int, borders: _Borders) -> tuple[Ints, Ints]:
+    """Of each segment, the one that stands for its surface, and how many cycles it is ahead of that, (count,)."""
+    parent, ahead = list(range(count)), [0] * count
+
+    def root(segment: int) -> tuple[int, int]:
+        cycles, way = 0, []
+        while parent[segment] != segment:
+            way.append(segment)
+            cycles += ahead[segment]
+            segment = parent[segment]
+        total = cycles
+        for each in way:
+            cycles, parent[each], ahead[each] = cycles - ahead[each], segment, cycles
+        return segment, total
+
+    for first, second, cycles in borders.longest_first():
+        (one, of_first), (other, of_second) = root(first), root(second)
+        if one != other:
+            parent[other], ahead[other] = one, of_first + cycles - of_second
+    found = np.array([root(segment) for segment in range(count)])
+    return found[:, 0], found[:, 1]

@@ -1,0 +1,130 @@
+"""What frames show of their own motion: linear equations at the pixels of small tiles.
+
+A frame that is moved by d differs from what it was by −∇I · d, with the gradient of the frame itself, to first order.
+All fringes show the same scene under the same mean light, so that at each pixel N frames of F fringes are explained by
+1 + 2 F numbers. What is left of them is linear in all d.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Bools, Floats, Ints
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
+from scanner.decoding.sequence_plan import Fringe, SequencePlan
+from scanner.decoding.slopes import LEVEL, SLOPE
+
+_MOST_PIXELS = 6_000
+_FEWEST_PIXELS = 300
+# A fringe counts from so many standard deviations on.
+_SEEN = 5.0
+# In variance, along both axes.
+_LESS_NOISE = float(np.sum(LEVEL**2)) ** 2
+# Of a tile's side, where the taps of slopes are all in it.
+_INSIDE_PX = TILE_PX - len(LEVEL) + 1
+
+
+@dataclass(frozen=True)
+class FrameEquations:
+    """Of N frames, taken as number `times` (N,) of the sequence, along axis 0 or 1, `axis` (N,): what P pixels of tiles
+    (P,) show beside the fringes, K numbers each, `seen` (K, P), in standard deviations, and by how much it changes,
+    (., K, P), with each frame's shift to the right, then down, `by_camera` (2 N, ...), with that of its picture along
+    its axis, `by_projector` (N, ...), with gains and offsets of light, and with the brightness curve: `by_light`.
+    """
+
+    times: Ints
+    axis: Ints
+    tile: Ints
+    seen: Floats
+    by_camera: Floats
+    by_projector: Floats
+    by_light: Floats
+
+
+def frame_equations(
+    plan: SequencePlan, tiles: TileSample, noise: NoiseModel, saturation: float
+) -> FrameEquations | None:
+    """Those of the frames of all fringes; None where too few pixels tell, or too few frames."""
+    shown = sorted(
+        (time, number, fringe.frames.index(frame))
+        for time, frame in enumerate(plan.shown)
+        for number, fringe in enumerate(plan.fringes)
+        if frame in fringe.frames
+    )
+    times, of_fringe = np.array([time for time, *_ in shown]), np.array([number for _, number, _ in shown])
+    fringes = [plan.fringes[number] for number in of_fringe]
+    angles = 2 * np.pi * np.array([fringe.shifts[k] for fringe, (*_, k) in zip(fringes, shown, strict=True)])
+    design = _design(of_fringe, angles, len(plan.fringes))
+    if len(times) <= design.shape[1]:
+        return None
+    images = tiles.levels(times.tolist(), np.arange(len(tiles.tile))).reshape(len(times), -1, TILE_PX, TILE_PX)
+    blurred, by_right, by_down = (_filtered(images, *taps) for taps in ((LEVEL, LEVEL), (LEVEL, SLOPE), (SLOPE, LEVEL)))
+    pixels = _pixels(plan.fringes, blurred, design, noise, _resting(tiles, images, saturation))
+    if len(pixels) < _FEWEST_PIXELS:
+        return None
+    levels, right, down = (part[:, pixels].astype(np.float64) for part in (blurred, by_right, by_down))
+    parameters = np.linalg.pinv(design) @ levels
+    cosine, sine = parameters[1:].reshape(len(plan.fringes), 2, -1)[of_fringe].transpose(1, 0, 2)
+    phase, amplitude = np.arctan2(sine, cosine) + angles[:, None], np.hypot(cosine, sine)
+    steepness = 2 * np.pi / np.array([fringe.period for fringe in fringes])[:, None]
+    fitted = design @ parameters
+    # The directions in which frames may differ beside what fringes are.
+    beside = np.linalg.svd(design)[0][:, design.shape[1] :]
+    sigma = np.sqrt(_LESS_NOISE * noise.variance(levels.mean(axis=0)).astype(np.float64))
+
+    def of_each(column: Floats) -> Floats:
+        """Of the frame by itself (N, K, P), given what changes it (N, P)."""
+        changes: Floats = beside[:, :, None] * (column / sigma)[:, None, :]
+        return changes
+
+    # A bent brightness curve leaves a second harmonic in each fringe, alike in all pixels.
+    harmonics = [of_each(amplitude * wave(2 * phase)) for wave in (np.cos, np.sin)]
+    curve = [part[of_fringe == number].sum(axis=0) for part in harmonics for number in range(len(plan.fringes))]
+    mean = np.broadcast_to(fitted.mean(axis=0), fitted.shape)
+    return FrameEquations(
+        times,
+        np.array([fringe.axis == "y" for fringe in fringes], np.int64),
+        np.repeat(np.arange(tiles.count), _INSIDE_PX**2)[pixels],
+        beside.T @ levels / sigma,
+        np.concatenate([of_each(-right), of_each(-down)]),
+        of_each(steepness * amplitude * np.sin(phase)),
+        np.concatenate([of_each(fitted), of_each(mean), np.stack(curve)]),
+    )
+
+
+def _design(of_fringe: Ints, angles: Floats, fringes: int) -> Floats:
+    """(N, 1 + 2 F): of the mean light, and of A cos θ and A sin θ of each fringe."""
+    design = np.zeros((len(angles), 1 + 2 * fringes))
+    design[:, 0] = 1
+    every = np.arange(len(angles))
+    design[every, 1 + 2 * of_fringe], design[every, 2 + 2 * of_fringe] = np.cos(angles), -np.sin(angles)
+    return design
+
+
+def _filtered(images: Floats32, down: Floats, across: Floats) -> Floats32:
+    """Taps along the columns and the rows of tiles (N, T, tile, tile), where they are all inside; (N, P)."""
+    size = images.shape[-1] - len(down) + 1
+    rows = np.stack([images[:, :, k : k + size] for k in range(len(down))], axis=-1) @ down.astype(np.float32)
+    both = np.stack([rows[..., k : k + size] for k in range(len(across))], axis=-1) @ across.astype(np.float32)
+    return np.asarray(both, np.float32).reshape(len(images), -1)
+
+
+def _pixels(fringes: tuple[Fringe, ...], levels: Floats32, design: Floats, noise: NoiseModel, resting: Bools) -> Ints:
+    """Some of the resting ones, by number, where all fringes are seen."""
+    components = (np.linalg.pinv(design) @ levels)[1:].reshape(len(fringes), 2, -1)
+    variance = np.float32(_LESS_NOISE) * noise.variance(levels.mean(axis=0))
+    usable = resting.copy()
+    for fringe, of_fringe in zip(fringes, components, strict=True):
+        usable &= np.sum(of_fringe**2, axis=0) > (_SEEN * fringe.noise_gain) ** 2 * variance
+    number = np.flatnonzero(usable)
+    return number[np.linspace(0, len(number) - 1, min(len(number), _MOST_PIXELS)).astype(np.int64)]
+
+
+def _resting(tiles: TileSample, images: Floats32, saturation: float) -> Bools:
+    """(P,): where nothing moves or is saturated within the taps."""
+    fit = (images.max(axis=0) < saturation) & tiles.resting.reshape(images.shape[1:])
+    whole = _filtered(fit[None].astype(np.float32), np.ones_like(LEVEL), np.ones_like(LEVEL))
+    resting: Bools = whole[0] > len(LEVEL) ** 2 - 1 / 2
+    return resting

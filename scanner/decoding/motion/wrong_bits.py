@@ -1,0 +1,56 @@
+"""What wrong bits leave where something moved: a shadow turns bits over that have no inverse; only coordinates tell."""
+
+from typing import cast
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools, median
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.motion.coarse_frames import CoarseFrames
+from scanner.decoding.motion.cycles import in_wrong_cycles
+from scanner.decoding.motion.unrest import patches
+from scanner.decoding.sequence_plan import SequencePlan
+
+_BROKEN = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE, MaskReason.ISOLATED)
+# How many cells neighbours are apart that are of no surface; and how much farther than most.
+_FAR_CELLS, _TIMES_USUAL = 1.4, 4.0
+_AROUND = np.ones((5, 5), np.uint8)
+
+
+def mask_wrong_bits(plan: SequencePlan, maps: Maps, moved: Bools | None) -> None:
+    """Mask, in place, what wrong bits have left, where something is known to have `moved` (H, W), or not.
+
+    Where fringes tell the position within a cycle, those that are in another cycle than the surface around them; where
+    codes are alone, patches in which pixels contradict themselves or their surface.
+    """
+    wrong = in_wrong_cycles(plan, maps) if plan.fringes else _in_broken_patches(plan, maps)
+    wrong &= maps.reason != MaskReason.DARK
+    maps.reason[wrong] = np.uint8(MaskReason.MOVED)
+    # What is isolated on the border of another cycle would look like a code that is not that of the fringes.
+    near = cv2.dilate(wrong.astype(np.uint8), _AROUND) > 0
+    maps.projector_px[wrong | (maps.reason != MaskReason.KEPT) & (near if moved is None else near | moved)] = np.nan
+
+
+def _in_broken_patches(plan: SequencePlan, maps: Maps) -> Bools:
+    coarse = CoarseFrames((maps.reason.shape[0], maps.reason.shape[1]))
+    reason = coarse.of(maps.reason)
+    broken = np.isin(reason, _BROKEN) | _jumps(plan, coarse, maps)
+    return coarse.at_full_size(patches(broken, broken | (reason == MaskReason.KEPT)))
+
+
+def _jumps(plan: SequencePlan, coarse: CoarseFrames, maps: Maps) -> Bools:
+    """Pixels of the grid (h, w) that are farther from the next one than cells leave them."""
+    found = np.zeros(coarse.of(maps.reason).shape, np.bool_)
+    for number, axis in enumerate(plan.axes):
+        value = cast(Floats32, coarse.of(maps.projector_px[..., number]))
+        for here, there in (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]):
+            distance = np.abs(value[here] - value[there])
+            known = np.isfinite(distance)
+            usual = median(distance[known]) if known.any() else 0.0
+            far = known & (distance > max(_FAR_CELLS * axis.cell, _TIMES_USUAL * usual))
+            found[here] |= far
+            found[there] |= far
+    return found

@@ -1,0 +1,128 @@
+"""Edges of stripes between camera pixels: frames of a plane whose map to the projector is known exactly."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib.numerics.array_types import Floats, Image
+from scanner.decoding.codes.stripe_edges import COARSEST, StripeEdges, unpacked
+from scanner.decoding.decoder import Decoder, Decoding
+from scanner.patterns.pattern import Pattern, draw, sequence_for
+
+PROJECTOR = (64, 48)
+SHAPE = (72, 96)
+_FINE = 6
+
+
+@dataclass(frozen=True)
+class Plane:
+    """x = `x` · (column, row, 1), and y likewise; `blur_px`: standard deviation of the lens, in camera pixels.
+
+    `curve`: exponent of the camera's response. `shading`: by how much brighter it is per camera pixel to the right.
+    """
+
+    x: tuple[float, float, float]
+    y: tuple[float, float, float]
+    blur_px: float = 0.4
+    noise: float = 0.0
+    curve: float = 1.0
+    shading: float = 0.0
+
+    def coordinates(self, column: Floats, row: Floats) -> Floats:
+        return np.stack([a * column + b * row + c for a, b, c in (self.x, self.y)], axis=-1)
+
+    def frame(self, pattern: Pattern, number: int) -> Image:
+        """What the camera records: each pixel the mean of points in a square, and of a Gaussian around them."""
+        height, width = SHAPE
+        rows, columns = ((np.arange(size * _FINE) + 0.5) / _FINE - 0.5 for size in (height, width))
+        column, row = np.meshgrid(columns, rows)
+        px = np.rint(self.coordinates(column, row)).astype(int)
+        inside = np.all((px >= 0) & (px < PROJECTOR), axis=-1)
+        shown = draw(pattern, PROJECTOR).astype(float)[
+            px[..., 1].clip(0, PROJECTOR[1] - 1), px[..., 0].clip(0, PROJECTOR[0] - 1)
+        ]
+        light = (shown / 255 * inside + 0.03) * np.exp(self.shading * (column - width / 2))
+        light = cv2.GaussianBlur(light, (0, 0), self.blur_px * _FINE)
+        level = 200 * light.reshape(height, _FINE, width, _FINE).mean(axis=(1, 3)).clip(0, 1.25) ** self.curve
+        level += self.noise * np.random.default_rng(number).standard_normal(level.shape)
+        return np.rint(level.clip(0, 255)).astype(np.uint8)
+
+    def decode(self, patterns: tuple[Pattern, ...]) -> Decoding:
+        decoder = Decoder(patterns, PROJECTOR)
+        for number, pattern in enumerate(patterns):
+            decoder.add(self.frame(pattern, number))
+        return decoder.finish()
+
+    def errors(self, decoding: Decoding) -> Floats:
+        """(N, 2), of the matches that are four pixels and more from the picture's border."""
+        px = self.coordinates(*np.asarray(decoding.matches.camera_px, np.float64).T)
+        inner = np.all((px > 4) & (px < np.array(PROJECTOR) - 5), axis=1)
+        return (decoding.matches.projector_px - px)[inner]
+
+
+CODE = sequence_for(PROJECTOR, cell=1, shifts=0)
+ASKEW = (0.61, 0.05, 3.2), (-0.04, 0.63, 2.1)
+
+
+@pytest.mark.parametrize(
+    ("plane", "patterns", "rms_px"),
+    [
+        (Plane(*ASKEW), CODE, (0.002, 0.03)),
+        (Plane(*ASKEW, noise=1.5), CODE, (0.01, 0.05)),
+        (Plane(*ASKEW, curve=0.5), CODE, (0.002, 0.03)),
+        (Plane(*ASKEW, shading=0.015), CODE, (0.002, 0.03)),
+        (Plane(*ASKEW, blur_px=0.8), CODE, (0.002, 0.03)),
+        (Plane(*ASKEW), sequence_for(PROJECTOR, cell=1, shifts=0, inverses=False), (0.002, 0.06)),
+        (Plane(*ASKEW), sequence_for(PROJECTOR, cell=4, shifts=0), (0.002, 0.03)),
+    ],
+    ids=["sharp", "noise", "a bent curve", "shading", "blur", "without inverses", "cells of 4"],
+)
+def test_coordinates_between_edges_are_those_of_the_plane(
+    plane: Plane, patterns: tuple[Pattern, ...], rms_px: tuple[float, float]
+) -> None:
+    errors = plane.errors(plane.decode(patterns))
+    assert len(errors) > 2500
+    assert rms_px[0] < np.sqrt(np.mean(errors**2)) < rms_px[1], "a cell over the root of 12: 0.29"
+    assert np.abs(errors.mean(axis=0)).max() < 0.01
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(scale=st.floats(0.25, 0.9), turn_deg=st.floats(-180, 180), skew=st.floats(-0.3, 0.3))
+def test_at_any_magnification_and_turn(scale: float, turn_deg: float, skew: float) -> None:
+    turn = np.radians(turn_deg)
+    across, down = scale * np.array([np.cos(turn), np.sin(turn)]), scale * np.array([-np.sin(turn), np.cos(turn)])
+    down += skew * across
+    middle = (np.array(PROJECTOR) - 1) / 2 - 47.5 * np.stack([across, down], axis=1)[:, 0]
+    middle -= 35.5 * np.stack([across, down], axis=1)[:, 1]
+    plane = Plane((across[0], down[0], middle[0]), (across[1], down[1], middle[1]), noise=0.7)
+    decoding = plane.decode(CODE)
+    errors = plane.errors(decoding)
+    assert len(errors) > 400
+    assert np.sqrt(np.mean(errors**2)) < 0.1
+    assert decoding.matches.sigma_px is not None
+    assert 0.001 < np.median(decoding.matches.sigma_px) < 0.1
+
+
+def test_an_edge_is_where_pattern_and_inverse_cross() -> None:
+    edges = StripeEdges((1, 4), np.dtype(np.uint8))
+    bright, dark = (np.array([row], np.uint8) for row in ([100, 80, 40, 20], [20, 40, 80, 100]))
+    edges.fold(3, bright, dark)
+    bit, part = unpacked(edges.packed)
+    assert bit[0].tolist() == [[COARSEST, 3, COARSEST, COARSEST]]
+    assert np.all(bit[1] == COARSEST), "no row below"
+    assert part[0, 0, 1] == pytest.approx(0.5, abs=1e-3)
+    assert edges.contrast[0, 0, 1] == 40
+    for number, coarsest in ((5, 3), (2, 2)):
+        edges.fold(number, dark, bright)
+        assert unpacked(edges.packed)[0][0, 0, 1] == coarsest, "a finer bit does not replace a coarser one"
+
+
+def test_a_dark_surface_beside_a_bright_one_moves_no_edge() -> None:
+    # The same stripe, on a surface that reflects a third from the second pixel on.
+    edges = StripeEdges((1, 2), np.dtype(np.uint8))
+    edges.fold(0, np.array([[150, 20]], np.uint8), np.array([[60, 50]], np.uint8))
+    assert unpacked(edges.packed)[1][0, 0, 0] == pytest.approx(0.5, abs=1e-3)

@@ -1,0 +1,61 @@
+"""Segments of a surface in which a wrong bit named another cycle; edges of surfaces are none."""
+
+import numpy as np
+import pytest
+
+from calib.numerics import Bools
+from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.motion.cycles import in_wrong_cycles
+from scanner.decoding.planning import plan_sequence
+from scanner.patterns import PRESETS
+
+SHAPE, PROJECTOR, PERIOD = (120, 160), (427, 240), 12.3
+PLAN = plan_sequence(PRESETS["quick"].patterns(PROJECTOR), PROJECTOR)
+SHADOW = np.s_[20:100, 60:90]
+
+
+def maps(px: np.ndarray, border: Bools) -> Maps:
+    """Coordinates (H, W, 2), with pixels on a border left out, as what is not smooth is."""
+    left_out = border | np.roll(border, 1, axis=0) | np.roll(border, 1, axis=1)
+    reason = np.where(left_out, np.uint8(MaskReason.ISOLATED), np.uint8(MaskReason.KEPT))
+    noisy = px + np.random.default_rng(3).normal(0, 0.05, px.shape)
+    noisy[left_out] = np.nan
+    return Maps(
+        noisy.astype(np.float32), np.full(SHAPE, 0.0025, np.float32), reason, np.zeros((2, len(MaskReason)), int)
+    )
+
+
+def wall() -> np.ndarray:
+    """(H, W, 2): a wall, seen somewhat obliquely."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    near = 1 + 0.001 * u
+    return np.stack([30 + 1.6 * u / near, 20 + (1.4 * v + 0.1 * u) / near], axis=2)
+
+
+def edge(shown: Bools) -> Bools:
+    """Where it begins and ends."""
+    return (shown != np.roll(shown, -1, axis=0)) | (shown != np.roll(shown, -1, axis=1))
+
+
+@pytest.mark.parametrize(("axis", "stripe_px", "cycles"), [(0, 16.0, 1), (0, 64.0, -3), (1, 16.0, 2)])
+def test_lit_stripes_in_a_shadow_are_wrong_and_dark_ones_are_not(axis: int, stripe_px: float, cycles: int) -> None:
+    px = wall()
+    shadow = np.zeros(SHAPE, np.bool_)
+    shadow[SHADOW] = True
+    turned = shadow & (px[..., axis] // stripe_px % 2 == 0)
+    px[turned, axis] += cycles * PERIOD
+    found = maps(px, edge(turned))
+    kept = found.reason == MaskReason.KEPT
+    wrong = in_wrong_cycles(PLAN, found)
+    assert np.mean(wrong[turned & kept]) > 0.99
+    assert np.mean(wrong[~turned & kept]) < 0.001
+    assert 500 < np.count_nonzero(turned & kept) < 2000
+
+
+def test_a_thing_in_front_of_the_wall_is_no_other_cycle() -> None:
+    px = wall()
+    thing = np.zeros(SHAPE, np.bool_)
+    thing[30:90, 40:100] = True
+    px[thing, 0] += 1.4 * PERIOD
+    assert not in_wrong_cycles(PLAN, maps(px, edge(thing))).any()
