@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.numerics import Floats
+from calib.rooms.open3d_module import open3d
 from calib.rooms.surfaces import Surfaces
 
 _VOXELS_ACROSS = 50
@@ -19,31 +20,29 @@ _SEEDS = (0, 1, 2)
 
 
 def feature_poses(first: Surfaces, second: Surfaces) -> list[Motion]:
-    """X_first = R X_second + t, as several runs suppose it."""
-    import open3d
-
+    """X_first = R X_second + t, as several runs suppose it. Raises ImportError where Open3D cannot be loaded."""
+    o3d = open3d()
     voxel = max(_extent(first), _extent(second)) / _VOXELS_ACROSS
     clouds: list[Any] = []
     features: list[Any] = []
     for surfaces in (first, second):
         there = np.isfinite(surfaces.normals[..., 2])
-        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(surfaces.points[there]))
-        cloud.normals = open3d.utility.Vector3dVector(surfaces.normals[there])
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(surfaces.points[there]))
+        cloud.normals = o3d.utility.Vector3dVector(surfaces.normals[there])
         cloud = cloud.voxel_down_sample(voxel)
         cloud.normalize_normals()
-        around = open3d.geometry.KDTreeSearchParamHybrid(_RADIUS_VOXELS * voxel, _NEIGHBOURS)
+        around = o3d.geometry.KDTreeSearchParamHybrid(_RADIUS_VOXELS * voxel, _NEIGHBOURS)
         clouds.append(cloud)
-        features.append(open3d.pipelines.registration.compute_fpfh_feature(cloud, around))  # type: ignore[call-arg]
+        features.append(o3d.pipelines.registration.compute_fpfh_feature(cloud, around))
     if min(len(cloud.points) for cloud in clouds) < 3:
         return []
     return [_ransac(clouds, features, voxel, seed) for seed in _SEEDS]
 
 
 def _ransac(clouds: list[Any], features: list[Any], voxel: float, seed: int) -> Motion:
-    import open3d
-
-    registration = open3d.pipelines.registration
-    open3d.utility.random.seed(seed)
+    o3d = open3d()
+    registration = o3d.pipelines.registration
+    o3d.utility.random.seed(seed)
     found = registration.registration_ransac_based_on_feature_matching(
         clouds[1],
         clouds[0],

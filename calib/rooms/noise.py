@@ -13,7 +13,7 @@ from calib.refinement.match_cells import joined
 from calib.rooms.likelihood import Fit
 from calib.rooms.patches import OWN, Patch, predict_patch
 from calib.rooms.room import Room
-from calib.rooms.ties import tie_scores
+from calib.rooms.ties import plane_scores
 
 _LEAST_PX = 1e-3
 _OUT_OF_LINE = 4.0  # long waves of a patch over those of the station's median one: the plane's fault, not the decoder's
@@ -71,9 +71,8 @@ def measured(
     flat = Levels(tuple(stations), np.ones(len(fit.room.planes)), alike)
     of_stations = np.array([stations[patch.station].inflation for patch in patches])
     by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.room)
-    scores, freedom = tie_scores(patches, fit, variances, free)
-    lowered = [used.mean() / own.mean() for used, own in zip(variances, flat.variances(patches), strict=True)]
-    by_ties = _of_planes(patches, scores * lowered, freedom, fit.room)
+    scores, freedom = plane_scores(patches, fit, variances, free, flat.variances(patches))
+    by_ties = _overdispersions(scores.tolist(), freedom.tolist())
     return replace(flat, planes=np.maximum(by_waves, by_ties))
 
 
@@ -128,7 +127,11 @@ def _of_planes(patches: Sequence[Patch], totals: Floats, freedom: Floats, room: 
     planes = np.array([patch.plane for patch in patches])
     told = np.isfinite(totals)
     sums, free = (np.bincount(planes[told], each[told], len(room.planes)) for each in (totals, freedom))
-    return np.array([overdispersion(*each, _BENT) for each in zip(sums.tolist(), free.tolist(), strict=True)])
+    return _overdispersions(sums.tolist(), free.tolist())
+
+
+def _overdispersions(totals: Sequence[float], freedom: Sequence[float]) -> Floats:
+    return np.array([overdispersion(*each, _BENT) for each in zip(totals, freedom, strict=True)])
 
 
 def _together(parts: Sequence[Cells]) -> Cells:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from calib.rooms.surfaces import Surfaces, surfaces_of
 _MOST_ALTERNATIVES = 4
 _LEAST_OVERLAP = 0.01
 _MOST_CONTRADICTION = 0.1
+Cause = Literal["empty", "nothing shared", "too little shared", "looked through", "another shape"]
 _TOO_LITTLE = "it shares too little with the other stations to say where it stood, or it is of another room"
 
 
@@ -79,9 +81,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A station that belongs to no group, and why, as a sentence."""
+    """A station that belongs to no group, and why: what shows it, and as a sentence."""
 
     station: int
+    cause: Cause
     reason: str
 
 
@@ -99,7 +102,7 @@ def register(stations: Sequence[StationView]) -> Registration:
     surfaces = {k: surfaces_of(view) for k, view in enumerate(stations) if np.isfinite(view.points[..., 2]).any()}
     edges = {(i, j): hypotheses(surfaces[i], surfaces[j]) for i, j in combinations(surfaces, 2)}
     groups: list[Group] = []
-    reasons: dict[int, str] = {}
+    reasons: dict[int, LeftOut] = {}
     left, aside = list(surfaces), list[int]()
     while len(left) > 1:
         assemblies = assemble(surfaces, edges, left)
@@ -107,13 +110,14 @@ def register(stations: Sequence[StationView]) -> Registration:
             break
         best = assemblies[0]
         if best.loose:
-            reasons.update(dict.fromkeys(best.loose, _TOO_LITTLE))
+            reasons.update({k: LeftOut(k, "too little shared", _TOO_LITTLE) for k in best.loose})
             left = [k for k in left if k not in best.loose]
             aside += sorted(best.loose)
             continue
         worst = worst_misfit(surfaces, best.places)
         if worst is not None and worst.reason:
-            reasons[worst.station] = worst.reason
+            cause: Cause = "another shape" if worst.of_another_shape else "looked through"
+            reasons[worst.station] = LeftOut(worst.station, cause, worst.reason)
             left.remove(worst.station)
             aside += [] if worst.of_another_shape else [worst.station]
             continue
@@ -125,7 +129,7 @@ def register(stations: Sequence[StationView]) -> Registration:
     groups.sort(key=lambda group: -len(group.stations))
     pairs = [pair for group in groups for pair in _pairs(surfaces, group)]
     alone = [k for k in range(len(stations)) if not any(k in group.stations for group in groups)]
-    left_out = tuple(LeftOut(k, reasons.get(k) or _reason(surfaces, edges, k)) for k in alone)
+    left_out = tuple(reasons.get(k) or _reason(surfaces, edges, k) for k in alone)
     return Registration(tuple(groups), tuple(pairs), left_out)
 
 
@@ -181,18 +185,20 @@ def _pairs(surfaces: Mapping[int, Surfaces], group: Group) -> list[Pair]:
     return found
 
 
-def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> str:
+def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> LeftOut:
     """Why a station belongs to no group."""
     best = max(
         (each for pair, some in edges.items() if k in pair for each in some), key=lambda each: each.nats, default=None
     )
     if k not in surfaces:
-        return "it has no points"
+        return LeftOut(k, "empty", "it has no points")
     if best is None or best.nats < NATS_OF_POSE / 2:
-        return "it shows nothing that any other station shows, too"
+        return LeftOut(k, "nothing shared", "it shows nothing that any other station shows, too")
     if best.contradiction > _MOST_CONTRADICTION:
-        return (
+        return LeftOut(
+            k,
+            "looked through",
             f"wherever its surfaces would fit, {best.contradiction:.0%} of what it saw is where others looked through: "
-            "another room, something was moved, or the rig was changed"
+            "another room, something was moved, or the rig was changed",
         )
-    return _TOO_LITTLE
+    return LeftOut(k, "too little shared", _TOO_LITTLE)

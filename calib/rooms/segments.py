@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Ints, robust_sigma
-from calib.rooms.planes import RoomPlane
+from calib.rooms.planes import RoomPlane, plane_through
 
 NO_PLANE = -1
 # How far a point may be off its plane: of its depth, by an error of the calibration, and in sigmas of its noise.
@@ -37,10 +37,10 @@ class _Cells:
     tolerance: Floats
     area: Floats
 
-    def on(self, normal: Floats, offset: float) -> Bools:
+    def on(self, plane: RoomPlane) -> Bools:
         """Which cells (N,) lie on a plane and slope like it."""
-        off: Bools = np.abs(self.centre @ normal - offset) < self.tolerance
-        like: Bools = off & (self.normal @ normal > _LIKE_CELL)
+        off: Bools = np.abs(self.centre @ plane.normal - plane.offset) < self.tolerance
+        like: Bools = off & (self.normal @ plane.normal > _LIKE_CELL)
         return like
 
 
@@ -70,8 +70,8 @@ def find_segments(
     for label in range(len(found)):
         own = np.flatnonzero(labels.ravel() == label)
         some = points.reshape(-1, 3)[own[:: max(1, len(own) // _FITTED)]].astype(np.float64)
-        fitted.append(_plane_through(some, 1 / (noise * some[:, 2] ** 2 + _BENT / _SIGMAS * some[:, 2]) ** 2))
-    return labels, tuple(RoomPlane(normal, offset) for normal, offset in fitted)
+        fitted.append(plane_through(some, 1 / (noise * some[:, 2] ** 2 + _BENT / _SIGMAS * some[:, 2]) ** 2))
+    return labels, tuple(fitted)
 
 
 def _tolerance(depth: Floats, noise: float) -> Floats:
@@ -108,12 +108,12 @@ def _cells(points: NDArray[np.float32], normals: NDArray[np.float32], noise: flo
     return _Cells(centre[good], normal[good], tolerance[good], area[good])
 
 
-def _planes_of(cells: _Cells) -> list[tuple[Floats, float]]:
-    """Planes as (normal, offset), the one with most cells first."""
+def _planes_of(cells: _Cells) -> list[RoomPlane]:
+    """The one with most cells first."""
     rng = np.random.default_rng(0)
     free = np.ones(len(cells.area), np.bool_)
     fewest = max(8, _LEAST_SHARE * len(free))
-    found: list[tuple[Floats, float]] = []
+    found: list[RoomPlane] = []
     failures = 0
     while len(found) < _MOST_PLANES and failures < 3 and np.count_nonzero(free) >= fewest:
         best, most = None, 0
@@ -126,41 +126,31 @@ def _planes_of(cells: _Cells) -> list[tuple[Floats, float]]:
         if best is None or most < fewest:
             failures += 1
             continue
-        found.append(_plane_through(cells.centre[best], 1 / cells.tolerance[best] ** 2))
-        free &= ~cells.on(*found[-1])
+        found.append(plane_through(cells.centre[best], 1 / cells.tolerance[best] ** 2))
+        free &= ~cells.on(found[-1])
         free &= ~best
     return found
 
 
 def _grown(cells: _Cells, free: Bools, seed: int) -> Bools:
     """Free cells (N,) on the plane that grows from a seed."""
-    normal = cells.normal[seed]
-    offset = float(normal @ cells.centre[seed])
+    plane = RoomPlane(cells.normal[seed], float(cells.normal[seed] @ cells.centre[seed]))
     # The first step reaches no farther than a single cell's normal can be trusted.
     near = np.linalg.norm(cells.centre - cells.centre[seed], axis=1) < 12 * cells.tolerance[seed]
-    inlier: Bools = free & near & cells.on(normal, offset)
+    inlier: Bools = free & near & cells.on(plane)
     for _ in range(_ROUNDS):
         if np.count_nonzero(inlier) < 4:
             break
-        normal, offset = _plane_through(cells.centre[inlier], 1 / cells.tolerance[inlier] ** 2)
-        again: Bools = free & cells.on(normal, offset)
+        plane = plane_through(cells.centre[inlier], 1 / cells.tolerance[inlier] ** 2)
+        again: Bools = free & cells.on(plane)
         if np.array_equal(again, inlier):
             break
         inlier = again
     return inlier
 
 
-def _plane_through(points: Floats, weight: Floats) -> tuple[Floats, float]:
-    """Normal towards the origin, and offset, of the plane through points (N, 3) of `weight` (N,)."""
-    centre = np.average(points, axis=0, weights=weight)
-    off = points - centre
-    normal = np.linalg.eigh((weight[:, None] * off).T @ off)[1][:, 0]
-    offset = float(normal @ centre)
-    return (normal, offset) if offset < 0 else (-normal, -offset)
-
-
 def _assigned(
-    points: NDArray[np.float32], normals: NDArray[np.float32], noise: float, planes: list[tuple[Floats, float]]
+    points: NDArray[np.float32], normals: NDArray[np.float32], noise: float, planes: list[RoomPlane]
 ) -> NDArray[np.int32]:
     """The plane that each pixel (H, W) is nearest to, without pieces that are too small to be one."""
     height, width = points.shape[:2]
@@ -168,9 +158,10 @@ def _assigned(
     least = (_BENT * depth + np.float32(_SIGMAS * noise) * depth * depth).astype(np.float32)
     labels = np.full((height, width), NO_PLANE, np.int32)
     with np.errstate(invalid="ignore"):
-        for label, (normal, offset) in enumerate(planes):
-            off = np.abs(points @ normal.astype(np.float32) - np.float32(offset))
-            nearer = (off < least) & (normals @ normal.astype(np.float32) > _LIKE_PIXEL)
+        for label, plane in enumerate(planes):
+            normal = plane.normal.astype(np.float32)
+            off = np.abs(points @ normal - np.float32(plane.offset))
+            nearer = (off < least) & (normals @ normal > _LIKE_PIXEL)
             labels[nearer] = label
             least[nearer] = off[nearer]
     for label in range(len(planes)):
@@ -178,9 +169,7 @@ def _assigned(
     return _by_size(labels, planes)
 
 
-def _part(
-    points: NDArray[np.float32], labels: NDArray[np.int32], label: int, planes: list[tuple[Floats, float]]
-) -> None:
+def _part(points: NDArray[np.float32], labels: NDArray[np.int32], label: int, planes: list[RoomPlane]) -> None:
     """Take a plane's small pieces away, and make planes of their own of those that are before or behind its largest:
     fronts of two cupboards are often almost one plane. `labels` and `planes` in place.
     """
@@ -189,22 +178,22 @@ def _part(
     area = stats[:, cv2.CC_STAT_AREA]
     small = area < _LEAST_PIECE * labels.size
     labels[(mask > 0) & small[piece]] = NO_PLANE
-    normal, offset = planes[label]
+    plane = planes[label]
     first = None
     for n in 1 + np.argsort(-area[1:count], kind="stable"):
         if small[n]:
             break
         at = np.flatnonzero(piece.ravel() == n)
         some = points.reshape(-1, 3)[at[:: max(1, len(at) // _FITTED)]].astype(np.float64)
-        off = float(np.median((some @ normal - offset) / some[:, 2]))
+        off = float(np.median((some @ plane.normal - plane.offset) / some[:, 2]))
         if first is None:
             first = off
         elif abs(off - first) > _PARTED:
             labels.ravel()[at] = len(planes)
-            planes.append(_plane_through(some, 1 / some[:, 2] ** 2))
+            planes.append(plane_through(some, 1 / some[:, 2] ** 2))
 
 
-def _by_size(labels: NDArray[np.int32], planes: list[tuple[Floats, float]]) -> NDArray[np.int32]:
+def _by_size(labels: NDArray[np.int32], planes: list[RoomPlane]) -> NDArray[np.int32]:
     """Planes numbered again, largest first, those that kept no pixels left out; `planes` in place."""
     count: Ints = np.bincount(labels[labels >= 0], minlength=len(planes))
     order = [int(i) for i in np.argsort(-count, kind="stable") if count[i] > 0]

@@ -13,7 +13,7 @@ from calib.geometry import Motion
 from calib.numerics import Floats
 from calib.rooms.agreement import compare_one
 from calib.rooms.alignment import composed, inverse
-from calib.rooms.planes import RoomPlane
+from calib.rooms.planes import RoomPlane, plane_through
 from calib.rooms.surfaces import Surfaces
 
 _FEWEST = 6
@@ -101,9 +101,4 @@ def _plane(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], membe
         points.append(own @ places[k].rotation.T + places[k].translation)
         weights.append(1 / own[:, 2] ** 2)
         eyes.append(places[k].translation)
-    at, weight = np.concatenate(points), np.concatenate(weights)
-    centre = np.average(at, axis=0, weights=weight)
-    normal = np.linalg.eigh((weight[:, None] * (at - centre)).T @ (at - centre))[1][:, 0]
-    if normal @ (np.mean(eyes, axis=0) - centre) < 0:
-        normal = -normal
-    return RoomPlane(normal, float(normal @ centre))
+    return plane_through(np.concatenate(points), np.concatenate(weights), np.mean(eyes, axis=0))

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from calib.geometry import Calibration, Intrinsics, Matches, TooFewMatchesError
-from calib.numerics import Bools, Floats, Ints, evenly
+from calib.numerics import Bools, Ints, evenly
 from calib.refinement import follow_one_plane
-from calib.rooms.planes import RoomPlane
+from calib.rooms.planes import RoomPlane, plane_through
 from calib.rooms.segments import NO_PLANE
 from calib.rooms.station import StationView
 
@@ -80,15 +80,6 @@ def _with_labels(view: StationView, labels: Ints, straight: Ints, count: int) ->
         if len(own) < 3:
             continue
         renumbered[label] = len(planes)
-        planes.append(_through(flat[own].astype(np.float64)))
+        points = flat[own].astype(np.float64)
+        planes.append(plane_through(points, 1 / points[:, 2] ** 2))
     return replace(view, labels=renumbered[labels], planes=tuple(planes)), renumbered[straight]
-
-
-def _through(points: Floats) -> RoomPlane:
-    """Least squares by relative distance, the normal towards the camera."""
-    weight = 1 / points[:, 2] ** 2
-    centre = np.average(points, axis=0, weights=weight)
-    off = points - centre
-    normal = np.linalg.eigh((weight[:, None] * off).T @ off)[1][:, 0]
-    offset = float(normal @ centre)
-    return RoomPlane(normal, offset) if offset < 0 else RoomPlane(-normal, -offset)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,9 +57,10 @@ class Station:
 
 @dataclass(frozen=True)
 class Stranger:
-    """A capture that is no station of this room, and why, in a sentence."""
+    """A capture that is no station of this room, and why: in a word or two for programs, and in a sentence."""
 
     name: str
+    cause: Literal["changed rig", "another room", "no overlap", "something moved", "nothing seen"]
     reason: str
 
 

@@ -1,23 +1,14 @@
-"""Open3D, imported where it is used and not before: it takes seconds, and needs libraries of the system."""
+"""Open3D, or what to do where it cannot be loaded."""
 
-from importlib import import_module
 from typing import Any
 
+from calib.rooms import open3d_module
 from scanner.errors import InputError
-
-# What its wheels are linked against (Debian, Ubuntu).
-DEBIAN_PACKAGES = ("libgl1", "libegl1", "libx11-6", "libusb-1.0-0", "libudev1", "libidn2-0", "libgomp1")
 
 
 def open3d() -> Any:
-    """The module, which has no types. Raises InputError that says what to install if it cannot be imported."""
+    """The module, which has no types. Raises InputError that says what to install if it cannot be loaded."""
     try:
-        module = import_module("open3d")
-    except (ImportError, OSError) as error:
-        raise InputError(
-            f"Open3D cannot be loaded ({error}). It needs libraries of the system: apt-get install "
-            f"{' '.join(DEBIAN_PACKAGES)}, or their like; make setup tries to install them. If the package itself is "
-            "missing, install roomscan again with pip"
-        ) from error
-    module.utility.set_verbosity_level(module.utility.VerbosityLevel.Error)
-    return module
+        return open3d_module.open3d()
+    except ImportError as error:
+        raise InputError(str(error)) from error

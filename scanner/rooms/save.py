@@ -93,7 +93,9 @@ def entries_of(room: SolvedRoom) -> dict[str, Any]:
         "planes": [_plane(room, number) for number in range(len(room.planes))],
     }
     if room.strangers:
-        entries["left_out"] = [{"name": each.name, "reason": each.reason} for each in room.strangers]
+        entries["left_out"] = [
+            {"name": each.name, "cause": each.cause, "reason": each.reason} for each in room.strangers
+        ]
     if room.group.ambiguous:
         entries["alternatives"] = [
             {

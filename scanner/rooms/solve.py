@@ -29,8 +29,9 @@ from calib.rooms.lengths import vertex
 from scanner.configuration import Config
 from scanner.reconstruction import scaled, shifts_of
 from scanner.results import Decoded
-from scanner.rooms.contents import RigStart, SolvedRoom, Station, Stranger
+from scanner.rooms.contents import RigStart, SolvedRoom, Station
 from scanner.rooms.rig_model import ideal_matches, ideal_rig, is_estimated, state_of
+from scanner.rooms.strangers import strangers_of
 from scanner.rooms.upright import moved_place, moved_plane, upright
 from scanner.ui import Progress
 
@@ -201,7 +202,7 @@ def _finished(registered: _Registered, estimate: RoomEstimate, start: RigStart, 
         for i, each in enumerate(members)
     )
     match_px = float(np.nanmedian([noise.match_px for noise in estimate.levels.stations]))
-    names = tuple(each.decoded.name for each in registered.seen)
+    captures = [each.decoded for each in registered.seen]
     remarks = () if floor is not None else ("No floor was seen: upright is how the cameras were held.",)
     return SolvedRoom(
         calibration,
@@ -213,8 +214,8 @@ def _finished(registered: _Registered, estimate: RoomEstimate, start: RigStart, 
         factor,
         group,
         registration.pairs,
-        names,
-        tuple(_strangers(registration, names)),
+        tuple(each.name for each in captures),
+        strangers_of(registration, captures, calibration, stations),
         remarks,
         floor,
         factor**2 * areas,
@@ -257,14 +258,3 @@ def _sigmas(estimate: RoomEstimate, station: int, turn: Floats, factor: float) -
     covariance = estimate.place_covariance(station)
     turning, moving = (np.diag(turn @ block @ turn.T) for block in (covariance[:3, :3], covariance[3:, 3:]))
     return np.degrees(np.sqrt(turning)), factor * np.sqrt(moving)
-
-
-def _strangers(registration: Registration, names: Sequence[str]) -> list[Stranger]:
-    found = [Stranger(names[left.station], left.reason) for left in registration.left_out]
-    for other in registration.groups[1:]:
-        together = ", ".join(names[k] for k in other.stations)
-        found += [
-            Stranger(names[k], f"it is of another part, or of another room, with {together}: nothing seen connects it")
-            for k in other.stations
-        ]
-    return found

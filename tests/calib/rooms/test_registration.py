@@ -8,6 +8,8 @@ from calib.numerics import Floats
 from calib.pointcloud import surface
 from calib.rooms import Registration, StationView, register, station_view
 from calib.rooms.alignment import composed, inverse
+from calib.rooms.features import feature_poses
+from calib.rooms.surfaces import surfaces_of
 from calib.synthetic.stations import Room, Station, moved_rig, random_room, ring, seen_from
 
 CAMERA = Intrinsics(306, 256, (225.0, 225.0), (154.0, 125.5), (-0.06, 0.01, 0.0, 0.0, 0.0))
@@ -58,6 +60,7 @@ def test_every_station_is_where_it_stood_and_the_stranger_is_left_out(
     (left,) = with_a_stranger.left_out
     assert left.station == 2
     assert "other" in left.reason
+    assert left.cause in ("nothing shared", "too little shared", "looked through")
     stood = [scene[1][k].place for k in (3, 1, 0, 2)]
     for found, true in zip(group.places[1:], stood[1:], strict=True):
         degrees, metres = off(found, composed(inverse(stood[0]), true))
@@ -125,7 +128,16 @@ def test_no_points_and_no_overlap(views: list[StationView]) -> None:
     assert not found.groups
     assert not found.pairs
     assert [left.station for left in found.left_out] == [0, 1]
-    assert found.left_out[1].reason == "it has no points"
+    assert (found.left_out[1].cause, found.left_out[1].reason) == ("empty", "it has no points")
+
+
+def test_without_open3d_features_say_what_to_install(views: list[StationView], monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> object:
+        raise OSError("libGL.so.1: cannot open shared object file")
+
+    monkeypatch.setattr("calib.rooms.open3d_module.import_module", missing)
+    with pytest.raises(ImportError, match=r"libGL\.so\.1.*apt-get install libgl1 .*libgomp1"):
+        feature_poses(surfaces_of(views[0]), surfaces_of(views[1]))
 
 
 def test_arrays_of_another_size_are_an_error(views: list[StationView]) -> None:

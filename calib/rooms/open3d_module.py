@@ -1,0 +1,21 @@
+"""Open3D, imported where it is used and not before: it takes seconds, and needs libraries of the system."""
+
+from importlib import import_module
+from typing import Any
+
+# What its wheels are linked against (Debian, Ubuntu).
+DEBIAN_PACKAGES = ("libgl1", "libegl1", "libx11-6", "libusb-1.0-0", "libudev1", "libidn2-0", "libgomp1")
+
+
+def open3d() -> Any:
+    """The module, which has no types. Raises ImportError that says what to install if it cannot be loaded."""
+    try:
+        module = import_module("open3d")
+    except (ImportError, OSError) as error:
+        raise ImportError(
+            f"Open3D cannot be loaded ({error}). It needs libraries of the system: apt-get install "
+            f"{' '.join(DEBIAN_PACKAGES)}, or their like; make setup tries to install them. If the package itself is "
+            "missing, install roomscan again with pip"
+        ) from error
+    module.utility.set_verbosity_level(module.utility.VerbosityLevel.Error)
+    return module

@@ -1,0 +1,66 @@
+"""Whether what several stations take for one plane is one."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from calib.numerics import Bools, Floats
+from calib.rooms.likelihood import Fit, RoomPrior, minimise
+from calib.rooms.ties import plane_scores, tie_scores
+from tests.calib.rooms.conftest import Case
+from tests.calib.rooms.test_likelihood import prior_of
+
+LOUD = 25.0
+
+
+@pytest.fixture(scope="module")
+def prior(case: Case) -> RoomPrior:
+    return prior_of(case)
+
+
+@pytest.fixture(scope="module")
+def flat(case: Case) -> list[Floats]:
+    """Of cells that err by nothing but noise."""
+    return [
+        case.found.levels.stations[patch.station].variances(patch.cells).astype(np.float64)
+        for patch in case.found.patches
+    ]
+
+
+@pytest.fixture(scope="module")
+def free(case: Case, prior: RoomPrior) -> Bools:
+    return prior.free(np.ones(len(case.truth.planes), np.bool_))
+
+
+def fitted(case: Case, prior: RoomPrior, variances: list[Floats], free: Bools) -> Fit:
+    return minimise(case.found.patches, case.found.room, prior, variances, free)
+
+
+def test_scores_are_chi_square_and_of_two_patches_the_same(
+    case: Case, prior: RoomPrior, flat: list[Floats], free: Bools
+) -> None:
+    fit, patches = fitted(case, prior, flat, free), case.found.patches
+    scores, freedom = plane_scores(patches, fit, flat, free, flat)
+    assert chi2.ppf(1e-4, freedom.sum()) < scores.sum() < chi2.ppf(0.9999, freedom.sum())
+    count = np.bincount([patch.plane for patch in patches], minlength=len(scores))
+    assert np.all(freedom[count == 1] == 0)
+    assert np.all(freedom[count > 1] <= 3 * (count[count > 1] - 1))
+    of_patches, own_freedom = tie_scores(patches, fit, flat, free)
+    planes = np.array([patch.plane for patch in patches])
+    same = (count[planes] == 2) & (freedom[planes] == 3) & (own_freedom == 3)
+    assert np.count_nonzero(same) > 1
+    assert of_patches[same] == pytest.approx(scores[planes[same]], rel=0.05)
+
+
+def test_a_plane_of_little_weight_is_tested_as_if_it_had_all(
+    case: Case, prior: RoomPrior, flat: list[Floats], free: Bools
+) -> None:
+    """Or a plane that was once taken for a bent one would remain one."""
+    patches = case.found.patches
+    stations = np.array([len(each) for each in case.found.stations_of])
+    plane = int(np.argmax(stations == 2))
+    loud = [LOUD * each if patch.plane == plane else each for patch, each in zip(patches, flat, strict=True)]
+    expected, freedom = plane_scores(patches, fitted(case, prior, flat, free), flat, free, flat)
+    found, alike = plane_scores(patches, fitted(case, prior, loud, free), loud, free, flat)
+    assert found[plane] == pytest.approx(expected[plane], rel=0.05)
+    assert alike[plane] == freedom[plane] > 0
