@@ -36,12 +36,14 @@ def scan(
     terminal: Terminal = _SILENT,
     operator: Operator | None = None,
     progress: Progress | None = None,
+    on_cloud: pipeline.OnCloud | None = None,
 ) -> Scan:
     """Scan with the configured rig: capture, calibrate, reconstruct.
 
     `captures` of the corner, between which the rig is moved as a whole, for which the `operator` is asked in place of
     the `terminal`. `progress` is told of it in place of the `terminal`; what it raises ends the scan as Ctrl-C does:
-    what was captured so far is kept. Raises InputError, DeviceError, RefusalError.
+    what was captured so far is kept. `on_cloud` is called, in a thread of its own, with what is being saved by then.
+    Raises InputError, DeviceError, RefusalError.
     """
     # Whatever could be refused after the capture is asked before it.
     config.principal_point(config.camera_size)
@@ -55,7 +57,14 @@ def scan(
     refuse_impossible(config, len(earlier) + captures)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         return pipeline.scan(
-            config, folder, operator or terminal, progress or terminal, number=captures, masks=drawn, earlier=earlier
+            config,
+            folder,
+            operator or terminal,
+            progress or terminal,
+            number=captures,
+            masks=drawn,
+            earlier=earlier,
+            on_cloud=on_cloud,
         )
 
 

@@ -48,6 +48,7 @@ from scanner.reconstruction import (
 from scanner.results import CAPTURE_FOLDER, TRUTH_FILE, Decoded, GivenCalibration, Scan
 from scanner.ui import Operator, Progress, Terminal
 
+OnCloud = Callable[[Scan], object]  # told of the clouds as soon as they are there, while they are being saved
 # Of matches and cloud, for each pixel of the camera.
 _RESULT_BYTES_PER_PIXEL = 75
 
@@ -61,6 +62,7 @@ def scan(
     number: int = 1,
     masks: Bools | None = None,
     earlier: Sequence[Decoded] = (),
+    on_cloud: OnCloud | None = None,
 ) -> Scan:
     """Capture with the configured rig, from one place or from several, then reconstruct. Raises DeviceError too.
 
@@ -80,7 +82,7 @@ def scan(
                 told, captures = guide(captures, config)
             operator.tell(*told.sentences)
             enough = told.enough
-    return reconstruct(captures, config, folder, progress, masks=masks)
+    return reconstruct(captures, config, folder, progress, masks=masks, on_cloud=on_cloud)
 
 
 def resume(
@@ -285,7 +287,13 @@ def _as_it_is(
 
 
 def reconstruct(
-    captures: Sequence[Decoded], config: Config, folder: Path, progress: Progress, *, masks: Bools | None = None
+    captures: Sequence[Decoded],
+    config: Config,
+    folder: Path,
+    progress: Progress,
+    *,
+    masks: Bools | None = None,
+    on_cloud: OnCloud | None = None,
 ) -> Scan:
     """Matches → faces → one calibration → clouds → files; `masks` are of the newest capture. Raises RefusalError."""
     with refusal_saved(captures, folder, config) as reached:
@@ -297,10 +305,15 @@ def reconstruct(
         if len(captures) > 1 and config.corner.same:
             with progress.step("Merging the clouds"):
                 result = Scan(reconstructed, *merge(calibrated, [capture.cloud for capture in reconstructed]))
-    return _finished(result, config, folder, progress)
+    return _finished(result, config, folder, progress, on_cloud)
 
 
-def _finished(result: Scan, config: Config, folder: Path, progress: Progress) -> Scan:
-    with progress.step("Writing the result"):
+def _finished(result: Scan, config: Config, folder: Path, progress: Progress, on_cloud: OnCloud | None = None) -> Scan:
+    with progress.step("Writing the result"), beside(on_cloud or _nobody) as tell:
+        tell(result)
         save(result, folder, config)
     return result
+
+
+def _nobody(_: Scan) -> None:
+    """Looks."""

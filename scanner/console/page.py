@@ -15,7 +15,8 @@ from scanner.console.history import History
 from scanner.console.operating import Operating
 from scanner.console.settings import Settings
 from scanner.console.worker import Activity, Status, Worker
-from scanner.results import REFUSAL_FILE
+from scanner.results import REFUSAL_FILE, Scan
+from scanner.viewing.first_look import first_look
 from scanner.viewing.panel import ResultPanel
 from scanner.viewing.result import ViewedResult
 from scanner.viewing.scale import KnownScale
@@ -93,6 +94,11 @@ class ConsolePage:
         """Show the check's grade and maps, and offer its exposure."""
         self._check.end(report)
 
+    def on_cloud(self, scan: Scan) -> None:
+        """Show some of its points, until its result can be opened."""
+        self._result.open_unsaved(*first_look(scan))
+        self._turn_to_result()
+
     def on_result(self, folder: Path) -> None:
         """Open what a scan has left."""
         self._history.refresh()
@@ -128,5 +134,8 @@ class ConsolePage:
             self._result.open_refused(folder)
         else:
             self._result.open(ViewedResult(folder))
+        self._turn_to_result()
+
+    def _turn_to_result(self) -> None:
         self._hint.visible = False
         self._turn_to(RESULT)

@@ -1,5 +1,6 @@
 """One thread that owns the rig, and does one thing at a time: live image, check, or scan."""
 
+import logging
 import time
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -18,8 +19,10 @@ from scanner.console.progress import CancelledError, Stage, StagedProgress, dura
 from scanner.console.results import newest_result
 from scanner.console.settings import Settings, drawn
 from scanner.jobs import scan
-from scanner.results import LOG_FILE
+from scanner.results import LOG_FILE, Scan
 from scanner.ui import failure_of
+
+log = logging.getLogger(__name__)
 
 _FRAME_S = 0.2  # no more live frames than this: a page and a network have to keep up
 _LEAVING_S = 30.0
@@ -74,6 +77,9 @@ class Page(Protocol):
 
     def on_report(self, report: CheckReport) -> None:
         """The check is over."""
+
+    def on_cloud(self, scan: Scan) -> None:
+        """A scan has its clouds, which are being saved; called from a thread of its own."""
 
     def on_result(self, folder: Path) -> None:
         """A scan has left a result."""
@@ -173,7 +179,14 @@ class Worker:
             case Activity.SCANNING:
                 out, captures = self._settings.destination(), self._settings.captures
                 try:
-                    scan(self._settings.load(), out, captures=captures, operator=self._operator, progress=progress)
+                    scan(
+                        self._settings.load(),
+                        out,
+                        captures=captures,
+                        operator=self._operator,
+                        progress=progress,
+                        on_cloud=self._on_cloud,
+                    )
                 finally:
                     if out.is_dir():  # a refused capture is a result, too
                         self._page.on_result(out)
@@ -203,6 +216,12 @@ class Worker:
                     settings, picture = wanted, wanted.picture
                     self._page.on_frame(frame)
                 self._leave_live.wait(max(0.0, began_s + _FRAME_S - time.monotonic()))
+
+    def _on_cloud(self, found: Scan) -> None:
+        try:
+            self._page.on_cloud(found)
+        except Exception:  # nothing that a page cannot show is worth losing a scan
+            log.exception("the cloud could not be shown before its result")
 
     def _on_stage(self, stage: Stage) -> None:
         with self._lock:

@@ -79,6 +79,11 @@ def frame_of(cloud: ViewedCloud) -> Frame:
     return Frame(axes, origin, names, low, high)
 
 
+def whole(cloud: ViewedCloud) -> Box:
+    """A box without walls."""
+    return Box(frame_of(cloud), np.full(3, -np.inf), np.full(3, np.inf))
+
+
 def box_within(frame: Frame, ranges: Floats) -> Box:
     """A box with `ranges` (3, 2) along the axes; at an end of the cloud it has no wall."""
     low = np.where(ranges[:, 0] <= frame.low, -np.inf, ranges[:, 0])

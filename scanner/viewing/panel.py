@@ -11,8 +11,11 @@ from calib.numerics import Floats
 from scanner.results import REFUSAL_FILE, Verdict, read_verdict
 from scanner.ui import failure_of
 from scanner.viewing.clicking import Clicking, SetScale
+from scanner.viewing.colouring import Colouring
+from scanner.viewing.crop import whole
+from scanner.viewing.decimation import statement
 from scanner.viewing.files import add_files
-from scanner.viewing.result import ViewedResult
+from scanner.viewing.result import ViewedCloud, ViewedResult
 from scanner.viewing.scene import Scene
 from scanner.viewing.texts import bold, calibration_text, corner_text, notes_text, verdict_text
 from scanner.viewing.view_controls import ViewControls
@@ -72,6 +75,16 @@ class ResultPanel:
                 self._gui.add_markdown(corner_text(cloud.corner, cloud.unit))
             self._add_notes(result.verdict)
         controls.draw()
+
+    def open_unsaved(self, some: ViewedCloud, count: int) -> None:
+        """Show some of so many points that are being saved, in place of the last result."""
+        with self._lock, self._place:
+            self._remove()
+            with self._folder("Result: not saved yet"):
+                told = f"Faces are being measured, files and report written; {statement(len(some.points), count)}."
+                self._gui.add_markdown(told)
+            self._scene.show(some)
+            self._scene.draw_points(1.0, Colouring.CAMERA, whole(some))
 
     def open_refused(self, folder: Path) -> None:
         """Show why a capture was refused, in place of the last result. Raises InputError."""

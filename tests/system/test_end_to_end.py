@@ -17,7 +17,6 @@ from calib.pointcloud.pixel_index import NONE
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import place_room
 from scanner.capture.recording import open_capture
-from scanner.commands.main import main
 from scanner.configuration.schema import load_config
 from scanner.io.calibration_file import read_calibration
 from scanner.io.matches_file import read_matches, write_matches
@@ -25,6 +24,7 @@ from scanner.io.png import write_png
 from scanner.io.yaml_text import read_yaml
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.results.finished_scan import read_finished_scan
+from tests.support.command_line import names, run
 from tests.support.small_capture import read_listing, write_listing
 
 CONFIG = """
@@ -37,14 +37,6 @@ corner: {squareness_deg: 0}
 CALIBRATED = {"calibration.yaml", "cloud.ply", "matches.npz", "report.html", "scan.log"}
 
 pytestmark = pytest.mark.xdist_group("end to end")
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
-
-
-def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from scanner.capture.recording import open_capture
-from scanner.commands.main import main
 from scanner.io.calibration_file import read_calibration
 from scanner.io.matches_file import read_matches
 from scanner.io.ply import read_cloud
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.results.finished_scan import read_finished_scan
+from tests.support.command_line import names, run
 
 CONFIG = """
 rig: {backend: simulated, seed: 0}
@@ -25,14 +25,6 @@ FILES = {"calibration.yaml", "cloud.ply", "matches.npz", "report.html", "capture
 VERTEX = np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)])
 
 pytestmark = pytest.mark.xdist_group("end to end jointly")
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
-
-
-def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ from calib.geometry.calibration import Calibration
 from calib.geometry.camera import Intrinsics, Size
 from calib.geometry.matches import NO_FACE, Matches
 from calib.synthetic.captures import PAPER_PROJECTOR, SyntheticCapture, random_captures
-from scanner.commands.main import main
 from scanner.io.calibration_file import read_calibration, write_calibration
 from scanner.io.matches_file import read_matches, write_matches
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.reconstruction.earlier_captures import read_captures
 from scanner.results.stated_uncertainty import read_uncertainty, read_verdict
+from tests.support.command_line import names, run
 from tests.support.small_capture import SIZE, write_capture
 
 CONFIG = """
@@ -27,14 +27,6 @@ corner: {squareness_deg: 0}
 SIZES = Size(2448, 2048), Size(854, 480)
 
 pytestmark = pytest.mark.xdist_group("several captures")
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
-
-
-def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from calib.geometry.camera import Intrinsics
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from scanner import pipeline
-from scanner.commands.main import main
 from scanner.io.calibration_file import write_calibration
 from scanner.patterns.pattern import sequence_for
 from scanner.patterns.sequence_file import write_sequence
+from tests.support.command_line import run
 from tests.support.places import ROOT
 from tests.support.small_capture import SIZE, read_listing, write_listing
 
@@ -28,10 +28,6 @@ def config(tmp_path: Path) -> Path:
     path = tmp_path / "room.yaml"
     path.write_text(CONFIG)
     return path
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:

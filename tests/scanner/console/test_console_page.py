@@ -14,16 +14,10 @@ from scanner.commands.main import main
 from scanner.configuration.schema import load_config
 from scanner.io.calibration_file import read_calibration
 from tests.support.browsing import PATIENCE_MS, Served, Visit, visiting
+from tests.support.small_room import CONFIG
 
 pytestmark = pytest.mark.xdist_group("browser")
 
-CONFIG = """
-rig: {backend: simulated, furniture: false, interreflection: false, ambient: 0}
-camera: {width: 306, height: 256, principal_point: {known: [157.04, 131.79]}}
-projector: {width: 214, height: 120}
-sequence: {preset: quick}
-corner: {squareness_deg: 0}
-"""
 # More than a thousand frames: long enough to be cancelled.
 LONG = CONFIG.replace("quick", f"standard, shifts: 64, exposures_us: {list(range(20_000, 28_000, 1_000))}")
 
@@ -69,9 +63,16 @@ def test_the_live_image_follows_the_exposure(console: Console) -> None:
     visit.wait_for("median 0 % of the range")
 
 
+_NOTES_UNSAVED = """() => new MutationObserver(() => {
+  const found = document.body.innerText.match(/written; showing (all|1 in)[^.]* points/);
+  if (found) window.unsaved = found[0];
+}).observe(document.body, {subtree: true, childList: true, characterData: true})"""
+
+
 def test_a_scan_shows_progress_then_the_cloud(console: Console) -> None:
     visit = console.visit
     before = visit.colours_in_scene()
+    visit.page.evaluate(_NOTES_UNSAVED)
     visit.press("Scan")
     visit.wait_for("Scanning")
     expect(visit.page.get_by_role("progressbar")).to_be_visible()
@@ -80,6 +81,7 @@ def test_a_scan_shows_progress_then_the_cloud(console: Console) -> None:
     visit.wait_for("Points, %")
     for text in ("Calibrated", "focal length, px", "Angle A–B: ", "Open the report"):
         visit.wait_for(text)
+    assert visit.page.evaluate("window.unsaved").startswith("written; showing "), "the cloud was there before its files"
     visit.page.wait_for_timeout(1500)
     assert visit.colours_in_scene() > before + 30
     result = console.folder / "scans" / "room"

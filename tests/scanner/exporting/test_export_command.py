@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib.geometry.matches import Matches
-from scanner.commands.main import main
 from scanner.io.matches_file import read_matches, write_matches
+from tests.support.command_line import run
 from tests.support.result_folder import Written, write_result
 
 
@@ -23,10 +23,6 @@ def intact(tmp_path_factory: pytest.TempPathFactory) -> Written:
 def result(intact: Written, tmp_path: Path) -> Path:
     """A copy that a test may break."""
     return Path(shutil.copytree(intact.folder, tmp_path / "room"))
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
 
 
 @pytest.mark.parametrize(

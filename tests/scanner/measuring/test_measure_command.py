@@ -9,14 +9,10 @@ import numpy as np
 import pytest
 
 from calib.geometry.matches import Matches
-from scanner.commands.main import main
 from scanner.io.matches_file import read_matches, write_matches
 from tests.support.cloud_scene import CAMERA, SPHERE_RADIUS_M
+from tests.support.command_line import run
 from tests.support.result_folder import Written, write_result
-
-
-def run(*arguments: object) -> int:
-    return main([str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,48 @@
+"""A scan's cloud before its result is there: some of the points that are being written into its file."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.numerics import Floats
+from scanner.rendering import photograph
+from scanner.results import Reconstructed, Scan
+from scanner.viewing.decimation import DEFAULT_SHOWN, shuffled
+from scanner.viewing.result import PlacedRig, ViewedCloud
+
+
+def first_look(scan: Scan) -> tuple[ViewedCloud, int]:
+    """At most `DEFAULT_SHOWN` points of what is looked at first in the result, and how many there are of it.
+
+    These are the merged cloud, or that of the newest capture. No corner is in it yet: its faces are still measured.
+    """
+    merged, newest = scan.merged, scan.newest
+    if merged is not None:
+        chosen = _chosen(len(merged.points))
+        points = merged.points[chosen].astype(np.float64)
+        up = np.array([0.0, 0.0, 1.0 if np.median(points[:, 2]) >= 0 else -1.0])
+        poses = zip(scan.captures[::-1], merged.from_cameras[::-1], strict=True)
+        rigs = tuple(rig for capture, pose in poses for rig in _rig(capture, pose))
+        some = ViewedCloud(
+            points, merged.normals[chosen], merged.colours[chosen], rigs, None, up, merged.unit, "corner"
+        )
+        return some, len(merged.points)
+    cloud = newest.cloud
+    there = np.flatnonzero(cloud.there)
+    chosen = there[_chosen(len(there))]
+    points, normals, colours = (each.reshape(-1, 3)[chosen] for each in (cloud.points, cloud.normals, cloud.colours))
+    rigs = tuple(_rig(newest, np.eye(3, 4)))
+    up = np.array([0.0, -1.0, 0.0])
+    return ViewedCloud(points.astype(np.float64), normals, colours, rigs, None, up, cloud.unit, "camera"), len(there)
+
+
+def _chosen(count: int) -> np.ndarray:
+    """The points that the result shows first, too."""
+    return np.sort(shuffled(count)[:DEFAULT_SHOWN])
+
+
+def _rig(capture: Reconstructed, pose: Floats) -> Iterator[PlacedRig]:
+    """In the cloud's frame, by the pose (3, 4) of its camera; none without a picture of what the camera saw."""
+    texture = capture.decoded.texture
+    if texture is not None:
+        yield PlacedRig(capture.calibration, pose[:, :3], pose[:, 3], photograph(texture))

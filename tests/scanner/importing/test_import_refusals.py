@@ -1,0 +1,155 @@
+"""Folders that are no capture, or that cannot tell what they are, and arguments that are wrong."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.numerics import Image
+from scanner.capture.recording import open_capture
+from scanner.errors import InputError
+from scanner.io.image_file import read_image
+from scanner.io.png import write_png
+from tests.support.foreign_captures import ENDS, Photographer, bits, named
+from tests.support.foreign_folders import KNOWN, PAIRS, PROJECTOR, imported
+
+pytestmark = pytest.mark.xdist_group("importing")
+
+
+def refused(capsys: pytest.CaptureFixture[str], source: Path, *arguments: object) -> str:
+    """The one message, after which there is nothing at --out."""
+    out = source.parent / "nothing"
+    assert imported(source, *arguments, "--out", out) == 2
+    assert not out.exists()
+    error: str = capsys.readouterr().err
+    assert error.startswith("scan: ")
+    assert "Traceback" not in error
+    return error
+
+
+def test_frames_that_were_shown_in_no_known_order(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shuffled = [PAIRS[index] for index in np.random.default_rng(0).permutation(len(PAIRS))]
+    error = refused(capsys, camera.write(tmp_path / "frames", shuffled, named("{}.png")))
+    assert "38 frames, 0.png to 37.png; in no order that is known they are a capture" in error
+    assert "opencv:" in error
+
+
+def test_rows_before_columns_are_mirrored(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows_first = [*bits("y", 9), *bits("x", 10), *ENDS]
+    error = refused(capsys, camera.write(tmp_path / "frames", rows_first, named("{}.png")), "--from", "opencv")
+    assert "mirrored" in error or "never changes" in error
+
+
+def test_a_mirrored_capture_is_none_of_y_before_x(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("{}.png"), lambda image: image[:, ::-1].copy())
+    assert "mirrored" in refused(capsys, source)
+
+
+def test_a_missing_frame_is_a_wrong_number(folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
+    source = folder("procam-calibration")
+    (source / "graycode_11.png").unlink()
+    error = refused(capsys, source, "--from", "procam-calibration")
+    assert "39 frames" in error
+    assert "no sequence of 39 frames" in error
+
+
+def test_what_is_too_many_is_not_even_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "film").mkdir()
+    for number in range(300):
+        (tmp_path / "film" / f"{number}.png").write_bytes(b"no image")
+    assert "no sequence of 300 frames" in refused(capsys, tmp_path / "film")
+
+
+def test_what_frames_cannot_tell_is_asked_for(
+    folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "give --projector and --cell" in refused(capsys, folder("phase-shifting"))
+    assert "give --projector" in refused(capsys, folder("slstudio-gray, x"))
+
+
+def middle(image: Image) -> Image:
+    return image[150:230, 190:290].copy()
+
+
+def test_a_size_that_was_not_seen_is_asked_for(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where the camera sees the middle of the picture only, several projectors may have shown it."""
+    source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("graycode_{:02d}.png"), middle)
+    error = refused(capsys, source)
+    assert "the projector's size is not clear, 640 × 360, or 640 × 480" in error
+    assert "give --projector" in error
+    assert imported(source, *KNOWN, "--out", tmp_path / "capture", "--quiet") == 0
+    assert open_capture(tmp_path / "capture").projector_size == PROJECTOR
+
+
+def test_what_looks_right_and_does_not_decode_is_taken_at_ones_word(
+    folder: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`scan replay` will say what is wrong with them; but whose they are is clear."""
+
+    class Decoder:
+        def __init__(self, *_: object) -> None:
+            raise InputError("something is odd about frame 3")
+
+    monkeypatch.setattr("scanner.importing.recognition.Decoder", Decoder)
+    source, word = folder("opencv"), ("--from", "opencv", *KNOWN)
+    assert "looks right, but does not decode: something is odd about frame 3" in refused(capsys, source)
+    assert "something is odd" in refused(capsys, source, *word[:2])
+    assert imported(source, *word, "--out", tmp_path / "capture") == 0
+    assert "not checked: does not decode: something is odd" in capsys.readouterr().out
+    assert open_capture(tmp_path / "capture").patterns == (*PAIRS, *ENDS)
+
+
+def test_a_wrong_projector_is_not_believed(folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
+    error = refused(capsys, folder("opencv"), "--projector", "1920x1080")
+    assert "no sequence of 40 frames for a projector of 1920 × 1080" in error
+
+
+def test_a_frame_of_another_size(folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
+    source = folder("procam-calibration")
+    write_png(source / "graycode_05.png", read_image(source / "graycode_05.png")[::2])
+    assert "graycode_05.png: expected an image of the kind of graycode_00.png, 459 × 384" in refused(capsys, source)
+
+
+def test_a_damaged_frame(folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
+    source = folder("procam-calibration")
+    (source / "graycode_05.png").write_bytes(b"\x89PNG and no more")
+    assert "graycode_05.png" in refused(capsys, source)
+
+
+def test_photographs_of_anything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "holiday").mkdir()
+    noise = np.random.default_rng(3)
+    for number in range(42):
+        write_png(tmp_path / "holiday" / f"{number}.png", noise.integers(0, 255, (96, 128), dtype=np.uint8))
+    assert "in no order that is known" in refused(capsys, tmp_path / "holiday")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--from", "opencv4"), "expected one of opencv, procam-calibration"),
+        (("--projector", "1024"), "--projector 1024: expected a size like 1024x768"),
+        (("--cell", "0"), "--cell 0: expected a number of pixels from 1 to 4096"),
+    ],
+)
+def test_wrong_arguments(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+) -> None:
+    (tmp_path / "frames").mkdir()
+    assert said in refused(capsys, tmp_path / "frames", *arguments)
+
+
+def test_nothing_is_overwritten(folder: Callable[[str], Path], tmp_path: Path) -> None:
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "mine.txt").write_text("mine")
+    assert imported(folder("procam-calibration"), "--out", tmp_path / "taken") == 2
+    assert (tmp_path / "taken" / "mine.txt").read_text() == "mine"

@@ -1,0 +1,87 @@
+"""Folders of frames as other programs leave them, and `scan import` of them."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.numerics import Image
+from scanner.commands.main import main
+from scanner.patterns.pattern import Axis, Black, Pattern, Phase, White
+from tests.support.foreign_captures import ENDS, bits, deep, in_colour, named, steps
+
+# The smallest projector that is sold, so that its size is recognised.
+CAMERA, PROJECTOR = (459, 384), (640, 360)
+AXES: tuple[tuple[Axis, int], ...] = (("x", 640), ("y", 360))
+PAIRS = [*bits("x", 10), *bits("y", 9)]
+CENTRED = [*bits("x", 9, 2, 192), *bits("y", 9, 1, 76)]  # (1024 − 640) / 2 and (512 − 360) / 2 pixels before the first
+THIRDS, BACKWARDS = (-1 / 3, 0.0, 1 / 3), (0.0, -1 / 3, -2 / 3)
+FRINGES = [shown for axis, _ in AXES for period in (80 / 3, 40.0) for shown in steps(axis, period, THIRDS)]
+LONG_AND_SHORT = {
+    axis: [*steps(axis, length / 16, BACKWARDS), *steps(axis, float(length), BACKWARDS)] for axis, length in AXES
+}
+NINE_STEPS = [
+    shown
+    for axis, length in AXES
+    for shown in (*steps(axis, length / 8, [-step / 9 for step in range(9)]), *steps(axis, float(length), BACKWARDS))
+]
+COARSE = {"x": bits("x", 10, inverses=False), "y": bits("y", 6, 8, inverses=False)}
+KNOWN = ("--projector", "640x360")
+
+
+def sltk() -> Iterator[str]:
+    for number in range(40):
+        axis, place, inverted = number // 20, 9 - number % 20 // 2, number % 2
+        yield f"{1481302049.5 + 2 * number}_[{axis:02d}-{place:02d}-{inverted:02d}_{number:02d}]_img.jpg"
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """`patterns` in the order of `names`; the `arguments` that are needed; what the camera's files are like."""
+
+    layout: str
+    patterns: list[Pattern]
+    names: Iterator[str]
+    arguments: tuple[str, ...] = ()
+    change: Callable[[Image], Image] = np.asarray
+
+
+FOREIGN = {
+    "opencv": Foreign("opencv", [*PAIRS, *ENDS], named("pattern_cam1_im{}.png", 1)),
+    "opencv, black and white first": Foreign("opencv", [Black(), White(), *PAIRS], named("{}.tif"), change=deep),
+    "opencv, without": Foreign("opencv", PAIRS, named("IMG_{:05d}.JPG", 997), change=in_colour),
+    "opencv, white and black apart": Foreign(
+        "opencv", [*PAIRS, *ENDS], iter([*(f"p{n}.png" for n in range(38)), "white.png", "black.png"])
+    ),
+    "opencv, of two pixels": Foreign(
+        "opencv", [*bits("x", 9, 2), *bits("y", 8, 2), *ENDS], named("{}.png"), ("--cell", "2")
+    ),
+    "procam-calibration": Foreign("procam-calibration", [*PAIRS, *ENDS], named("graycode_{:02d}.png")),
+    "phase-shifting": Foreign(
+        "phase-shifting",
+        [*FRINGES, *bits("x", 4, 40), *bits("y", 4, 40), *ENDS],
+        named("pat{:02d}.png"),
+        (*KNOWN, "--cell", "40"),
+    ),
+    "moreno-taubin": Foreign("moreno-taubin", [*ENDS, *CENTRED], named("cam_{:02d}.png", 1)),
+    "3dunderworld": Foreign("3dunderworld", [*ENDS, *PAIRS], named("{:04d}.jpg")),
+    "sltk": Foreign("sltk", [*bits("x", 10), *bits("y", 10)], sltk()),
+    "sltk, renamed": Foreign("sltk", [*bits("x", 10), *bits("y", 10)], named("{}.png")),
+    "slstudio-gray": Foreign("slstudio-gray", [*ENDS, *COARSE["x"], *COARSE["y"]], named("frame {}.bmp")),
+    "slstudio-gray, x": Foreign("slstudio-gray", [*ENDS, *COARSE["x"]], named("{}.bmp"), KNOWN),
+    "slstudio-2x3": Foreign("slstudio-2x3", [*LONG_AND_SHORT["x"], *LONG_AND_SHORT["y"]], named("{}.png"), KNOWN),
+    "slstudio-2x3, y": Foreign("slstudio-2x3", LONG_AND_SHORT["y"], named("{}.png"), KNOWN),
+    "slstudio-nstep": Foreign("slstudio-nstep", NINE_STEPS, named("{}.png"), KNOWN),
+}
+
+
+def imported(source: Path, *arguments: object) -> int:
+    return main(["import", str(source), *map(str, arguments)])
+
+
+def same(one: Pattern, other: Pattern) -> bool:
+    """Periods and shifts are as good as rounding."""
+    if isinstance(one, Phase) and isinstance(other, Phase):
+        return one.axis == other.axis and np.allclose((one.period, one.shift), (other.period, other.shift), atol=1e-9)
+    return one == other
