@@ -28,6 +28,7 @@ from hw.simulated.room import Room
 from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.truth import GroundTruth
 from scanner.decoding import Decoder
+from scanner.decoding.fringes.edge_shift_correction import Footprint
 
 CAMERA, PROJECTOR = (612, 512), (427, 240)
 WIDTHS = {"narrow": None, "wide": 0.8}
@@ -44,7 +45,7 @@ Off = tuple[tuple[str, str, Callable[..., object]], ...]
 SWITCHED_OFF: dict[str, Off] = {
     "all corrections": (),
     "without straightening of gamma": (("tune", "straightening", _nothing),),
-    "without shading": (("coordinate_maps", "footprint_variance", lambda *_: 0.0),),
+    "without shading": (("coordinate_maps", "footprint_of", lambda *_: Footprint.round(0.0)),),
     "without comparing periods": (("axis_decoder", "correct_systematic", _nothing),),
     "without bringing periods together": (("fringes.systematic_error", "_bring_together", _nothing),),
     "without equalising": (

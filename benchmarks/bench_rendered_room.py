@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from room_balls import centres_apart
-from scipy.spatial import cKDTree
+from room_surfaces import from_surfaces
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, Intrinsics, Motion
@@ -141,7 +141,7 @@ def report(room: SolvedRoom, order: Sequence[int], truth: Truth) -> None:
     shift = surfaces.mean(axis=0) - turn.apply(every.mean(axis=0))
     apart = np.linalg.norm(turn.apply(every) + shift - surfaces, axis=1) / truth.diagonal
     cloud = turn.apply(blended(room).points.astype(np.float64)) + shift
-    off_surface = from_surfaces(cloud, truth) / truth.diagonal
+    off_surface = from_surfaces(cloud, [truth.in_world(k) for k in range(len(truth.places))]) / truth.diagonal
     found = np.array([station.place.translation for station in room.stations])
     off = turn.apply(found) + shift - [truth.places[k].translation for k in members]
     turned = [
@@ -231,20 +231,6 @@ def true_planes(room: SolvedRoom, members: Sequence[int], truth: Truth) -> dict[
         if np.median(np.abs((points - points.mean(axis=0)) @ normal)) < _EXACT:
             found[plane] = normal, float(normal @ points.mean(axis=0))
     return found
-
-
-def from_surfaces(points: Floats, truth: Truth) -> Floats:
-    """Distances (N,) in metres: along the normal of the nearest of all points that camera pixels see."""
-    surfaces, normals = [], []
-    for k in range(len(truth.places)):
-        world = truth.in_world(k)
-        normal = np.cross(np.gradient(world, axis=1), np.gradient(world, axis=0)).reshape(-1, 3)
-        surfaces.append(world.reshape(-1, 3)[::2])
-        normals.append(normal[::2] / np.maximum(np.linalg.norm(normal[::2], axis=1, keepdims=True), 1e-12))
-    tree = cKDTree(np.concatenate(surfaces))
-    _, nearest = tree.query(points)
-    along: Floats = np.abs(np.sum((points - tree.data[nearest]) * np.concatenate(normals)[nearest], axis=1))
-    return along
 
 
 def _rms(values: Sequence[float]) -> float:

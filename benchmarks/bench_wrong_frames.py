@@ -2,9 +2,10 @@
 
     python benchmarks/bench_wrong_frames.py [--scans 20] [--busy 4] [--latency-ms 50]
 
-Each of the 50 frames of a scan is compared with what the simulated camera sees of its pattern at rest, and with the
+Each of the 52 frames of a scan is compared with what the simulated camera sees of its pattern at rest, and with the
 patterns before and after it: no more than 2 % of a frame may be of those. The wall has jitter, and misses a refresh now
-and then, which neither projector nor camera tell of. Needs what `make rig` installs.
+and then, which neither projector nor camera tell of. `--without-inverses`: 39 frames, whose bits their parity proves.
+Needs what `make rig` installs.
 """
 
 import os
@@ -28,7 +29,6 @@ from scanner.io import parse_yaml
 from scanner.patterns import sequence_for
 from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, wrong_frames
 
-PATTERNS = sequence_for(PROJECTOR, code="gray", cell=4, inverses=True, periods=(16.0, 11.3, 6.7), shifts=4)
 _BUSY = "while True: sum(range(100000))"
 
 
@@ -48,8 +48,11 @@ def main() -> int:
     parser.add_argument("--busy", type=int, default=4, help="processes that compute meanwhile")
     parser.add_argument("--latency-ms", type=float, default=50.0)
     parser.add_argument("--jitter-ms", type=float, default=1.0)
+    parser.add_argument("--without-inverses", action="store_true")
     parser.add_argument("--missed", type=float, default=0.01, help="share of the pictures that come a refresh late")
     options = parser.parse_args()
+    inverses = not options.without_inverses
+    patterns = sequence_for(PROJECTOR, code="gray", cell=4, inverses=inverses, periods=(16.0, 11.3, 6.7), shifts=4)
     config = Config.model_validate(parse_yaml(CONFIG, "the rig"))
     conditions = Conditions(latency_ms=options.latency_ms, jitter_ms=options.jitter_ms, missed_refreshes=options.missed)
     room = SimulatedRoom(SimulatedRigSettings(seed=0), CAMERA, PROJECTOR)
@@ -63,7 +66,7 @@ def main() -> int:
             recorded = Path(folder) / str(scan)
             try:
                 with open_rig(config.required_rig, CAMERA, PROJECTOR) as opened:
-                    for _ in record(capture(opened.rig, PATTERNS), recorded).frames:
+                    for _ in record(capture(opened.rig, patterns), recorded).frames:
                         pass
                     account = opened.rig.account()["synchronisation"]
             except DeviceError as error:
@@ -71,8 +74,8 @@ def main() -> int:
                 print(f"scan {scan + 1}: {error}", flush=True)
                 continue
             found = wrong_frames(open_capture(recorded), room)
-            frames, wrong = frames + len(PATTERNS), wrong + len(found)
-            print(f"scan {scan + 1}: {len(PATTERNS)} frames, {len(found)} wrong {found}; {account}", flush=True)
+            frames, wrong = frames + len(patterns), wrong + len(found)
+            print(f"scan {scan + 1}: {len(patterns)} frames, {len(found)} wrong {found}; {account}", flush=True)
     print(f"{wrong} of {frames} frames wrong, {refused} scans refused; load {os.getloadavg()[0]:.1f}")
     return int(wrong > 0)
 
