@@ -100,7 +100,9 @@ def _write_both(listing: FileIO, line: str, image: Path, frame: Frame) -> None:
         _write_whole(image, frame)
         _append(listing, line)
     except BaseException:
-        if listing.tell() < end + len(line.encode()):  # a frame that is listed is safe: what comes later does not take it back
+        if listing.tell() < end + len(
+            line.encode()
+        ):  # a frame that is listed is safe: what comes later does not take it back
             listing.truncate(end)
             image.unlink(missing_ok=True)
         raise
