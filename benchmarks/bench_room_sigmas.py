@@ -1,10 +1,10 @@
 """Are a whole room's sigmas as large as its errors? The estimate alone, in the rooms of `bench_room.py`.
 
-    python benchmarks/bench_room_sigmas.py [--rooms 9] [--draws 3] [--smooth_px 0]
+    python benchmarks/bench_room_sigmas.py [--rooms 9] [--draws 3] [--smooth-px 0]
 
 Errors of one room hang together (five angles between its walls, and all places by one focal length), so that four rooms
 say little: here noise is drawn anew several times for each room, and only the estimate is made again, from planes that
-are told, at places 10 mm and 0.2° off. `--smooth_px`: how large smooth errors the sigmas allow for, of which the
+are told, at places 10 mm and 0.2° off. `--smooth-px`: how large smooth errors the sigmas allow for, of which the
 matches have none. 'bent': planes that pass for bent in one draw in how many, where all are flat.
 """
 
@@ -131,7 +131,7 @@ def main() -> None:
     parser.add_argument("--rooms", type=int, default=9)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--draws", type=int, default=3)
-    parser.add_argument("--smooth_px", type=float, default=0.0)
+    parser.add_argument("--smooth-px", type=float, default=0.0)
     args = parser.parse_args()
     every: dict[str, list[Floats]] = {}
     draws = bent = 0
