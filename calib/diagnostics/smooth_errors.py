@@ -12,6 +12,8 @@ from calib.refinement import CUBIC, monomials
 
 # What a camera's pixel averages over, as a variance along rows and along columns: itself, and a blur of half a pixel.
 _FOOTPRINT_PX2 = 1 / 12 + 1 / 4
+# The share of what that does to a sphere that the decoder leaves, for it cannot be seen at the rim; measured.
+_LEFT = 0.4
 _RIM = 0.97  # of the radius squared, beyond which a footprint is as large as what it sees of the sphere
 _ABSORBED = 3  # terms up to the linear ones: what a calibration makes of smooth errors, it makes of these first
 
@@ -43,13 +45,13 @@ def smooth_error_px(residual_px: Floats, modes: Floats, cluster: Ints) -> float:
 def footprint_offsets(sphere: Sphere, points: Floats, focal_px: float) -> Floats:
     """How far points (N, 3) of a sphere come out behind its surface, (N,), because a pixel averages over its footprint.
 
-    Along the ray that is ½ σ² ∇²z with z = −√(R² − r²), r the ray's distance from the centre.
+    Along the ray that would be ½ σ² ∇²z with z = −√(R² − r²), r the ray's distance from the centre.
     """
     distance = np.linalg.norm(points, axis=1)
     rays = points / distance[:, None]
     along = rays @ sphere.centre
     r2 = np.minimum(sphere.centre @ sphere.centre - along**2, _RIM * sphere.radius**2)
     left = sphere.radius**2 - r2
-    behind = 0.5 * _FOOTPRINT_PX2 * (distance / focal_px) ** 2 * (sphere.radius**2 + left) / left**1.5
+    behind = 0.5 * _LEFT * _FOOTPRINT_PX2 * (distance / focal_px) ** 2 * (sphere.radius**2 + left) / left**1.5
     outwards: Floats = behind * np.sqrt(left) / sphere.radius
     return outwards

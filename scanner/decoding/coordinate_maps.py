@@ -12,14 +12,15 @@ from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.discontinuities import breaks
-from scanner.decoding.fringes.edge_shift_correction import Footprint, straighten
+from scanner.decoding.fringes.edge_shift_correction import Footprint
 from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
+from scanner.decoding.fringes.footprint_shift import REACH_PX, take_out_bend, take_out_shading
 from scanner.decoding.fringes.systematic_error import BLOCK_PX
 from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reasons
 from scanner.decoding.tiles import in_tiles, widened
 
 # Pixels beyond a tile that its own depend on: whole blocks, so that these are the same ones in every tile.
-_HALO = 2 * BLOCK_PX
+_HALO = BLOCK_PX * -(-(REACH_PX + 1) // BLOCK_PX)  # and one for what breaks the surface
 _TILE_PX = 48
 _MOST_TILES = 48
 _HALF, _UNKNOWN = np.float32(0.5), np.float32(np.nan)
@@ -69,12 +70,18 @@ def coordinate_maps(
                 np.copyto(c.reason, np.uint8(MaskReason.MOVED), where=why)
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
+        shading = [
+            take_out_shading(c.value, c.variance, c.log_amplitude, kept, footprint)
+            for c in found
+            if c.log_amplitude is not None
+        ]
         for c in found:
-            if c.log_amplitude is not None:
-                straighten(c.value, c.variance, c.log_amplitude, kept, footprint)
             _forget(c.value.ravel(), kept.ravel())
         if plan.fringes:
             np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
+            surface = reason == np.uint8(MaskReason.KEPT)
+            for c, shift in zip((c for c in found if c.log_amplitude is not None), shading, strict=True):
+                take_out_bend(c.value, c.variance, shift, surface, footprint)
         x, y = (c.value[own] for c in found)
         measured = [c.variance[own] for c, axis in zip(found, plan.axes, strict=True) if axis.is_measured]
         _note(x, y, measured[0], measured[-1], projector_px[tile], variance[tile])

@@ -13,13 +13,11 @@ from math import hypot
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, compiled
+from calib.numerics import Bools, Image, compiled
 from scanner.decoding.arrays import Floats32
 
-# Central differences at the sharpest edges, and what the first order leaves: share of the shift that stays uncertain.
-_UNCERTAIN_SHARE2 = np.float32(0.35**2)
 _ZERO, _QUARTER = np.float32(0), np.float32(0.25)
-_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+CROSS = np.asarray(cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -54,25 +52,24 @@ def log_amplitude(power: Floats32) -> Floats32:
     return result
 
 
+def surrounded(usable: Bools, window: Image) -> Bools:
+    """Pixels (H, W) about which all of a window is usable."""
+    whole = cv2.erode(usable.view(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return whole.view(np.bool_)
+
+
 def shading_shift(value: Floats32, log_amplitude: Floats32, usable: Bools, footprint: Footprint) -> Floats32:
     """∇x · V ∇ ln A (H, W), by central differences; zero along the border and beside unusable pixels."""
-    surrounded = cv2.erode(usable.view(np.uint8), _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    chosen = surrounded(usable, CROSS)
     shift = np.zeros_like(value)
     across, down, mixed = (np.float32(v) for v in (footprint.across_px2, footprint.down_px2, footprint.mixed_px2))
     if across:
-        _add_products(value, log_amplitude, surrounded.view(np.bool_), 0, 1, across, shift)
+        _add_products(value, log_amplitude, chosen, 0, 1, across, shift)
     if down:
-        _add_products(value, log_amplitude, surrounded.view(np.bool_), 1, 0, down, shift)
+        _add_products(value, log_amplitude, chosen, 1, 0, down, shift)
     if mixed:
-        _add_mixed_products(value, log_amplitude, surrounded.view(np.bool_), mixed, shift)
+        _add_mixed_products(value, log_amplitude, chosen, mixed, shift)
     return shift
-
-
-def straighten(
-    value: Floats32, variance: Floats32, log_amplitude: Floats32, usable: Bools, footprint: Footprint
-) -> None:
-    """Take out what shading shifts a coordinate, and be less sure of what was shifted; (H, W), in place."""
-    _take_out(shading_shift(value, log_amplitude, usable, footprint).ravel(), value.ravel(), variance.ravel())
 
 
 @compiled
@@ -114,10 +111,3 @@ def _add_mixed_products(
             )
             product = of_value[0] * of_log[1] + of_value[1] * of_log[0]
             sums[row, i] += share * product if chosen[row, i] else _ZERO
-
-
-@compiled
-def _take_out(shift: Floats32, value: Floats32, variance: Floats32) -> None:
-    for i in range(len(shift)):
-        value[i] -= shift[i]
-        variance[i] += _UNCERTAIN_SHARE2 * shift[i] * shift[i]

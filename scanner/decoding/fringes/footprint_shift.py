@@ -1,0 +1,111 @@
+"""All that averaging over its footprint does to a camera pixel's coordinate, and taking it out.
+
+To second order, the mean coordinate over a footprint of covariance V is off by ∇x · V ∇ ln A + ½ V : ∇∇x: to the side
+that is brighter (`edge_shift_correction`), and to the one to which the surface bends. On planes the second term is
+nothing; at the rim of a ball it is a tenth of a projector pixel, always to the same side, so that balls came out small.
+"""
+
+from functools import cache
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Bools, compiled
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.fringes.edge_shift_correction import CROSS, Footprint, shading_shift, surrounded
+
+# Pixels on either side by which a surface's curvature is measured, and of those beside an edge whose shift is taken.
+_REACH = 2
+REACH_PX = 2 * _REACH
+_WINDOW = np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8)
+# Over a longer footprint, of a camera that shook, a surface is more than a parabola in that window.
+_LARGEST_PX2 = 1.5
+# Second differences of a surface's coordinates from pixel to pixel; more is a step from one surface to another.
+_MOST_BEND_PX = 1.0
+# Central differences at the sharpest edges, and what the orders left out say: share of a shift that stays uncertain.
+_UNCERTAIN_SHARE2 = np.float32(0.35**2)
+# Where a shift cannot be measured for want of neighbours, at the rim of a surface, it is larger than theirs.
+_OF_NEIGHBOURS_SHARE2 = np.float32(1)
+
+
+def take_out_shading(
+    value: Floats32, variance: Floats32, log_amplitude: Floats32, usable: Bools, footprint: Footprint
+) -> Floats32:
+    """Take out the shift to the brighter side, and be less sure of what was shifted; (H, W), in place.
+
+    Returns the shift, NaN beside pixels that are not usable, where it is not known.
+    """
+    shift = shading_shift(value, log_amplitude, usable, footprint)
+    shift[~surrounded(usable, CROSS)] = np.nan
+    _take_out(shift, value, variance)
+    return shift
+
+
+def take_out_bend(
+    value: Floats32, variance: Floats32, of_shading: Floats32, surface: Bools, footprint: Footprint
+) -> None:
+    """Take out the shift to where a surface bends, and what shading shifts beside its edge; (H, W), in place.
+
+    Pixels of a `surface` that are neighbours see the same one.
+    """
+    _take_out_as_around(of_shading, surface, value, variance)
+    if not 0 < footprint.largest_px2 <= _LARGEST_PX2:
+        return
+    kernel = curvature_kernel(footprint)
+    shift = cast(Floats32, cv2.filter2D(value, cv2.CV_32F, kernel))
+    known = surrounded(surface, _WINDOW) & (np.abs(shift) < np.float32(0.5 * footprint.largest_px2 * _MOST_BEND_PX))
+    shift[~known] = np.nan
+    variance[known] *= noise_gain2(kernel)
+    _take_out(shift, value, variance)
+    _take_out_as_around(shift, surface, value, variance)
+
+
+@cache
+def curvature_kernel(footprint: Footprint) -> NDArray[np.float32]:
+    """What gives ½ V : ∇∇x from the values about a pixel, by the parabola that fits them best."""
+    u = np.arange(-_REACH, _REACH + 1, dtype=np.float64)
+    ones, bend = np.ones_like(u), u**2 - np.mean(u**2)
+    second = 2 * bend / np.sum(bend**2) / len(u)
+    slope = u / np.sum(u**2)
+    kernel = 0.5 * footprint.across_px2 * np.outer(ones, second) + 0.5 * footprint.down_px2 * np.outer(second, ones)
+    return np.asarray(kernel + footprint.mixed_px2 * np.outer(slope, slope), np.float32)
+
+
+def noise_gain2(kernel: NDArray[np.float32]) -> np.float32:
+    """By how much taking out what the kernel gives makes the variance of independent noise larger."""
+    left = -kernel.astype(np.float64)
+    left[_REACH, _REACH] += 1
+    return np.float32(np.sum(left**2))
+
+
+@compiled
+def _take_out(shift: Floats32, value: Floats32, variance: Floats32) -> None:
+    """Where it is known."""
+    height, width = value.shape
+    for row in range(height):
+        for i in range(width):
+            own = shift[row, i]
+            if own == own:
+                value[row, i] -= own
+                variance[row, i] += _UNCERTAIN_SHARE2 * own * own
+
+
+@compiled
+def _take_out_as_around(shift: Floats32, surface: Bools, value: Floats32, variance: Floats32) -> None:
+    """Where it is not known, the mean of what it is at pixels of the surface nearby, if it is known at any."""
+    height, width = value.shape
+    for row in range(height):
+        for i in range(width):
+            if surface[row, i] and shift[row, i] != shift[row, i]:
+                total, count = np.float32(0), np.float32(0)
+                for r in range(max(0, row - _REACH), min(height, row + _REACH + 1)):
+                    for c in range(max(0, i - _REACH), min(width, i + _REACH + 1)):
+                        if surface[r, c] and shift[r, c] == shift[r, c]:
+                            total += shift[r, c]
+                            count += np.float32(1)
+                if count:
+                    mean = total / count
+                    value[row, i] -= mean
+                    variance[row, i] += _OF_NEIGHBOURS_SHARE2 * mean * mean
