@@ -2,6 +2,7 @@
 
     python benchmarks/bench_motion.py --captures 500 --rooms 0 1 2 3 4
     python benchmarks/bench_motion.py --captures 200 --rooms 0 1 2 3 4 --rest 1
+    python benchmarks/bench_motion.py --captures 500 --jobs 2 --results motion.jsonl    goes on where the file ends
 
 Bumps of 0.1 to 10 px of either device in any direction at any frame, drifts as far over the capture, some at rest; all
 presets in turn, and their patterns in the order of other programs, which show all along x before all along y ('apart').
@@ -12,9 +13,14 @@ with the note that nothing tells of a motion.
 """
 
 import argparse
+import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from itertools import groupby, repeat
+from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 
@@ -179,7 +185,69 @@ def errors(found: Calibration, truth: Calibration) -> tuple[float, float]:
     return float(np.mean(np.abs(intrinsic_errors_percent(found, truth)))), float(max(sigmas))
 
 
+@dataclass(frozen=True)
+class Row:
+    """What became of a case."""
+
+    case: Case
+    outcome: str
+    figures: str
+
+    def __str__(self) -> str:
+        return f"{self.outcome:16} {self.case}: {self.figures}"
+
+
+def run_all(cases: Sequence[Case], results: Path | None) -> list[Row]:
+    """Those of one room, one after the other; each is printed, and kept in `results`, as soon as it is known."""
+    room = SimulatedRoom(SimulatedRigSettings(seed=cases[0].room), CAMERA, PROJECTOR)
+    footage, rows = Footage(room), []
+    for case in cases:
+        row = Row(case, *run(case, footage))
+        rows.append(row)
+        print(f"{row}\n", end="", flush=True)  # one write: processes share the terminal
+        if results:
+            with results.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(row)) + "\n")
+    return rows
+
+
+def earlier(results: Path | None) -> dict[Case, Row]:
+    """What a file of results knows already."""
+    if results is None or not results.exists():
+        return {}
+    found = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
+    rows = [Row(Case(**row["case"]), row["outcome"], row["figures"]) for row in found]
+    return {row.case: row for row in rows}
+
+
+def totals(rows: Sequence[Row]) -> Iterator[str]:
+    """How often what became of which motion, a line each."""
+    counts: Counter[tuple[str, str, str]] = Counter()
+    for row in rows:
+        case = row.case
+        order = "apart" if case.apart else "nested"
+        size = "" if case.kind == "rest" else "< 0.5 px" if case.px < 0.5 else "< 2 px" if case.px < 2 else "≥ 2 px"
+        counts[order, f"{case.kind} {size}", row.outcome] += 1
+    for (order, kind, outcome), count in sorted(counts.items()):
+        yield f"{order:7} {kind:16} {outcome:20} {count}"
+
+
 def main() -> None:
+    options = _options()
+    wanted = list(cases(options))
+    known = earlier(options.results)
+    rows = [known[case] for case in wanted if case in known]
+    # A process has all of one room and preset: they share what the camera sees at rest, which takes long to simulate.
+    groups = groupby((case for case in wanted if case not in known), key=lambda case: (case.room, case.preset))
+    tasks = [tuple(group) for _, group in groups]
+    # Workers are started, not forked: threads of a library do not survive a fork.
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+        for found in pool.map(run_all, tasks, repeat(options.results)):
+            rows.extend(found)
+    print("\n".join(totals(rows)))
+
+
+def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--captures", type=int, default=60)
     parser.add_argument("--rooms", type=int, nargs="+", default=[0, 1, 2])
@@ -189,19 +257,9 @@ def main() -> None:
     parser.add_argument("--drifts", type=float, default=0.05, help="share of drifts, which take long to simulate")
     parser.add_argument("--per-turn", type=int, default=4, help="captures that share a turn of a device")
     parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    outcomes: Counter[tuple[str, str, str]] = Counter()
-    footage: Footage | None = None
-    for case in cases(options):
-        if footage is None or footage.room.settings.seed != case.room:
-            footage = Footage(SimulatedRoom(SimulatedRigSettings(seed=case.room), CAMERA, PROJECTOR))
-        outcome, figures = run(case, footage)
-        order = "apart" if case.apart else "nested"
-        size = "" if case.kind == "rest" else "< 0.5 px" if case.px < 0.5 else "< 2 px" if case.px < 2 else "≥ 2 px"
-        outcomes[order, f"{case.kind} {size}", outcome] += 1
-        print(f"{outcome:16} {case}: {figures}", flush=True)
-    for (order, kind, outcome), count in sorted(outcomes.items()):
-        print(f"{order:7} {kind:16} {outcome:20} {count}")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--results", type=Path, metavar="FILE", help="keep outcomes here, and go on where it ends")
+    return parser.parse_args()
 
 
 if __name__ == "__main__":
