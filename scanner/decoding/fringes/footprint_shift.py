@@ -28,6 +28,7 @@ _MOST_BEND_PX = 1.0
 _UNCERTAIN_SHARE2 = np.float32(0.35**2)
 # Where a shift cannot be measured for want of neighbours, at the rim of a surface, it is larger than theirs.
 _OF_NEIGHBOURS_SHARE2 = np.float32(1)
+_ZERO, _AS_IT_IS, _ANY, _UNKNOWN = np.float32(0), np.float32(1), np.float32(np.inf), np.float32(np.nan)
 
 
 def take_out_shading(
@@ -38,8 +39,8 @@ def take_out_shading(
     Returns the shift, NaN beside pixels that are not usable, where it is not known.
     """
     shift = shading_shift(value, log_amplitude, usable, footprint)
-    shift[~surrounded(usable, CROSS)] = np.nan
-    _take_out(shift, value, variance)
+    _forget(shift.ravel(), surrounded(usable, CROSS).ravel(), _ANY)
+    _take_out(shift.ravel(), value.ravel(), variance.ravel(), _AS_IT_IS)
     return shift
 
 
@@ -55,10 +56,9 @@ def take_out_bend(
         return
     kernel = curvature_kernel(footprint)
     shift = cast(Floats32, cv2.filter2D(value, cv2.CV_32F, kernel))
-    known = surrounded(surface, _WINDOW) & (np.abs(shift) < np.float32(0.5 * footprint.largest_px2 * _MOST_BEND_PX))
-    shift[~known] = np.nan
-    variance[known] *= noise_gain2(kernel)
-    _take_out(shift, value, variance)
+    most = np.float32(0.5 * footprint.largest_px2 * _MOST_BEND_PX)
+    _forget(shift.ravel(), surrounded(surface, _WINDOW).ravel(), most)
+    _take_out(shift.ravel(), value.ravel(), variance.ravel(), noise_gain2(kernel))
     _take_out_as_around(shift, surface, value, variance)
 
 
@@ -81,15 +81,19 @@ def noise_gain2(kernel: NDArray[np.float32]) -> np.float32:
 
 
 @compiled
-def _take_out(shift: Floats32, value: Floats32, variance: Floats32) -> None:
-    """Where it is known."""
-    height, width = value.shape
-    for row in range(height):
-        for i in range(width):
-            own = shift[row, i]
-            if own == own:
-                value[row, i] -= own
-                variance[row, i] += _UNCERTAIN_SHARE2 * own * own
+def _forget(shift: Floats32, known: Bools, most: np.float32) -> None:
+    """NaN in place of shifts (P,) that are not known, or larger than any can be."""
+    for i in range(len(shift)):
+        shift[i] = shift[i] if known[i] & (abs(shift[i]) < most) else _UNKNOWN
+
+
+@compiled
+def _take_out(shift: Floats32, value: Floats32, variance: Floats32, gain: np.float32) -> None:
+    """Where it is known, (P,); independent noise becomes larger by `gain`."""
+    for i in range(len(shift)):
+        own, is_known = shift[i], shift[i] == shift[i]
+        value[i] -= own if is_known else _ZERO
+        variance[i] = gain * variance[i] + _UNCERTAIN_SHARE2 * own * own if is_known else variance[i]
 
 
 @compiled
