@@ -116,10 +116,19 @@ def test_jitter_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 1.3 < rig.turns.tally.seconds_per_frame * 30 < 3
 
 
-def test_exposures_that_begin_late_are_taken_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, lag_s=0.009))
-    assert rig.flight is not None
-    assert rig.flight.missed > 0
+def test_how_late_exposures_begin_is_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the rehearsal already; where it comes as a surprise, they are taken again."""
+    missed = []
+    for surprising in (False, True):
+        bench = Bench(0.05, transfer_s=0.005, lag_s=0.0 if surprising else 0.009).install(monkeypatch)
+        rig = synchronised(bench, bench, {})
+        bench._lag_s = 0.009
+        shown = pictures()
+        for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+            np.testing.assert_allclose(frame.image, expected(picture), atol=0.0023 * _WHITE)
+        assert rig.flight is not None
+        missed.append(rig.flight.missed)
+    assert missed[0] <= 1 < missed[1] < COUNT / 4
 
 
 def test_a_rolling_shutter_is_read_out_before_the_next_light(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -272,7 +281,7 @@ def test_in_a_scene_that_proves_nothing_pictures_take_turns(monkeypatch: pytest.
     for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
         np.testing.assert_allclose(frame.image, expected(picture), atol=2)
     assert rig.flight is not None
-    assert 6 <= rig.flight.doubted <= 8
+    assert 6 <= rig.flight.doubted <= 12
     assert rig.turns.tally.retriggered <= 8
 
 
