@@ -8,13 +8,12 @@ An exposure fits between the light of its picture, as late as that can be, and t
 that can be. When that is follows from when the pictures were swapped in, which the process that did it tells. A frame
 counts if it was triggered in time, if the camera's clock agrees, and if its picture and others light every place alike
 together (`hw/level_sums.py`) or, bits without inverses, an even number of times (`hw/parity.py`). A picture that was
-missed flies again, behind those that are on their way; if that is missed, or one soon after it, those that follow are
-taken at rest, for a while: how long, and how much time there is between pictures, depends on how often that happens.
+missed flies again, behind those that are on their way; where many are, those that follow are taken at rest for a while,
+longer each time. How much time there is between pictures, the last frames tell (`hw/punctuality.py`).
 """
 
 import logging
 import time
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
@@ -35,7 +34,6 @@ log = logging.getLogger(__name__)
 
 _MOST_AT_REST = 32
 _MOST_UNFOUNDED = 3  # doubts that were the scene's own: with blur, flicker, or bounced light sums are never level
-_LATELY, _MANY = 8, 3  # so many misses in so many frames: pictures are not caught
 _CALM = 16  # so many frames in a row that were caught make up for a missed one
 
 
@@ -55,6 +53,11 @@ class Flight:
         self._punctuality = Punctuality(rhythm)
         self.missed = 0
         self.doubted = 0
+
+    @property
+    def period_s(self) -> float:
+        """From one picture to the next, by now."""
+        return self._punctuality.period_s
 
     @property
     def tally(self) -> Tally:
@@ -108,8 +111,7 @@ class Flight:
         self._pictures = NumberedPictures(shown.images)
         self._proofs = Proofs(self._sums, self._pictures, shown.level, shown.even)
         self._in_order = not proven
-        self._resting, self._penalty = 0, 1
-        self._caught_in_row, self._misses = 0, deque[bool](maxlen=_LATELY)
+        self._resting, self._penalty, self._caught_in_row = 0, 1, 0
         self._rested, self._unfounded, self._doubts = set[int](), 0, set[Group]()
         self._next, self._again = 0, list[int]()  # the first that was not tried, and those that are to be tried again
         self._appointments.settle()
@@ -230,7 +232,7 @@ class Flight:
 
     def _appoint(self, most: int | None = None) -> None:
         """Appoint the pictures that have to leave before the one after this is exposed, `most` of them."""
-        period_s = self._punctuality.period_s
+        period_s = self.period_s
         while (most is None or most > 0) and self._appointments.wants(period_s):
             if self._again:
                 number = self._again.pop(0)
@@ -243,11 +245,9 @@ class Flight:
 
     def _missed(self, number: int) -> None:
         """It flies again. All land if many were missed lately, or if order matters."""
-        self._misses.append(True)
         self.missed, self._caught_in_row = self.missed + 1, 0
         self._again = sorted({*self._again, number})
-        if self._in_order or self._misses.count(True) >= _MANY:
-            self._misses.clear()
+        if self._punctuality.fails() or self._in_order:
             self._rest_a_while()
             self._land()
 
@@ -257,30 +257,28 @@ class Flight:
 
     def _calm_down(self) -> None:
         self._caught_in_row += 1
-        self._misses.append(False)
+        self._punctuality.holds()
         if self._caught_in_row % _CALM == 0:
             self._penalty = max(1, self._penalty // 2)
 
     def _flies_again(self, group: Group, foreign: float) -> bool:
         """Whether a group in which others show is to fly once more: a picture that was late by chance costs no landing.
 
-        Not where frames at rest have to prove more than those in flight can.
+        Not one of several, which are none by chance, nor one of which frames at rest prove more than those in flight.
         """
         if foreign <= self._proofs.tolerance or group in self._doubts or self._is_grounded(group):
             return False
-        self._doubt(group, foreign)
-        if self._grounded or self._proofs.is_even(group) or not self._rested.isdisjoint(group):
+        log.info("frames %s: %.1f %% are foreign", group, 100 * foreign)
+        several = self._unfounded > 0 or any(self._proofs.lacks(other[0]) for other in self._doubts)
+        self._doubts.add(group)
+        self.doubted += len(self._proofs.suspects(group))
+        self.missed, self._caught_in_row = self.missed + 1, 0
+        if several or self._proofs.is_even(group) or not self._rested.isdisjoint(group):
             return False
         self.tally.retriggered += len(group)
         self._again = sorted({*self._again, *group})
         self._proofs.reopen(group)
         return True
-
-    def _doubt(self, group: Group, foreign: float) -> None:
-        log.info("frames %s: %.1f %% are foreign", group, 100 * foreign)
-        self._doubts.add(group)
-        self.doubted += len(self._proofs.suspects(group))
-        self.missed, self._caught_in_row = self.missed + 1, 0
 
     def _prove(self, group: Group, foreign: float, taken: dict[int, Frame]) -> None:
         """See to it that the frames of a group are its pictures', `foreign` being what is found of others.
@@ -306,5 +304,5 @@ class Flight:
                 taken[number] = frame
                 proofs.note(number, frame.image)
             foreign = proofs.foreign_share(group)
-            log.info("frames %s at rest: %.1f %% are foreign", group, 100 * foreign)
+            log.info("frames %s, at rest: %.1f %% are foreign", group, 100 * foreign)
         self._unfounded += 1
