@@ -12,19 +12,29 @@ from hw.flashes import Latency
 from hw.timed_devices import BufferedProjector, Swap, TriggeredCamera
 
 _STILL_THERE = 2
-SLACK_S = 0.002  # what trigger and swap may be late without a picture being missed
+SLACK_S = 0.002  # what trigger and swap may be late without a picture being missed, as long as nobody knows better
+HEADWAY_S = 0.0005  # pictures follow each other so much slower than frames: what one is late, the next ones make up for
 
 
 @dataclass(frozen=True)
 class Pace:
     """Light comes `soonest_s` after the begin of a swap, or later, and is all there `latest_s` after its end, margins
-    included; swaps take `swapping_s`. `period_s`: how far apart pictures are at least.
+    included; swaps take `swapping_s`. Pictures are `least_s` apart at least, lest the light of two falls into one
+    exposure, even if the camera is told in time and then begins `wait_s` later, and `cycle_s`, for the camera to be
+    ready again.
     """
 
     soonest_s: float
     latest_s: float
     swapping_s: float
-    period_s: float
+    least_s: float
+    cycle_s: float
+    wait_s: float
+
+    @property
+    def period_s(self) -> float:
+        """How far apart pictures are, as long as no frame has told more."""
+        return max(self.least_s + SLACK_S, self.cycle_s + HEADWAY_S)
 
     @property
     def in_flight(self) -> int:
@@ -44,8 +54,9 @@ def pace(measured: Latency, camera: TriggeredCamera, margin_s: float) -> Pace:
     """
     soonest_s, latest_s = measured.soonest_s - margin_s, measured.latest_s + margin_s
     uncertain_s = max(0.0, latest_s + measured.swapping_s - soonest_s)
-    period_s = max(camera.exposure_s + uncertain_s, measured.cycle_s) + camera.wait_s + SLACK_S
-    return Pace(soonest_s, latest_s, measured.swapping_s, period_s)
+    wait_s = camera.wait_s
+    least_s = camera.exposure_s + uncertain_s + wait_s
+    return Pace(soonest_s, latest_s, measured.swapping_s, least_s, measured.cycle_s + wait_s, wait_s)
 
 
 class Appointments:

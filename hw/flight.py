@@ -8,8 +8,8 @@ An exposure fits between the light of its picture, as late as that can be, and t
 that can be. When that is follows from when the pictures were swapped in, which the process that did it tells. A frame
 counts if it was triggered in time, if the camera's clock agrees, and if its picture and others light every place alike
 together (`hw/level_sums.py`) or, bits without inverses, an even number of times (`hw/parity.py`). A picture that was
-missed flies again, behind those that are on their way; if that is missed, or one soon after it, those that follow are
-taken at rest, for a while: how long, and how much time there is between pictures, depends on how often that happens.
+missed flies again, behind those that are on their way; where many are, those that follow are taken at rest for a while,
+longer each time. How much time there is between pictures, the last frames tell (`hw/punctuality.py`).
 """
 
 import logging
@@ -19,23 +19,21 @@ from contextlib import suppress
 from itertools import islice
 
 from calib.numerics import Image
-from hw.appointments import SLACK_S, Appointments, Pace
+from hw.appointments import Appointments, Pace
 from hw.errors import DeviceError, FrameLostError
 from hw.level_sums import LevelSums
 from hw.numbered_pictures import NumberedPictures
 from hw.parity import WithParity, with_parity
 from hw.proofs import Group, Proofs
+from hw.punctuality import Punctuality
 from hw.rig import Frame
 from hw.timed_devices import ATTEMPTS, BufferedProjector, TriggeredCamera
 from hw.turns import Tally, Turns
 
 log = logging.getLogger(__name__)
 
-_CYCLE_FADES = 0.9  # of one frame to the next: the time that the slowest took lately
 _MOST_AT_REST = 32
-_MOST_EXTRA_S, _EXTRA_FADES = 0.02, 0.95  # after misses, and with every frame that is caught
 _MOST_UNFOUNDED = 3  # doubts that were the scene's own: with blur, flicker, or bounced light sums are never level
-_FEW = 4  # a miss after so few frames that were caught is no single one
 _CALM = 16  # so many frames in a row that were caught make up for a missed one
 
 
@@ -52,10 +50,14 @@ class Flight:
         self._sums = sums
         self._exposure_s = camera.exposure_s
         self._appointments = Appointments(projector, rhythm)
-        self._extra_s = 0.0  # slack that misses have asked for
-        self._cycle_s = 0.0  # from a trigger to the next, as far as the camera goes
+        self._punctuality = Punctuality(rhythm)
         self.missed = 0
         self.doubted = 0
+
+    @property
+    def period_s(self) -> float:
+        """From one picture to the next, by now."""
+        return self._punctuality.period_s
 
     @property
     def tally(self) -> Tally:
@@ -87,8 +89,9 @@ class Flight:
             if not self._appointments.outstanding:
                 self._proofs.judge()  # else while the next picture is exposed, when it costs no time
             for group, foreign in [*self._proofs.judged.items()]:
-                self._prove(group, foreign, taken)
-                self._proofs.settle(group)
+                if not self._flies_again(group, foreign):
+                    self._prove(group, foreign, taken)
+                    self._proofs.settle(group)
             while following in taken and not self._proofs.lacks(following):
                 proven = taken.pop(following)
                 if following not in shown.added:
@@ -109,9 +112,8 @@ class Flight:
         self._proofs = Proofs(self._sums, self._pictures, shown.level, shown.even)
         self._in_order = not proven
         self._resting, self._penalty, self._caught_in_row = 0, 1, 0
-        self._rested, self._unfounded = set[int](), 0
-        # The first that was not tried, those that are to be tried again, and those that were missed.
-        self._next, self._again, self._failed = 0, list[int](), set[int]()
+        self._rested, self._unfounded, self._doubts = set[int](), 0, set[Group]()
+        self._next, self._again = 0, list[int]()  # the first that was not tried, and those that are to be tried again
         self._appointments.settle()
         self._appointments = Appointments(self._projector, self.rhythm)
         try:
@@ -187,6 +189,9 @@ class Flight:
         """Whether the scene is such that sums prove nothing."""
         return self._unfounded >= _MOST_UNFOUNDED
 
+    def _is_grounded(self, group: Group) -> bool:
+        return self._grounded and self._rested.issuperset(group)
+
     def _may_fly(self, number: int) -> bool:
         return self._in_order or self._proofs.lacks(number)
 
@@ -197,13 +202,14 @@ class Flight:
             self._appoint(most=1)
             appointments.light_s()
         self._appoint()
-        time.sleep(max(0.0, appointments.light_s() - time.monotonic()))
+        light_s = appointments.light_s()
+        time.sleep(max(0.0, light_s - time.monotonic()))
         latest_s = appointments.latest_begin_s(self._exposure_s)
         beside, begin_s = appointments.beside(), time.monotonic()
         if begin_s > latest_s:
             number = appointments.pass_on()
             log.info("picture %d was missed by %.1f ms", number, 1e3 * (begin_s - latest_s))
-            self._ask_for_slack()
+            self._punctuality.begun(begin_s - light_s)
             return number, None
         triggered_s = self._camera.expose()
         number = appointments.pass_on(begin_s)
@@ -213,20 +219,20 @@ class Flight:
         self._proofs.judge()
         try:
             frame = self._camera.collect()
-            late_s = triggered_s + self._camera.late_s - latest_s
-            if late_s > 0:
-                self._ask_for_slack()
-                raise FrameLostError(f"{1e3 * late_s:.1f} ms too late for its picture")
+            self._punctuality.ready(time.monotonic() - triggered_s)
+            begun_s = triggered_s + self._camera.late_s
+            self._punctuality.begun(begun_s - light_s)
+            if begun_s > latest_s:
+                raise FrameLostError(f"{1e3 * (begun_s - latest_s):.1f} ms too late for its picture")
         except FrameLostError as lost:
             log.info("frame %d was lost in flight (%s)", number, lost)
             self.tally.retriggered += 1
             return number, None
-        self._cycle_s = max(time.monotonic() - begin_s, _CYCLE_FADES * self._cycle_s)
         return number, frame
 
     def _appoint(self, most: int | None = None) -> None:
         """Appoint the pictures that have to leave before the one after this is exposed, `most` of them."""
-        period_s = max(self.rhythm.period_s, self._cycle_s + SLACK_S / 2) + self._extra_s
+        period_s = self.period_s
         while (most is None or most > 0) and self._appointments.wants(period_s):
             if self._again:
                 number = self._again.pop(0)
@@ -238,17 +244,12 @@ class Flight:
             most = None if most is None else most - 1
 
     def _missed(self, number: int) -> None:
-        """It flies again. All land if it did before, if one shortly before it was missed too, or if order matters."""
-        lands = self._in_order or self._caught_in_row < _FEW or number in self._failed
-        self._failed.add(number)
+        """It flies again. All land if many were missed lately, or if order matters."""
         self.missed, self._caught_in_row = self.missed + 1, 0
         self._again = sorted({*self._again, number})
-        if lands:
+        if self._punctuality.fails() or self._in_order:
             self._rest_a_while()
             self._land()
-
-    def _ask_for_slack(self) -> None:
-        self._extra_s = min(_MOST_EXTRA_S, 2 * self._extra_s + SLACK_S)
 
     def _rest_a_while(self) -> None:
         """Some frames at rest, twice as many as the last time."""
@@ -256,27 +257,42 @@ class Flight:
 
     def _calm_down(self) -> None:
         self._caught_in_row += 1
-        self._extra_s *= _EXTRA_FADES
+        self._punctuality.holds()
         if self._caught_in_row % _CALM == 0:
             self._penalty = max(1, self._penalty // 2)
+
+    def _flies_again(self, group: Group, foreign: float) -> bool:
+        """Whether a group in which others show is to fly once more: a picture that was late by chance costs no landing.
+
+        Not one of several, which are none by chance, nor one of which frames at rest prove more than those in flight.
+        """
+        if foreign <= self._proofs.tolerance or group in self._doubts or self._is_grounded(group):
+            return False
+        log.info("frames %s: %.1f %% are foreign", group, 100 * foreign)
+        several = self._unfounded > 0 or any(self._proofs.lacks(other[0]) for other in self._doubts)
+        self._doubts.add(group)
+        self.doubted += len(self._proofs.suspects(group))
+        self.missed, self._caught_in_row = self.missed + 1, 0
+        if several or self._proofs.is_even(group) or not self._rested.isdisjoint(group):
+            return False
+        self.tally.retriggered += len(group)
+        self._again = sorted({*self._again, *group})
+        self._proofs.reopen(group)
+        return True
 
     def _prove(self, group: Group, foreign: float, taken: dict[int, Frame]) -> None:
         """See to it that the frames of a group are its pictures', `foreign` being what is found of others.
 
         Frames at rest can be wrong, too; and what twice looks the same is the scene's.
         """
-        if self._grounded and self._rested.issuperset(group):
+        if self._is_grounded(group):
             return
         proofs, last = self._proofs, None
         for attempt in range(ATTEMPTS):
             if foreign <= proofs.tolerance:
                 return
-            log.info("frames %s: %.1f %% are foreign", group, 100 * foreign)
             suspects = proofs.suspects(group)
             if last is None:
-                self.doubted += len(suspects)
-                self.missed, self._caught_in_row = self.missed + 1, 0
-                self._ask_for_slack()
                 self._rest_a_while()
             elif proofs.is_as_before(last) and last.frames.keys() >= {*suspects}:
                 break
@@ -288,4 +304,5 @@ class Flight:
                 taken[number] = frame
                 proofs.note(number, frame.image)
             foreign = proofs.foreign_share(group)
+            log.info("frames %s, at rest: %.1f %% are foreign", group, 100 * foreign)
         self._unfounded += 1

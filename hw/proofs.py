@@ -111,6 +111,12 @@ class Proofs:
         either = {number: self._beside[number] | look.beside[number] for number in group}
         return self._sums.changed_share(group, look.frames, self._seen, either) <= self.tolerance
 
+    def reopen(self, group: Group) -> None:
+        """Forget its frames, for all of them are to be taken again, and to be judged then."""
+        self.judged.pop(group, None)
+        for number in group:
+            del self._seen[number]
+
     def settle(self, group: Group) -> None:
         """The group is proven, as far as it can be."""
         self.judged.pop(group, None)

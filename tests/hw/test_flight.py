@@ -57,7 +57,7 @@ def test_a_frame_takes_its_exposure_and_a_margin_whatever_the_latency(
     assert rig.flight is not None
     assert (rig.flight.missed, rig.flight.doubted) == (0, 0)
     beside = latency_ms / 1e3 / COUNT  # the first picture's light is waited for
-    assert 1.1 < (rig.turns.tally.seconds_per_frame - beside) / bench.exposure_s < 1.3
+    assert 1.1 < (rig.turns.tally.seconds_per_frame - beside) / bench.exposure_s < 1.23
     assert rig.flight.rhythm.in_flight == pytest.approx(latency_ms / 40, abs=1.1)
 
 
@@ -110,16 +110,43 @@ def test_a_lost_frame_costs_the_time_of_one(monkeypatch: pytest.MonkeyPatch, lat
     assert 1 < lost[True] - lost[False] < 2  # the slack that it asks for fades
 
 
+@pytest.mark.parametrize("latency_ms", [20, 120])
+def test_a_single_late_picture_costs_no_landing(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
+    """Its group flies again: two more frames, at any latency."""
+    elapsed = []
+    for late in (False, True):
+        bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001).install(monkeypatch)
+        rig = synchronised(bench, bench, {})
+        if late:
+            bench.delay_every(10**6)
+        shown = pictures()
+        for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+            np.testing.assert_allclose(frame.image, expected(picture), atol=0.0023 * _WHITE)
+        assert rig.flight is not None
+        assert rig.flight.doubted == 2 * late
+        elapsed.append(rig.turns.tally.elapsed_s / bench.exposure_s)
+    assert 2 < elapsed[1] - elapsed[0] < 4
+
+
 def test_jitter_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """A picture that is a little later than any flash was leaves no more of the last one than cannot be told."""
     rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, jitter_s=0.015), foreign=_UNTOLD)
     assert 1.3 < rig.turns.tally.seconds_per_frame * 30 < 3
 
 
-def test_exposures_that_begin_late_are_taken_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, lag_s=0.009))
-    assert rig.flight is not None
-    assert rig.flight.missed > 0
+def test_how_late_exposures_begin_is_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the rehearsal already; where it comes as a surprise, they are taken again."""
+    missed = []
+    for surprising in (False, True):
+        bench = Bench(0.05, transfer_s=0.005, lag_s=0.0 if surprising else 0.009).install(monkeypatch)
+        rig = synchronised(bench, bench, {})
+        bench._lag_s = 0.009
+        shown = pictures()
+        for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+            np.testing.assert_allclose(frame.image, expected(picture), atol=0.0023 * _WHITE)
+        assert rig.flight is not None
+        missed.append(rig.flight.missed)
+    assert missed[0] <= 1 < missed[1] < COUNT / 4
 
 
 def test_a_rolling_shutter_is_read_out_before_the_next_light(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -272,8 +299,8 @@ def test_in_a_scene_that_proves_nothing_pictures_take_turns(monkeypatch: pytest.
     for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
         np.testing.assert_allclose(frame.image, expected(picture), atol=2)
     assert rig.flight is not None
-    assert 6 <= rig.flight.doubted <= 8
-    assert rig.turns.tally.retriggered <= 8
+    assert 6 <= rig.flight.doubted <= 10
+    assert rig.turns.tally.retriggered <= 10
 
 
 def test_neighbours_are_never_alike() -> None:
