@@ -93,9 +93,8 @@ def cases(options: argparse.Namespace) -> Iterator[Case]:
     for number, (room, preset) in enumerate(groups):
         frames = len(PRESETS[preset].patterns(PROJECTOR))
         count = options.captures * (number + 1) // len(groups) - options.captures * number // len(groups)
-        kinds = rng.choice(
-            ["rest", "bump", "drift"], size=count, p=[options.rest, 1 - options.rest - options.drifts, options.drifts]
-        )
+        drifts = min(options.drifts, 1 - options.rest)
+        kinds = rng.choice(["rest", "bump", "drift"], size=count, p=[options.rest, 1 - options.rest - drifts, drifts])
         for place, kind in enumerate(sorted(kinds)):
             if place % options.per_turn == 0:
                 device = str(rng.choice(["camera", "projector"]))
