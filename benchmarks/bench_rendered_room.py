@@ -170,15 +170,18 @@ def _lens(device: Intrinsics) -> str:
 
 def balls_apart(room: SolvedRoom, members: Sequence[int], truth: Truth) -> float:
     """Distance of the fitted centres, in metres; NaN where a ball was hardly seen."""
-    balls = []
+    balls, rays = [], []
     for ball in truth.balls:
-        own: list[Floats] = []
+        own, away = list[Floats](), list[Floats]()
         for station, k in zip(room.stations, members, strict=True):
             on = np.abs(np.linalg.norm(truth.in_world(k) - ball, axis=2) - _RADIUS_M) < _ON_BALL_M
             points = station.cloud.points[on].astype(np.float64)
-            own.append(station.to_room(points[np.isfinite(points[:, 2])]))
+            points = points[np.isfinite(points[:, 2])]
+            own.append(station.to_room(points))
+            away.append(points @ station.place.rotation.T / np.linalg.norm(points, axis=1, keepdims=True))
         balls.append(np.concatenate(own))
-    return centres_apart(balls, _RADIUS_M, room.stations[0].place.translation)
+        rays.append(np.concatenate(away))
+    return centres_apart(balls, rays, _RADIUS_M)
 
 
 def in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) -> str:

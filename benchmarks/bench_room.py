@@ -144,14 +144,17 @@ def seen_by(station: TrueStation, camera: Size) -> Floats:
 
 def balls_off(room: SolvedRoom, truth: Sequence[TrueStation]) -> float:
     """By how much the distance of the two balls errs, in metres; NaN where one was not seen."""
-    balls = []
+    balls, rays = [], []
     for number in truth[0].scene.spheres:
-        own: list[Floats] = []
+        own, away = list[Floats](), list[Floats]()
         for station, each in zip(room.stations, truth, strict=True):
             on = station.cloud.points.reshape(-1, 3)[each.pixel[each.surface == number]].astype(np.float64)
-            own.append(station.to_room(on[np.isfinite(on[:, 2])]))
+            on = on[np.isfinite(on[:, 2])]
+            own.append(station.to_room(on))
+            away.append(on @ station.place.rotation.T / np.linalg.norm(on, axis=1, keepdims=True))
         balls.append(np.concatenate(own))
-    return centres_apart(balls, _RADIUS_M, room.stations[0].place.translation) - _BALLS_M
+        rays.append(np.concatenate(away))
+    return centres_apart(balls, rays, _RADIUS_M) - _BALLS_M
 
 
 def lengths_in_sigmas(room: SolvedRoom, truth: Sequence[TrueStation], turn: Rotation, shift: Floats) -> list[float]:

@@ -10,15 +10,14 @@ from calib.pointcloud import fit_sphere
 _FEWEST = 50
 
 
-def centres_apart(balls: Sequence[Floats], radius_m: float, seen_from: Floats) -> float:
-    """Distance of the fitted centres of two balls, in metres, from the points (N, 3) of each; NaN where one was hardly
-    seen. `seen_from` (3,): about where from, which tells on which side of its points a centre is.
+def centres_apart(balls: Sequence[Floats], rays: Sequence[Floats], radius_m: float) -> float:
+    """Distance of the fitted centres of two balls, in metres, from the points (N, 3) of each, and unit vectors (N, 3)
+    from the cameras to them; NaN where one was hardly seen.
     """
     centres = []
-    for points in balls:
+    for points, ray in zip(balls, rays, strict=True):
         if len(points) < _FEWEST:
             return float("nan")
-        away = points.mean(axis=0) - seen_from
-        guess = points.mean(axis=0) + 0.5 * radius_m * away / np.linalg.norm(away)
-        centres.append(fit_sphere(points, np.zeros(len(points), np.int64), guess, radius_m).centre)
+        guess = points.mean(axis=0) + 0.5 * radius_m * ray.mean(axis=0)
+        centres.append(fit_sphere(points, np.zeros(len(points), np.int64), guess, radius_m, rays=ray).centre)
     return float(np.linalg.norm(centres[1] - centres[0]))

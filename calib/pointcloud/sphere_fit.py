@@ -9,6 +9,7 @@ from calib.numerics.robust_statistics import influence_on
 
 _STEPS = 50
 _CONVERGED = 1e-10
+_STEEPEST = 0.17  # cosine of the angle, 80°, from which on it depends on noise whether a ray meets the sphere at all
 
 
 @dataclass(frozen=True)
@@ -43,23 +44,33 @@ class Sphere:
         return float(np.sqrt(self.covariance[3, 3]))
 
 
-def fit_sphere(points: Floats, cluster: Ints, centre: Floats, radius: float, *, fixed_radius: bool = False) -> Sphere:
+def fit_sphere(
+    points: Floats,
+    cluster: Ints,
+    centre: Floats,
+    radius: float,
+    *,
+    fixed_radius: bool = False,
+    rays: Floats | None = None,
+) -> Sphere:
     """Minimise the points' (N, 3) distances from the surface by Gauss and Newton's method with Tukey's weights.
 
-    Starts at `centre` (3,) and `radius`. `cluster` (N,): labels from 0 of points whose errors may be alike. Raises
-    ValueError for fewer than four points.
+    Starts at `centre` (3,) and `radius`. `cluster` (N,): labels from 0 of points whose errors may be alike. `rays`
+    (N, 3): unit vectors from the cameras, along which the points err. Then distances are those of the tangent planes
+    where the rays meet the sphere: nearest points would follow the noise, which makes spheres smaller, by its variance
+    over the radius. Raises ValueError for fewer than four points.
     """
     if len(points) < 4:
         raise ValueError(f"a sphere needs four points, found {len(points)}")
     state = np.array([*centre, radius])
     free = 3 if fixed_radius else 4
-    residual, jacobian = _distances(points, state)
+    residual, jacobian = _distances(points, state, rays)
     weight = biweight(residual)
     for _ in range(_STEPS):
         root = np.sqrt(weight)[:, None]
         step = np.linalg.lstsq(root * jacobian[:, :free], -root[:, 0] * residual, rcond=None)[0]
         state[:free] += step
-        residual, jacobian = _distances(points, state)
+        residual, jacobian = _distances(points, state, rays)
         weight = biweight(residual)
         if np.linalg.norm(step) < _CONVERGED * radius:
             break
@@ -68,9 +79,16 @@ def fit_sphere(points: Floats, cluster: Ints, centre: Floats, radius: float, *, 
     return Sphere(state[:3].copy(), float(state[3]), covariance, residual, -jacobian)
 
 
-def _distances(points: Floats, state: Floats) -> tuple[Floats, Floats]:
+def _distances(points: Floats, state: Floats, rays: Floats | None) -> tuple[Floats, Floats]:
     """Signed distances (N,) of points from a sphere (centre, radius), and their derivatives (N, 4) by these."""
     from_centre = points - state[:3]
     length = np.linalg.norm(from_centre, axis=1)
-    jacobian = np.hstack([-from_centre / length[:, None], -np.ones((len(points), 1))])
-    return length - state[3], jacobian
+    outwards, distance = from_centre / length[:, None], length - state[3]
+    if rays is not None:
+        along = np.sum(from_centre * rays, axis=1)
+        inside2 = along**2 - length**2 + state[3] ** 2  # half a ray's way through the sphere, squared
+        meets = inside2 > (_STEEPEST * state[3]) ** 2
+        before = -along[meets] - np.sqrt(inside2[meets])
+        outwards[meets] = (from_centre[meets] + before[:, None] * rays[meets]) / state[3]
+        distance[meets] = -before * np.sum(outwards[meets] * rays[meets], axis=1)
+    return distance, np.hstack([-outwards, -np.ones((len(points), 1))])

@@ -71,10 +71,11 @@ def _measure(scan: FinishedScan, centre: Floats, radius: float, errors: Systemat
     for _ in range(_REFITS):
         on = _on_ball(scan, fitted_centre, fitted_radius)
         _refuse_few_points(scan, on, fitted_centre, radius)
-        sphere = fit_sphere(scan.points[on], _alike(scan, on), fitted_centre, fitted_radius)
+        points, rays = scan.points[on], _rays(scan.points[on])
+        sphere = fit_sphere(points, _alike(scan, on), fitted_centre, fitted_radius, rays=rays)
         fitted_centre, fitted_radius = sphere.centre, sphere.radius
         _refuse_no_sphere(scan, sphere, radius)
-    nominal = fit_sphere(scan.points[on], _alike(scan, on), sphere.centre, radius, fixed_radius=True)
+    nominal = fit_sphere(points, _alike(scan, on), sphere.centre, radius, fixed_radius=True, rays=rays)
     stray = np.abs(sphere.residual) > _STRAY_SIGMAS * robust_sigma(sphere.residual)
     pixel = scan.pixel[on][~stray]
     x, y = scan.calibration.camera.project(sphere.centre)
@@ -100,12 +101,18 @@ def _spread(scan: FinishedScan, on: Bools, sphere: Sphere, errors: SystematicErr
 
 def _on_ball(scan: FinishedScan, centre: Floats, radius: float) -> Bools:
     """Points of pixels whose rays go into the ball: what is seen there is the ball, or hides it."""
-    ray = scan.points / np.linalg.norm(scan.points, axis=1, keepdims=True)
+    ray = _rays(scan.points)
     from_ray = np.linalg.norm(centre - (ray @ centre)[:, None] * ray, axis=1)
     from_centre = np.linalg.norm(scan.points - centre, axis=1)
     inside = from_ray < np.sin(np.radians(_FARTHEST_FROM_FACING_DEG)) * radius
     on: Bools = inside & (np.abs(from_centre - radius) < _GATE * radius)
     return on
+
+
+def _rays(points: Floats) -> Floats:
+    """Unit vectors from the camera to points (N, 3)."""
+    rays: Floats = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return rays
 
 
 def _alike(scan: FinishedScan, on: Bools) -> Ints:
