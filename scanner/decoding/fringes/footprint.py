@@ -29,7 +29,7 @@ _BY_CHANCE = erfc(_SIGNIFICANT / sqrt(2))
 _LARGEST_PX2 = 9.0
 # Where a capture does not show it: a pixel's own area (1/12) behind a lens that blurs by a third of a pixel. Of a plain
 # wall a variance of none is further off, whatever the lens.
-TYPICAL_PX2 = 0.2
+TYPICAL_PX2, _TYPICAL_SIGMA_PX2 = 0.2, 0.15
 # Where all edges run one way, they say nothing of the direction along them.
 _LARGEST_CONDITION = 100.0
 _ITERATIONS = 20
@@ -61,6 +61,9 @@ def footprint_of(
     if long is not None:
         return long
     variance, scatter = _weighted_median(found[telling] / weight[telling], weight[telling])
+    if assumed_px2 and abs(variance) <= _SIGNIFICANT * scatter:
+        share = _TYPICAL_SIGMA_PX2**2 / (_TYPICAL_SIGMA_PX2**2 + scatter**2)
+        return Footprint.round(assumed_px2 + share * (variance - assumed_px2))
     return Footprint.round(min(variance, _LARGEST_PX2) if variance > _SIGNIFICANT * scatter else assumed_px2)
 
 
@@ -87,13 +90,15 @@ def _not_round(tiles: _Tiles) -> Footprint | None:
     """The footprint that is not the same in all directions; None if it may be.
 
     By weights that make of the mean over tiles a median (Weiszfeld); its covariance is that of the tiles' scatter, and
-    the test that of Hotelling, which knows how few they are.
+    the test that of Hotelling, which knows how few they are: a few may tell more than all others.
     """
-    count, unknowns = tiles.vector.shape
+    unknowns = tiles.vector.shape[1]
+    information = np.trace(tiles.matrix, axis1=1, axis2=2)
+    count = float(information.sum() ** 2 / np.sum(information**2))
     if count <= 2 * unknowns or np.linalg.cond(tiles.matrix.sum(axis=0)) > _LARGEST_CONDITION:
         return None
-    size = np.sqrt(np.maximum(np.trace(tiles.matrix, axis1=1, axis2=2), np.finfo(float).tiny))
-    weight = np.ones(count)
+    size = np.sqrt(np.maximum(information, np.finfo(float).tiny))
+    weight = np.ones(len(size))
     for _ in range(_ITERATIONS):
         total = np.einsum("t,tij->ij", weight, tiles.matrix)
         covariance = np.linalg.solve(total, weight @ tiles.vector)

@@ -15,15 +15,20 @@ Floats = NDArray[np.float32]
 
 
 def seen(
-    sigma_px: float, seed: int = 1, *, slope: tuple[float, float] = (0.7, 0.2), shaken_px: float = 0.0
+    sigma_px: float,
+    seed: int = 1,
+    *,
+    slope: tuple[float, float] = (0.7, 0.2),
+    shaken_px: float = 0.0,
+    darkest: float = 0.5,
 ) -> tuple[Floats, Floats, Floats]:
     """A slanted coordinate through a Gaussian footprint on patchy paint: its true and its seen value, and ln A.
 
     `slope`: per column and per row. `shaken_px`: what the camera moves while it looks, down and to the right at once,
-    as a standard deviation of either.
+    as a standard deviation of either. `darkest`: of the paint.
     """
     rng = np.random.default_rng(seed)
-    paint = np.kron(rng.uniform(0.5, 1.0, (6, 6)), np.ones((TILE * OVERSAMPLED // 6,) * 2))
+    paint = np.kron(rng.uniform(darkest, 1.0, (6, 6)), np.ones((TILE * OVERSAMPLED // 6,) * 2))
     step = (np.arange(TILE * OVERSAMPLED) + 0.5) / OVERSAMPLED - 0.5
     coordinate = slope[0] * step[None, :] + slope[1] * step[:, None]
     phasor = paint * np.exp(2j * np.pi * coordinate / 8)
@@ -57,13 +62,13 @@ def test_the_footprint_is_measured(sigma_px: float) -> None:
     assert 0.8 * sigma_px**2 < found.across_px2 < 1.3 * sigma_px**2
 
 
-def measured(axes: list[list[tuple[Floats, Floats, Floats]]]) -> Footprint:
+def measured(axes: list[list[tuple[Floats, Floats, Floats]]], noise_px: float = 0.02) -> Footprint:
     """The footprint from noisy tiles of each axis, as of `seen`."""
     rng = np.random.default_rng(0)
     shaded, log_lit = [], np.empty(0, np.float32)
     for tiles in axes:
         value, log_a = (np.concatenate([tile[k] for tile in tiles]) for k in (1, 2))
-        shaded.append((value + rng.normal(0, 0.02, value.shape).astype(np.float32), log_a))
+        shaded.append((value + rng.normal(0, noise_px, value.shape).astype(np.float32), log_a))
         log_lit = log_a + rng.normal(0, 0.01, value.shape).astype(np.float32)
     return footprint_of(shaded, log_lit, np.ones(log_lit.shape, np.bool_), TILE, TYPICAL_PX2)
 
@@ -84,7 +89,27 @@ def test_of_a_plain_wall_the_footprint_is_a_typical_one() -> None:
     value = np.broadcast_to(0.7 * np.arange(TILE), shape) + rng.normal(0, 0.02, shape)
     log_a, log_lit = (rng.normal(0, 0.01, shape).astype(np.float32) for _ in range(2))
     found = footprint_of([(value.astype(np.float32), log_a)], log_lit, np.ones(shape, np.bool_), TILE, TYPICAL_PX2)
-    assert found == Footprint.round(TYPICAL_PX2)
+    assert found.across_px2 == found.down_px2
+    assert 0.15 < found.across_px2 < 0.25
+
+
+def test_what_is_seen_of_a_sharp_lens_counts_though_it_is_not_significant() -> None:
+    found = measured([[seen(0.3, seed) for seed in range(4)]], noise_px=0.06)
+    assert found.across_px2 == found.down_px2
+    assert 0.03 < found.across_px2 < 0.17
+
+
+@pytest.mark.parametrize("first", range(0, 60, 20))
+def test_few_patches_that_tell_much_do_not_make_it_long(first: int) -> None:
+    slopes = (0.7, 0.2), (-0.15, 0.6)
+    found = measured(
+        [
+            [seen(0.5, first + k, slope=slope, darkest=0.2 if k < 3 else 0.97, shaken_px=0.0) for k in range(20)]
+            for slope in slopes
+        ]
+    )
+    assert found.mixed_px2 == 0
+    assert 0.6 * 0.25 < found.across_px2 < 1.5 * 0.25
 
 
 def test_nothing_is_corrected_beside_unusable_pixels() -> None:
