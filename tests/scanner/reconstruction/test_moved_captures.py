@@ -9,7 +9,7 @@ from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
 from scanner.decoding.motion.found import Disturbance, MotionFound
 from scanner.reconstruction.moved_captures import refuse_costly, with_doubt
-from scanner.results import Decoded
+from scanner.results import Decoded, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import room
 from tests.support.reports import SIZES, calibrated_report
 
@@ -20,8 +20,12 @@ MOTION = MotionFound(PROJECTOR, True, False, 16, 21, 0.3, 0.9, SHIFT, ())
 
 @pytest.fixture(scope="module")
 def capture() -> tuple[Decoded, SelfCalibration]:
-    calibrated = calibrated_report(room()).outcome.calibrated
+    outcome = calibrated_report(room()).outcome
+    assert isinstance(outcome, Reconstructed)
+    calibrated = outcome.calibrated
+    assert isinstance(calibrated, SelfCalibrated)
     decoding = calibrated.decoded.decoding
+    assert decoding is not None
     return replace(calibrated.decoded, origin=replace(decoding, motion=MOTION)), calibrated.solution
 
 
