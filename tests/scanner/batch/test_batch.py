@@ -1,7 +1,6 @@
 """Batches of small captures, on workers of this machine and of a scheduler: what becomes of each, and of all."""
 
 import csv
-import resource
 import shutil
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from scanner.io.calibration_file import read_calibration
 from scanner.ui.exit_codes import failure_of
 from scanner.ui.terminal import Terminal
 from tests.support.deadly_work import deadly_work
+from tests.support.full_disk import no_file_larger_than
 from tests.support.places import ROOT
 
 pytestmark = pytest.mark.xdist_group("batch")
@@ -135,17 +135,6 @@ def test_what_ends_its_worker_fails_alone(museum: Path, tmp_path: Path, monkeypa
         monkeypatch.undo()
         again = run_batch(jobs, str(out), lambda: client, QUIET, retry=True)
     assert (again.kept, [row.exit_code for row in again.rows]) == (3, [0, 0, 0, 0])
-
-
-@contextmanager
-def no_file_larger_than(size: int) -> Iterator[None]:
-    """What a disk does that is full, for as long as the context lasts."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_a_disk_that_takes_no_more_ends_the_batch_and_is_no_row(museum: Path, tmp_path: Path) -> None:
