@@ -22,6 +22,11 @@ class StorageError(Exception):
     """A disk that is full, may not be written, or fails. The message names the path and says what to do."""
 
 
+def is_of_the_disk(error: BaseException) -> bool:
+    """Whether the disk is what an error is about, and nothing that was read from it."""
+    return isinstance(error, StorageError) or (isinstance(error, OSError) and error.errno in DISK_TROUBLE)
+
+
 def cannot_write(where: object, error: OSError, what: str = "written") -> StorageError | InputError:
     """What is said of an error in writing: a disk that does not take it, or a path where nothing can be `what`."""
     said = f"{where}: cannot be {what}: {error.strerror or error}"

@@ -79,10 +79,11 @@ class SelfCalibration:
     `matches` are labelled with their faces, `corner` is in the camera's frame, `residual_px` is the root mean square
     reprojection error of a match in the projector, `notes` are things that a person should know. `uncertainty` is None
     for a method that knows none. `order_nats`: of captures of one corner, by how much its angles make the order in
-    which the faces are numbered likelier than any other; 0 where they do not tell. `likely_percent`: what likely shifts
-    of the matches may have done to the intrinsics, one standard deviation; `possible_percent`: the same of those that
-    nothing tells of. Both are part of the sigmas. `known`: what it was joined with, if it was. `next_view`: from where
-    a further capture would help most; None where none would see the corner, or the method does not know.
+    which the faces are numbered likelier than any other; 0 where they do not tell. How far the intrinsics may be off,
+    one standard deviation: `at_rest_percent` without any shifts of the matches, `likely_percent` by likely shifts
+    alone, `possible_percent` by those that nothing tells of; all are part of the sigmas. `known`: what it was joined
+    with, if it was. `next_view`: from where a further capture would help most; None where none would see the corner,
+    or the method does not know.
     """
 
     calibration: Calibration
@@ -94,6 +95,7 @@ class SelfCalibration:
     notes: tuple[str, ...] = ()
     uncertainty: Uncertainty | None = None
     order_nats: float = 0.0
+    at_rest_percent: float = 0.0
     likely_percent: float = 0.0
     possible_percent: float = 0.0
     known: KnownCalibration | None = None
@@ -288,6 +290,7 @@ def _by_refinement(
         raise no_corner(cells, RIG)
     by_curvature = refinement.covariance
     refinement = _with_smooth_errors(refinement, shifts)
+    at_rest_percent = percent_of_intrinsics(refinement.fit.state, np.sqrt(np.diag(refinement.covariance)))
     refinement, likely_percent = _with_shifts(refinement, [each.likely for each in shifts])
     notes: tuple[str, ...] = ()
     if known is not None:
@@ -332,6 +335,7 @@ def _by_refinement(
                 notes,
                 uncertainty,
                 order_nats,
+                at_rest_percent,
                 likely_percent,
                 possible_percent,
                 known,

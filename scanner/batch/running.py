@@ -15,6 +15,7 @@ from scanner.batch.place import Place
 from scanner.batch.rows import ENDING, Row
 from scanner.batch.table import write_csv, write_parquet
 from scanner.batch.work import ROWS, Delivery, work
+from scanner.errors import is_of_the_disk
 from scanner.ui import EXIT_BUG, Progress
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def run_batch(
 ) -> Batch:
     """Work on what no earlier run has finished, and write the table of all. `client` is asked for if there is work.
 
-    Raises InputError, OSError; what a capture does is in its row.
+    Raises InputError, StorageError, OSError; what a capture does is in its row.
     """
     began_s = time.monotonic()
     delivery = Delivery(out)
@@ -107,6 +108,9 @@ def _worked(jobs: Sequence[Job], delivery: Delivery, client: "Client") -> Iterat
         try:
             yield future.result()
         except Exception as error:
+            if is_of_the_disk(error):
+                error.add_note("What was finished is kept: once there is room, the same command goes on from there.")
+                raise
             yield _crashed(job, delivery, error)
 
 

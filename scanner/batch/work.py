@@ -17,7 +17,7 @@ from scanner.batch.listing import Job
 from scanner.batch.place import Place
 from scanner.batch.rows import ENDING, Row
 from scanner.capture import open_capture
-from scanner.errors import InputError
+from scanner.errors import InputError, is_of_the_disk
 from scanner.io import read_image
 from scanner.rendering import encode_jpeg, photograph
 from scanner.results import CALIBRATION_FILE, LOG_FILE, Scan, verdict_of
@@ -49,7 +49,7 @@ class Delivery:
 def work(job: Job, delivery: Delivery) -> Row:
     """Reconstruct a capture and deliver what came of it, the row last. Whatever the capture is, there is a row.
 
-    Raises OSError if nothing can be delivered.
+    Raises StorageError, OSError if nothing can be delivered: that says nothing of the capture, and is no row.
     """
     _use_one_processor()
     started, began_s = datetime.now(UTC), time.monotonic()
@@ -80,6 +80,8 @@ def _reconstruct(job: Job, delivery: Delivery) -> Row:
                     row = _with_verdict(row, out)
                 return _of_scan(row, scan)
     except Exception as error:
+        if is_of_the_disk(error):
+            raise
         failure = failure_of(error)
         return replace(row, exit_code=failure.exit_code, reason=row.reason or failure.message)
 

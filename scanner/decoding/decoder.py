@@ -39,6 +39,7 @@ from scanner.decoding.motion import (
     TileSample,
     blaming_motion,
     blaming_shifts,
+    refuse_whole_periods,
     remarks_on,
 )
 from scanner.decoding.one_axis import one_axis
@@ -209,6 +210,7 @@ class Decoder:
                 with suspecting(oddities):
                     matches, reasons = match_kept(plan, maps, brightest, self._one_axis, by_pixel=by_pixel)
                 odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
+                refuse_whole_periods(plan, seen.code_shifts)
         darkness = too_dark(seen.levels, seen.noise)
         told = warnings_of(reasons, learnt.modulation, seen.flicker, darkness)
         return Decoding(

@@ -8,7 +8,8 @@ from calib.self_calibration import SelfCalibration
 from scanner.decoding import SUSPECTED_PX, UNSEEN_MOTION, moved
 from scanner.results import Decoded
 
-# What is left of a motion may cost the intrinsics so much, one standard deviation.
+# What is left of a motion may cost the intrinsics so much, one standard deviation; or as much as they are unsure of
+# anyway, which a capture without it would not be spared.
 _MOST_PERCENT = 0.5
 
 
@@ -21,7 +22,7 @@ def refuse_moved(capture: Decoded) -> None:
 
 def refuse_costly(captures: Sequence[Decoded], solution: SelfCalibration) -> None:
     """Raise RefusalError for the capture with the largest motion, if what is left of it costs the solution too much."""
-    if solution.likely_percent > _MOST_PERCENT:
+    if solution.likely_percent > max(_MOST_PERCENT, solution.at_rest_percent):
         motions = [capture.decoding.motion for capture in captures if capture.decoding and capture.decoding.motion]
         raise moved(max(motions, key=lambda motion: motion.size_px))
 
@@ -33,7 +34,13 @@ def shifts_of(capture: Decoded) -> Shifts:
 
 
 def with_doubt(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:
-    """The same with a note on what nobody can have seen, where there is such a thing."""
+    """The same with notes on what a motion costs, and on what nobody can have seen, where there is such a thing."""
+    if solution.likely_percent > _MOST_PERCENT:
+        cost = (
+            f"What may be left of the motion costs {solution.likely_percent:.2g} % of the intrinsics, of which this "
+            f"view is unsure by {solution.at_rest_percent:.2g} % anyway. Both are part of their sigmas."
+        )
+        solution = replace(solution, notes=(*solution.notes, cost))
     motions = [capture.decoding.motion for capture in captures if capture.decoding]
     if not any(motion is not None and motion.blind for motion in motions):
         return solution

@@ -12,7 +12,7 @@ from typing import Self
 
 from calib.refusal import RefusalError
 from scanner.configuration import Config
-from scanner.errors import DISK_TROUBLE, InputError, StorageError, cannot_write
+from scanner.errors import InputError, StorageError, cannot_write, is_of_the_disk
 from scanner.interruption import finishing
 from scanner.io import MATCHES_FILE, sync_tree
 from scanner.results.leftovers import frames_in, keep_recording, kept_words, settle
@@ -120,11 +120,17 @@ class OutputFolder:
         except KeyboardInterrupt as late:
             late.add_note(f"The result is in {self._shown}.")
             raise
-        if isinstance(error, OSError) and error.errno in DISK_TROUBLE:
-            told = cannot_write(self._shown, error)
+        if error is not None and is_of_the_disk(error):
+            told = self._by_its_name(error)
             for note in getattr(error, "__notes__", []):
                 told.add_note(note)
             raise told from error
+
+    def _by_its_name(self, error: BaseException) -> Exception:
+        """The same error of the disk, as one of what would have been made: nobody knows the hidden folder."""
+        if isinstance(error, OSError):
+            return cannot_write(self._shown, error)
+        return StorageError(str(error).replace(str(self.folder), str(self._shown)))
 
     def _end(self, error: BaseException | None) -> None:
         if error is None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from scanner.errors import DISK_TROUBLE, InputError, StorageError
+from scanner.errors import InputError, is_of_the_disk
 from scanner.interruption import EXIT_INTERRUPTED
 from scanner.shown_text import harmless, shortened
 
@@ -29,13 +29,13 @@ class Failure:
 def failure_of(error: BaseException) -> Failure:
     """What an error that ended a command means. A bug's traceback is written to a file, which the message names."""
     match error:
-        case OSError() if error.errno in DISK_TROUBLE:
+        case _ if is_of_the_disk(error):
             return _failure(EXIT_DEVICE, error)
         case InputError() | OSError():
             return _failure(EXIT_INPUT, error)
         case MemoryError():
             return _failure(EXIT_INPUT, error, "there is not enough memory for an input of this size: ")
-        case DeviceError() | StorageError():
+        case DeviceError():
             return _failure(EXIT_DEVICE, error)
         case RefusalError():
             return _failure(EXIT_REFUSED, error, f"no trustworthy {error.refused}: ")

@@ -272,6 +272,7 @@ MADE_OF_A_RESULT = {
     "the cloud": ("export", "{result}", "--to", "ply", "--out", "{disk}/cloud.ply"),
     "three files that belong together": ("export", "{result}", "--to", "colmap", "--out", "{disk}/model"),
     "a page and a document": ("compare", "{result}", "{result}", "--out", "{disk}/compared"),
+    "a board to print": ("board", "--print", "charuco:A4", "--out", "{disk}/board.pdf"),
     "a picture and a document": ("measure", "{result}", "--out", "{disk}/measured"),
 }
 

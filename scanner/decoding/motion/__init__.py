@@ -5,6 +5,7 @@ from scanner.decoding.motion.blame import (
     blaming_motion,
     blaming_shifts,
     moved,
+    refuse_whole_periods,
     remarks_on,
 )
 from scanner.decoding.motion.broken_fringes import broken_between
@@ -34,6 +35,7 @@ __all__ = [
     "mask_wrong_bits",
     "measure_motion",
     "moved",
+    "refuse_whole_periods",
     "remarks_on",
     "shifts_by_motion",
     "shifts_of_codes",

@@ -55,6 +55,16 @@ def blaming_shifts(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Iterator[
         raise _moved_before_fringes(plan, max(shifts, key=lambda shift: abs(shift.px))) from error
 
 
+def refuse_whole_periods(plan: SequencePlan, shifts: Sequence[CodeShift]) -> None:
+    """Raise RefusalError if something moved by whole periods between codes and fringes.
+
+    All coordinates are then off by these: a projector with another principal point, which nothing contradicts.
+    """
+    by_periods = [shift for shift in shifts if shift.by_periods]
+    if by_periods:
+        raise _moved_before_fringes(plan, max(by_periods, key=lambda shift: abs(shift.px)))
+
+
 def moved(motion: MotionFound) -> RefusalError:
     """The refusal of a capture that this motion has spoilt."""
     return RefusalError(f"{_capital(motion)}.", ADVICE)

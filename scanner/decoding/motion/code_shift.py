@@ -8,6 +8,7 @@ from calib.numerics import Bools
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.motion.whole_periods import Offsets, moved_by_periods
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
 _SEEN = 5.0
@@ -23,21 +24,28 @@ _MOST_CYCLES = 0.4
 
 @dataclass(frozen=True)
 class CodeShift:
-    """Along an axis everything moved by `px` projector pixels, from the frames of its codes to those of its fringes."""
+    """Along an axis everything moved by `px` projector pixels, from the frames of its codes to those of its fringes.
+
+    `by_periods`: whole periods of the longest fringe are a part of that, which do not keep pixels from being decoded.
+    """
 
     axis: AxisPlan
     px: float
+    by_periods: bool = False
 
 
 def shifts_of_codes(
     plan: SequencePlan, signals: tuple[Signals, Signals], noise: NoiseModel, resting: Bools
 ) -> tuple[CodeShift, ...]:
     """Those that are more than nothing, given the signals of some pixels (P,); those that are `resting` (P,) count."""
-    found = (_shift(axis, of_axis, noise, resting) for axis, of_axis in zip(plan.axes, signals, strict=True))
+    x, y = (_offsets(axis, of_axis, noise, resting) for axis, of_axis in zip(plan.axes, signals, strict=True))
+    by_periods = moved_by_periods(x, y) if x is not None and y is not None else (0.0, 0.0)
+    found = (_shift(each, px) for each, px in zip((x, y), by_periods, strict=True) if each is not None)
     return tuple(shift for shift in found if shift is not None)
 
 
-def _shift(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools) -> CodeShift | None:
+def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools) -> Offsets | None:
+    """Of the longest fringe beside its code; None if there are none, or it follows no code."""
     if not axis.codes or not axis.fringes or axis.cell >= axis.fringes[0].period:
         return None
     longest = axis.fringes[0]
@@ -51,8 +59,16 @@ def _shift(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools) 
     )
     if np.count_nonzero(seen) < _FEWEST:
         return None
-    beyond = np.arctan2(sine, cosine) - 2 * np.pi / longest.period * interval.centre
-    mean = complex(np.mean(np.exp(1j * beyond[seen])))
-    px = float(np.angle(mean)) * longest.period / (2 * np.pi)
-    follows = abs(mean) >= _AGREEING * np.sinc(axis.cell / longest.period)
-    return CodeShift(axis, px) if follows and _LEAST_PX <= abs(px) <= _MOST_CYCLES * longest.period else None
+    centre, px_per_radian = interval.centre.astype(np.float64), longest.period / (2 * np.pi)
+    beyond = np.exp(1j * (np.arctan2(sine, cosine) - centre / px_per_radian))
+    mean = complex(np.mean(beyond[seen]))
+    if abs(mean) < _AGREEING * np.sinc(axis.cell / longest.period):
+        return None
+    return Offsets(axis, centre, px_per_radian * np.angle(beyond / mean), px_per_radian * float(np.angle(mean)), seen)
+
+
+def _shift(found: Offsets, by_periods_px: float) -> CodeShift | None:
+    if by_periods_px:
+        return CodeShift(found.axis, by_periods_px, by_periods=True)
+    is_one = _LEAST_PX <= abs(found.mean_px) <= _MOST_CYCLES * found.period
+    return CodeShift(found.axis, found.mean_px) if is_one else None

@@ -46,6 +46,8 @@ def test_the_prediction_is_what_a_new_fit_does() -> None:
 
     doubted = solve(matches, Shifts(likely=(tilt,)))
     assert 0.9 * before.possible_percent < doubted.likely_percent < 1.1 * before.possible_percent
+    assert doubted.at_rest_percent == before.at_rest_percent
+    assert 0.02 < before.at_rest_percent < 0.5
     sigma = [float(np.max(each.calibration.sigma.camera.focal_px)) for each in (after, before, doubted)]
     assert sigma[1] == sigma[2]
     assert sigma[0] < sigma[1] < sigma[0] + 0.02 * before.possible_percent * PAPER_CAMERA.focal_px[0]

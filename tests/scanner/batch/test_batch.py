@@ -10,16 +10,20 @@ from pathlib import Path
 
 import pyarrow.parquet
 import pytest
+from distributed import Client
 
 from scanner.batch import running as running_module
-from scanner.batch.cluster import ClusterOptions, client_of, described
+from scanner.batch.cluster import ClusterOptions, client_of, described, require_dask
 from scanner.batch.listing import Asked, list_jobs
 from scanner.batch.rows import OF_THE_RUN
 from scanner.batch.running import CSV, PAGE, TABLE, run_batch
 from scanner.commands.main import main
+from scanner.errors import StorageError
 from scanner.io.calibration_file import read_calibration
+from scanner.ui.exit_codes import failure_of
 from scanner.ui.terminal import Terminal
 from tests.support.deadly_work import deadly_work
+from tests.support.full_disk import no_file_larger_than
 from tests.support.places import ROOT
 
 pytestmark = pytest.mark.xdist_group("batch")
@@ -131,6 +135,21 @@ def test_what_ends_its_worker_fails_alone(museum: Path, tmp_path: Path, monkeypa
         monkeypatch.undo()
         again = run_batch(jobs, str(out), lambda: client, QUIET, retry=True)
     assert (again.kept, [row.exit_code for row in again.rows]) == (3, [0, 0, 0, 0])
+
+
+def test_a_disk_that_takes_no_more_ends_the_batch_and_is_no_row(museum: Path, tmp_path: Path) -> None:
+    jobs = list_jobs([str(museum / "captures" / "dark")], Asked(museum / "room.yaml"))
+    require_dask()
+    with Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None) as client:
+        with no_file_larger_than(500), pytest.raises(StorageError) as caught:
+            run_batch(jobs, str(tmp_path), lambda: client, QUIET)
+        failure = failure_of(caught.value)
+        assert failure.exit_code == 3
+        assert f"{tmp_path}/thumbnails/dark.jpg: cannot be written: File too large" in failure.message
+        assert "the same command goes on from there" in failure.message
+        assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+        again = run_batch(jobs, str(tmp_path), lambda: client, QUIET)
+    assert (again.kept, [row.exit_code for row in again.rows]) == (0, [4])
 
 
 @contextmanager

@@ -13,10 +13,13 @@ from calib.synthetic import random_boards
 from scanner.boards.calibrate import FromBoards, Missing, Seen
 from scanner.boards.result import save_result
 from scanner.commands.main import main
+from scanner.configuration import Config
+from scanner.errors import StorageError
 from scanner.io import read_calibration
-from scanner.results import read_verdict
+from scanner.results import new_result, read_verdict
 from scanner.targets.target import Target
 from tests.support.boards import views_of
+from tests.support.full_disk import no_file_larger_than
 from tests.support.places import REAL_CAPTURES
 
 BOARDS = REAL_CAPTURES / "procam-calibration"
@@ -52,6 +55,21 @@ def test_a_result_is_a_calibration_and_a_page(from_boards: FromBoards, tmp_path:
     ):
         assert told in page
     assert "://" not in re.sub(r"data:image/jpeg;base64,[^\"]*", "", page)
+
+
+@pytest.mark.parametrize("largest_file", [500, 20_000])
+def test_a_disk_that_does_not_take_the_result(from_boards: FromBoards, tmp_path: Path, largest_file: int) -> None:
+    """The calibration is the first that does not fit, or the page."""
+    out = tmp_path / "board"
+    with (
+        pytest.raises(StorageError) as caught,
+        new_result(out, Config(), overwrite=False) as folder,
+        no_file_larger_than(largest_file),
+    ):
+        save_result(from_boards, folder)
+    assert str(out) in str(caught.value)
+    assert "partial" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_corners_of_a_wide_camera_are_drawn_where_they_are(from_boards: FromBoards, tmp_path: Path) -> None:

@@ -104,6 +104,41 @@ def test_a_bump_before_the_fringes_changes_nothing() -> None:
     assert y == pytest.approx(0.0, abs=0.02)
 
 
+@dataclass(frozen=True)
+class Panned(Scene):
+    """The scene after a projector of a focal length of 1.5 widths has panned or tilted: its sides move more."""
+
+    right_px: float = 0.0
+    down_px: float = 0.0
+
+    def _plane(self, u: Light, v: Light, shift: float, tilt: float) -> tuple[Light, Light]:
+        x, y = super()._plane(u, v, shift, tilt)
+        (width, height), focal = self.projector, 1.5 * self.projector[0]
+        a, b = (x - (width - 1) / 2) / focal, (y - (height - 1) / 2) / focal
+        by_x, by_y = (
+            self.right_px * (1 + a * a) + self.down_px * a * b,
+            self.down_px * (1 + b * b) + self.right_px * a * b,
+        )
+        return x - by_x, y - by_y
+
+
+@pytest.mark.parametrize(
+    ("preset", "right_px", "down_px", "said"),
+    [("quick", 12.0, 0.0, "x by 12"), ("quick", 0.0, -12.3, "y by 12"), ("standard", -15.8, 0.3, "x by 16")],
+)
+def test_a_knock_of_a_whole_period_between_code_and_fringes(
+    preset: PresetName, right_px: float, down_px: float, said: str
+) -> None:
+    patterns = PRESETS[preset].patterns(SCENE.projector)
+    after = Panned(SCENE.camera, SCENE.projector, right_px=right_px, down_px=down_px)
+    frames = [
+        (after if isinstance(pattern, Phase) else SCENE).frame(pattern, number)
+        for number, pattern in enumerate(patterns)
+    ]
+    with pytest.raises(RefusalError, match=f"moved: along {said}.* projector pixels .* from the codes to the fringes"):
+        decode(patterns, frames, SCENE.projector)
+
+
 FIRST_OF_Y = next(number for number, pattern in enumerate(APART) if getattr(pattern, "axis", "") == "y")
 
 

@@ -1,0 +1,49 @@
+"""A motion that was taken back: what may be left of it is refused, or told, by what it costs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.refusal import RefusalError
+from calib.self_calibration import SelfCalibration
+from scanner.decoding.motion.found import Disturbance, MotionFound
+from scanner.reconstruction.moved_captures import refuse_costly, with_doubt
+from scanner.results import Decoded, Reconstructed, SelfCalibrated
+from tests.support.cloud_scene import room
+from tests.support.reports import SIZES, calibrated_report
+
+SHIFT = Disturbance(np.zeros((2, 8)), *((size.width, size.height) for size in SIZES))
+PROJECTOR = np.array([0.3, 0, 0, 0, 0, 0, 0, 0])
+MOTION = MotionFound(PROJECTOR, True, False, 16, 21, 0.3, 0.9, SHIFT, ())
+
+
+@pytest.fixture(scope="module")
+def capture() -> tuple[Decoded, SelfCalibration]:
+    outcome = calibrated_report(room()).outcome
+    assert isinstance(outcome, Reconstructed)
+    calibrated = outcome.calibrated
+    assert isinstance(calibrated, SelfCalibrated)
+    decoding = calibrated.decoded.decoding
+    assert decoding is not None
+    return replace(calibrated.decoded, origin=replace(decoding, motion=MOTION)), calibrated.solution
+
+
+@pytest.mark.parametrize(
+    ("at_rest", "likely", "refused"),
+    [(0.1, 0.4, False), (0.1, 0.6, True), (1.2, 0.9, False), (1.2, 1.3, True)],
+)
+def test_it_may_cost_what_the_view_is_unsure_of_anyway(
+    capture: tuple[Decoded, SelfCalibration], at_rest: float, likely: float, refused: bool
+) -> None:
+    decoded, solution = capture
+    solution = replace(solution, at_rest_percent=at_rest, likely_percent=likely)
+    if refused:
+        with pytest.raises(RefusalError, match=r"The projector moved by 0.3 px between frames 16 and 21"):
+            refuse_costly([decoded], solution)
+        return
+    refuse_costly([decoded], solution)
+    added = with_doubt([decoded], solution).notes[len(solution.notes) :]
+    assert len(added) == (likely > 0.5)
+    for note in added:
+        assert "costs 0.9 % of the intrinsics, of which this view is unsure by 1.2 % anyway" in note
