@@ -40,7 +40,9 @@ def refine_by_edges(accumulators: Accumulators, maps: Maps, noise: NoiseModel, u
     axes has the centre of its cell there, if that is short and continues the pixels around it.
     """
     measured = [number for number, axis in enumerate(accumulators.plan.axes) if axis.is_measured]
-    folds = [_finest(accumulators, number) for number in measured]
+    folds = [fold for number in measured if (fold := _finest(accumulators, number)) is not None]
+    if len(folds) < len(measured):  # before anything is made of the size of the image: with fringes there are none
+        return False
     kept = maps.reason == _KEPT
     # An edge is a line of undecided pixels; where they are many, it is too dark for edges, too.
     around = cv2.boxFilter(kept.view(np.uint8), cv2.CV_8U, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
@@ -48,13 +50,11 @@ def refine_by_edges(accumulators: Accumulators, maps: Maps, noise: NoiseModel, u
     value = np.full((len(measured), *kept.shape), np.nan, np.float32)
     variance = np.full(value.shape, np.inf, np.float32)
     for fold, *into in zip(folds, value, variance, strict=True):
-        if fold is None:
-            return False
         _interpolate(accumulators, fold, noise, usable, *into)
     between = np.isfinite(variance).all(axis=0)
     if np.count_nonzero(between & kept) < max(1.0, _MOSTLY * np.count_nonzero(kept)):
         return False
-    apart = np.array([_apart(v, fold.code.cell) for v, fold in zip(value, folds, strict=True) if fold], np.float32)
+    apart = np.array([_apart(v, fold.code.cell) for v, fold in zip(value, folds, strict=True)], np.float32)
     _take_over(value, variance, np.array(measured), apart, usable, maps.projector_px, maps.variance, maps.reason)
     _mask_breaks(accumulators.plan, maps)
     widen_between_edges(accumulators.plan, maps)
