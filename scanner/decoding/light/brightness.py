@@ -118,7 +118,7 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
             (_weights(alike[group], common, places, nothing, ties, is_guess=is_guess)[0], 0.0) for group in groups
         ]
         found = _gains(guesses, before=found)
-        alike = levels / Gains(found.of_rows[back]).at(places.rows).astype(np.float32)
+        alike = (levels / Gains(found.of_rows[back]).at(places.rows)).astype(np.float32)
     for _ in range(_PASSES):
         cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
         phase = np.arctan2(sine, cosine)
@@ -130,7 +130,7 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
         harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
         weights = [_weights(alike[group], common, places, harmonic, ties) for group in groups]
         found = _gains(weights, mistaken, found)
-        alike = levels / Gains(found.of_rows[back]).at(places.rows).astype(np.float32)
+        alike = (levels / Gains(found.of_rows[back]).at(places.rows)).astype(np.float32)
     return Gains(found.of_rows[back])
 
 
