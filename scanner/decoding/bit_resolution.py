@@ -94,7 +94,7 @@ def _count_left_out(accumulators: Accumulators, folds: Sequence[GrayFold], noise
     """Without how many of its bits, `fewest` at least, cells of a code that differ in one bit are neighbours."""
     for count in range(fewest, len(folds) - 1):
         try:
-            if not check_codes(accumulators.plan, [folds[count]], noise, accumulators.middle):
+            if not check_codes(accumulators.plan, [folds[count]], noise, accumulators.middle, accumulators.brightest):
                 return count
         except InputError:
             continue

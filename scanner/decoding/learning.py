@@ -212,7 +212,9 @@ def learn(
         if once_more and switch is not None and switch.is_harmful:
             raise LightSwitchedError(switch)
         oddities += odd
-        odd_codes = check_codes(plan, accumulators.codes, seen.noise, accumulators.middle, moved)
+        odd_codes = check_codes(
+            plan, accumulators.codes, seen.noise, accumulators.middle, accumulators.brightest, moved
+        )
         oddities += _passed_over(plan, odd_codes, oddities, seen.unrest)
         decoders = calibrating.result()
         with blaming_shifts(plan, seen.code_shifts):

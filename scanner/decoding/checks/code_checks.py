@@ -28,6 +28,8 @@ _CERTAIN_SIGMAS = 3.0
 # Smaller differences are rounding and compression, in grey levels; or stray light, whose bits are no neighbours', in
 # parts of what the brightest few pixels have: cameras of many bits and little noise see that too.
 _LEAST_DIFFERENCE, _LEAST_PART, _BRIGHTEST = 5.0, 0.03, 0.98
+# Of what those have, less is unlit: beyond the picture, a camera that maps tones anew in each frame sees bits, too.
+_LIT = 0.25
 _FEWEST_CHANGES = 30
 _FEWEST_BITS = 3
 _DIRECTIONS = 2
@@ -72,16 +74,21 @@ class _Changes:
 
 
 def check_codes(
-    plan: SequencePlan, folds: Sequence[GrayFold], noise: NoiseModel, middle: Image, moved: Bools | None = None
+    plan: SequencePlan,
+    folds: Sequence[GrayFold],
+    noise: NoiseModel,
+    middle: Image,
+    brightest: Image,
+    moved: Bools | None = None,
 ) -> list[Oddity]:
     """Where the bits of a Gray code do not follow each other as they must.
 
-    `middle` (H, W): grey level half-way between lit and unlit; `moved` (H, W): where something did, and nobody is
-    asked. Raises InputError if they do once bits are exchanged.
+    `middle` (H, W): grey level half-way between lit and unlit; `brightest` (H, W): when lit; `moved` (H, W): where
+    something did, and nobody is asked. Raises InputError if they do once bits are exchanged.
     """
     found = []
     bases = {(fold.code.axis, fold.code.cell, fold.code.offset) for fold in folds if fold.code.base is not None}
-    for fold, changes in chain.from_iterable(_sampled(fold, noise, middle, moved) for fold in folds):
+    for fold, changes in chain.from_iterable(_sampled(fold, noise, middle, brightest, moved) for fold in folds):
         wrong = changes[~changes.adjacent()]
         if len(wrong.bit) < _FEWEST_CHANGES:
             continue
@@ -101,32 +108,37 @@ def check_codes(
 
 
 def _sampled(
-    fold: GrayFold, noise: NoiseModel, middle: Image, moved: Bools | None
+    fold: GrayFold, noise: NoiseModel, middle: Image, brightest: Image, moved: Bools | None
 ) -> Iterator[tuple[GrayFold, _Changes]]:
     """The code and its changes; and the same of the code without as many of its finest bits as it takes for all pixels
     to be smaller than cells. What is wrong with coarse bits shows where single cells cannot be told apart.
     """
-    changes, are_single = _changes(fold, noise, middle, moved)
+    changes, are_single = _changes(fold, noise, middle, brightest, moved)
     yield fold, changes
     coarser = fold
     while not are_single and fold.code.base is None and coarser.code.bits > _FEWEST_BITS:
         coarser = coarser.without_finest(1)
-        changes, are_single = _changes(coarser, noise, middle, moved)
+        changes, are_single = _changes(coarser, noise, middle, brightest, moved)
     if coarser is not fold:
         yield coarser, changes
 
 
-def _changes(fold: GrayFold, noise: NoiseModel, middle: Image, moved: Bools | None = None) -> tuple[_Changes, bool]:
+def _changes(
+    fold: GrayFold, noise: NoiseModel, middle: Image, brightest: Image, moved: Bools | None
+) -> tuple[_Changes, bool]:
     """Single-bit changes along some rows and columns of the image, between certain pixels; of either, if most are, and
     whether most of both are.
     """
     before, after = [np.empty(0, np.uint32)], [np.empty(0, np.uint32)]
     for is_transposed in (False, True):
-        words, least, level = (
-            lines_of(image.T if is_transposed else image, _LINES) for image in (fold.words, fold.least, middle)
+        words, least, level, white = (
+            lines_of(image.T if is_transposed else image, _LINES)
+            for image in (fold.words, fold.least, middle, brightest)
         )
         least_clear = max(_LEAST_DIFFERENCE, _LEAST_PART * float(np.quantile(least[:, ::_FARTHEST_PX], _BRIGHTEST)))
         certain = least > np.maximum(least_clear, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
+        swing = white.astype(np.float32) - level
+        certain &= swing >= np.float32(_LIT) * np.quantile(swing[:, ::_FARTHEST_PX], _BRIGHTEST)
         if moved is not None:
             certain &= ~lines_of(moved.T if is_transposed else moved, _LINES)
         one, next_one = np.empty((2, words.size), np.uint32)

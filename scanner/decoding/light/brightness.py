@@ -28,6 +28,8 @@ _HARMONICS = {2: 0.4, 3: 0.07}
 _MOST_MISTAKEN_OF, _MOST_MISTAKEN = 0.25, (0.03, 0.1)
 # Each starts from frames that the one before made alike; a much darker frame is well known after the second.
 _GUESSES = 2
+# Each finds what the frames that the one before made alike still differ by.
+_PASSES = 4
 _SIGNIFICANT = 5.0
 BANDS = 32
 _FEWEST_PER_BAND = 64
@@ -108,19 +110,23 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     ties = _ties(size)
     nothing = np.zeros((1, len(common)), np.float32)
     # Neither phases nor variety of frames that differ are those of the fringe.
-    first, alike = Gains(np.ones((count, 1))), levels
+    found, alike = Gains(np.ones((count, 1))), levels
     for _ in range(_GUESSES):
         guesses = [(_weights(alike[group], common, places, nothing, ties, is_guess=True)[0], 0.0) for group in groups]
-        first = _gains(guesses, before=first)
-        alike = (levels / first.of_rows[back]).astype(np.float32)
-    cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
-    phase = np.arctan2(sine, cosine)
-    staying = 2 if len(ties) else size
-    mistaken = 2 * _HARMONICS[staying] * _unevenness(phase, staying)
-    if mistaken > np.clip(_MOST_MISTAKEN_OF * np.ptp(np.log(first.of_rows)), *_MOST_MISTAKEN):
-        return Gains(np.ones((count, 1)))
-    harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
-    found = _gains([_weights(alike[group], common, places, harmonic, ties) for group in groups], mistaken, first)
+        found = _gains(guesses, before=found)
+        alike = (levels / found.of_rows[back]).astype(np.float32)
+    # Of rows that differ the phases differ, too, so that the harmonic has a part of what they differ by.
+    for _ in range(_PASSES):
+        cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
+        phase = np.arctan2(sine, cosine)
+        staying = 2 if len(ties) else size
+        mistaken = 2 * _HARMONICS[staying] * _unevenness(phase, staying)
+        harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
+        found = _gains([_weights(alike[group], common, places, harmonic, ties) for group in groups], mistaken, found)
+        differ = float(np.mean(np.ptp(np.log(found.of_rows), axis=0)))
+        if mistaken > np.clip(_MOST_MISTAKEN_OF * differ, *_MOST_MISTAKEN):
+            return Gains(np.ones((count, 1)))
+        alike = (levels / Gains(found.of_rows[back]).at(places.rows)).astype(np.float32)
     return Gains(found.of_rows[back])
 
 

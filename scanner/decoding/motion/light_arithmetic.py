@@ -18,16 +18,30 @@ from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
 
 # A contradiction: in swings of a pixel, in standard deviations of the noise, and in what most pixels have of it (a
-# camera that is not linear, a projector that sharpens or loses the light of fine stripes).
-_LEAST, _SIGMAS, _TIMES_USUAL = 0.1, 6.0, 4.0
-_MOST_PIXELS = 0.6
+# camera that is not linear, a projector that sharpens or loses the light of fine stripes): that quantile, and so many
+# times.
+_LEAST, _SIGMAS = 0.1, 6.0
 # Of bits without inverses, about half are lit at each pixel: those beyond so many are all lit.
 _LIT_BITS = 0.7
 # A camera that is not linear sees such pairs of stripes as brighter or darker than others.
 _FINE_BITS = 3
 # Offset, amplitude and phase.
 _PARAMETERS = 3
-_HARMONICS, _TRIMS, _MOST_OFF = (2, 3), 3, 3.0
+_HARMONICS = (2, 3)
+_TRIMS, _MOST_OFF = 3, 3.0
+
+
+@dataclass(frozen=True)
+class Usual:
+    """What is usual: so many `times` a `quantile` of the pixels, with brightness fitted in `absolute` rounds first."""
+
+    quantile: float
+    times: float
+    absolute: int
+
+
+# Where nearly half of the pixels may have changed, fewer tell; of noise both are as much.
+_BY_MOST, BY_FEW = Usual(0.6, 4.0, 0), Usual(0.4, 6.5, 4)
 
 
 @dataclass(frozen=True)
@@ -42,25 +56,40 @@ class _Group:
 
 
 def contradictions(
-    plan: SequencePlan, levels: Floats32, noise: NoiseModel, part: float = 1.0, resting: Bools | None = None
+    plan: SequencePlan,
+    levels: Floats32,
+    noise: NoiseModel,
+    part: float = 1.0,
+    resting: Bools | None = None,
+    usual: Usual = _BY_MOST,
 ) -> list[tuple[tuple[int, ...], Bools]]:
     """Groups of frames, and where they contradict each other or the rest (P,), at lit pixels, `levels` (frames, P).
 
-    `part`: of a contradiction, that is enough; `resting` (P,): the pixels that tell what is usual, by default all.
+    `part`: of a contradiction, that is enough; `resting` (P,): the pixels that tell what is `usual`, by default all.
     """
     swing = np.ptp(levels, axis=0)
     sigma = np.sqrt(noise.variance(levels.max(axis=0))) / swing
-    return [(group.frames, _contradicts(group, swing, sigma, part, resting)) for group in _groups(plan, levels)]
+    return [
+        (group.frames, _contradicts(group, swing, sigma, part, resting, usual))
+        for group in _groups(plan, levels, usual.absolute)
+    ]
 
 
-def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, part: float, resting: Bools | None) -> Bools:
+def _contradicts(
+    group: _Group,
+    swing: Floats32,
+    sigma: Floats32,
+    part: float,
+    resting: Bools | None,
+    usual: Usual,
+) -> Bools:
     off = np.abs(group.off) / swing
     some = off if resting is None or not resting.any() else off[resting]
-    usual = _TIMES_USUAL * float(np.quantile(some, _MOST_PIXELS))
-    return cast(Bools, off > part * np.maximum(max(_LEAST, usual), _SIGMAS * group.noise_gain * sigma))
+    least = max(_LEAST, usual.times * float(np.quantile(some, usual.quantile)))
+    return cast(Bools, off > part * np.maximum(least, _SIGMAS * group.noise_gain * sigma))
 
 
-def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
+def _groups(plan: SequencePlan, levels: Floats32, absolute: int) -> Iterator[_Group]:
     """What must agree, at lit pixels, `levels` (frames, P)."""
     if not levels.shape[1]:
         return
@@ -72,27 +101,27 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     usual = medians(np.stack(half_lit or means), axis=0) if half_lit or means else None
     if usual is not None:
         for frames in pairs:
-            yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0)
+            yield _Group(frames, _off_usual(levels[list(frames)], usual, absolute), 1.0)
         ambient = levels.min(axis=0)
         for fringe, light in zip(even, means, strict=True):
-            yield _Group(fringe.frames, _off_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
+            yield _Group(fringe.frames, _off_mean(fringe, levels, np.stack([light, ambient]), usual, absolute), 1.0)
     for fringe in plan.fringes:
         if len(fringe.frames) > _PARAMETERS:
             yield _Group(fringe.frames, _off_cosine(fringe, levels[list(fringe.frames)]), 1.0)
     yield from _beyond_white_and_black(plan, levels)
 
 
-def _off_usual(levels: Floats32, usual: Floats32) -> Floats32:
+def _off_usual(levels: Floats32, usual: Floats32, absolute: int) -> Floats32:
     """What frames (N, P), each as bright as fits best, leave of the usual light (P,).
 
     How bright they were is known of most and has been taken out; of the first ones it is not, nor where cameras answer
     to bright light by less.
     """
-    _, left = _fit_most(levels.T, usual[:, None])
+    _, left = _fit_most(levels.T, usual[:, None], absolute)
     return left[:, 0]
 
 
-def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
+def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32, absolute: int) -> Floats32:
     """What the mean of a fringe's steps and the ambient light, `parts` (2, P), leave of the usual light (P,).
 
     A projector that is not linear makes the mean another part of white, and adds the harmonic of as many cycles as
@@ -102,22 +131,27 @@ def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32
     _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
     phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
     every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
-    brightness, left = _fit_most(every.T, usual[:, None])
+    brightness, left = _fit_most(every.T, usual[:, None], absolute)
     # Fringes swing by half of the pixel's range at most; the harmonic may be left out once, and be too much elsewhere.
     bent = np.float32(np.hypot(*brightness[2:, 0])) * (frames.max(axis=0) - parts[1])
     return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
 
 
-def _fit_most(terms: Floats32, targets: Floats32) -> tuple[Floats32, Floats32]:
+def _fit_most(terms: Floats32, targets: Floats32, absolute: int = 0) -> tuple[Floats32, Floats32]:
     """By how much to multiply the terms (P, N) to explain the targets (P, K) where most pixels agree, (N, K); and what
     is left of these (P, K).
+
+    `absolute`: rounds of least absolute values before those of least squares, which what moved in a third of the
+    picture would bend.
     """
-    kept = np.ones(len(targets), np.bool_)
-    for _ in range(_TRIMS):
-        factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
+    trust = np.ones(len(targets), np.float32)
+    for number in range(absolute + _TRIMS):
+        factors = np.linalg.lstsq(terms * trust[:, None], targets * trust[:, None], rcond=None)[0]
         left = targets - terms @ factors
         size = np.sqrt(np.mean(left**2, axis=1))
-        kept = size <= _MOST_OFF * max(median(size), 1e-6)
+        usual = max(median(size), 1e-6)
+        by_size = np.sqrt(usual / np.maximum(size, usual / 10)) if number < absolute else size <= _MOST_OFF * usual
+        trust = by_size.astype(np.float32)
     return cast(Floats32, factors), left
 
 

@@ -82,8 +82,20 @@ def test_only_bits_that_stand_out_of_the_noise_are_compared(gain: float, is_cert
     bright, dark = np.full(SHAPE, 60, np.uint8), np.full(SHAPE, 40, np.uint8)
     left = np.arange(SHAPE[1]) < 2
     fold = gray_fold([np.where(left, bright, dark), np.where(left, dark, bright), bright, dark], half=False)
-    found, _ = _changes(fold, NoiseModel(1e-6, gain), np.full(SHAPE, 50, np.uint8))
+    middle, brightest = np.full((2, *SHAPE), [[[50]], [[60]]], np.uint8)
+    found, _ = _changes(fold, NoiseModel(1e-6, gain), middle, brightest, None)
     assert found.bit.tolist() == ([0, 0, 0] if is_certain else [])  # bit 0, once in each row
+
+
+def test_bits_beyond_the_picture_are_not_compared() -> None:
+    """A row has a fifth of the swing of what is lit, as a camera that maps tones anew in each frame leaves there."""
+    bright, dark = np.full(SHAPE, 60, np.uint8), np.full(SHAPE, 40, np.uint8)
+    left = np.arange(SHAPE[1]) < 2
+    fold = gray_fold([np.where(left, bright, dark), np.where(left, dark, bright), bright, dark], half=False)
+    middle, brightest = np.full((2, *SHAPE), [[[50]], [[60]]], np.uint8)
+    brightest[1] = 52
+    found, _ = _changes(fold, NoiseModel(1e-6, 0.0), middle, brightest, None)
+    assert len(found.bit) == SHAPE[0] - 1
 
 
 @given(
