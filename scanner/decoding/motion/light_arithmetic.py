@@ -18,27 +18,32 @@ from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
 
 # A contradiction: in swings of a pixel, in standard deviations of the noise, and in what most pixels have of it (a
-# camera that is not linear, a projector that sharpens or loses the light of fine stripes).
-_LEAST, _SIGMAS, _TIMES_USUAL = 0.1, 6.0, 4.0
-_MOST_PIXELS = 0.6
+# camera that is not linear, a projector that sharpens or loses the light of fine stripes). Things may be before more
+# than half of what is lit, so that what most have is told by those that have the least.
+_LEAST, _SIGMAS, _TIMES_USUAL = 0.1, 6.0, 8.0
+_RESTING = 0.3
 # Of bits without inverses, about half are lit at each pixel: those beyond so many are all lit.
 _LIT_BITS = 0.7
-# A camera that is not linear sees such pairs of stripes as brighter or darker than others.
-_FINE_BITS = 3
+# A camera that is not linear sees such pairs of stripes as brighter or darker than others: of black and white next to
+# each other that a lens mixes by up to a quarter of the swing, with the response curve of sRGB.
+_FINE_BITS, _OF_FINE = 3, 2.5
 # Offset, amplitude and phase.
 _PARAMETERS = 3
 _HARMONICS, _TRIMS, _MOST_OFF = (2, 3), 3, 3.0
+# The same, from the smallest of what is left and not from the median (of a normal distribution).
+_OFF_RESTING = 5.25
 
 
 @dataclass(frozen=True)
 class _Group:
     """How far `frames` are `off` each other or the other frames at pixels (P,), in grey levels, and the noise of that
-    for a noise of one.
+    for a noise of one. `times`: how many times as much as of others is a contradiction.
     """
 
     frames: tuple[int, ...]
     off: Floats32
     noise_gain: float
+    times: float = 1.0
 
 
 def contradictions(
@@ -56,8 +61,9 @@ def contradictions(
 def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, part: float, resting: Bools | None) -> Bools:
     off = np.abs(group.off) / swing
     some = off if resting is None or not resting.any() else off[resting]
-    usual = _TIMES_USUAL * float(np.quantile(some, _MOST_PIXELS))
-    return cast(Bools, off > part * np.maximum(max(_LEAST, usual), _SIGMAS * group.noise_gain * sigma))
+    usual = _TIMES_USUAL * float(np.quantile(some, _RESTING))
+    least = max(group.times * _LEAST, usual)
+    return cast(Bools, off > part * np.maximum(least, _SIGMAS * group.noise_gain * sigma))
 
 
 def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
@@ -66,6 +72,7 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
         return
     blurred = {frame for code in plan.codes if not plan.fringes for frame in _finest(code)}
     pairs = [pair for pair in plan.complements if not blurred & {*pair}]
+    fine = [pair for pair in plan.complements if blurred & {*pair}]
     half_lit = [(levels[a] + levels[b]) / 2 for a, b in pairs]
     even = [fringe for fringe in plan.fringes if fringe.equal_steps]
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
@@ -73,6 +80,8 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     if usual is not None:
         for frames in pairs:
             yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0)
+        for frames in fine:
+            yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0, _OF_FINE)
         ambient = levels.min(axis=0)
         for fringe, light in zip(even, means, strict=True):
             yield _Group(fringe.frames, _off_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
@@ -88,8 +97,19 @@ def _off_usual(levels: Floats32, usual: Floats32) -> Floats32:
     How bright they were is known of most and has been taken out; of the first ones it is not, nor where cameras answer
     to bright light by less.
     """
-    _, left = _fit_most(levels.T, usual[:, None])
+    by = usual / np.maximum(levels.mean(axis=0), 1e-6)
+    _, left = _fit_most(levels.T, usual[:, None], _alike(by))
     return left[:, 0]
+
+
+def _alike(values: Floats32) -> Bools:
+    """Those of the values (P,) that are closest together, as many as rest at least: what is near a lamp and moves is
+    brighter than all that rests, and would decide a mean.
+    """
+    count = max(1, round(_RESTING * len(values)))
+    ordered = np.sort(values)
+    start = int(np.argmin(ordered[count - 1 :] - ordered[: len(ordered) - count + 1]))
+    return cast(Bools, (values >= ordered[start]) & (values <= ordered[start + count - 1]))
 
 
 def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
@@ -108,16 +128,17 @@ def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32
     return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
 
 
-def _fit_most(terms: Floats32, targets: Floats32) -> tuple[Floats32, Floats32]:
+def _fit_most(terms: Floats32, targets: Floats32, first: Bools | None = None) -> tuple[Floats32, Floats32]:
     """By how much to multiply the terms (P, N) to explain the targets (P, K) where most pixels agree, (N, K); and what
-    is left of these (P, K).
+    is left of these (P, K). `first` (P,): where they agree roughly, which need not be most of them.
     """
-    kept = np.ones(len(targets), np.bool_)
+    kept = np.ones(len(targets), np.bool_) if first is None else first
     for _ in range(_TRIMS):
         factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
         left = targets - terms @ factors
         size = np.sqrt(np.mean(left**2, axis=1))
-        kept = size <= _MOST_OFF * max(median(size), 1e-6)
+        usual = _MOST_OFF * median(size) if first is None else _OFF_RESTING * float(np.quantile(size, _RESTING))
+        kept = size <= max(usual, 1e-6)
     return cast(Floats32, factors), left
 
 

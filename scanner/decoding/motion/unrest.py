@@ -31,7 +31,7 @@ _FAINT = 0.5
 _MUCH_OF_IT = 0.1
 # Where more than this moved, it is no thing before what rests, unless it was in few places at once: a bump is all over
 # the picture in the same frames. Nor is it if the picture as a whole is elsewhere, in pixels of the grid.
-_MOST, _MOST_IN_ALL, _FEW_AT_ONCE, _MOVED_PX = 0.6, 0.9, 0.25, 0.5
+MOST, _MOST_IN_ALL, _FEW_AT_ONCE, _MOVED_PX = 0.7, 0.9, 0.25, 0.5
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,10 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
     at_once = max((float(each.mean()) for _, each in groups), default=0.0)
-    if not 0 < share <= (_MOST_IN_ALL if at_once <= _FEW_AT_ONCE else _MOST):
+    if not 0 < share <= (_MOST_IN_ALL if at_once <= _FEW_AT_ONCE else MOST):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
-    if not frames or _picture_moved(levels, [of for of, _ in groups], frames):
+    if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):
         return None
     spoilt = _spoilt(plan, levels, lit, moved, noise) if plan.fringes else moved
     rests = coarse.at_full_size(lit & ~moved)
@@ -95,9 +95,9 @@ def _spoilt(plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, nois
     return off & near
 
 
-def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int]) -> bool:
+def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], rests: Bools) -> bool:
     """Whether all of the picture, `levels` (frames, h, w), is elsewhere in the `frames` that contradict the others: the
-    camera moved.
+    camera moved. If it was a large thing, its way does not bring into line what `rests` (h, w).
     """
     even = [group for group in groups if len(group) > 1]
     contradicting, others = (
@@ -108,8 +108,13 @@ def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[
         return False
     window = cast(Floats32, cv2.createHanningWindow((levels.shape[2], levels.shape[1]), cv2.CV_32F))
     before, after = (np.log1p(np.stack(each).mean(axis=0)) for each in (others, contradicting))
-    shift, _ = cv2.phaseCorrelate(before, after, window)
-    return hypot(*shift) > _MOVED_PX
+    (right, down), _ = cv2.phaseCorrelate(before, after, window)
+    if hypot(right, down) <= _MOVED_PX:
+        return False
+    back = np.array([[1.0, 0.0, -right], [0.0, 1.0, -down]])
+    taken_back = cv2.warpAffine(after, back, after.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+    off, off_as_seen = (float(np.abs(image - before)[rests].sum()) for image in (taken_back, after))
+    return off <= off_as_seen
 
 
 def patches(off: Bools, lit: Bools) -> Bools:
