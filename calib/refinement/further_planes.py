@@ -2,7 +2,9 @@
 
 The top of a box is level with the floor, the front of a cupboard stands along a wall. Each such plane is square to the
 corner within half a degree or so, and its homography is one more measurement of the rig. Which planes qualify is seen
-from a solution without them; one that then pulls at the angles is left out.
+from a solution without them; one that then pulls at the angles is left out, and so is one whose cells the rig explains
+much worse than those of the faces: where something moved during the capture, wrong matches may lie on a homography that
+is no plane of the scene.
 """
 
 from collections.abc import Sequence
@@ -12,6 +14,7 @@ import numpy as np
 
 from calib.geometry import FACES, Matches, nearest_depths, unproject
 from calib.numerics import Floats, Ints, compiled
+from calib.refinement.likelihood import Fit
 from calib.refinement.match_cells import Cells, into_cells, joined
 from calib.refinement.parameters import FurtherPlane, State
 
@@ -19,6 +22,8 @@ SIGMA_DEG = 0.5  # how square furniture stands to walls, and boxes to themselves
 _CANDIDATE_DEG = 2.0
 _LEAST_MATCHES = 400
 _TENSION = 3.0  # sigmas of a tilt
+# Mean square of residuals in that of the faces by themselves: true planes have up to 2, wrong ones 6 and more.
+_MOST_OFF = 4.0
 
 
 def with_further_planes(
@@ -53,6 +58,26 @@ def strained(state: State) -> list[tuple[int, int]]:
         for j, plane in enumerate(pose.planes)
         if np.any(np.abs(plane.tilt) > _TENSION * np.array(plane.tilt_sigma))
     ]
+
+
+def unexplained(
+    captures: Sequence[Cells], fit: Fit, variances: Sequence[Floats], of_faces: float
+) -> list[tuple[int, int]]:
+    """The same of the plane that the fit explains worst, if that is much worse than the faces by themselves, whose mean
+    square residual is `of_faces`; `variances`: (M,) for each capture, of each coordinate of each cell.
+    """
+    worst, found = _MOST_OFF * of_faces, []
+    for i, (cells, residual, variance) in enumerate(zip(captures, fit.residuals, variances, strict=True)):
+        for plane in range(len(FACES), len(FACES) + len(fit.state.poses[i].planes)):
+            off = mean_square(residual[cells.plane == plane], variance[cells.plane == plane])
+            if off > worst:
+                worst, found = off, [(i, plane - len(FACES))]
+    return found
+
+
+def mean_square(residual: Floats, variance: Floats) -> float:
+    """Of residuals (M, 2), in variances (M,) of a coordinate."""
+    return float(np.mean(residual**2 / variance[:, None]))
 
 
 def without(captures: Sequence[Cells], state: State, planes: list[tuple[int, int]]) -> tuple[list[Cells], State]:

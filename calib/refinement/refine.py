@@ -13,7 +13,7 @@ import numpy as np
 from calib.geometry import Corner
 from calib.numerics import Floats
 from calib.refinement.focal_sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
-from calib.refinement.further_planes import strained, without
+from calib.refinement.further_planes import mean_square, strained, unexplained, without
 from calib.refinement.lens_terms import LENS_CHOICES, most_probable
 from calib.refinement.likelihood import Fit, Knowledge, Prior
 from calib.refinement.match_cells import Cells
@@ -195,13 +195,17 @@ def _of_all_columns(covariance: Floats, state: State) -> Floats:
 def _with_planes(
     captures: Sequence[Cells], best: Fit, knowledge: Knowledge, noise: Sequence[Noise], further: Further
 ) -> tuple[Sequence[Cells], Fit, Prior]:
-    """Captures, fit and prior with those further planes that turn out as square as they should be."""
+    """Captures, fit and prior with those further planes that turn out as square, and as plane, as they should be."""
+    of_faces = mean_square(
+        np.concatenate(best.residuals),
+        np.concatenate([level.variances(each) for each, level in zip(captures, noise, strict=True)]),
+    )
     cells, state = further(captures, best.state)
     while True:
         prior = knowledge.prior(state)
         variances = [level.variances(each) for each, level in zip(cells, noise, strict=True)]
         fit = minimise(cells, state, prior, variances)
-        refuted = strained(fit.state)
+        refuted = strained(fit.state) or unexplained(cells, fit, variances, of_faces)
         if not refuted:
             return cells, fit, prior
         cells, state = without(cells, fit.state, refuted)

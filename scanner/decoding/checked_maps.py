@@ -23,6 +23,9 @@ def checked_maps(accumulators: Accumulators, learnt: Learnt, seen: Seen, *, odd:
     maps = coordinate_maps(accumulators, learnt.decoders, seen.moved, seen.spoilt)
     if seen.moved is not None and not seen.code_shifts:
         mask_wrong_bits(plan, maps, seen.moved)
+    elif odd and not plan.fringes:
+        # Before stripes tell coordinates between their edges, of which those of wrong bits are as smooth as others.
+        mask_wrong_bits(plan, maps, None)
     undecided = maps.reason == np.uint8(MaskReason.UNDECIDED)
     leave_out_stray_light(accumulators, maps)
     check_roughness(plan, maps)

@@ -18,110 +18,101 @@ from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
 
 # A contradiction: in swings of a pixel, in standard deviations of the noise, and in what most pixels have of it (a
-# camera that is not linear, a projector that sharpens or loses the light of fine stripes): that quantile, and so many
-# times.
-_LEAST, _SIGMAS = 0.1, 6.0
+# camera that is not linear, a projector that sharpens or loses the light of fine stripes). Things may be before more
+# than half of what is lit, so that what most have is told by those that have the least.
+_LEAST, _SIGMAS, _TIMES_USUAL = 0.1, 6.0, 8.0
+_RESTING = 0.3
 # Of bits without inverses, about half are lit at each pixel: those beyond so many are all lit.
 _LIT_BITS = 0.7
-# A camera that is not linear sees such pairs of stripes as brighter or darker than others.
-_FINE_BITS = 3
+# A camera that is not linear sees such pairs of stripes as brighter or darker than others: of black and white next to
+# each other that a lens mixes by up to a quarter of the swing, with the response curve of sRGB.
+_FINE_BITS, _OF_FINE = 3, 2.5
 # Offset, amplitude and phase.
 _PARAMETERS = 3
-_HARMONICS = (2, 3)
-_TRIMS, _MOST_OFF = 3, 3.0
-
-
-@dataclass(frozen=True)
-class Usual:
-    """What is usual: so many `times` a `quantile` of the pixels, with brightness fitted in `absolute` rounds first."""
-
-    quantile: float
-    times: float
-    absolute: int
-
-
-# Where nearly half of the pixels may have changed, fewer tell; of noise both are as much.
-_BY_MOST, BY_FEW = Usual(0.6, 4.0, 0), Usual(0.4, 6.5, 4)
+_HARMONICS, _TRIMS, _MOST_OFF = (2, 3), 3, 3.0
+# The same, from the smallest of what is left and not from the median (of a normal distribution).
+_OFF_RESTING = 5.25
 
 
 @dataclass(frozen=True)
 class _Group:
     """How far `frames` are `off` each other or the other frames at pixels (P,), in grey levels, and the noise of that
-    for a noise of one.
+    for a noise of one. `times`: how many times as much as of others is a contradiction.
     """
 
     frames: tuple[int, ...]
     off: Floats32
     noise_gain: float
+    times: float = 1.0
 
 
 def contradictions(
-    plan: SequencePlan,
-    levels: Floats32,
-    noise: NoiseModel,
-    part: float = 1.0,
-    resting: Bools | None = None,
-    usual: Usual = _BY_MOST,
+    plan: SequencePlan, levels: Floats32, noise: NoiseModel, part: float = 1.0, resting: Bools | None = None
 ) -> list[tuple[tuple[int, ...], Bools]]:
     """Groups of frames, and where they contradict each other or the rest (P,), at lit pixels, `levels` (frames, P).
 
-    `part`: of a contradiction, that is enough; `resting` (P,): the pixels that tell what is `usual`, by default all.
+    `part`: of a contradiction, that is enough; `resting` (P,): the pixels that tell what is usual, by default all.
     """
     swing = np.ptp(levels, axis=0)
     sigma = np.sqrt(noise.variance(levels.max(axis=0))) / swing
-    return [
-        (group.frames, _contradicts(group, swing, sigma, part, resting, usual))
-        for group in _groups(plan, levels, usual.absolute)
-    ]
+    return [(group.frames, _contradicts(group, swing, sigma, part, resting)) for group in _groups(plan, levels)]
 
 
-def _contradicts(
-    group: _Group,
-    swing: Floats32,
-    sigma: Floats32,
-    part: float,
-    resting: Bools | None,
-    usual: Usual,
-) -> Bools:
+def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, part: float, resting: Bools | None) -> Bools:
     off = np.abs(group.off) / swing
     some = off if resting is None or not resting.any() else off[resting]
-    least = max(_LEAST, usual.times * float(np.quantile(some, usual.quantile)))
+    usual = _TIMES_USUAL * float(np.quantile(some, _RESTING))
+    least = max(group.times * _LEAST, usual)
     return cast(Bools, off > part * np.maximum(least, _SIGMAS * group.noise_gain * sigma))
 
 
-def _groups(plan: SequencePlan, levels: Floats32, absolute: int) -> Iterator[_Group]:
+def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     """What must agree, at lit pixels, `levels` (frames, P)."""
     if not levels.shape[1]:
         return
     blurred = {frame for code in plan.codes if not plan.fringes for frame in _finest(code)}
     pairs = [pair for pair in plan.complements if not blurred & {*pair}]
+    fine = [pair for pair in plan.complements if blurred & {*pair}]
     half_lit = [(levels[a] + levels[b]) / 2 for a, b in pairs]
     even = [fringe for fringe in plan.fringes if fringe.equal_steps]
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
     usual = medians(np.stack(half_lit or means), axis=0) if half_lit or means else None
     if usual is not None:
         for frames in pairs:
-            yield _Group(frames, _off_usual(levels[list(frames)], usual, absolute), 1.0)
+            yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0)
+        for frames in fine:
+            yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0, _OF_FINE)
         ambient = levels.min(axis=0)
         for fringe, light in zip(even, means, strict=True):
-            yield _Group(fringe.frames, _off_mean(fringe, levels, np.stack([light, ambient]), usual, absolute), 1.0)
+            yield _Group(fringe.frames, _off_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
     for fringe in plan.fringes:
         if len(fringe.frames) > _PARAMETERS:
             yield _Group(fringe.frames, _off_cosine(fringe, levels[list(fringe.frames)]), 1.0)
     yield from _beyond_white_and_black(plan, levels)
 
 
-def _off_usual(levels: Floats32, usual: Floats32, absolute: int) -> Floats32:
+def _off_usual(levels: Floats32, usual: Floats32) -> Floats32:
     """What frames (N, P), each as bright as fits best, leave of the usual light (P,).
 
     How bright they were is known of most and has been taken out; of the first ones it is not, nor where cameras answer
     to bright light by less.
     """
-    _, left = _fit_most(levels.T, usual[:, None], absolute)
+    by = usual / np.maximum(levels.mean(axis=0), 1e-6)
+    _, left = _fit_most(levels.T, usual[:, None], _alike(by))
     return left[:, 0]
 
 
-def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32, absolute: int) -> Floats32:
+def _alike(values: Floats32) -> Bools:
+    """Those of the values (P,) that are closest together, as many as rest at least: what is near a lamp and moves is
+    brighter than all that rests, and would decide a mean.
+    """
+    count = max(1, round(_RESTING * len(values)))
+    ordered = np.sort(values)
+    start = int(np.argmin(ordered[count - 1 :] - ordered[: len(ordered) - count + 1]))
+    return cast(Bools, (values >= ordered[start]) & (values <= ordered[start + count - 1]))
+
+
+def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
     """What the mean of a fringe's steps and the ambient light, `parts` (2, P), leave of the usual light (P,).
 
     A projector that is not linear makes the mean another part of white, and adds the harmonic of as many cycles as
@@ -131,27 +122,23 @@ def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32
     _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
     phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
     every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
-    brightness, left = _fit_most(every.T, usual[:, None], absolute)
+    brightness, left = _fit_most(every.T, usual[:, None])
     # Fringes swing by half of the pixel's range at most; the harmonic may be left out once, and be too much elsewhere.
     bent = np.float32(np.hypot(*brightness[2:, 0])) * (frames.max(axis=0) - parts[1])
     return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
 
 
-def _fit_most(terms: Floats32, targets: Floats32, absolute: int = 0) -> tuple[Floats32, Floats32]:
+def _fit_most(terms: Floats32, targets: Floats32, first: Bools | None = None) -> tuple[Floats32, Floats32]:
     """By how much to multiply the terms (P, N) to explain the targets (P, K) where most pixels agree, (N, K); and what
-    is left of these (P, K).
-
-    `absolute`: rounds of least absolute values before those of least squares, which what moved in a third of the
-    picture would bend.
+    is left of these (P, K). `first` (P,): where they agree roughly, which need not be most of them.
     """
-    trust = np.ones(len(targets), np.float32)
-    for number in range(absolute + _TRIMS):
-        factors = np.linalg.lstsq(terms * trust[:, None], targets * trust[:, None], rcond=None)[0]
+    kept = np.ones(len(targets), np.bool_) if first is None else first
+    for _ in range(_TRIMS):
+        factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
         left = targets - terms @ factors
         size = np.sqrt(np.mean(left**2, axis=1))
-        usual = max(median(size), 1e-6)
-        by_size = np.sqrt(usual / np.maximum(size, usual / 10)) if number < absolute else size <= _MOST_OFF * usual
-        trust = by_size.astype(np.float32)
+        usual = _MOST_OFF * median(size) if first is None else _OFF_RESTING * float(np.quantile(size, _RESTING))
+        kept = size <= max(usual, 1e-6)
     return cast(Floats32, factors), left
 
 

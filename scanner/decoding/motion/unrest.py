@@ -15,7 +15,7 @@ from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.coarse_frames import CoarseFrames
-from scanner.decoding.motion.light_arithmetic import BY_FEW, contradictions
+from scanner.decoding.motion.light_arithmetic import contradictions
 from scanner.decoding.sequence_plan import SequencePlan
 
 # Pixels that swing less than this share of what the brightest few do are hardly lit.
@@ -31,9 +31,7 @@ _FAINT = 0.5
 _MUCH_OF_IT = 0.1
 # Where more than this moved, it is no thing before what rests, unless it was in few places at once: a bump is all over
 # the picture in the same frames. Nor is it if the picture as a whole is elsewhere, in pixels of the grid.
-_MOST, _MOST_IN_ALL, _FEW_AT_ONCE, _MOVED_PX = 0.6, 0.9, 0.25, 0.5
-# So much of what is lit changes at once if so many groups of frames say so.
-_WIDE, _FEWEST_WIDE = 0.3, 3
+MOST, _MOST_IN_ALL, _FEW_AT_ONCE, _MOVED_PX = 0.7, 0.9, 0.25, 0.5
 
 
 @dataclass(frozen=True)
@@ -64,34 +62,23 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     lit: Bools = swing > max(_LIT * float(np.quantile(swing, _BRIGHT)), 1e-6)
     some = np.zeros_like(lit)
     some[::_STRIDE, ::_STRIDE] = lit[::_STRIDE, ::_STRIDE]
-    if sum(np.count_nonzero(each) for _, each in _contradictions(plan, levels[:, some], noise)) <= _A_FEW:
+    if sum(np.count_nonzero(each) for _, each in contradictions(plan, levels[:, some], noise)) <= _A_FEW:
         return None
-    groups = _contradictions(plan, levels[:, lit], noise)
+    groups = contradictions(plan, levels[:, lit], noise)
     off = np.zeros(lit.shape, np.bool_)
     off[lit] = np.any([each for _, each in groups], axis=0) if groups else False
     moved = patches(off, lit)
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
     at_once = max((float(each.mean()) for _, each in groups), default=0.0)
-    if not 0 < share <= (_MOST_IN_ALL if at_once <= _FEW_AT_ONCE else _MOST):
+    if not 0 < share <= (_MOST_IN_ALL if at_once <= _FEW_AT_ONCE else MOST):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
-    if not frames or _picture_moved(levels, [of for of, _ in groups], frames):
+    if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):
         return None
     spoilt = _spoilt(plan, levels, lit, moved, noise) if plan.fringes else moved
     rests = coarse.at_full_size(lit & ~moved)
     return Unrest(coarse.at_full_size(moved), coarse.at_full_size(spoilt), rests, share, tuple(sorted(frames)))
-
-
-def _contradictions(plan: SequencePlan, levels: Floats32, noise: NoiseModel) -> list[tuple[tuple[int, ...], Bools]]:
-    """Groups of frames, and where they contradict the others, at lit pixels, `levels` (frames, P).
-
-    A thing that was pushed aside, and its shadow, may change half of what is lit, but does so in all frames from one
-    on; a frame that shows another scene does so by itself, and is none.
-    """
-    groups = contradictions(plan, levels, noise, usual=BY_FEW)
-    wide = {frames for frames, each in groups if each.mean() > _WIDE}
-    return groups if len(wide) >= _FEWEST_WIDE else contradictions(plan, levels, noise)
 
 
 def _spoilt(plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel) -> Bools:
@@ -108,9 +95,9 @@ def _spoilt(plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, nois
     return off & near
 
 
-def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int]) -> bool:
+def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], rests: Bools) -> bool:
     """Whether all of the picture, `levels` (frames, h, w), is elsewhere in the `frames` that contradict the others: the
-    camera moved.
+    camera moved. If it was a large thing, its way does not bring into line what `rests` (h, w).
     """
     even = [group for group in groups if len(group) > 1]
     contradicting, others = (
@@ -121,8 +108,13 @@ def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[
         return False
     window = cast(Floats32, cv2.createHanningWindow((levels.shape[2], levels.shape[1]), cv2.CV_32F))
     before, after = (np.log1p(np.stack(each).mean(axis=0)) for each in (others, contradicting))
-    shift, _ = cv2.phaseCorrelate(before, after, window)
-    return hypot(*shift) > _MOVED_PX
+    (right, down), _ = cv2.phaseCorrelate(before, after, window)
+    if hypot(right, down) <= _MOVED_PX:
+        return False
+    back = np.array([[1.0, 0.0, -right], [0.0, 1.0, -down]])
+    taken_back = cv2.warpAffine(after, back, after.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+    off, off_as_seen = (float(np.abs(image - before)[rests].sum()) for image in (taken_back, after))
+    return off <= off_as_seen
 
 
 def patches(off: Bools, lit: Bools) -> Bools:

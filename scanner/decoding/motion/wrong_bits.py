@@ -11,7 +11,7 @@ from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.cycles import in_wrong_cycles
-from scanner.decoding.motion.unrest import patches
+from scanner.decoding.motion.unrest import MOST, patches
 from scanner.decoding.sequence_plan import SequencePlan
 
 _BROKEN = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE, MaskReason.ISOLATED)
@@ -24,7 +24,7 @@ def mask_wrong_bits(plan: SequencePlan, maps: Maps, moved: Bools | None) -> None
     """Mask, in place, what wrong bits have left, where something is known to have `moved` (H, W), or not.
 
     Where fringes tell the position within a cycle, those that are in another cycle than the surface around them; where
-    codes are alone, patches in which pixels contradict themselves or their surface.
+    codes are alone, patches in which pixels contradict themselves or their surface, if those are not most of all.
     """
     wrong = in_wrong_cycles(plan, maps) if plan.fringes else _in_broken_patches(plan, maps)
     wrong &= maps.reason != MaskReason.DARK
@@ -38,7 +38,11 @@ def _in_broken_patches(plan: SequencePlan, maps: Maps) -> Bools:
     coarse = CoarseFrames((maps.reason.shape[0], maps.reason.shape[1]))
     reason = coarse.of(maps.reason)
     broken = np.isin(reason, _BROKEN) | _jumps(plan, coarse, maps)
-    return coarse.at_full_size(patches(broken, broken | (reason == MaskReason.KEPT)))
+    lit = broken | (reason == MaskReason.KEPT)
+    found = patches(broken, lit)
+    if np.count_nonzero(found & lit) > MOST * np.count_nonzero(lit):
+        return np.zeros_like(maps.reason, np.bool_)
+    return coarse.at_full_size(found)
 
 
 def _jumps(plan: SequencePlan, coarse: CoarseFrames, maps: Maps) -> Bools:

@@ -66,3 +66,16 @@ def test_planes_that_are_not_square_change_nothing() -> None:
     alone, together = _calibrate(matches, None), _calibrate(matches, plane)
     assert abs(np.log(_sigma(together) / _sigma(alone))) < 0.05
     assert abs(np.log(together.calibration.camera.focal_px[0] / alone.calibration.camera.focal_px[0])) < 1e-3
+
+
+def test_matches_that_are_wrong_are_no_plane_of_the_scene() -> None:
+    rng = np.random.default_rng(3)
+    capture = random_capture(rng, distance=(1.5, 2.5))
+    matches, plane = _with_planes(capture, (0.2,), 0.0, rng)
+    wrong = plane == 3
+    # As where a thing was pushed after the coarse bits: still smooth, and at the wrong depth by what its fine bits say.
+    from_middle = matches.camera_px[wrong] - matches.camera_px[wrong].mean(axis=0)
+    matches.projector_px[wrong] += [0.004, -0.008] * from_middle
+    alone, together = _calibrate(matches, None), _calibrate(matches, plane)
+    assert abs(np.log(_sigma(together) / _sigma(alone))) < 0.05
+    assert abs(np.log(together.calibration.camera.focal_px[0] / alone.calibration.camera.focal_px[0])) < 1e-3

@@ -85,6 +85,17 @@ def test_what_is_pushed_aside_is_masked_where_it_was_and_is() -> None:
     assert wrong(decoding) < 0.005
 
 
+@pytest.mark.parametrize("first_from_end", [6, 10], ids=["only fine bits after it", "coarse ones as well"])
+def test_a_large_thing_is_masked_where_codes_are_alone(first_from_end: int) -> None:
+    patterns = sequence_for(SCENE.projector, cell=2, shifts=0)
+    large, lit = np.s_[20:205, 60:240], SCENE.well_lit()
+    frames = passed(patterns, range(len(patterns) - first_from_end, len(patterns)), large)
+    decoding = decode(patterns, frames, SCENE.projector)
+    assert 0.3 < np.count_nonzero(lit[large]) / np.count_nonzero(lit) < 0.6
+    assert np.mean((decoding.reasons == MaskReason.MOVED)[large][lit[large]]) > 0.95
+    assert wrong(decoding) < 0.005
+
+
 def test_a_hand_is_masked_as_small_as_it_is() -> None:
     hand = np.s_[100:125, 210:235]
     decoding = decode(STANDARD, passed(STANDARD, range(28, 32), hand), SCENE.projector)
