@@ -37,13 +37,14 @@ class Segments:
 def segment(
     surfels: Surfels, camera_size: tuple[int, int], projector_size: tuple[int, int], rng: np.random.Generator
 ) -> Segments:
-    """Planes at the tightest tolerance that does not cut surfaces into slices."""
+    """Planes at the tightest tolerance that does not cut surfaces into slices; if all do, at that which does least."""
     view = first_geometry(surfels, largest_plane(surfels, camera_size, projector_size, rng), rng)
+    found: list[Segments] = []
     for model_px in _FIRST_MODELS_PX:
-        found = _segment_within(surfels, view, model_px, rng)
-        if found.spill < _MOST_SPILL:
-            break
-    return found
+        found.append(_segment_within(surfels, view, model_px, rng))
+        if found[-1].spill < _MOST_SPILL:
+            return found[-1]
+    return min(found, key=lambda segments: segments.spill)
 
 
 def _segment_within(surfels: Surfels, view: TwoView, model_px: float, rng: np.random.Generator) -> Segments:
