@@ -170,18 +170,12 @@ def _lens(device: Intrinsics) -> str:
 
 def balls_apart(room: SolvedRoom, members: Sequence[int], truth: Truth) -> float:
     """Distance of the fitted centres, in metres; NaN where a ball was hardly seen."""
-    balls, rays = [], []
-    for ball in truth.balls:
-        own, away = list[Floats](), list[Floats]()
-        for station, k in zip(room.stations, members, strict=True):
-            on = np.abs(np.linalg.norm(truth.in_world(k) - ball, axis=2) - _RADIUS_M) < _ON_BALL_M
-            points = station.cloud.points[on].astype(np.float64)
-            points = points[np.isfinite(points[:, 2])]
-            own.append(station.to_room(points))
-            away.append(points @ station.place.rotation.T / np.linalg.norm(points, axis=1, keepdims=True))
-        balls.append(np.concatenate(own))
-        rays.append(np.concatenate(away))
-    return centres_apart(balls, rays, _RADIUS_M)
+    seen = [(station.cloud.points, truth.in_world(k)) for station, k in zip(room.stations, members, strict=True)]
+    balls = [
+        [points[np.abs(np.linalg.norm(world - ball, axis=2) - _RADIUS_M) < _ON_BALL_M] for points, world in seen]
+        for ball in truth.balls
+    ]
+    return centres_apart(room.stations, balls, _RADIUS_M)
 
 
 def in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) -> str:

@@ -144,17 +144,12 @@ def seen_by(station: TrueStation, camera: Size) -> Floats:
 
 def balls_off(room: SolvedRoom, truth: Sequence[TrueStation]) -> float:
     """By how much the distance of the two balls errs, in metres; NaN where one was not seen."""
-    balls, rays = [], []
-    for number in truth[0].scene.spheres:
-        own, away = list[Floats](), list[Floats]()
-        for station, each in zip(room.stations, truth, strict=True):
-            on = station.cloud.points.reshape(-1, 3)[each.pixel[each.surface == number]].astype(np.float64)
-            on = on[np.isfinite(on[:, 2])]
-            own.append(station.to_room(on))
-            away.append(on @ station.place.rotation.T / np.linalg.norm(on, axis=1, keepdims=True))
-        balls.append(np.concatenate(own))
-        rays.append(np.concatenate(away))
-    return centres_apart(balls, rays, _RADIUS_M) - _BALLS_M
+    seen = list(zip(room.stations, truth, strict=True))
+    balls = [
+        [station.cloud.points.reshape(-1, 3)[each.pixel[each.surface == number]] for station, each in seen]
+        for number in truth[0].scene.spheres
+    ]
+    return centres_apart(room.stations, balls, _RADIUS_M) - _BALLS_M
 
 
 def lengths_in_sigmas(room: SolvedRoom, truth: Sequence[TrueStation], turn: Rotation, shift: Floats) -> list[float]:
