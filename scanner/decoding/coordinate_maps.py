@@ -70,8 +70,8 @@ def coordinate_maps(
                 np.copyto(c.reason, np.uint8(MaskReason.MOVED), where=why)
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
-        shading = [
-            take_out_shading(c.value, c.variance, c.log_amplitude, kept, footprint)
+        shaded = [
+            (c, take_out_shading(c.value, c.variance, c.log_amplitude, kept, footprint))
             for c in found
             if c.log_amplitude is not None
         ]
@@ -80,7 +80,7 @@ def coordinate_maps(
         if plan.fringes:
             np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
             surface = reason == np.uint8(MaskReason.KEPT)
-            for c, shift in zip((c for c in found if c.log_amplitude is not None), shading, strict=True):
+            for c, shift in shaded:
                 take_out_bend(c.value, c.variance, shift, surface, footprint)
         x, y = (c.value[own] for c in found)
         measured = [c.variance[own] for c, axis in zip(found, plan.axes, strict=True) if axis.is_measured]
