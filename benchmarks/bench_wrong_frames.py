@@ -27,6 +27,8 @@ from scanner.capture import capture, open_capture, record
 from scanner.configuration import Config
 from scanner.io import parse_yaml
 from scanner.patterns import sequence_for
+
+sys.path.append(str(Path(__file__).parents[1]))
 from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, wrong_frames
 
 _BUSY = "while True: sum(range(100000))"
