@@ -49,7 +49,10 @@ def capture(
     described = yaml.safe_load((sequence / "sequence.yaml").read_text())
     white = np.full(rig.projector.size[::-1], 255, np.uint8)
     full = picture(white, 0)
-    exposure = 0.9 / np.percentile(full, 99)
+    brightest = np.percentile(full, 99)
+    if brightest == 0:
+        raise SystemExit(f"station {out.name}: less than 1 % of what its camera sees is lit; take another --seed")
+    exposure = 0.9 / brightest
     (out / "frames").mkdir(parents=True)
     frames = []
     for number, entry in enumerate(described["frames"]):
