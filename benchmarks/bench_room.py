@@ -1,22 +1,25 @@
 """Whole rooms: stations registered without a guess, and one estimate of rig, places and walls, against the truth.
 
-    python benchmarks/bench_room.py [--rooms 6] [--stations 6] [--camera 612 512] [--first 0] [--without 2] [--pictures]
+    python benchmarks/bench_room.py [--rooms 6] [--stations 6] [--camera 612 512] [--first 0] [--without 2]
+        [--changed 3] [--pictures]
 
 Simulated furnished rooms, walls off square by 0.3°, furniture askew by 4°, two balls 3 m apart. Matches are those of
 rays, one for each camera pixel, with 0.03 projector px of noise; nothing is known of the camera's principal point but
 that it is near the image's centre. Stations come in random order. Errors of places are the largest after the whole room
 was laid over the truth; wrong is a station off by more than 20 mm. Surfaces are errors of the room's cloud, from the
 nearest true surface, and of single pixels of the stations, from what the pixel's ray meets, which is the noise of a
-match. `--without`: leave one station out, so that the chain is open. `--pictures`: stations have the lit scene's, too.
-Seconds are of one processor: start is calibrating from corners, solve is surfaces, registration, estimate and final
-clouds.
+match. `--without`: leave one station out, so that the chain is open. `--changed`: before this station the projector was
+turned in the rig, by 0.3 to 1° about any axis. `--pictures`: stations have the lit scene's, too. Seconds are of one
+processor: start is calibrating from corners, solve is surfaces, registration, estimate and final clouds.
 """
 
 import argparse
 import resource
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from room_balls import centres_apart
@@ -36,10 +39,13 @@ from scanner.rooms.corner_rig import rig_from_corners
 from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.solve import solve_room
 from scanner.ui import Terminal
-from tests.support.whole_room import PROJECTOR, TrueStation, stations
+
+sys.path.append(str(Path(__file__).parents[1]))
+from tests.support.whole_room import PROJECTOR, TrueStation, stations, with_turned_projector
 
 _BALLS_M, _RADIUS_M = 3.0, 0.12
 _PRIOR_OF_WIDTH = 35 / 612
+_TURNED_DEG = (0.3, 1.0)
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,7 @@ class Row:
     in_sigmas: list[float]
     lengths_in_sigmas: list[float]
     focal_percent: float
+    strangers: list[str]
     start_s: float
     solve_s: float
 
@@ -87,6 +94,14 @@ def measure(true: Sequence[TrueStation], camera: Size) -> Row:
     room = solve_room(captures, start, config, quiet)
     ended = time.process_time()
     return judged(room, true, started - began, ended - started)
+
+
+def any_turn(seed: list[int]) -> Floats:
+    """About any axis, as a rotation vector in degrees (3,)."""
+    rng = np.random.default_rng(seed)
+    axis = rng.standard_normal(3)
+    turn: Floats = rng.uniform(*_TURNED_DEG) * axis / np.linalg.norm(axis)
+    return turn
 
 
 def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_s: float) -> Row:
@@ -130,6 +145,7 @@ def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_
         in_sigmas,
         list(lengths_in_sigmas(room, truth, best, shift)),
         100 * abs(room.calibration.camera.focal_px[0] / truth[0].calibration.camera.focal_px[0] - 1),
+        [f"{stranger.name}: {stranger.cause}" for stranger in room.strangers],
         start_s,
         solve_s,
     )
@@ -185,6 +201,7 @@ def main() -> None:
     parser.add_argument("--stations", type=int, default=6)
     parser.add_argument("--camera", type=int, nargs=2, default=(612, 512))
     parser.add_argument("--without", type=int)
+    parser.add_argument("--changed", type=int)
     parser.add_argument("--pictures", action="store_true")
     args = parser.parse_args()
     camera, rows = Size(*args.camera), []
@@ -198,6 +215,8 @@ def main() -> None:
             true = stations(args.stations, seed, camera=args.camera, pictures=args.pictures, **how)
         except DeviceError:
             continue
+        if args.changed is not None:
+            true[args.changed] = with_turned_projector(true[args.changed], any_turn([seed, args.changed]))
         kept = [k for k in np.random.default_rng(seed).permutation(len(true)) if k != args.without]
         try:
             row = measure([true[k] for k in kept], camera)
@@ -209,7 +228,7 @@ def main() -> None:
             f"{seed:4d}{row.joined:5d}/{row.stations}{row.wrong:7d}{row.place_mm:10.2f}{row.turn_deg:9.4f}"
             f"{row.cloud_percent[0]:9.4f}{row.cloud_percent[1]:9.4f}{row.pixels_percent[0]:11.4f}"
             f"{row.pixels_percent[1]:9.4f}{row.balls_mm:10.2f}{row.focal_percent:9.4f}"
-            f"{row.start_s:10.1f}{row.solve_s:9.1f}",
+            f"{row.start_s:10.1f}{row.solve_s:9.1f}  {', '.join(row.strangers)}",
             flush=True,
         )
     print(f"error/sigma of places, rms: {rms([x for row in rows for x in row.in_sigmas]):.2f}")

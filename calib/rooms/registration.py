@@ -21,7 +21,7 @@ from calib.rooms.surfaces import Surfaces, surfaces_of
 _MOST_ALTERNATIVES = 4
 _LEAST_OVERLAP = 0.01
 _MOST_CONTRADICTION = 0.1
-Cause = Literal["empty", "nothing shared", "too little shared", "looked through", "another shape"]
+Cause = Literal["empty", "another rig", "nothing shared", "too little shared", "looked through", "another shape"]
 _TOO_LITTLE = "it shares too little with the other stations to say where it stood, or it is of another room"
 
 
@@ -97,12 +97,17 @@ class Registration:
     left_out: tuple[LeftOut, ...]
 
 
-def register(stations: Sequence[StationView]) -> Registration:
-    """Where stations of one rig stood, their lengths being in one unit; in any order."""
-    surfaces = {k: surfaces_of(view) for k, view in enumerate(stations) if np.isfinite(view.points[..., 2]).any()}
+def register(stations: Sequence[StationView], of_another_rig: Mapping[int, str] | None = None) -> Registration:
+    """Where stations of one rig stood, their lengths being in one unit; in any order.
+
+    `of_another_rig`: stations that are known not to belong, by number, and what shows it: such a one may fit another
+    nearly, and would draw it away from those with which it belongs.
+    """
+    reasons = {k: LeftOut(k, "another rig", why) for k, why in (of_another_rig or {}).items()}
+    seen = {k: view for k, view in enumerate(stations) if k not in reasons}
+    surfaces = {k: surfaces_of(view) for k, view in seen.items() if np.isfinite(view.points[..., 2]).any()}
     edges = {(i, j): hypotheses(surfaces[i], surfaces[j]) for i, j in combinations(surfaces, 2)}
     groups: list[Group] = []
-    reasons: dict[int, LeftOut] = {}
     left, aside = list(surfaces), list[int]()
     while len(left) > 1:
         assemblies = assemble(surfaces, edges, left)

@@ -1,7 +1,9 @@
 """A rig's calibration from the stations that happen to show a corner, good enough to register all of them.
 
 Each corner calibrates the rig by itself; what they say is put together as Gaussians, without those that contradict the
-others. The room's estimate is made from the same matches again and takes nothing of it but where to begin.
+others. Where corners are at odds, for the rig was changed between them or one was mistaken, those count on whose
+epipolar lines most of the stations are. The room's estimate is made from the same matches again and takes nothing of
+it but where to begin.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnostics import Uncertainty, calibration_of
-from calib.geometry import Sigmas
+from calib.geometry import Calibration, Sigmas
 from calib.numerics import Bools, Floats
 from calib.refinement import FURTHER_TERMS, SHARED, State, inverse_of
 from calib.refusal import RefusalError
@@ -19,11 +21,13 @@ from scanner.errors import InputError
 from scanner.reconstruction import label, solve
 from scanner.results import Decoded
 from scanner.rooms.contents import RigStart
+from scanner.rooms.epipolar_lines import line_offsets, usual_px
 from scanner.ui import Progress
 
 # The sigmas of a single corner are those of walls that are off square: in real rooms they are a little too small.
 _CONTRADICTS = 5.0
 _SIGMAS_OF_CORNER = 2.0
+_FAR = _CONTRADICTS * _SIGMAS_OF_CORNER
 _HELD = 1e-12
 
 
@@ -58,17 +62,36 @@ def rig_from_corners(stations: Sequence[Decoded], config: Config, progress: Prog
             "No station shows a corner from which the rig can be calibrated. " + " ".join(refusals[:3]),
             "Let one station look into a corner of the room, as scan check advises, or give the rig's --calibration.",
         )
-    return rig_of(corners)
+    return rig_of(corners, stations)
 
 
-def rig_of(corners: Mapping[int, SeenCorner]) -> RigStart:
+def rig_of(corners: Mapping[int, SeenCorner], stations: Sequence[Decoded]) -> RigStart:
     """What corners, by the numbers of their stations, say together; at least one."""
-    kept, rig, covariance = _together({k: corner.uncertainty for k, corner in corners.items()})
-    facts = corners[kept[0]].labelled.facts
-    calibration = calibration_of(rig, facts.camera_size, facts.projector_size, Sigmas())
+    told = {k: corner.uncertainty for k, corner in corners.items()}
+    kept, rig, covariance = _of_most_stations(told, stations)
+    calibration = _calibration(rig, stations)
     match_px = float(np.median([corners[k].uncertainty.match_px for k in kept]))
     uncertainty = Uncertainty(rig, covariance, None, match_px)
     return RigStart(calibration, uncertainty, {k: corners[k].labelled for k in kept})
+
+
+def _of_most_stations(corners: dict[int, Uncertainty], stations: Sequence[Decoded]) -> tuple[list[int], State, Floats]:
+    """As `_together`, of the corners that agree with each other and explain most stations."""
+    agreeing = {frozenset(j for j in corners if _apart(corners[k], corners[j]) < _FAR) for k in corners}
+    answers = [_together({k: corners[k] for k in some}) for some in sorted(agreeing, key=lambda some: sorted(some))]
+    if len(answers) == 1:
+        return answers[0]
+    rigs = [_calibration(rig, stations) for _, rig, _ in answers]
+    offsets = [[line_offsets(each.matches, rig) for each in stations] for rig in rigs]
+    usual = min(usual_px(of_rig) for of_rig in offsets)
+    on_lines = [sum(each.far_px(usual) is None for each in of_rig) for of_rig in offsets]
+    best = max(range(len(answers)), key=lambda n: (on_lines[n], len(answers[n][0])))
+    return answers[best]
+
+
+def _calibration(rig: State, stations: Sequence[Decoded]) -> Calibration:
+    facts = stations[0].facts
+    return calibration_of(rig, facts.camera_size, facts.projector_size, Sigmas())
 
 
 def _together(corners: dict[int, Uncertainty]) -> tuple[list[int], State, Floats]:
@@ -78,7 +101,7 @@ def _together(corners: dict[int, Uncertainty]) -> tuple[list[int], State, Floats
         rig, covariance = _combined([corners[k] for k in kept])
         off = {k: _distance(corners[k], rig) for k in kept}
         worst = max(kept, key=lambda k: off[k])
-        if len(kept) < 3 or off[worst] < _CONTRADICTS * _SIGMAS_OF_CORNER:
+        if len(kept) < 3 or off[worst] < _FAR:
             return kept, rig, covariance
         kept.remove(worst)
 
@@ -106,6 +129,14 @@ def _distance(corner: Uncertainty, rig: State) -> float:
     step = corner.rig.step_to(rig)
     free = _told(corner)
     inverse = inverse_of(corner.covariance[np.ix_(free, free)])
+    return float(np.sqrt(step[free] @ inverse @ step[free] / np.count_nonzero(free)))
+
+
+def _apart(one: Uncertainty, other: Uncertainty) -> float:
+    """Root mean square difference of two corners' rigs, in the sigmas of the difference."""
+    step = one.rig.step_to(other.rig)
+    free = _told(one) & _told(other)
+    inverse = inverse_of((one.covariance + other.covariance)[np.ix_(free, free)])
     return float(np.sqrt(step[free] @ inverse @ step[free] / np.count_nonzero(free)))
 
 

@@ -21,6 +21,7 @@ from scanner.pipeline import take
 from scanner.results import CAPTURES_FOLDER, TRUTH_FILE, Decoded
 from scanner.rooms.contents import RigStart
 from scanner.rooms.corner_rig import SeenCorner, corner_in, rig_of
+from scanner.rooms.epipolar_lines import of_another_rig
 from scanner.rooms.solve import Seen, look_at
 from scanner.rooms.upright import moved_place, upright
 from scanner.ui import Terminal
@@ -67,14 +68,14 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
             refusal = error
         if corners:
             with terminal.step("Comparing with earlier stations"):
-                told = comparison.told(captures, rig_of(corners).calibration)
+                told = comparison.told(captures, rig_of(corners, captures).calibration)
             for sentence in told:
                 terminal.show(sentence)
         else:
             terminal.show(f"{name} shows no corner to calibrate from; one of the stations should.")
     if not corners and refusal is not None:
         raise refusal
-    return captures, rig_of(corners)
+    return captures, rig_of(corners, captures)
 
 
 def _ready(config: Config, step: int, number: int, terminal: Terminal) -> bool:
@@ -115,7 +116,13 @@ def _told(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
     newest = len(seen) - 1
     if newest == 0:
         return [f"Next: {_turn(calibration, 'to either side')}"]
-    found = register([each.view for each in seen])
+    changed = of_another_rig([each.matches for each in captures], calibration)
+    if newest in changed or (newest == 1 and changed):
+        return [
+            f"{captures[-1].name} was taken with another rig than the stations before it, and will be left out: "
+            f"{changed.get(newest) or changed[0]}. Camera, projector, zoom and focus have to stay as they are."
+        ]
+    found = register([each.view for each in seen], changed)
     group = next((each for each in found.groups if newest in each.stations), None)
     if group is None:
         return [

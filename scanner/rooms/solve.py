@@ -1,6 +1,6 @@
 """Stations and a rig to begin with → a room: registered without a guess, then one estimate of all of it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ from scanner.configuration import Config
 from scanner.reconstruction import scaled, shifts_of
 from scanner.results import Decoded
 from scanner.rooms.contents import RigStart, SolvedRoom, Station
+from scanner.rooms.epipolar_lines import of_another_rig
 from scanner.rooms.rig_model import ideal_matches, ideal_rig, is_estimated, state_of
 from scanner.rooms.strangers import strangers_of
 from scanner.rooms.upright import moved_place, moved_plane, upright
@@ -68,23 +69,25 @@ def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, pro
             "Let each station see about a third of what the one before saw, with more than a bare wall in it.",
         )
     estimate = _estimate(registered, start, config, progress)
-    if is_estimated(start) and len(registered.members) < len(captures):
+    if is_estimated(start):
         # The first rig bends what is seen; by the one that some stations have measured, more may fit.
         facts = captures[0].facts
         measured = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, Sigmas())
-        again = _registered(captures, measured, progress)
-        if len(again.members) > len(registered.members):
-            registered = again
-            start = start if start.given else replace(start, calibration=measured)
-            estimate = _estimate(registered, start, config, progress)
+        if not registered.is_settled_by(measured):
+            again = _registered(captures, measured, progress)
+            if len(again.members) >= len(registered.members):
+                registered = again
+                start = start if start.given else replace(start, calibration=measured)
+                estimate = _estimate(registered, start, config, progress)
     return _finished(registered, estimate, start, config)
 
 
 @dataclass(frozen=True, eq=False)
 class _Registered:
-    """All captures by one rig, and which of them belong together."""
+    """All captures by one rig, which of them another one made, and which belong together."""
 
     seen: Sequence[Seen]
+    changed: Mapping[int, str]
     registration: Registration
 
     @property
@@ -92,11 +95,17 @@ class _Registered:
         """Of the largest group."""
         return [self.seen[k] for group in self.registration.groups[:1] for k in group.stations]
 
+    def is_settled_by(self, measured: Calibration) -> bool:
+        """Whether all captures of the rig belong together, by the rig that they have measured, too."""
+        changed = of_another_rig([each.decoded.matches for each in self.seen], measured)
+        return changed.keys() == self.changed.keys() and len(self.members) + len(changed) == len(self.seen)
+
 
 def _registered(captures: Sequence[Decoded], rig: Calibration, progress: Progress) -> _Registered:
     seen = [look_at(capture, rig) for capture in progress.track(captures, len(captures), "Surfaces")]
+    changed = of_another_rig([each.matches for each in captures], rig)
     with progress.step("Registering"):
-        return _Registered(seen, register([each.view for each in seen]))
+        return _Registered(seen, changed, register([each.view for each in seen], changed))
 
 
 def _reasons(captures: Sequence[Decoded], registration: Registration) -> str:

@@ -1,7 +1,7 @@
 """Why a capture is no station of a room: its rig was changed, it is of another room, or it overlaps with nothing.
 
-Three things tell these apart. By the rig that the stations of the room have measured, a capture's matches lie on the
-epipolar lines, or its rig is another one, whatever it saw. Surfaces that fit nowhere without being looked through are
+Three things tell these apart. A capture's matches lie on the epipolar lines of the stations' rig, or its rig is another
+one, whatever it saw. Surfaces that fit nowhere without being looked through are
 of another room. And where the stations saw the room all round, a capture of it would show something that they show.
 """
 
@@ -11,14 +11,10 @@ import numpy as np
 
 from calib.geometry import Calibration
 from calib.numerics import Floats
-from calib.pointcloud import Cloud, build_cloud
 from calib.rooms import LeftOut, Registration
 from scanner.results import Decoded
 from scanner.rooms.contents import Station, Stranger
 
-_TILE = 16  # pixels
-_FEWEST_IN_A_TILE = 30
-_FAR_OFF = 3.0  # sigmas of the median tile
 _SAMPLE = 20_000  # points of a station
 _OF_ITS_VIEW = 0.5  # the rest of what it saw would be in view of others, wherever it stood
 _ALL_ROUND = "the stations saw this one all round"
@@ -35,16 +31,12 @@ def strangers_of(
     beside = {k: group.stations for group in registration.groups[1:] for k in group.stations}
     if not alone and not beside:
         return ()
-    usual_px = max(_rms(_tiles(station.cloud)[0]) for station in stations)
     unseen_deg = widest_unseen_deg(stations)
     found = []
     for k in (*alone, *beside):
         capture = captures[k]
-        off = _off_epipolar_lines(build_cloud(capture.matches, None, calibration), usual_px)
         all_round = unseen_deg < _OF_ITS_VIEW * _view_deg(capture, calibration)
-        if off:
-            found.append(Stranger(capture.name, "changed rig", f"its rig was changed: {off}"))
-        elif k in alone:
+        if k in alone:
             found.append(_left_out(capture.name, alone[k], all_round))
         else:
             together = ", ".join(captures[each].name for each in beside[k])
@@ -61,7 +53,8 @@ def widest_unseen_deg(stations: Sequence[Station]) -> float:
 
 
 def _left_out(name: str, left: LeftOut, all_round: bool) -> Stranger:
-    """Of the same rig."""
+    if left.cause == "another rig":
+        return Stranger(name, "changed rig", f"its rig was changed: {left.reason}")
     if left.cause == "empty":
         return Stranger(name, "nothing seen", left.reason)
     if left.cause == "looked through":
@@ -76,37 +69,10 @@ def _left_out(name: str, left: LeftOut, all_round: bool) -> Stranger:
 
 
 def _of_another_group(name: str, together: str, all_round: bool) -> Stranger:
-    """Of the same rig, too."""
     if all_round:
         return Stranger(name, "another room", f"it is of another room, with {together}, for {_ALL_ROUND}")
     reason = f"it is of another part, or of another room, with {together}: nothing seen connects it"
     return Stranger(name, "no overlap", reason)
-
-
-def _off_epipolar_lines(cloud: Cloud, usual_px: float) -> str:
-    """By how much a capture's matches are off, as a sentence; empty if by no more than noise and `usual_px`."""
-    mean_px, error_px = _tiles(cloud)
-    if len(mean_px) == 0 or np.median(np.abs(mean_px) / np.hypot(error_px, usual_px)) < _FAR_OFF:
-        return ""
-    off_px = float(np.median(np.abs(mean_px)))
-    return f"what it saw is {off_px:.2g} projector px off the epipolar lines of the others' rig, theirs {usual_px:.2g}"
-
-
-def _tiles(cloud: Cloud) -> tuple[Floats, Floats]:
-    """Distances from the epipolar lines in the mean over tiles of the picture, with their standard errors, in px."""
-    height, width = (size - size % _TILE for size in cloud.residual_px.shape)
-    cut = cloud.residual_px[:height, :width].astype(np.float64)
-    tiles = cut.reshape(height // _TILE, _TILE, -1, _TILE).swapaxes(1, 2).reshape(-1, _TILE**2)
-    tiles = tiles[np.count_nonzero(np.isfinite(tiles), axis=1) >= _FEWEST_IN_A_TILE]
-    count = np.count_nonzero(np.isfinite(tiles), axis=1)
-    mean: Floats = np.nansum(tiles, axis=1) / np.maximum(count, 1)
-    scatter = np.nansum((tiles - mean[:, None]) ** 2, axis=1)
-    error: Floats = np.sqrt(scatter / np.maximum((count - 1) * count, 1))
-    return mean, error
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def _some_points(station: Station) -> Floats:

@@ -1,8 +1,10 @@
 """A simulated whole room without its light: what each station sees, by casting rays alone, in milliseconds."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, Matches, Motion
 from calib.numerics import Floats, Image, Ints
@@ -59,6 +61,17 @@ def stations(
             seen = replace(seen, picture=_picture(room, texture, np.random.default_rng([seed, _PICTURE_STREAM, pose])))
         found.append(seen)
     return found
+
+
+def with_turned_projector(station: TrueStation, turn_deg: Sequence[float] | Floats) -> TrueStation:
+    """What it matches where its projector was turned in the rig, by a rotation vector (3,) about its own axes; its
+    `calibration` stays that of the other stations.
+    """
+    rig = station.calibration
+    points = station.points @ rig.rotation.T + rig.translation
+    noise = station.matches.projector_px - rig.projector.project(points)
+    turned = points @ Rotation.from_rotvec(turn_deg, degrees=True).as_matrix().T
+    return replace(station, matches=replace(station.matches, projector_px=rig.projector.project(turned) + noise))
 
 
 def _observed(room: Room, rng: np.random.Generator, noise_px: float) -> TrueStation:

@@ -1,6 +1,6 @@
 """What `scan room` and `--stations` say to people: of stations that do not belong, of wrong input, of where to go."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from scanner.rooms.jobs import room
 from scanner.rooms.solve import look_at, solve_room
 from scanner.ui import Terminal
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
-from tests.support.whole_room import PROJECTOR, TrueStation, stations
+from tests.support.whole_room import PROJECTOR, TrueStation, stations, with_turned_projector
 
 QUIET = Terminal(quiet=True)
 
@@ -64,7 +64,8 @@ def test_what_is_left_out_is_tried_again_by_the_rig_that_the_others_measured(
         rigs.append(rig)
         return look_at(capture, rig)
 
-    def at_first_without_the_last(views: Sequence[StationView]) -> Registration:
+    def at_first_without_the_last(views: Sequence[StationView], of_another_rig: Mapping[int, str]) -> Registration:
+        assert not of_another_rig
         return register(views if len(rigs) > len(captures) else views[:-1])
 
     monkeypatch.setattr(solve, "look_at", looked_at)
@@ -74,6 +75,19 @@ def test_what_is_left_out_is_tried_again_by_the_rig_that_the_others_measured(
     assert len(rigs) == 2 * len(captures)
     assert rigs[-1].camera.focal_px != rigs[0].camera.focal_px
     assert rigs[-1].camera.focal_px[0] == pytest.approx(known.camera.focal_px[0], rel=2e-3)
+
+
+def test_a_changed_rig_is_left_out_though_its_surfaces_would_fit(example: SolvedExample, tmp_path: Path) -> None:
+    truth = example.true[0].calibration
+    write_calibration(tmp_path / "rig.yaml", truth)
+    write_matches(tmp_path / "changed.npz", with_turned_projector(example.true[3], (0.1, 0.0, 0.1)).matches)
+    captures = read_stations([example.files[0], tmp_path / "changed.npz", example.files[2]], example.config, QUIET)
+    solved = solve_room(captures, given_rig(tmp_path / "rig.yaml", example.config), example.config, QUIET)
+    assert [(each.name, each.cause) for each in solved.strangers] == [(str(tmp_path / "changed.npz"), "changed rig")]
+    assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 2)}
+    (told,) = live._told(captures[:2], truth)
+    assert "was taken with another rig" in told
+    assert "epipolar" in told
 
 
 @pytest.mark.parametrize(

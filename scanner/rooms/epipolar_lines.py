@@ -1,0 +1,81 @@
+"""Whether captures were made by one rig: their matches lie on that rig's epipolar lines, whatever they saw.
+
+Surfaces do not tell as much: what a changed rig measured is bent, but may be bent no more than what else is amiss, and
+is then taken for a part of the room.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import Calibration, Matches, intersect_rays
+from calib.numerics import Floats, Ints
+
+_TILE = 16  # pixels
+_FEWEST_IN_A_TILE = 30
+_FAR_OFF = 3.0  # sigmas of the median tile
+_LEAST_PX = 0.03  # a decoder's smooth errors, and a rig that bends a little when it is carried
+_DEVIATIONS_OF_MEDIAN = 1.2533 * 1.4826  # standard error of a median of Gaussian values · √N, in their absolute ones
+
+
+@dataclass(frozen=True, eq=False)
+class LineOffsets:
+    """By how much a capture's matches are off the epipolar lines of a rig, in projector px, as medians over tiles of
+    the camera's picture (T,) with their standard errors.
+    """
+
+    median_px: Floats
+    error_px: Floats
+
+    @property
+    def usual_px(self) -> float:
+        """Root mean square over the tiles; infinite if there are none."""
+        return float(np.sqrt(np.mean(self.median_px**2))) if len(self.median_px) else np.inf
+
+    def far_px(self, usual_px: float) -> float | None:
+        """By how much the capture is off, if by more than noise and `usual_px`, as the rig's own captures are."""
+        if len(self.median_px) == 0:
+            return None
+        off = np.abs(self.median_px)
+        return float(np.median(off)) if np.median(off / np.hypot(self.error_px, usual_px)) > _FAR_OFF else None
+
+
+def line_offsets(matches: Matches, calibration: Calibration) -> LineOffsets:
+    """Of one capture."""
+    met = intersect_rays(matches.camera_px, matches.projector_px, calibration)
+    camera_px, off = matches.camera_px[met.in_front], met.residual_px[met.in_front]
+    column, row = np.rint(camera_px).astype(np.int64).T // _TILE
+    tile = row * (calibration.camera.width // _TILE + 1) + column
+    _, own, count = np.unique(tile, return_inverse=True, return_counts=True)
+    median = _medians(off, own, count)
+    error = _DEVIATIONS_OF_MEDIAN * _medians(np.abs(off - median[own]), own, count) / np.sqrt(count)
+    told = count >= _FEWEST_IN_A_TILE
+    return LineOffsets(median[told], error[told])
+
+
+def usual_px(offsets: Sequence[LineOffsets]) -> float:
+    """By how much captures of one rig are off: as the better half is, for a rig is changed less often than not."""
+    return max(_LEAST_PX, sorted(each.usual_px for each in offsets)[(len(offsets) - 1) // 2])
+
+
+def of_another_rig(captures: Sequence[Matches], calibration: Calibration) -> dict[int, str]:
+    """Which captures another rig made than most of them, by number, and what shows it.
+
+    `calibration`: of the rig, as most of the captures, or the corners that some of them show, have it.
+    """
+    offsets = [line_offsets(each, calibration) for each in captures]
+    usual = usual_px(offsets)
+    far = {k: each.far_px(usual) for k, each in enumerate(offsets)}
+    return {
+        k: f"what it saw is {px:.2g} projector px off the epipolar lines of the others' rig"
+        for k, px in far.items()
+        if px is not None
+    }
+
+
+def _medians(values: Floats, group: Ints, count: Ints) -> Floats:
+    """Of each group 0 … G − 1 of the values (N,), (G,); `count` (G,) are their sizes. Of two middle ones the upper."""
+    order = np.lexsort((values, group))
+    medians: Floats = values[order][np.cumsum(count) - count + count // 2]
+    return medians

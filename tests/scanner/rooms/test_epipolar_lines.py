@@ -1,0 +1,64 @@
+"""Whether a capture is on the epipolar lines of a rig."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Calibration
+from scanner.rooms.epipolar_lines import line_offsets, of_another_rig
+from tests.scanner.rooms.conftest import CAMERA
+from tests.support.whole_room import TrueStation, stations, with_turned_projector
+
+
+@pytest.fixture(scope="module")
+def two() -> list[TrueStation]:
+    return stations(2, 1, camera=CAMERA, furniture_askew_deg=4.0)
+
+
+def turned(rig: Calibration, about: str, degrees: float) -> Calibration:
+    return replace(rig, rotation=Rotation.from_euler(about, degrees, degrees=True).as_matrix() @ rig.rotation)
+
+
+def test_on_the_lines_only_noise_is_left(two: list[TrueStation]) -> None:
+    offsets = line_offsets(two[0].matches, two[0].calibration)
+    assert 0.5 < float(np.sqrt(np.mean((offsets.median_px / offsets.error_px) ** 2))) < 1.5
+    assert 0.001 < offsets.usual_px < 0.01  # of 0.03 px, in tiles of up to 256 matches
+    assert offsets.far_px(offsets.usual_px) is None
+
+
+def test_a_wild_match_here_and_there_moves_no_tile(two: list[TrueStation]) -> None:
+    matches = two[0].matches
+    wild = np.where(np.arange(len(matches)) % 10 == 0, 200.0, 0.0)[:, None]
+    offsets = line_offsets(replace(matches, projector_px=matches.projector_px + wild), two[0].calibration)
+    assert 0.001 < offsets.usual_px < 0.02
+
+
+@pytest.mark.parametrize(("degrees", "least_px"), [(0.05, 0.2), (0.5, 2.0)])
+def test_another_rig_is_told_with_its_size(two: list[TrueStation], degrees: float, least_px: float) -> None:
+    rig = turned(two[0].calibration, "x", degrees)
+    offsets = line_offsets(two[1].matches, rig)
+    usual_px = line_offsets(two[0].matches, two[0].calibration).usual_px
+    far_px = offsets.far_px(usual_px)
+    assert far_px is not None
+    assert least_px < far_px < 5 * least_px
+    assert offsets.far_px(2 * far_px) is None
+
+
+def test_which_of_several_captures_another_rig_took(two: list[TrueStation]) -> None:
+    rig = two[0].calibration
+    same = [each.matches for each in two]
+    assert of_another_rig(same, rig) == {}
+    assert (
+        of_another_rig([same[0], replace(same[1], projector_px=same[1].projector_px + np.array([0.0, 0.05]))], rig)
+        == {}
+    )
+    for turn_deg in ((0.3, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.3)):
+        ((number, why),) = of_another_rig([same[0], with_turned_projector(two[1], turn_deg).matches], rig).items()
+        assert number == 1
+        assert "projector px off the epipolar lines" in why
+
+
+def test_a_capture_without_matches_tells_nothing(two: list[TrueStation]) -> None:
+    assert of_another_rig([two[0].matches, two[1].matches[:0]], two[0].calibration) == {}
