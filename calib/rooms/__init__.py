@@ -9,4 +9,5 @@ from calib.rooms.registration import Alternative, Group, LeftOut, Pair, Registra
 from calib.rooms.room import Room
 from calib.rooms.station import StationView, station_view
 from calib.rooms.straight_planes import split_planes
+from calib.rooms.turned_rigs import TurnedRig, turned_rigs
 from calib.rooms.without_planes import estimate_without_planes

@@ -24,6 +24,7 @@ from calib.rooms import (
     register,
     split_planes,
     station_view,
+    turned_rigs,
 )
 from calib.rooms.lengths import vertex
 from scanner.configuration import Config
@@ -37,6 +38,7 @@ from scanner.rooms.upright import moved_place, moved_plane, upright
 from scanner.ui import Progress
 
 _FEWEST_ON_A_PLANE = 200
+_MOST_ROUNDS = 3
 _MOST_ON_FACE = 0.5  # of a face's matches that have to be on one plane for the face to be that plane
 
 
@@ -62,24 +64,28 @@ def look_at(capture: Decoded, calibration: Calibration) -> Seen:
 
 def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedRoom:
     """Raises RefusalError if no two stations belong together, or what they say contradicts itself."""
-    registered = _registered(captures, start.calibration, progress)
-    if not registered.registration.groups:
-        raise RefusalError(
-            "No two stations show the same part of a room: " + _reasons(captures, registered.registration),
-            "Let each station see about a third of what the one before saw, with more than a bare wall in it.",
-        )
+    registered = _registered(captures, start.calibration, {}, progress)
     estimate = _estimate(registered, start, config, progress)
-    if is_estimated(start):
+    turned: dict[int, str] = {}
+    for _ in range(_MOST_ROUNDS):
+        rig = _measured(estimate, captures) if is_estimated(start) else start.calibration
+        more = _turned(registered, estimate)
+        if not more and (not is_estimated(start) or registered.is_settled_by(rig, turned)):
+            break
         # The first rig bends what is seen; by the one that some stations have measured, more may fit.
-        facts = captures[0].facts
-        measured = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, Sigmas())
-        if not registered.is_settled_by(measured):
-            again = _registered(captures, measured, progress)
-            if len(again.members) >= len(registered.members):
-                registered = again
-                start = start if start.given else replace(start, calibration=measured)
-                estimate = _estimate(registered, start, config, progress)
+        turned |= more
+        again = _registered(captures, rig, turned, progress)
+        if not more and len(again.members) < len(registered.members):
+            break
+        registered = again
+        start = start if start.given else replace(start, calibration=rig)
+        estimate = _estimate(registered, start, config, progress)
     return _finished(registered, estimate, start, config)
+
+
+def _measured(estimate: RoomEstimate, captures: Sequence[Decoded]) -> Calibration:
+    facts = captures[0].facts
+    return calibration_of(estimate.rig, facts.camera_size, facts.projector_size, Sigmas())
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,17 +101,37 @@ class _Registered:
         """Of the largest group."""
         return [self.seen[k] for group in self.registration.groups[:1] for k in group.stations]
 
-    def is_settled_by(self, measured: Calibration) -> bool:
+    def is_settled_by(self, measured: Calibration, turned: Mapping[int, str]) -> bool:
         """Whether all captures of the rig belong together, by the rig that they have measured, too."""
         changed = of_another_rig([each.decoded.matches for each in self.seen], measured)
-        return changed.keys() == self.changed.keys() and len(self.members) + len(changed) == len(self.seen)
+        as_before = changed.keys() | turned.keys() == self.changed.keys()
+        return as_before and len(self.members) + len(self.changed) == len(self.seen)
 
 
-def _registered(captures: Sequence[Decoded], rig: Calibration, progress: Progress) -> _Registered:
+def _registered(
+    captures: Sequence[Decoded], rig: Calibration, turned: Mapping[int, str], progress: Progress
+) -> _Registered:
+    """Without those that are known to be `turned`. Raises RefusalError if no two belong together."""
     seen = [look_at(capture, rig) for capture in progress.track(captures, len(captures), "Surfaces")]
-    changed = of_another_rig([each.matches for each in captures], rig)
+    changed = {**turned, **of_another_rig([each.matches for each in captures], rig)}
     with progress.step("Registering"):
-        return _Registered(seen, changed, register([each.view for each in seen], changed))
+        registration = register([each.view for each in seen], changed)
+    if not registration.groups:
+        raise RefusalError(
+            "No two stations show the same part of a room: " + _reasons(captures, registration),
+            "Let each station see about a third of what the one before saw, with more than a bare wall in it.",
+        )
+    return _Registered(seen, changed, registration)
+
+
+def _turned(registered: _Registered, estimate: RoomEstimate) -> dict[int, str]:
+    """Captures of a rig that others do not share, by what they saw of the room; and by how much it was turned."""
+    stations = registered.registration.groups[0].stations
+    return {
+        stations[each.station]: f"the planes that it saw say that its projector was turned by {each.turn_deg:.2g}° "
+        f"against the camera, which moves its light by {each.px:.2g} px"
+        for each in turned_rigs(estimate)
+    }
 
 
 def _reasons(captures: Sequence[Decoded], registration: Registration) -> str:

@@ -1,0 +1,74 @@
+"""Rao's score: what a fit would gain if something that it shares were free for some of the patches, without fitting it.
+
+C. R. Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Floats, Ints
+from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.rooms.likelihood import Fit
+from calib.rooms.patches import Patch, carried, columns_of, predict_patch
+
+_LEAST_SHARE = 1e-3  # of a parameter's own information: what tells less than that of a direction tells nothing of it
+
+
+@dataclass(frozen=True, eq=False)
+class PatchSums:
+    """Of a patch: half the gradient (24,) and the information (24, 24) of its own columns, which follow the room's
+    `columns` (30,) by `by_room` (24, 30).
+    """
+
+    slope: Floats
+    information: Floats
+    columns: Ints
+    by_room: Floats
+
+    @classmethod
+    def of(cls, patch: Patch, fit: Fit, residual: Floats, variance: Floats) -> "PatchSums":
+        """From a patch's `residual` (M, 2) of a fit, under a `variance` (M,) of each coordinate."""
+        root = 1 / np.sqrt(variance)[:, None]
+        jacobian, residual = predict_patch(fit.room, patch)[1] * root[:, :, None], residual * root
+        weight = np.sqrt(np.minimum(1.0, ROBUST_SIGMAS / np.maximum(np.linalg.norm(residual, axis=1), 1e-12)))
+        rows, off = (
+            (jacobian * weight[:, None, None]).reshape(-1, jacobian.shape[2]),
+            (residual * weight[:, None]).ravel(),
+        )
+        return cls(rows.T @ off, rows.T @ rows, columns_of(fit.room, patch), carried(fit.room, patch))
+
+    @property
+    def pull(self) -> Floats:
+        """Half the gradient of `columns`."""
+        return self.by_room.T @ self.slope
+
+    @property
+    def weight(self) -> Floats:
+        """The information of `columns`."""
+        return self.by_room.T @ self.information @ self.by_room
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """`value` is χ² of so much `freedom` where nothing is amiss; `step` (P,): where the parameters would go."""
+
+    value: float
+    freedom: float
+    step: Floats
+
+
+def score(slope: Floats, information: Floats, across: Floats, covariance: Floats, step: Floats) -> Score:
+    """gᵀ (A − C H⁻¹ Cᵀ)⁻¹ g of parameters (P,) that were held, after a `step` (size,) of the room.
+
+    g is half their gradient, the `slope` (P,) before the step, A their `information` (P, P), C that by these and the
+    room's columns, `across` (P, size), H⁻¹ the room's `covariance` (size, size).
+    """
+    slope = slope + across @ step
+    left = information - across @ covariance @ across.T
+    scale = np.sqrt(np.diag(information))
+    shares, directions = np.linalg.eigh(left / np.outer(scale, scale))
+    told = shares > _LEAST_SHARE
+    pull = (directions.T @ (slope / scale))[told]
+    value = float(np.sum(pull**2 / shares[told]))
+    return Score(value, float(np.count_nonzero(told)), -directions[:, told] @ (pull / shares[told]) / scale)

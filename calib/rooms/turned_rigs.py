@@ -1,0 +1,87 @@
+"""Stations whose rig was not that of the others, by what they saw of the room: too little for surfaces to tell.
+
+A projector that turns by a fortieth of a degree moves what it lights by a tenth of a pixel. That passes for a part of
+the room; and a station's place is then off by a centimetre, for distances are off by several millimetres.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.numerics import Floats
+from calib.refinement import ROTATION, TRANSLATION, covariance_of
+from calib.rooms.estimate import RoomEstimate
+from calib.rooms.patches import Patch
+from calib.rooms.scores import PatchSums, Score, score
+
+_MOTION = slice(ROTATION.start, TRANSLATION.stop)
+_FEWEST = 3  # of two stations, either one may be the changed one
+_SURE = 100.0  # χ² of five degrees of freedom
+_TIMES_USUAL = 4.0
+_LEAST_PX = 0.01
+
+
+@dataclass(frozen=True)
+class TurnedRig:
+    """By how much the projector turned against the camera before a `station`; `px`: by how much that moved its light,
+    root mean square in projector px, where no place of the station makes up for it.
+    """
+
+    station: int
+    turn_deg: float
+    px: float
+
+
+def turned_rigs(estimate: RoomEstimate) -> tuple[TurnedRig, ...]:
+    """Stations that a rig of their own would explain far better, as measured by those that it explains least."""
+    patches, fit = estimate.patches, estimate.fit
+    flat = _flat(estimate)
+    used = estimate.levels.variances(patches)
+    gradient, information, sums = fit.gradient.copy(), fit.information.copy(), list[PatchSums]()
+    for patch, residual, of_used, of_flat in zip(patches, fit.residuals, used, flat, strict=True):
+        before, now = (PatchSums.of(patch, fit, residual, each) for each in (of_used, of_flat))
+        gradient[now.columns] += now.pull - before.pull
+        information[np.ix_(now.columns, now.columns)] += now.weight - before.weight
+        sums.append(now)
+    stations = sorted({patch.station for patch in patches})
+    if len(stations) < _FEWEST:
+        return ()
+    variance = np.diag(estimate.covariance)
+    covariance = covariance_of(information, np.isfinite(variance) & (variance > 0))
+    step = -covariance @ gradient
+    scores = [_of_station(k, patches, sums, covariance, step) for k in stations]
+    px = [_moved_px(found, k, patches, flat) for found, k in zip(scores, stations, strict=True)]
+    usual_px = sorted(px)[(len(px) - 1) // 2]
+    return tuple(
+        TurnedRig(k, float(np.degrees(np.linalg.norm(found.step[:3]))), own_px)
+        for k, found, own_px in zip(stations, scores, px, strict=True)
+        if found.value > _SURE and own_px > max(_LEAST_PX, _TIMES_USUAL * usual_px)
+    )
+
+
+def _flat(estimate: RoomEstimate) -> list[Floats]:
+    """Variances of cells that err by noise alone: what does not fit must not be given less weight for that."""
+    noise = [replace(each, inflation=1.0) for each in estimate.levels.stations]
+    return [noise[patch.station].variances(patch.cells) for patch in estimate.patches]
+
+
+def _of_station(
+    station: int, patches: Sequence[Patch], sums: Sequence[PatchSums], covariance: Floats, step: Floats
+) -> Score:
+    """Of a motion between its camera and its projector that is its own."""
+    own = [each for patch, each in zip(patches, sums, strict=True) if patch.station == station]
+    across = np.zeros((_MOTION.stop - _MOTION.start, len(step)))
+    for each in own:
+        across[:, each.columns] += each.information[_MOTION] @ each.by_room
+    slope = np.sum([each.slope[_MOTION] for each in own], axis=0)
+    information = np.sum([each.information[_MOTION, _MOTION] for each in own], axis=0)
+    return score(slope, information, across, covariance, step)
+
+
+def _moved_px(found: Score, station: int, patches: Sequence[Patch], variances: Sequence[Floats]) -> float:
+    """What a score is as a deviation of every cell's coordinates."""
+    weight = sum(
+        2 * float(np.sum(1 / each)) for patch, each in zip(patches, variances, strict=True) if patch.station == station
+    )
+    return float(np.sqrt(found.value / weight))
