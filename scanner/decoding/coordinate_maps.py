@@ -81,7 +81,7 @@ def coordinate_maps(
             np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
             surface = reason == np.uint8(MaskReason.KEPT)
             for c, shift in shaded:
-                take_out_bend(c.value, c.variance, shift, surface, footprint)
+                take_out_bend(c.value, c.variance, shift, surface, footprint, own)
         x, y = (c.value[own] for c in found)
         measured = [c.variance[own] for c, axis in zip(found, plan.axes, strict=True) if axis.is_measured]
         _note(x, y, measured[0], measured[-1], projector_px[tile], variance[tile])

@@ -92,9 +92,11 @@ def look(
     levels = sample.as_taken
     saturation = saturation_level(accumulators.peak)
     shown = accumulators.plan
-    unrest = _unrest(shown, sample, coarse, measure_noise(shown, sample, saturation))
+    noise = measure_noise(shown, sample, saturation)
+    unrest = _unrest(shown, sample, coarse, noise)
     flicker = _equalise(accumulators, sample, tiles, coarse, unrest)
-    noise = measure_noise(accumulators.plan, sample, saturation)
+    if coarse.are_divided:
+        noise = measure_noise(accumulators.plan, sample, saturation)
     notes += leave_out_lost_fringes(accumulators, noise, sample.pixels)
     notes += resolve_bits(accumulators, noise, sample.pixels)
     if coarse.are_divided or accumulators.plan != shown:

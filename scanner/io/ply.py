@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Ints
+from calib.numerics import Bools, Floats, Ints, compiled
 from scanner.errors import InputError
 from scanner.io.given_file import opened, refuse_bomb
 
@@ -118,14 +118,28 @@ def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triang
         file.write("".join(f"{line}\n" for line in header).encode("ascii", errors="replace") + _END)
         for start in range(0, len(there), _PIECE):
             piece = slice(start, start + _PIECE)
-            chosen = np.flatnonzero(there[piece])
+            count = 0
             for column, array in zip(columns, arrays, strict=True):
-                vertices[column.name][: len(chosen)] = array[piece].take(chosen, axis=0)
-            file.write(vertices[: len(chosen)].data)
+                count = _gather(there[piece], array[piece], vertices[column.name].reshape(_PIECE, -1))
+            file.write(vertices[:count].data)
         if triangles is not None:
             faces = np.empty(len(triangles), _TRIANGLE)
             faces["count"], faces["corners"] = 3, triangles
             file.write(faces.data)
+
+
+@compiled
+def _gather(there: Bools, values: NDArray[np.generic], vertices: NDArray[np.generic]) -> int:
+    """Copy the rows of `values` (P, components) that are there to the beginning of `vertices`, which are as many, at
+    whatever address of the memory; returns how many there are.
+    """
+    count = 0
+    for i in range(len(there)):
+        if there[i]:
+            for component in range(values.shape[1]):
+                vertices[count, component] = values[i, component]
+            count += 1
+    return count
 
 
 def read_cloud(path: Path) -> CloudPoints:

@@ -9,7 +9,7 @@ from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32, Words
 from scanner.decoding.sequence_plan import AxisPlan
 
-_HALF = np.float32(0.5)
+_HALF, _ONE = np.float32(0.5), np.float32(1)
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,14 @@ def interval_of(
     low, high = np.full(pixels, first), np.full(pixels, last)
     outside, contradictory = np.empty(pixels, np.bool_), np.empty(pixels, np.bool_)
     for number, (code, of_code) in enumerate(zip(plan.codes, words, strict=True)):
-        numbers: Floats32 = cell_numbers(of_code).astype(np.float32)
-        cell, before, ends = np.float32(code.cell), np.float32(code.offset + 0.5), numbers + 1
+        cell, before = np.float32(code.cell), np.float32(code.offset + 0.5)
         if undecided and number in undecided:
+            numbers: Floats32 = cell_numbers(of_code).astype(np.float32)
+            ends = numbers + 1
             _widen(of_code, undecided[number], numbers, ends)
-        _narrow(numbers, ends, cell, before, low, high)
+            _narrow(numbers, ends, cell, before, low, high)
+        else:
+            _narrow_to_cell(of_code, cell, before, low, high)
     # Codes whose edges are a little blurred may miss each other by as little.
     _settle(first, last, np.float32(plan.cell / 2), low, high, outside, contradictory)
     return Interval(low, high, outside, contradictory)
@@ -88,6 +91,22 @@ def _narrow(
     """What the cells of one code, from a number to an end, leave of the intervals; it begins so far before pixel 0."""
     for i in range(len(numbers)):
         start, end, first, last = numbers[i] * cell - before, ends[i] * cell - before, low[i], high[i]
+        low[i] = max(first, start)
+        high[i] = min(last, end)
+
+
+@compiled
+def _narrow_to_cell(words: Words, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
+    """The same with the cell that each of the `words` (P,) says, whose number is that of `cell_numbers`."""
+    for i in range(len(words)):
+        number = np.uint32(words[i])
+        number ^= number >> np.uint32(1)
+        number ^= number >> np.uint32(2)
+        number ^= number >> np.uint32(4)
+        number ^= number >> np.uint32(8)
+        number ^= number >> np.uint32(16)
+        at = np.float32(np.int32(number))
+        start, end, first, last = at * cell - before, (at + _ONE) * cell - before, low[i], high[i]
         low[i] = max(first, start)
         high[i] = min(last, end)
 

@@ -45,13 +45,19 @@ def take_out_shading(
 
 
 def take_out_bend(
-    value: Floats32, variance: Floats32, of_shading: Floats32, surface: Bools, footprint: Footprint
+    value: Floats32,
+    variance: Floats32,
+    of_shading: Floats32,
+    surface: Bools,
+    footprint: Footprint,
+    wanted: tuple[slice, slice] = (slice(None), slice(None)),
 ) -> None:
     """Take out the shift to where a surface bends, and what shading shifts beside its edge; (H, W), in place.
 
-    Pixels of a `surface` that are neighbours see the same one.
+    Pixels of a `surface` that are neighbours see the same one. Rows and columns that are `wanted`, all by default, come
+    out right; those around them need not: at the border of what is there, nothing is known of neighbours.
     """
-    _take_out_as_around(of_shading, surface, value, variance)
+    _take_out_as_around(of_shading, surface, value, variance, *_limits(wanted, value.shape, REACH_PX))
     if not 0 < footprint.largest_px2 <= _LARGEST_PX2:
         return
     kernel = curvature_kernel(footprint)
@@ -59,7 +65,13 @@ def take_out_bend(
     most = np.float32(0.5 * footprint.largest_px2 * _MOST_BEND_PX)
     _forget(shift.ravel(), surrounded(surface, _WINDOW).ravel(), most)
     _take_out(shift.ravel(), value.ravel(), variance.ravel(), noise_gain2(kernel))
-    _take_out_as_around(shift, surface, value, variance)
+    _take_out_as_around(shift, surface, value, variance, *_limits(wanted, value.shape, 0))
+
+
+def _limits(wanted: tuple[slice, slice], shape: tuple[int, ...], by: int) -> tuple[int, int, int, int]:
+    """First row, last and one, first column, last and one, of what is wanted and so many pixels around it."""
+    (top, bottom, _), (left, right, _) = (part.indices(size) for part, size in zip(wanted, shape, strict=True))
+    return max(0, top - by), min(shape[0], bottom + by), max(0, left - by), min(shape[1], right + by)
 
 
 @cache
@@ -97,19 +109,36 @@ def _take_out(shift: Floats32, value: Floats32, variance: Floats32, gain: np.flo
 
 
 @compiled
-def _take_out_as_around(shift: Floats32, surface: Bools, value: Floats32, variance: Floats32) -> None:
-    """Where it is not known, the mean of what it is at pixels of the surface nearby, if it is known at any."""
-    height, width = value.shape
-    for row in range(height):
-        for i in range(width):
+def _take_out_as_around(
+    shift: Floats32, surface: Bools, value: Floats32, variance: Floats32, top: int, bottom: int, left: int, right: int
+) -> None:
+    """Where it is not known, the mean of what it is at pixels of the surface nearby, if it is known at any.
+
+    In rows from `top` to `bottom`, in columns from `left` to `right`.
+    """
+    for row in range(top, bottom):
+        of_surface, of_shift = surface[row, left:right], shift[row, left:right]
+        # Nowhere in most of a row: between which columns is seen many pixels at once.
+        first, last = np.int32(len(of_shift)), np.int32(-1)
+        for i in range(len(of_shift)):
+            is_unknown = of_surface[i] & (of_shift[i] != of_shift[i])
+            first = min(first, np.int32(i)) if is_unknown else first
+            last = max(last, np.int32(i)) if is_unknown else last
+        for i in range(left + first, left + last + 1):
             if surface[row, i] and shift[row, i] != shift[row, i]:
-                total, count = np.float32(0), np.float32(0)
-                for r in range(max(0, row - _REACH), min(height, row + _REACH + 1)):
-                    for c in range(max(0, i - _REACH), min(width, i + _REACH + 1)):
-                        if surface[r, c] and shift[r, c] == shift[r, c]:
-                            total += shift[r, c]
-                            count += np.float32(1)
-                if count:
-                    mean = total / count
-                    value[row, i] -= mean
-                    variance[row, i] += _OF_NEIGHBOURS_SHARE2 * mean * mean
+                mean = _mean_around(shift, surface, row, i)
+                value[row, i] -= mean
+                variance[row, i] += _OF_NEIGHBOURS_SHARE2 * mean * mean
+
+
+@compiled
+def _mean_around(shift: Floats32, surface: Bools, row: int, column: int) -> np.float32:
+    """Of the known shifts of a surface nearby, 0 if there are none."""
+    height, width = shift.shape
+    total, count = _ZERO, _ZERO
+    for r in range(max(0, row - _REACH), min(height, row + _REACH + 1)):
+        for c in range(max(0, column - _REACH), min(width, column + _REACH + 1)):
+            if surface[r, c] and shift[r, c] == shift[r, c]:
+                total += shift[r, c]
+                count += _AS_IT_IS
+    return total / count if count else _ZERO

@@ -89,3 +89,19 @@ def test_a_ball_keeps_its_shape() -> None:
     with_shading_alone = float(np.mean((true + before - shading)[ring] - true[ring]))
     assert with_shading_alone > 0.03
     assert abs(np.mean((value - true)[ring])) < 0.5 * with_shading_alone
+
+
+def test_what_is_wanted_comes_out_as_in_the_whole() -> None:
+    """As a tile with pixels around it, at a corner of the image and in its middle."""
+    rng = np.random.default_rng(1)
+    value, variance = rng.normal(0, 0.02, SHAPE).astype(np.float32), np.full(SHAPE, 1e-4, np.float32)
+    surface, shading = rng.random(SHAPE) > 0.1, rng.normal(0, 0.01, SHAPE).astype(np.float32)
+    shading[rng.random(SHAPE) < 0.1] = np.nan
+    whole = value.copy(), variance.copy()
+    take_out_bend(*whole, shading, surface, ROUND)
+    for wide, wanted in ((np.s_[0:20, 0:30], np.s_[0:14, 0:24]), (np.s_[10:36, 8:40], np.s_[6:20, 6:26])):
+        part = value[wide].copy(), variance[wide].copy()
+        take_out_bend(*part, shading[wide].copy(), surface[wide].copy(), ROUND, wanted)
+        for found, expected in zip(part, whole, strict=True):
+            np.testing.assert_array_equal(found[wanted], expected[wide][wanted])
+    assert np.any(whole[0] != value)
