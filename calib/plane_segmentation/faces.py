@@ -1,15 +1,16 @@
 """Multi-plane segmentation of dense matches, and which three planes form the corner. No calibration, no masks."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.geometry import NO_FACE, Matches
 from calib.numerics import Floats, Ints, singular_refused
-from calib.plane_segmentation.corner_hypotheses import Triples, corner_triples, outermost
+from calib.plane_segmentation.corner_hypotheses import Triple, Triples, corner_triples, outermost
 from calib.plane_segmentation.labelling import label_matches
 from calib.plane_segmentation.plane_extraction import NO_PLANE
-from calib.plane_segmentation.segmentation import Segments, segment
+from calib.plane_segmentation.segmentation import Segments, segmentations
 from calib.plane_segmentation.surfels import make_surfels
 from calib.refusal import RIG, RefusalError
 
@@ -65,17 +66,24 @@ def find_faces(matches: Matches, camera_size: tuple[int, int], projector_size: t
             "The matches are not smooth: neighbouring camera pixels are matched to scattered projector pixels.",
             "Check focus, exposure, and that the frames belong to the patterns they are listed with.",
         )
-    segments = segment(surfels, camera_size, projector_size, rng)
-    if len(segments.planes) < 3:
-        raise _too_few(segments)
-    triples = corner_triples(segments, surfels.camera_px)
-    certain = [triple for triple in triples.square if triple.direction_sigma_deg < _MOST_DIRECTION_SIGMA_DEG]
-    if not certain:
-        raise _no_corner(segments, triples)
-    if triples.oblong_nats > _CLEARLY_OBLONG and triples.off_square > _NOTABLY_OBLONG:
-        raise _oblong(segments, triples)
+    segments, certain = _with_corner(segmentations(surfels, camera_size, projector_size, rng), surfels.camera_px)
     plane, counts = label_matches(matches, surfels, segments, rng)
     return _faces(matches, segments, plane, counts, outermost(certain, segments).planes)
+
+
+def _with_corner(tried: Iterable[Segments], camera_px: Floats) -> tuple[Segments, list[Triple]]:
+    """The first planes of which three can be a corner, as far as they tell, and all such triples, best first."""
+    refusal: RefusalError | None = None
+    for segments in tried:
+        triples = corner_triples(segments, camera_px)
+        certain = [triple for triple in triples.square if triple.direction_sigma_deg < _MOST_DIRECTION_SIGMA_DEG]
+        if certain and triples.oblong_nats > _CLEARLY_OBLONG and triples.off_square > _NOTABLY_OBLONG:
+            raise _oblong(segments, triples)
+        if certain:
+            return segments, certain
+        refusal = refusal or (_too_few(segments) if len(segments.planes) < 3 else _no_corner(segments, triples))
+    assert refusal is not None
+    raise refusal
 
 
 def _too_few(segments: Segments) -> RefusalError:
