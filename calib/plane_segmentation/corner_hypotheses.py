@@ -3,6 +3,10 @@
 For a trial focal length of the camera three planes give one corner in closed form, and with it the projector's
 intrinsic matrix (the paper, sections 3.1 and 3.2). Three planes that are not perpendicular give a projector with
 oblong or skewed pixels, or one that sees the walls from behind, whatever the focal length.
+
+So does a picture that the projector has squeezed or corrected for keystone. Some three planes may then be a corner
+before square pixels by chance, as the sides of a box and the floor; but before pixels of the right shape the walls are,
+and many more of the planes are parallel or perpendicular to each other.
 """
 
 from dataclasses import dataclass
@@ -29,8 +33,10 @@ _SQUARE_SIGMA = 0.01
 # … of the projector's principal point (a projector's lens is shifted), and of the logarithms of both focal lengths.
 _CENTRE_SIGMA = (0.25, 0.5)
 _LOG_FOCAL, _LOG_FOCAL_SIGMA = np.log(2.2), 0.8
-# A projector whose pixels come out further from square than this was not looking at a corner.
+# A projector whose pixels come out further from square than this was not looking at a corner …
 _MOST_OFF_SQUARE = 0.03
+# … or shows a picture of another shape: standard deviation of logarithm of the aspect and of skew among those.
+_OBLONG_SIGMA = 0.3
 _LEAST_IN_FRONT = 0.98
 _PARALLEL_DEG = 2.0
 _LEAST_OF_NEARER = 0.25
@@ -51,8 +57,20 @@ class Triple:
     inverse: Floats
 
 
-def corner_triples(segments: Segments, camera_px: Floats) -> list[Triple]:
-    """All triples of the planes that can be a corner, best first; `camera_px` (M, 2): the surfels.
+@dataclass(frozen=True)
+class Triples:
+    """`square`: all triples that can be a corner before a projector with square pixels, best first. `off_square`: how
+    far from square the pixels are before which planes are likeliest to be a corner if they may have any shape;
+    `oblong_nats`: how much likelier that is than the best of `square`, −infinity where either is missing.
+    """
+
+    square: list[Triple]
+    off_square: float
+    oblong_nats: float
+
+
+def corner_triples(segments: Segments, camera_px: Floats) -> Triples:
+    """The triples of the planes that can be a corner; `camera_px` (M, 2): the surfels.
 
     Preferred are planes with many surfels, and a triple whose calibration makes other planes parallel or perpendicular
     to each other, too: furniture mostly is.
@@ -60,16 +78,24 @@ def corner_triples(segments: Segments, camera_px: Floats) -> list[Triple]:
     view, planes, label = segments.view, segments.planes, segments.label
     x = _sample(view, planes, label, camera_px)
     share = np.bincount(label[label >= 0], minlength=len(planes)) / len(label)
-    found = []
+    found, off_square, oblong_score = [], 0.0, -np.inf
     for chosen in combinations(range(min(len(planes), _CANDIDATES)), 3):
         index = list(chosen)
-        fit = _best_fit(view, planes[index], [x[i] for i in index], planes[share > _REGULAR_SHARE])
-        if fit is not None and fit.off_square < _MOST_OFF_SQUARE:
+        trials = _trials(view, planes[index], [x[i] for i in index], planes[share > _REGULAR_SHARE])
+        if trials is None:
+            continue
+        large = float(np.sum(np.log(share[index])))
+        fit, oblong = trials.likeliest(_SQUARE_SIGMA), trials.likeliest(_OBLONG_SIGMA)
+        if fit.off_square < _MOST_OFF_SQUARE:
             sigma = max(_direction_sigma_deg(fit, planes[i], segments.covariance[i]) for i in index)
             inverse = (planes - fit.at_infinity) * np.array([fit.focal, fit.focal, 1.0])
-            score = fit.likelihood + float(np.sum(np.log(share[index])))
-            found.append(Triple(chosen, fit.off_square, sigma, score, inverse))
-    return sorted(found, key=lambda triple: -triple.score)
+            found.append(Triple(chosen, fit.off_square, sigma, fit.likelihood + large, inverse))
+        if oblong.likelihood + large > oblong_score:
+            off_square, oblong_score = oblong.off_square, oblong.likelihood + large
+    found.sort(key=lambda triple: -triple.score)
+    # Of the two terms' priors, which are the lower the wider they are.
+    wider = 2 * np.log(_OBLONG_SIGMA / _SQUARE_SIGMA)
+    return Triples(found, off_square, float(oblong_score - wider - found[0].score) if found else -np.inf)
 
 
 def outermost(triples: list[Triple], segments: Segments) -> Triple:
@@ -115,8 +141,27 @@ class _Fit:
     likelihood: float
 
 
-def _best_fit(view: TwoView, planes: Floats, x: list[Floats], others: Floats) -> _Fit | None:
-    """Try all focals and both corners for three planes (3, 3) with image points x; None if they cannot be a corner.
+@dataclass(frozen=True)
+class _Trials:
+    """Corners for three planes: `focal` (n,), `at_infinity` (n, 3), log aspect and skew of the projector's pixels,
+    `shape` (n, 2), and the `likelihood` (n,) of all else.
+    """
+
+    focal: Floats
+    at_infinity: Floats
+    shape: Floats
+    likelihood: Floats
+
+    def likeliest(self, sigma: float) -> _Fit:
+        """For pixels whose log aspect and skew have this standard deviation."""
+        off_square = np.hypot(*self.shape.T)
+        likelihood = self.likelihood - (off_square / sigma) ** 2 / 2
+        best = int(np.argmax(likelihood))
+        return _Fit(float(self.focal[best]), self.at_infinity[best], float(off_square[best]), float(likelihood[best]))
+
+
+def _trials(view: TwoView, planes: Floats, x: list[Floats], others: Floats) -> _Trials | None:
+    """All focals and both corners for three planes (3, 3) with image points x; None if they cannot be a corner.
 
     `others` (n, 3): planes of the same scene.
     """
@@ -134,16 +179,17 @@ def _best_fit(view: TwoView, planes: Floats, x: list[Floats], others: Floats) ->
     with np.errstate(all="ignore"):
         weights = inverse_depths(normals, rays, inverses)
         at_infinity, projector, positive = _transfer(view, planes, weights, matrices, x)
-        off_square = np.hypot(np.log(projector[:, 0, 0] / projector[:, 1, 1]), projector[:, 0, 1] / projector[:, 0, 0])
-        cost = (off_square / _SQUARE_SIGMA) ** 2 + np.sum((projector[:, :2, 2] / _CENTRE_SIGMA) ** 2, axis=1)
+        shape = np.stack(
+            [np.log(projector[:, 0, 0] / projector[:, 1, 1]), projector[:, 0, 1] / projector[:, 0, 0]], axis=1
+        )
+        cost = np.sum((projector[:, :2, 2] / _CENTRE_SIGMA) ** 2, axis=1)
         for length in (focal, projector[:, 0, 0]):
             cost += ((np.log(length) - _LOG_FOCAL) / _LOG_FOCAL_SIGMA) ** 2
         likelihood = _regularity(at_infinity, focal, others) - cost / 2
-    likelihood = np.where(np.isfinite(likelihood) & (positive > _LEAST_IN_FRONT), likelihood, -np.inf)
-    best = int(np.argmax(likelihood))
-    if not np.isfinite(likelihood[best]):
+    possible = np.isfinite(likelihood) & np.isfinite(shape).all(axis=1) & (positive > _LEAST_IN_FRONT)
+    if not possible.any():
         return None
-    return _Fit(float(focal[best]), at_infinity[best], float(off_square[best]), float(likelihood[best]))
+    return _Trials(focal[possible], at_infinity[possible], shape[possible], likelihood[possible])
 
 
 def _direction_sigma_deg(fit: _Fit, plane: Floats, covariance: Floats) -> float:

@@ -1,15 +1,16 @@
 """Multi-plane segmentation of dense matches, and which three planes form the corner. No calibration, no masks."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.geometry import NO_FACE, Matches
 from calib.numerics import Floats, Ints, singular_refused
-from calib.plane_segmentation.corner_hypotheses import Triple, corner_triples, outermost
+from calib.plane_segmentation.corner_hypotheses import Triple, Triples, corner_triples, outermost
 from calib.plane_segmentation.labelling import label_matches
 from calib.plane_segmentation.plane_extraction import NO_PLANE
-from calib.plane_segmentation.segmentation import Segments, segment
+from calib.plane_segmentation.segmentation import Segments, segmentations
 from calib.plane_segmentation.surfels import make_surfels
 from calib.refusal import RIG, RefusalError
 
@@ -20,6 +21,9 @@ _LEAST_SMOOTH = 0.1
 _NOTABLE_PX = 0.3
 # Stated as if surfels erred independently; errors of neighbours are alike, so the true one is several times larger.
 _MOST_DIRECTION_SIGMA_DEG = 0.2
+# Log of the odds of a picture that the projector distorts, −7 to −4 in undistorted ones. Walls and furniture a degree
+# or two askew, or a principal point off the centre, may look like the little that is not notable.
+_CLEARLY_OBLONG, _NOTABLY_OBLONG = 5.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -62,15 +66,24 @@ def find_faces(matches: Matches, camera_size: tuple[int, int], projector_size: t
             "The matches are not smooth: neighbouring camera pixels are matched to scattered projector pixels.",
             "Check focus, exposure, and that the frames belong to the patterns they are listed with.",
         )
-    segments = segment(surfels, camera_size, projector_size, rng)
-    if len(segments.planes) < 3:
-        raise _too_few(segments)
-    triples = corner_triples(segments, surfels.camera_px)
-    certain = [triple for triple in triples if triple.direction_sigma_deg < _MOST_DIRECTION_SIGMA_DEG]
-    if not certain:
-        raise _no_corner(segments, triples)
+    segments, certain = _with_corner(segmentations(surfels, camera_size, projector_size, rng), surfels.camera_px)
     plane, counts = label_matches(matches, surfels, segments, rng)
     return _faces(matches, segments, plane, counts, outermost(certain, segments).planes)
+
+
+def _with_corner(tried: Iterable[Segments], camera_px: Floats) -> tuple[Segments, list[Triple]]:
+    """The first planes of which three can be a corner, as far as they tell, and all such triples, best first."""
+    refusal: RefusalError | None = None
+    for segments in tried:
+        triples = corner_triples(segments, camera_px)
+        certain = [triple for triple in triples.square if triple.direction_sigma_deg < _MOST_DIRECTION_SIGMA_DEG]
+        if certain and triples.oblong_nats > _CLEARLY_OBLONG and triples.off_square > _NOTABLY_OBLONG:
+            raise _oblong(segments, triples)
+        if certain:
+            return segments, certain
+        refusal = refusal or (_too_few(segments) if len(segments.planes) < 3 else _no_corner(segments, triples))
+    assert refusal is not None
+    raise refusal
 
 
 def _too_few(segments: Segments) -> RefusalError:
@@ -93,12 +106,21 @@ def _too_few(segments: Segments) -> RefusalError:
     )
 
 
-def _no_corner(segments: Segments, triples: list[Triple]) -> RefusalError:
+def _oblong(segments: Segments, triples: Triples) -> RefusalError:
+    return RefusalError(
+        f"{len(segments.planes)} planes were found. They are parallel or perpendicular to each other, as walls and "
+        f"furniture are, if the projector's pixels are oblong or skewed by {triples.off_square:.0%}, but hardly so if "
+        "they are square.",
+        RIG.shape.strip(),
+    )
+
+
+def _no_corner(segments: Segments, triples: Triples) -> RefusalError:
     advice = "Capture the corner of a room, or three faces of a box, with all three faces large in the picture."
     found, uneven = f"{len(segments.planes)} planes were found", _unevenness(segments)
-    if not triples:
+    if not triples.square:
         return RefusalError(f"{found}{uneven}, but no three of them are perpendicular to each other.", advice)
-    sigma = min(triple.direction_sigma_deg for triple in triples)
+    sigma = min(triple.direction_sigma_deg for triple in triples.square)
     return RefusalError(
         f"{found}{uneven}; three could be perpendicular, but are too small or too uneven to tell (by {sigma:.1f}°).",
         advice,

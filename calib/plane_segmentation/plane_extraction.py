@@ -66,17 +66,19 @@ def _assign(surfels: Surfels, evidence: Evidence, planes: Floats) -> tuple[Float
     return planes[order], np.where(label >= 0, rank[label], NO_PLANE).astype(np.int32)
 
 
-def without_uneven(evidence: Evidence, planes: Floats, label: Ints) -> tuple[Floats, Ints]:
+def without_uneven(evidence: Evidence, planes: Floats, label: Ints) -> tuple[Floats, Ints, float]:
     """Drop planes whose surfels scatter over all of the tolerance: patches of a curved or bumpy surface, which end
-    where the surface leaves the tolerance and not where a plane ends.
+    where the surface leaves the tolerance and not where a plane ends. Returns also the share of the surfels in the
+    largest of those.
     """
     if len(planes) == 0:
-        return planes, label
+        return planes, label, 0.0
     error = evidence.off_own(planes, label)
     kept = [plane for plane in range(len(planes)) if np.std(error[label == plane]) < _MOST_SCATTER]
     renumbered = np.full(len(planes) + 1, NO_PLANE, np.int32)
     renumbered[kept] = np.arange(len(kept))
-    return planes[kept], renumbered[label]
+    dropped = [float(np.mean(label == plane)) for plane in range(len(planes)) if plane not in kept]
+    return planes[kept], renumbered[label], max(dropped, default=0.0)
 
 
 def covariances(evidence: Evidence, label: Ints, planes: int) -> Floats:

@@ -1,5 +1,6 @@
 """Surfels → planes of one scene, with the epipolar geometry and the lenses that they share."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +18,15 @@ from calib.plane_segmentation.surfels import Surfels
 _FIRST_MODELS_PX = (0.15, 0.6, 2.4)
 _LEAST_MODEL_PX = 0.05
 _MOST_SPILL = 0.25
+# So much of a picture is a face that was dropped for being uneven: behind a lens out of focus dark ones are noisier.
+_MUCH_UNEVEN = 0.1
 
 
 @dataclass(frozen=True)
 class Segments:
     """`planes` (n, 3), largest first, and their `covariance` (n, 3, 3); `label` (M,): the plane of each surfel;
-    `model_px`: standard deviation of the surfels about their planes beyond their noise; `spill`
-    as in plane_extraction.py.
+    `model_px`: standard deviation of the surfels about their planes beyond their noise; `spill` and `uneven`, the
+    largest share of the surfels that lay on a plane which was dropped, as in plane_extraction.py.
     """
 
     view: TwoView
@@ -32,19 +35,30 @@ class Segments:
     label: Ints
     model_px: float
     spill: float
+    uneven: float
 
 
-def segment(
+def segmentations(
     surfels: Surfels, camera_size: tuple[int, int], projector_size: tuple[int, int], rng: np.random.Generator
-) -> Segments:
-    """Planes at the tightest tolerance that does not cut surfaces into slices; if all do, at that which does least."""
+) -> Iterator[Segments]:
+    """Planes at the tightest tolerance that does not cut surfaces into slices; if all do, at that which does least.
+
+    Then, in case these are no corner, at each wider one, as long as that before dropped a large plane as uneven.
+    """
     view = first_geometry(surfels, largest_plane(surfels, camera_size, projector_size, rng), rng)
     found: list[Segments] = []
-    for model_px in _FIRST_MODELS_PX:
+    models_px = iter(_FIRST_MODELS_PX)
+    for model_px in models_px:
         found.append(_segment_within(surfels, view, model_px, rng))
         if found[-1].spill < _MOST_SPILL:
-            return found[-1]
-    return min(found, key=lambda segments: segments.spill)
+            break
+    last = min(found, key=lambda segments: segments.spill)
+    yield last
+    for model_px in models_px:
+        if last.uneven < _MUCH_UNEVEN:
+            return
+        last = _segment_within(surfels, view, model_px, rng)
+        yield last
 
 
 def _segment_within(surfels: Surfels, view: TwoView, model_px: float, rng: np.random.Generator) -> Segments:
@@ -59,8 +73,8 @@ def _segment_within(surfels: Surfels, view: TwoView, model_px: float, rng: np.ra
         evidence = gather_evidence(surfels, view, model_px)
         planes, label = find_planes(surfels, evidence, rng)
     sliced = spill(evidence, planes, label)
-    planes, label = without_uneven(evidence, planes, label)
+    planes, label, uneven = without_uneven(evidence, planes, label)
     if len(planes) > 0:
         view, planes = refine(surfels, label, view, planes, 2 * model_px, rng)
         evidence = gather_evidence(surfels, view, model_px)
-    return Segments(view, planes, covariances(evidence, label, len(planes)), label, model_px, sliced)
+    return Segments(view, planes, covariances(evidence, label, len(planes)), label, model_px, sliced, uneven)

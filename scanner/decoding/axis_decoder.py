@@ -21,6 +21,7 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import (
     NOT_LIT,
     UNCERTAIN,
+    Against,
     MaskReason,
     note_codes,
     note_contrast,
@@ -34,6 +35,8 @@ from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode
 
 # A signal counts from five standard deviations on: an unlit pixel passes by chance once in three million times.
 _SEEN = 5.0
+# So many are enough for a fringe that lenses weaken, where its stripes are seen: they say that the pixel is lit.
+_FAINTLY_SEEN = 3.0
 # One-sided 93 %. A bit this weak lies at the edge of its stripe, where a wrong one costs a single cell.
 _CERTAIN_BIT = 1.5
 # Smaller differences are rounding, compression and stray light, whatever the noise.
@@ -137,6 +140,8 @@ class AxisDecoder:
         direct = powers[0] * np.float32(self.blurred**2)
         note_indirect(direct, signals.brightest, signals.middle, against)
         note_light(variances[0], self._darkest_px2, self._saturated(signals), against)
+        if self.blurred > 1:
+            against[self._faintly_seen(variances[0], signals)] &= np.uint8(~Against.DARK & 255)
         # No second period would contradict a bit that global light has turned over.
         for least in () if self.plan.corrects_bits else signals.least:
             note_turned_over(least, direct, signals.brightest, signals.middle, against)
@@ -155,6 +160,13 @@ class AxisDecoder:
         if ripple is not None:
             _straighten(position, ripple)
         position *= np.float32(self.plan.fringes[number].period / (2 * pi))
+
+    def _faintly_seen(self, variance: Floats32, signals: Signals) -> Bools:
+        """(P,): where stripes are seen, and the longest fringe is a little beyond noise."""
+        _, least_seen = least_contrasts(self.noise, signals.middle)
+        lit = 2 * (signals.brightest - signals.middle) > least_seen
+        seen: Bools = lit & (variance <= np.float32((_SEEN / _FAINTLY_SEEN) ** 2) * self._darkest_px2)
+        return seen
 
     def _saturated(self, signals: Signals) -> Bools:
         # In the image's own type, for comparing bytes with a float converts them all.

@@ -229,14 +229,22 @@ def learn(
 def _passed_over(
     plan: SequencePlan, odd_codes: Sequence[Oddity], seen: Sequence[Oddity], unrest: Unrest | None
 ) -> Sequence[Oddity]:
-    """The odd codes, if pairs of their bits were `seen` not to add up, or something moved in their frames.
+    """The odd codes, if pairs of their bits were `seen` not to add up, or something moved in their frames or next to.
 
     Raises InputError if one was not: an exchange between pairs is known from their sums, but nothing else tells others.
     """
-    moved = set() if unrest is None else {*unrest.frames}
+    moved = set() if unrest is None else _with_next(plan, unrest.frames)
     suspected = {frame for oddity in seen for frame in oddity.frames}
     for oddity in odd_codes:
         doubted = suspected.intersection(oddity.frames)
         if not moved & {*oddity.frames} and not any({*pair} <= doubted for pair in plan.complements):
             raise InputError(oddity.said)
     return odd_codes
+
+
+def _with_next(plan: SequencePlan, frames: Sequence[int]) -> set[int]:
+    """Frames with those that were taken before and after: of what moves through bits without inverses only those tell
+    in which it is brighter than white or darker than black.
+    """
+    places = [plan.shown.index(frame) + by for frame in frames for by in (-1, 0, 1)]
+    return {plan.shown[place] for place in places if 0 <= place < len(plan.shown)}

@@ -92,13 +92,11 @@ def corner_before(focal: float, projector_focal: float) -> tuple[TwoView, Floats
 
 
 @pytest.mark.parametrize(("focal", "projector_focal"), [(1.2, 1.2), (1.5, 2.9), (2.0, 2.2), (3.4, 1.8), (4.5, 3.0)])
-def test_the_corner_fits_where_the_projectors_pixels_are_square(
-    monkeypatch: pytest.MonkeyPatch, focal: float, projector_focal: float
-) -> None:
-    monkeypatch.setattr(corner_hypotheses, "_SQUARE_SIGMA", 1e-4)  # no error of the planes is to be allowed for here
+def test_the_corner_fits_where_the_projectors_pixels_are_square(focal: float, projector_focal: float) -> None:
     view, planes, x = corner_before(focal, projector_focal)
-    found = corner_hypotheses._best_fit(view, planes, x, planes)
-    assert found is not None
+    trials = corner_hypotheses._trials(view, planes, x, planes)
+    assert trials is not None
+    found = trials.likeliest(1e-4)  # no error of the planes is to be allowed for here
     assert found.focal == pytest.approx(focal, rel=0.025)  # 2.45 % from one trial to the next
     assert found.off_square < 3e-4
     np.testing.assert_allclose(found.at_infinity, [-0.1, 0.05, -0.2], atol=0.01)

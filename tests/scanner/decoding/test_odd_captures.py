@@ -10,7 +10,7 @@ import pytest
 from calib.numerics import Image
 from scanner.decoding.decoder import MaskReason
 from scanner.patterns import Pattern, sequence_for
-from tests.support.synthetic_capture import Scene, decode
+from tests.support.synthetic_capture import Scene, decode, dimmed
 
 SCENE = Scene(camera=(400, 300), projector=(400, 260))
 # Ambient light is stronger than the projector's, so that a brighter frame is brighter by more than a bit.
@@ -153,6 +153,18 @@ def test_a_lens_that_weakens_the_only_fringes_is_not_taken_for_stray_light(blur_
     assert 0.03 < np.median(errors) < 0.25
     assert np.quantile(errors, 0.99) < 1.0
     assert np.mean(decoding.reasons[scene.well_lit()] == MaskReason.KEPT) > 0.9
+
+
+def test_where_a_lens_weakens_the_only_fringes_faint_ones_count() -> None:
+    # Of a fringe that five sigmas would be asked of, one pixel in a hundred.
+    scene = dimmed(replace(SCENE, projector_blur_px=4.0), 0.6)
+    decoding = scene.decode(QUICK)
+    errors, sigma = scene.errors(decoding), decoding.matches.sigma_px
+    assert sigma is not None
+    assert 0.85 < np.mean(decoding.reasons[scene.well_lit()] == MaskReason.KEPT) < 0.99
+    assert 0.15 < np.median(np.abs(errors)) < 0.4
+    assert np.mean(np.abs(errors) > 3) < 1e-4, "in another cycle"
+    assert 0.9 < np.std(np.clip(errors / sigma[:, None], -6, 6)) < 1.2
 
 
 def test_where_the_only_fringes_are_blurred_away_the_code_is_decoded_alone() -> None:

@@ -8,9 +8,12 @@ import pytest
 
 from calib.numerics import Bools, Image
 from scanner.decoding import Decoding
+from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.learning import _passed_over
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import CoarseFrames, find_unrest
+from scanner.decoding.motion.unrest import Unrest
 from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for
@@ -158,3 +161,18 @@ def test_the_grid_is_put_back_where_it_was_taken(shape: tuple[int, int]) -> None
     beside = np.abs(column - shape[1] / 2) > coarse.step
     assert np.array_equal(coarse.at_full_size(chosen)[beside], (column > shape[1] / 2)[beside])
     assert np.array_equal(coarse.rows, coarse.of(row)[:, 0])
+
+
+@pytest.mark.parametrize(("first_moved", "is_passed_over"), [(2, False), (3, False), (5, True), (9, True), (11, False)])
+def test_bits_next_to_frames_in_which_something_moved_are_not_taken_for_exchanged(
+    first_moved: int, is_passed_over: bool
+) -> None:
+    plan = plan_sequence(PRESETS["quick"].patterns(SCENE.projector), SCENE.projector)
+    nowhere = np.zeros((1, 1), np.bool_)
+    unrest = Unrest(nowhere, nowhere, ~nowhere, 0.05, (first_moved, first_moved + 1))
+    odd = Oddity("cells are not neighbours", (7, 8))
+    if is_passed_over:
+        assert [*_passed_over(plan, [odd], [], unrest)] == [odd]
+    else:
+        with pytest.raises(InputError, match="not neighbours"):
+            _passed_over(plan, [odd], [], unrest)
