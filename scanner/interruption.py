@@ -7,6 +7,7 @@ all of them are KeyboardInterrupt. What must not be left half done waits for the
 import _thread
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -60,6 +61,14 @@ def _come_again(number: int) -> None:
         signal.pthread_kill(thread, number)
 
 
+def _swallowed(what: "sys.UnraisableHookArgs") -> None:
+    """Where nothing can be raised (in a destructor, in what C calls), an interruption comes a moment later."""
+    if issubclass(what.exc_type, KeyboardInterrupt):
+        _thread.start_new_thread(_come_again, (signal.SIGINT,))
+    else:
+        sys.__unraisablehook__(what)
+
+
 def on_ending(handler: Handler | signal.Handlers) -> None:
     """Call this from now on; nothing changes outside of the main thread, or where signals are ignored, as by nohup."""
     if current_thread() is main_thread():
@@ -72,9 +81,11 @@ def on_ending(handler: Handler | signal.Handlers) -> None:
 def handlers_restored() -> Iterator[None]:
     """What the block sets by `on_ending` is as it was when it is over."""
     before = {number: signal.getsignal(number) for number in _ENDING}
+    hook, sys.unraisablehook = sys.unraisablehook, _swallowed
     try:
         yield
     finally:
+        sys.unraisablehook = hook
         if current_thread() is main_thread():
             for number, usual in before.items():
                 signal.signal(number, usual)

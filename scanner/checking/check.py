@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import islice
 
 from calib.geometry import Size
 from calib.refusal import RefusalError
@@ -17,7 +18,7 @@ from scanner.checking.exposure import exposure_row, propose_exposure
 from scanner.checking.focus import LONG_PERIOD_PX, period_for, sample_blur, tell_apart
 from scanner.checking.focus_row import finest_period_px, focus_row
 from scanner.checking.fringes import STEPS, FringeMeter
-from scanner.checking.light import Light, light_rows, photograph_light
+from scanner.checking.light import Light, leaves_ghost, light_rows, photograph_light
 from scanner.checking.pictures import contrast_picture, coverage_picture, saturation_picture
 from scanner.checking.pixels import pixel_row
 from scanner.checking.report import CheckReport, CheckRow, Pixels, State
@@ -142,16 +143,18 @@ def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
     rig, config, terminal = bench.rig, bench.config, bench.terminal
     meter = FringeMeter()
     since_s = time.monotonic()
-    quick = view.take_quick(rig, config, meter, terminal)
+    ghostly = leaves_ghost(light)
+    quick = view.take_quick(rig, config, meter, terminal, ghostly=ghostly)
     checking.add(*transfer_rows(rig))
     with terminal.step("Calibrating"):
         row, failure = view.view_row(quick, config, bench.earlier)
-    scanned = view.take_configured(rig, config, terminal) if failure or quick.is_patchy else None
+    scanned = view.take_configured(rig, config, terminal, ghostly=ghostly) if failure or quick.is_patchy else None
     if scanned:
         with terminal.step("Calibrating"):
             row, failure = view.view_row(scanned, config, bench.earlier, as_configured=True)
     decoded = next((seen for seen in (scanned, quick) if seen and seen.decoding), None)
-    _check_lenses(bench, light, decoded or view.take_coarse(rig, config, terminal), meter, checking)
+    decoded = decoded or view.take_coarse(rig, config, terminal, ghostly=ghostly)
+    _check_lenses(bench, light, decoded, meter, checking)
     _check_steadiness(bench, light, quick, since_s, checking)
     checking.add(row)
     checking.failure = failure
@@ -162,8 +165,11 @@ def _check_steadiness(bench: _Bench, light: Light, quick: view.Capture, since_s:
         return
     with bench.terminal.step("Waiting to see whether anything drifts"):
         time.sleep(max(0.0, bench.watch_s - (time.monotonic() - since_s)))
-    fringes = patterns()
-    frames = bench.terminal.track(bench.show(fringes), len(fringes), "Looking at the same stripes again")
+    # In the first frame of a picture there may be something of the one before.
+    times = 2 if leaves_ghost(light) else 1
+    fringes = tuple(pattern for pattern in patterns() for _ in range(times))
+    shown = bench.terminal.track(bench.show(fringes), len(fringes), "Looking at the same stripes again")
+    frames = islice(shown, times - 1, None, times)
     before = Before(since_s, light, view.projector_map(quick.decoding))
     row = steadiness_row(bench.rig, before, frames, light.well_lit)
     checking.add(*([row] if row else []))

@@ -44,7 +44,10 @@ def _mean(images: Sequence[Image]) -> Floats:
 
 @dataclass(frozen=True)
 class Light:
-    """Frames of white and of black pictures, two or more of each; `highest` is the largest level of a pixel."""
+    """Frames of white and of black pictures, two or more of each; `highest` is the largest level of a pixel.
+
+    In the first frame of each there may be something of the picture before: it is in no mean.
+    """
 
     white: tuple[Image, ...]
     black: tuple[Image, ...]
@@ -53,24 +56,19 @@ class Light:
     @cached_property
     def mean_white(self) -> Floats:
         """(H, W) in grey levels."""
-        return _mean(self.white)
+        return _mean(self.white[1:])
 
     @cached_property
     def mean_black(self) -> Floats:
         """(H, W) in grey levels."""
-        return _mean(self.black)
-
-    @cached_property
-    def settled_white(self) -> Floats:
-        """The same of the later frames, with nothing of the picture before."""
-        return _mean(self.white[1:])
+        return _mean(self.black[1:])
 
     @cached_property
     def lit(self) -> Bools:
         """(H, W): where the projector's light falls directly, as far as brightness tells; nowhere if noise is all."""
         contrast = self.mean_white - self.mean_black
         bright = float(np.percentile(contrast, _BRIGHT_PERCENTILE))
-        difference = (grey(self.black[1]) - grey(self.black[0])).reshape(-1)
+        difference = (grey(self.black[-1]) - grey(self.black[-2])).reshape(-1)
         noise = max(1.0, robust_sigma(difference - np.median(difference)))
         lit: Bools = contrast > max(_DIRECT * bright, _SEEN * noise)
         return lit
@@ -137,10 +135,14 @@ class Flicker:
 
 
 def flicker_of(light: Light) -> Flicker:
-    """How much frames that should be alike differ as a whole; their pixels' noise averages out."""
+    """How much frames that should be alike differ as a whole; their pixels' noise averages out.
+
+    Where there are enough, the first of each does not count.
+    """
     level = float(light.mean_white[light.well_lit].mean())
     spreads = [
-        float(np.std([grey(image)[light.well_lit].mean() for image in images], ddof=1)) / level
+        float(np.std([grey(image)[light.well_lit].mean() for image in images[-max(2, len(images) - 1) :]], ddof=1))
+        / level
         for images in (light.white, light.black)
     ]
     return Flicker(*spreads)
@@ -164,16 +166,18 @@ def _flicker(light: Light) -> CheckRow:
 def ghost_of(light: Light) -> float:
     """The share of white that is still there in the first black frame after it, but not in those after."""
     where = light.well_lit
-    white, first, black = (
-        _mean(images)[where].mean() for images in (light.white[1:], light.black[:1], light.black[1:])
-    )
+    white, first, black = (image[where].mean() for image in (light.mean_white, grey(light.black[0]), light.mean_black))
     return float((first - black) / (white - black))
 
 
+def leaves_ghost(light: Light) -> bool:
+    """Whether so much of a picture is left in the next frame that what is measured in single frames is wrong."""
+    return ghost_of(light) > _MOST_GHOST
+
+
 def _ghost(light: Light) -> CheckRow:
-    share = ghost_of(light)
-    finding = f"{100 * max(share, 0.0):.1f} % of the picture before is left in a frame"
-    if share <= _MOST_GHOST:
+    finding = f"{100 * max(ghost_of(light), 0.0):.1f} % of the picture before is left in a frame"
+    if not leaves_ghost(light):
         return CheckRow("ghost", State.OK, finding)
     return CheckRow(
         "ghost",

@@ -29,7 +29,7 @@ def pixel_row(rig: Rig, light: Light, ramp: Ramp) -> CheckRow | None:
     if ramp.response is None:
         return None
     where = light.well_lit
-    black, white = light.mean_black[where].mean(), light.settled_white[where].mean()
+    black, white = light.mean_black[where].mean(), light.mean_white[where].mean()
     # The second frame of each: in the first there may still be something of the picture before.
     pictures = [_lines(axis, rig.projector.size) for axis in _AXES for _ in range(2)]
     frames = list(rig.photograph(pictures))[1::2]

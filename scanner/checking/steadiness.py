@@ -54,7 +54,7 @@ def steadiness_row(rig: Rig, before: Before, frames: Iterator[tuple[Pattern, Fra
     seconds = time.monotonic() - before.since_s
     if moved is None or not where.any():
         return None
-    percent = 100 * (after.settled_white[where].mean() / before.light.settled_white[where].mean() - 1)
+    percent = 100 * (after.mean_white[where].mean() / before.light.mean_white[where].mean() - 1)
     return row_of(moved, float(percent), seconds)
 
 

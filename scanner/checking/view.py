@@ -10,12 +10,12 @@ from calib.numerics import Bools, Floats
 from calib.refusal import RIG, RefusalError
 from calib.self_calibration import SelfCalibration
 from hw.rig import Rig
-from scanner.capture import capture
+from scanner.capture import Stream, capture
 from scanner.checking.fringes import FringeMeter
 from scanner.checking.limits import LEAST_SHARE
 from scanner.checking.report import CheckRow, State
 from scanner.configuration import Config
-from scanner.decoding import Decoding, MaskReason
+from scanner.decoding import Decoding, MaskReason, MirroredError
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Preset, PresetName
 from scanner.pipeline import decode
@@ -38,14 +38,18 @@ _OFF_CENTRE = 0.05
 # Stripes that survive a blur of several pixels, where the quick ones do not.
 _COARSE = Preset("gray", cell=16, inverses=True, periods=(32.7,), shifts=4)
 _UNREADABLE = "Correct what the lines above say about light and focus, keep the scene still, and check again."
+_MIRRORED = "Switch off rear projection, or ceiling mount, in its menu; do not photograph its picture in a mirror."
 
 
 @dataclass(frozen=True)
 class Capture:
-    """What a sequence showed; `decoded` is None and `problem` says why where its frames do not decode."""
+    """What a sequence showed; where its frames do not decode, `decoded` is None, `problem` says why, and `advice` what
+    to do.
+    """
 
     decoded: Decoded | None
     problem: str = ""
+    advice: str = ""
 
     @property
     def is_patchy(self) -> bool:
@@ -58,32 +62,51 @@ class Capture:
         return self.decoded.decoding if self.decoded else None
 
 
-def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress) -> Capture:
-    """Capture the quick sequence while `meter` looks on. Raises DeviceError."""
-    return _take(rig, config, PRESETS[_QUICK].patterns(rig.projector.size), meter, terminal, "Capturing quickly")
+def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress, *, ghostly: bool) -> Capture:
+    """Capture the quick sequence while `meter` looks on. `ghostly`: frames show something of the picture before, which
+    is taken out, as a scan does. Raises DeviceError.
+    """
+    patterns = PRESETS[_QUICK].patterns(rig.projector.size)
+    return _take(rig, config, patterns, meter, terminal, "Capturing quickly", ghostly=ghostly)
 
 
-def take_configured(rig: Rig, config: Config, terminal: Progress) -> Capture | None:
+def take_configured(rig: Rig, config: Config, terminal: Progress, *, ghostly: bool) -> Capture | None:
     """Capture what a scan would; None if that is the quick sequence. Raises DeviceError."""
     patterns = config.sequence.patterns(rig.projector.size)
     if patterns == PRESETS[_QUICK].patterns(rig.projector.size):
         return None
-    return _take(rig, config, patterns, FringeMeter(), terminal, "Capturing as a scan would")
+    return _take(rig, config, patterns, FringeMeter(), terminal, "Capturing as a scan would", ghostly=ghostly)
 
 
-def take_coarse(rig: Rig, config: Config, terminal: Progress) -> Capture:
+def take_coarse(rig: Rig, config: Config, terminal: Progress, *, ghostly: bool) -> Capture:
     """Capture a sequence that blur does less to, to learn at least which pixels see which. Raises DeviceError."""
-    return _take(rig, config, _COARSE.patterns(rig.projector.size), FringeMeter(), terminal, "Capturing coarsely")
+    patterns = _COARSE.patterns(rig.projector.size)
+    return _take(rig, config, patterns, FringeMeter(), terminal, "Capturing coarsely", ghostly=ghostly)
 
 
 def _take(
-    rig: Rig, config: Config, patterns: tuple[Pattern, ...], meter: FringeMeter, terminal: Progress, what: str
+    rig: Rig,
+    config: Config,
+    patterns: tuple[Pattern, ...],
+    meter: FringeMeter,
+    terminal: Progress,
+    what: str,
+    *,
+    ghostly: bool,
 ) -> Capture:
-    stream = capture(rig, patterns, response=config.projector.known_response)
+    def taken() -> Stream:
+        return capture(rig, patterns, response=config.projector.known_response)
+
+    stream = taken()
+    watched = replace(stream, frames=meter.watch(stream.frames))
     try:
-        return Capture(decode(replace(stream, frames=meter.watch(stream.frames)), terminal, what))
+        # Frames are not kept: to take a ghost out, they are taken once more.
+        return Capture(decode(watched, terminal, what, again=taken if ghostly else None))
+    except MirroredError:
+        return Capture(None, "the projector mirrors its picture", _MIRRORED)
     except InputError as error:
-        return Capture(None, str(error).partition(";")[0])  # the rest is about files
+        problem = str(error).partition(";")[0]  # the rest is about files
+        return Capture(None, f"the frames do not decode: {problem}", _UNREADABLE)
 
 
 def projector_map(decoding: Decoding) -> Floats:
@@ -183,7 +206,7 @@ def view_row(
     `as_configured`: `seen` is not the quick capture, of which too little could be had.
     """
     if seen.decoded is None:
-        row = CheckRow(_VIEW, State.FAILED, f"the frames do not decode: {seen.problem}", _UNREADABLE)
+        row = CheckRow(_VIEW, State.FAILED, seen.problem, seen.advice)
         return row, refusal_of(row)
     try:
         solution = predict(seen.decoded, config, earlier)

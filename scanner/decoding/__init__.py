@@ -1,6 +1,7 @@
 """The parts of the decoder: what a sequence measures, folding frames in, fringe orders, masks, checks."""
 
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.checks.map_checks import MirroredError
 from scanner.decoding.checks.operator_advice import MUCH_FLICKER
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px

@@ -100,11 +100,12 @@ def keep_recording(partial: Path, out: Path) -> Path:
     return kept
 
 
-def kept_words(kept: Path) -> str:
-    """Where the frames are, and what can be done with them."""
+def kept_words(kept: Path, *, refuted: bool = False) -> str:
+    """Where the frames are, and what can be done with them; `refuted`: as they are, they come to nothing."""
     recording, frames = kept / CAPTURE_FOLDER, frames_in(kept / CAPTURE_FOLDER)
     if _is_complete(recording):
-        to_do = f"none is missing, and scan replay {recording} makes a result of them"
+        makes = "says the same of them" if refuted else "makes a result of them"
+        to_do = f"none is missing, and scan replay {recording} {makes}"
     else:
         to_do = f"scan --resume {kept} takes the missing ones, and scan replay {recording} makes of it what can be made"
     if not _whole(kept):

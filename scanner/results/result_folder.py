@@ -144,7 +144,7 @@ class OutputFolder:
                 kept = "captures are"
             error.add_note(f"The {kept} in {self._shown}.")
         elif self._keep_capture and frames_in(self.folder):
-            error.add_note(self._keep())
+            error.add_note(self._keep(refuted=isinstance(error, InputError)))
         else:
             self._discard()
 
@@ -165,12 +165,12 @@ class OutputFolder:
         if trouble is not None:
             raise InputError(f"{trouble}; the result is in {self._shown.with_name(place.name)}") from trouble
 
-    def _keep(self) -> str:
+    def _keep(self, *, refuted: bool) -> str:
         try:
             kept = keep_recording(self.folder, self.out)
         except OSError as error:
             return f"The frames captured so far are in {self.folder} ({cannot_write(self.folder, error)})."
-        return kept_words(self._shown.with_name(kept.name))
+        return kept_words(self._shown.with_name(kept.name), refuted=refuted)
 
     def _discard(self) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)  # what is left of it is settled by the next

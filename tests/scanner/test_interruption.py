@@ -25,6 +25,18 @@ def test_whatever_asks_to_end_is_an_interruption(number: int) -> None:
         os.kill(os.getpid(), number)
 
 
+def test_what_a_destructor_swallows_comes_a_moment_later(capfd: pytest.CaptureFixture[str]) -> None:
+    class Last:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.01)
+
+    with pytest.raises(KeyboardInterrupt):  # noqa: PT012
+        Last()
+        time.sleep(1)
+    assert capfd.readouterr().err == ""
+
+
 def test_what_must_be_whole_is_finished_first() -> None:
     done = []
 

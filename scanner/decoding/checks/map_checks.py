@@ -83,8 +83,12 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
         yield Oddity(said, (*longer.frames, *shorter.frames))
 
 
+class MirroredError(InputError):
+    """Everything is as it would be in a mirror."""
+
+
 def check_maps(plan: SequencePlan, maps: Maps, kept: Bools) -> None:
-    """Raise InputError if most of what is lit contradicts itself, or if the map to the projector is mirrored.
+    """Raise InputError if most of what is lit contradicts itself; MirroredError if the map is that of a mirror.
 
     `kept` (H, W): after all masks.
     """
@@ -95,10 +99,10 @@ def check_maps(plan: SequencePlan, maps: Maps, kept: Bools) -> None:
     mirrored = None if plan.only_axis else _mirrored_axis(plan, maps, kept)
     if mirrored is not None:
         frames = [frame for fringe in mirrored.fringes for frame in fringe.frames] or mirrored.frames
-        raise InputError(
-            f"the {mirrored.axis} coordinate runs backwards, as if seen in a mirror. Were frames exchanged, perhaps "
-            f"{plan.names(frames)}{_or_code(plan, mirrored)}? Or does the projector mirror its image, as for rear "
-            "projection? Then switch that off"
+        raise MirroredError(
+            f"the {mirrored.axis} coordinate runs backwards, as if seen in a mirror. Does the projector mirror its "
+            "picture, as for rear projection? Then switch that off; or were frames exchanged, perhaps "
+            f"{plan.names(frames)}{_or_code(plan, mirrored)}?"
         )
 
 

@@ -22,6 +22,8 @@ _LARGEST_OF_FRAMES_PX = 0.5
 _LEAST_EXPLAINED = 0.5
 # A device counts as moved if its motion is this share of the other's.
 _BOTH = 0.5
+# Fits to first order may come to anything beyond what fringes can tell.
+_MOST_TOLD_PX = 15.0
 # What is taken back is known to this share of itself.
 _REMAINDER = 0.1
 # Between the axes, a motion of which nothing tells is taken to be of this size, one standard deviation.
@@ -78,8 +80,8 @@ class MotionFound:
     contradicts rest. `shift`: by what it shifted x and y against each other; `others`: the same of courses that explain
     it about as well. `unseen`: shifts of one standard deviation each that may have been beside it; `blind`: nothing
     in the frames tells whether one of the devices turned between the axes. `largest_px`: the largest bump that leaves
-    single matches right. `one_by_one`: each frame by itself, of which `motion` is the root mean square, and `shift` the
-    means over the fringes.
+    single matches right. `undecided`: it may as well have been the other device, by itself. `one_by_one`: each frame by
+    itself, of which `motion` is the root mean square, and `shift` the means over the fringes.
     """
 
     motion: Floats
@@ -94,6 +96,7 @@ class MotionFound:
     unseen: tuple[Disturbance, ...] = ()
     blind: bool = False
     largest_px: float = _LARGEST_BUMP_PX
+    undecided: bool = False
     one_by_one: bool = False
 
     @property
@@ -119,7 +122,8 @@ class MotionFound:
             px = float(np.hypot(*self.motion[PER_DEVICE : PER_DEVICE + 2]))
             return f"the camera's frames are each somewhere else, by {px:.2g} px"
         when = "slowly, from frame {} to {}" if self.slow else "between frames {} and {}"
-        return f"{who_moved(self.motion)} {when.format(self.first, self.last)}"
+        who = _likelier(self.motion) if self.undecided else who_moved(self.motion)
+        return f"{who} {when.format(self.first, self.last)}"
 
 
 def largest_bump_px(finest_period: float) -> float:
@@ -127,9 +131,26 @@ def largest_bump_px(finest_period: float) -> float:
     return sqrt(_BEYOND_FIRST_ORDER_PX * finest_period / pi)
 
 
+def _likelier(motion: Floats) -> str:
+    """In words, where either device explains a motion (8,): the likelier one first.
+
+    A camera that moves is often taken for both; a projector that moves is not.
+    """
+    projector, camera = _sizes_px(motion)
+    devices = ("camera", "projector") if camera >= _BOTH * projector else ("projector", "camera")
+    px = max(projector, camera)
+    return f"the {devices[0]}, or the {devices[1]}, moved by {f'{px:.2g}' if px < _MOST_TOLD_PX else 'many'} px"
+
+
+def _sizes_px(motion: Floats) -> tuple[float, float]:
+    """By how many of its px the projector's picture moved, and the camera's."""
+    projector, camera = (float(np.hypot(*part[:2])) for part in np.split(motion, [PER_DEVICE]))
+    return projector, camera
+
+
 def who_moved(motion: Floats) -> str:
     """In words, as in: the projector moved by 1.2 px; `motion` (8,) as in `rigid`."""
-    projector, camera = (float(np.hypot(*part[:2])) for part in np.split(motion, [PER_DEVICE]))
+    projector, camera = _sizes_px(motion)
     moved = [
         f"the {device} moved by {px:.2g} px"
         for device, px, other in (("projector", projector, camera), ("camera", camera, projector))

@@ -12,7 +12,7 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.courses import Course, Showing, Witnesses, showings_of
 from scanner.decoding.motion.found import Disturbance, MotionFound, largest_bump_px
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
-from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
+from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.sequence_plan import SequencePlan
@@ -31,6 +31,8 @@ _ROUNDS = 3
 _PARAMETERS = 3
 # A course that explains so much of what the best one does may be the true one.
 _NEARLY = 0.8
+# A device that explains so much of what the other one does may be the one that moved.
+_AS_WELL = 0.9
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ class MotionMeter:
         refined = self._refined(best) if is_significant else best
         explained = self._explained(refined) if is_significant else 0.0
         shift, *others = (self._disturbance(one) for one in (refined, *likely))
+        size_px = self._size_px(refined.fit)
         first, last = min(one.course.first for one in likely), max(one.course.last for one in likely)
         return MotionFound(
             motion=refined.fit.motion,
@@ -83,12 +86,22 @@ class MotionMeter:
             slow=best.course.slow,
             first=self._repeats * (best.course.first if best.course.slow else first),
             last=self._repeats * (best.course.last if best.course.slow else last),
-            size_px=self._size_px(refined.fit),
+            size_px=size_px,
             explained=explained,
             shift=shift,
             others=tuple(others),
             largest_px=largest_bump_px(self._finest_period),
+            undecided=is_significant and (size_px > self._finest_period / 4 or self._is_undecided(best.course)),
         )
+
+    def _is_undecided(self, course: Course) -> bool:
+        """Whether the camera alone explains about as much as the projector alone, as before a scene of little depth."""
+        seen, devices = self._witnesses.tell(course), np.arange(COLUMNS) // PER_DEVICE
+        gained = [
+            fit_motion(self._design * (devices == device), seen.motion_px, seen.precision, seen.row, self._tile).gained
+            for device in (0, 1)
+        ]
+        return min(gained) > _AS_WELL * max(gained)
 
     @property
     def _is_overdetermined(self) -> bool:
@@ -170,4 +183,6 @@ def measure_motion(
     shifts = shifts_of_frames(plan, tiles, noise, saturation) if found.significant else None
     if shifts is None or not shifts.is_no_event:
         return found
-    return moved_one_by_one(found, plan, shifts, pixels)
+    one_by_one = moved_one_by_one(found, plan, shifts, pixels)
+    # Shifts that are not small prove nothing: what no single event explains is that a bump by many px is not linear.
+    return found if found.is_too_large and one_by_one.is_too_large else one_by_one

@@ -25,7 +25,6 @@ from scanner.checking.response import measure_ramp, ramp_of, response_row
 from scanner.checking.steadiness import Before, patterns, row_of, steadiness_row
 from scanner.decoding.decoder import Decoding
 from scanner.decoding.motion import Fit
-from scanner.patterns.presets import PRESETS
 from scanner.patterns.projector_response import ProjectorResponse
 from scanner.pipeline import decode
 from scanner.quantities import relative_focal_sigmas
@@ -56,7 +55,7 @@ def test_rows_come_one_by_one(usual: CheckReport, rows_of_usual: list[CheckRow])
 def test_coverage_is_that_of_the_true_view(room: SimulatedRoom) -> None:
     truth = room.ground_truth().projector_px
     lit = float(np.isfinite(truth).all(axis=2).mean())
-    quick = view._take(rig_in(room), config(), PRESETS["quick"].patterns(PROJECTOR), FringeMeter(), QUIET, "")
+    quick = view.take_quick(rig_in(room), config(), FringeMeter(), QUIET, ghostly=False)
     coverage = view.coverage_of(quick.decoding, PROJECTOR)
     assert lit - 0.03 < coverage.camera < lit + 0.005
     squares = truth[np.isfinite(truth).all(axis=2)] / np.array(PROJECTOR) * (32, 18)
@@ -131,6 +130,23 @@ def test_the_ghost_of_the_last_picture(room: SimulatedRoom, ghost: float) -> Non
     assert found.state == (State.POOR if ghost else State.OK)
 
 
+def test_a_ghost_is_not_taken_for_anything_else(room: SimulatedRoom) -> None:
+    report = check_rig(rig_in(changed(room, ghost=0.3, exposure_us=PERIOD_US)), config(), QUIET)
+    assert {row.name for row in report.rows if row.state != State.OK} == {"ghost"}
+    assert row(report, "response").finding == "gamma 2.20"
+    assert report.failure is None
+
+
+def test_a_mirrored_picture_is_told(room: SimulatedRoom) -> None:
+    rig = rig_in(changed(room, panel={"mirrored": True}))
+    quick = view.take_quick(rig, config(), FringeMeter(), QUIET, ghostly=False)
+    found, failure = view.view_row(quick, config(), [])
+    assert found.state == State.FAILED
+    assert "the projector mirrors its picture" in found.finding
+    assert "rear projection" in found.advice
+    assert failure is not None
+
+
 @pytest.mark.parametrize(
     ("settings", "said", "least", "most"),
     [
@@ -159,7 +175,7 @@ def test_what_becomes_of_single_pixels(
 @pytest.mark.parametrize(("device", "px"), [("projector", 0.0), ("projector", 0.3), ("camera", 0.3)])
 def test_what_moves_meanwhile_is_told(room: SimulatedRoom, device: str, px: float) -> None:
     rig = rig_in(room)
-    quick = view._take(rig, config(), PRESETS["quick"].patterns(PROJECTOR), FringeMeter(), QUIET, "")
+    quick = view.take_quick(rig, config(), FringeMeter(), QUIET, ghostly=False)
     assert quick.decoding is not None
     light = photograph_light(rig, 3, 2)
     before = Before(time.monotonic(), light, view.projector_map(quick.decoding))
