@@ -83,6 +83,17 @@ def test_a_camera_that_shook_has_a_long_footprint() -> None:
     assert 0.8 * (lens + 2 * motion) < found.largest_px2 < 1.3 * (lens + 2 * motion)
 
 
+def test_a_camera_that_shook_is_told_though_few_patches_tell_most_of_it() -> None:
+    slopes = (0.7, 0.2), (-0.15, 0.6)
+    found = measured(
+        [
+            [seen(0.5, k, slope=slope, darkest=0.1 if k < 3 else 0.6, shaken_px=0.8) for k in range(20)]
+            for slope in slopes
+        ]
+    )
+    assert 0.7 * 0.8**2 < found.mixed_px2 < 1.4 * 0.8**2
+
+
 def test_of_a_plain_wall_the_footprint_is_a_typical_one() -> None:
     rng = np.random.default_rng(0)
     shape = (8 * TILE, TILE)
