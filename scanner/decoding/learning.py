@@ -165,13 +165,14 @@ def _equalise(
     middle, brightest = (
         image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
     )
-    swings = swings_of(plan, levels[:, lit], Places(few // width, height))
+    places = Places(few // width, height)
+    swings = swings_of(plan, levels[:, lit], places)
     for fold in accumulators.fringes:
         if fold.fringe in swings:
             gains, common = swings[fold.fringe]
             found.append((fold.fringe.frames, gains))
             if gains.matter:
-                fold.correction = correction(fold.fringe, gains, common, middle, brightest)
+                fold.correction = correction(fold.fringe, gains, places, common, middle, brightest)
     for frames, gains in found:
         if gains.matter:
             rows = sample.pixels // width

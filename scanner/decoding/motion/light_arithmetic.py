@@ -5,7 +5,7 @@ its steps lie on a cosine, but for the harmonics of a bent brightness curve, whi
 brighter than white or darker than black.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import cast
 
@@ -46,16 +46,43 @@ class _Group:
     times: float = 1.0
 
 
-def contradictions(
-    plan: SequencePlan, levels: Floats32, noise: NoiseModel, part: float = 1.0, resting: Bools | None = None
-) -> list[tuple[tuple[int, ...], Bools]]:
-    """Groups of frames, and where they contradict each other or the rest (P,), at lit pixels, `levels` (frames, P).
+def contradictions(plan: SequencePlan, levels: Floats32, noise: NoiseModel) -> list[tuple[tuple[int, ...], Bools]]:
+    """Groups of frames, and where they contradict each other or the rest (P,), at lit pixels, `levels` (frames, P)."""
+    return _where(_groups(plan, levels), levels, noise)
 
-    `part`: of a contradiction, that is enough; `resting` (P,): the pixels that tell what is usual, by default all.
+
+def broken_fringes(
+    plan: SequencePlan, levels: Floats32, noise: NoiseModel, part: float, resting: Bools
+) -> list[tuple[tuple[int, ...], Bools]]:
+    """The same of fringes whose coordinates are wrong for it. `part`: of a contradiction, that is enough; `resting`
+    (P,): the pixels that tell what is usual.
+
+    Light that changes a little from one fringe to the next, as near a thing that was moved, harms neither: `part` is of
+    what steps of a fringe contradict each other, where another period tells of another surface.
     """
+    of_fringes = {fringe.frames for fringe in plan.fringes}
+    every = [group for group in _groups(plan, levels) if group.frames in of_fringes]
+    if not _tell_by_themselves(plan):
+        return _where(every, levels, noise, part, resting)
+    return _where(every, levels, noise, 1.0, resting) + _where(_cosines(plan, levels), levels, noise, part, resting)
+
+
+def _tell_by_themselves(plan: SequencePlan) -> bool:
+    """Whether there are two periods along both axes, of steps enough, and nothing comes to stay between the axes: those
+    of one are shown amid those of the other.
+    """
+    ranges = [[(min(fringe.frames), max(fringe.frames)) for fringe in axis.fringes] for axis in plan.axes]
+    amid = all(any(a < d and c < b for c, d in ranges[1 - k]) for k, own in enumerate(ranges) for a, b in own)
+    two = all(len(axis.fringes) > 1 for axis in plan.axes)
+    return amid and two and all(len(fringe.frames) > _PARAMETERS for fringe in plan.fringes)
+
+
+def _where(
+    groups: Iterable[_Group], levels: Floats32, noise: NoiseModel, part: float = 1.0, resting: Bools | None = None
+) -> list[tuple[tuple[int, ...], Bools]]:
     swing = np.ptp(levels, axis=0)
     sigma = np.sqrt(noise.variance(levels.max(axis=0))) / swing
-    return [(group.frames, _contradicts(group, swing, sigma, part, resting)) for group in _groups(plan, levels)]
+    return [(group.frames, _contradicts(group, swing, sigma, part, resting)) for group in groups]
 
 
 def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, part: float, resting: Bools | None) -> Bools:
@@ -85,10 +112,15 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
         ambient = levels.min(axis=0)
         for fringe, light in zip(even, means, strict=True):
             yield _Group(fringe.frames, _off_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
+    yield from _cosines(plan, levels)
+    yield from _beyond_white_and_black(plan, levels)
+
+
+def _cosines(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
+    """The steps of each fringe, if they are enough to tell."""
     for fringe in plan.fringes:
         if len(fringe.frames) > _PARAMETERS:
             yield _Group(fringe.frames, _off_cosine(fringe, levels[list(fringe.frames)]), 1.0)
-    yield from _beyond_white_and_black(plan, levels)
 
 
 def _off_usual(levels: Floats32, usual: Floats32) -> Floats32:

@@ -15,7 +15,7 @@ from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.coarse_frames import CoarseFrames
-from scanner.decoding.motion.light_arithmetic import contradictions
+from scanner.decoding.motion.light_arithmetic import broken_fringes, contradictions
 from scanner.decoding.sequence_plan import SequencePlan
 
 # Pixels that swing less than this share of what the brightest few do are hardly lit.
@@ -86,11 +86,9 @@ def _spoilt(plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, nois
 
     Pixel by pixel: a fringe that is dark where a shadow falls does not change, and stays right.
     """
-    of_fringes = {frame for fringe in plan.fringes for frame in fringe.frames}
     off = np.zeros(lit.shape, np.bool_)
-    for frames, each in contradictions(plan, levels[:, lit], noise, _FAINT, ~moved[lit]):
-        if not of_fringes.isdisjoint(frames):
-            off[lit] |= each
+    for _, each in broken_fringes(plan, levels[:, lit], noise, _FAINT, ~moved[lit]):
+        off[lit] |= each
     near: Bools = cv2.dilate(moved.astype(np.uint8), np.ones((_WINDOW, _WINDOW), np.uint8)) > 0
     return off & near
 
