@@ -31,9 +31,6 @@ Levels = Image | Floats32
 # Which pixels are lit shows in the first pairs, even if one of them is odd.
 _TELLING_PAIRS = 3
 _PASSES = 3
-# Nothing tells whether rolling bands are in the light of the room, too. Where they would make up more than this part of
-# a fringe, it is not the projector's.
-_MOST_OF_BANDS = 0.5
 # A pair of which one frame is brighter by so much has a sum that goes with its difference by as much.
 _STEADY = LEAST_DIFFERENCE / 2
 
@@ -142,8 +139,7 @@ class Correction:
     """What gives the components of a fringe from those that were accumulated, (2, 2, rows), and the light around which
     it swings, (2, rows); that light is `light` (3,) times middle, brightest and 1. Rows: of the image, or one for all.
 
-    Where rows differ, both are 0 in rows beyond those that tell how; and there is no fringe, but 0, at pixels where
-    most of it would be what bands make of the light.
+    Where rows differ, both are 0 in rows beyond those that tell how: nothing is lit there.
     """
 
     of_components: Floats32
@@ -154,16 +150,10 @@ class Correction:
         self, cosine: Floats32, sine: Floats32, middle: Floats32, brightest: Floats32, rows: NDArray[np.int64]
     ) -> tuple[Floats32, Floats32]:
         """At pixels in these `rows`, all (P,)."""
-        is_banded = self.of_light.shape[-1] > 1
-        at = rows if is_banded else np.zeros(1, np.int64)
+        at = rows if self.of_light.shape[-1] > 1 else np.zeros(1, np.int64)
         light = self.light[0] * middle + self.light[1] * brightest + self.light[2]
-        a, b = self.of_components[..., at], self.of_light[..., at] * light
-        corrected = a[0, 0] * cosine + a[0, 1] * sine + b[0], a[1, 0] * cosine + a[1, 1] * sine + b[1]
-        if is_banded:
-            of_bands = np.hypot(*b) > np.float32(_MOST_OF_BANDS) * np.hypot(*corrected)
-            for component in corrected:
-                component[of_bands] = 0
-        return corrected
+        a, b = self.of_components[..., at], self.of_light[..., at]
+        return a[0, 0] * cosine + a[0, 1] * sine + b[0] * light, a[1, 0] * cosine + a[1, 1] * sine + b[1] * light
 
 
 def correction(

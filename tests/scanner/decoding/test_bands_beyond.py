@@ -1,4 +1,4 @@
-"""Bands of a rolling shutter, in a projector's light alone: what that does not reach is dark, not lit by bands."""
+"""Bands of a rolling shutter, in a projector's light alone: rows that it does not reach are dark, not lit by bands."""
 
 import numpy as np
 
@@ -15,18 +15,17 @@ def test_there_are_no_fringes_where_only_bands_are() -> None:
     steps, rows = np.arange(len(fringe.frames)), np.arange(HEIGHT)
     bands = 1 + BANDS * np.sin(2 * np.pi * (rows / 60 + 0.3 * steps[:, None] ** 2))
     gains = Gains(bands / np.exp(np.log(bands).mean(axis=0)))
-    middle, is_lit = np.full(2 * HEIGHT, AMBIENT, np.float32), np.arange(2 * HEIGHT) < HEIGHT
-    middle[is_lit] += AMPLITUDE
+    is_lit, phase = np.isin(rows, LIT_ROWS), 0.7
+    middle = np.where(is_lit, AMBIENT + AMPLITUDE, AMBIENT).astype(np.float32)
     brightest = np.where(is_lit, middle + AMPLITUDE, middle).astype(np.float32)
-    at, phase = np.tile(rows, 2), 0.7
     told = Places(LIT_ROWS, HEIGHT)
     found = correction(fringe, gains, told, middle[LIT_ROWS], middle[LIT_ROWS], brightest[LIT_ROWS])
     waves = np.cos(phase + 2 * np.pi * np.array(fringe.shifts))[:, None]
-    # Beside the picture is only the light of the room, which is steady.
-    light = np.where(is_lit, middle + AMPLITUDE * waves, 0) * gains.at(at) + np.where(is_lit, 0, AMBIENT)
+    # Beyond the picture is only the light of the room, which is steady.
+    light = np.where(is_lit, (middle + AMPLITUDE * waves) * gains.at(rows), AMBIENT)
     first, second = (fringe.weights[1:] @ light).astype(np.float32)
-    cosine, sine = found.apply(first, second, middle, brightest, at)
-    seen, between = np.hypot(cosine, sine) > 0, np.isin(at, LIT_ROWS)
-    assert np.array_equal(seen, is_lit & between)
+    cosine, sine = found.apply(first, second, middle, brightest, rows)
+    seen = np.hypot(cosine, sine) > 0
+    assert np.array_equal(seen, is_lit)
     assert np.abs(np.hypot(cosine, sine)[seen] - AMPLITUDE).max() < 0.01
     assert np.abs(np.arctan2(sine, cosine)[seen] - phase).max() < 1e-3
