@@ -3,6 +3,7 @@
 C. R. Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,21 @@ class PatchSums:
     def weight(self) -> Floats:
         """The information of `columns`."""
         return self.by_room.T @ self.information @ self.by_room
+
+
+def reweighted(
+    patches: Sequence[Patch], fit: Fit, chosen: Iterable[int], used: Sequence[Floats], now: Sequence[Floats]
+) -> tuple[Floats, Floats, list[PatchSums]]:
+    """Half the gradient (size,) and the information (size, size) of a fit, and what the `chosen` patches add to them,
+    if variances (M,) of their cells are those of `now` instead of those that were `used`.
+    """
+    gradient, information, sums = fit.gradient.copy(), fit.information.copy(), list[PatchSums]()
+    for i in chosen:
+        before, after = (PatchSums.of(patches[i], fit, fit.residuals[i], each[i]) for each in (used, now))
+        gradient[after.columns] += after.pull - before.pull
+        information[np.ix_(after.columns, after.columns)] += after.weight - before.weight
+        sums.append(after)
+    return gradient, information, sums
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from calib.rooms.likelihood import Fit
 from calib.rooms.patches import OWN, Patch
 from calib.rooms.planes import RoomPlane
 from calib.rooms.room import PER_PLANE, Room
-from calib.rooms.scores import PatchSums, score
+from calib.rooms.scores import PatchSums, reweighted, score
 
 
 def tie_scores(patches: Sequence[Patch], fit: Fit, variances: Sequence[Floats], free: Bools) -> tuple[Floats, Floats]:
@@ -41,12 +41,8 @@ def plane_scores(
     scores, freedom = np.zeros(len(fit.room.planes)), np.zeros(len(fit.room.planes))
     planes = np.array([patch.plane for patch in patches])
     for plane in np.flatnonzero(np.bincount(planes) > 1):
-        gradient, information, own = fit.gradient.copy(), fit.information.copy(), list[PatchSums]()
-        for i in np.flatnonzero(planes == plane).tolist():
-            used, now = (PatchSums.of(patches[i], fit, fit.residuals[i], each[i]) for each in (variances, flat))
-            gradient[now.columns] += now.pull - used.pull
-            information[np.ix_(now.columns, now.columns)] += now.weight - used.weight
-            own.append(now)
+        chosen = np.flatnonzero(planes == plane).tolist()
+        gradient, information, own = reweighted(patches, fit, chosen, variances, flat)
         covariance = covariance_of(information, free)
         scores[plane], freedom[plane] = _score(own, covariance, -covariance @ gradient)
     return scores, freedom

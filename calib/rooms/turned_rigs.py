@@ -13,7 +13,7 @@ from calib.numerics import Floats
 from calib.refinement import ROTATION, TRANSLATION, covariance_of
 from calib.rooms.estimate import RoomEstimate
 from calib.rooms.patches import Patch
-from calib.rooms.scores import PatchSums, Score, score
+from calib.rooms.scores import PatchSums, Score, reweighted, score
 
 _MOTION = slice(ROTATION.start, TRANSLATION.stop)
 _FEWEST = 3  # of two stations, either one may be the changed one
@@ -36,17 +36,12 @@ class TurnedRig:
 def turned_rigs(estimate: RoomEstimate) -> tuple[TurnedRig, ...]:
     """Stations that a rig of their own would explain far better, as measured by those that it explains least."""
     patches, fit = estimate.patches, estimate.fit
-    flat = _flat(estimate)
-    used = estimate.levels.variances(patches)
-    gradient, information, sums = fit.gradient.copy(), fit.information.copy(), list[PatchSums]()
-    for patch, residual, of_used, of_flat in zip(patches, fit.residuals, used, flat, strict=True):
-        before, now = (PatchSums.of(patch, fit, residual, each) for each in (of_used, of_flat))
-        gradient[now.columns] += now.pull - before.pull
-        information[np.ix_(now.columns, now.columns)] += now.weight - before.weight
-        sums.append(now)
     stations = sorted({patch.station for patch in patches})
     if len(stations) < _FEWEST:
         return ()
+    flat = _flat(estimate)
+    used = estimate.levels.variances(patches)
+    gradient, information, sums = reweighted(patches, fit, range(len(patches)), used, flat)
     variance = np.diag(estimate.covariance)
     covariance = covariance_of(information, np.isfinite(variance) & (variance > 0))
     step = -covariance @ gradient

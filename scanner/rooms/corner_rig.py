@@ -125,18 +125,18 @@ def _combined(corners: Sequence[Uncertainty]) -> tuple[State, Floats]:
 
 
 def _distance(corner: Uncertainty, rig: State) -> float:
-    """Root mean square deviation of a corner's rig from another, in its own sigmas."""
-    step = corner.rig.step_to(rig)
-    free = _told(corner)
-    inverse = inverse_of(corner.covariance[np.ix_(free, free)])
-    return float(np.sqrt(step[free] @ inverse @ step[free] / np.count_nonzero(free)))
+    """Of a corner's rig from another, in its own sigmas."""
+    return _in_sigmas(corner.rig.step_to(rig), corner.covariance, _told(corner))
 
 
 def _apart(one: Uncertainty, other: Uncertainty) -> float:
-    """Root mean square difference of two corners' rigs, in the sigmas of the difference."""
-    step = one.rig.step_to(other.rig)
-    free = _told(one) & _told(other)
-    inverse = inverse_of((one.covariance + other.covariance)[np.ix_(free, free)])
+    """Of two corners' rigs, in the sigmas of their difference."""
+    return _in_sigmas(one.rig.step_to(other.rig), one.covariance + other.covariance, _told(one) & _told(other))
+
+
+def _in_sigmas(step: Floats, covariance: Floats, free: Bools) -> float:
+    """Root mean square of a step (size,), of its `free` columns."""
+    inverse = inverse_of(covariance[np.ix_(free, free)])
     return float(np.sqrt(step[free] @ inverse @ step[free] / np.count_nonzero(free)))
 
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Calibration, Matches, intersect_rays
-from calib.numerics import Floats, Ints
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints
 
 _TILE = 16  # pixels
 _FEWEST_IN_A_TILE = 30
 _FAR_OFF = 3.0  # sigmas of the median tile
 _LEAST_PX = 0.03  # a decoder's smooth errors, and a rig that bends a little when it is carried
-_DEVIATIONS_OF_MEDIAN = 1.2533 * 1.4826  # standard error of a median of Gaussian values · √N, in their absolute ones
+_DEVIATIONS_OF_MEDIAN = 1.2533 * SIGMA_PER_MEDIAN  # standard error of a median · √N, in median deviations from it
 
 
 @dataclass(frozen=True, eq=False)

@@ -112,8 +112,7 @@ def _pairs(stations: int) -> int:
 
 
 def _told(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
-    seen = [look_at(capture, calibration) for capture in captures]
-    newest = len(seen) - 1
+    newest = len(captures) - 1
     if newest == 0:
         return [f"Next: {_turn(calibration, 'to either side')}"]
     changed = of_another_rig([each.matches for each in captures], calibration)
@@ -122,6 +121,7 @@ def _told(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
             f"{captures[-1].name} was taken with another rig than the stations before it, and will be left out: "
             f"{changed.get(newest) or changed[0]}. Camera, projector, zoom and focus have to stay as they are."
         ]
+    seen = [look_at(capture, calibration) for capture in captures]
     found = register([each.view for each in seen], changed)
     group = next((each for each in found.groups if newest in each.stations), None)
     if group is None:
