@@ -170,7 +170,8 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
 
 def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
     """Sum of squares of all that cannot be, in swings of the pixels, averaged over them; `levels` (frames, P)."""
-    total = 0.0
+    # Nothing is darker than without light: of one pair of frames, only that tells before which of them it was switched.
+    total = float(np.sum((np.minimum(levels, 0) / swing) ** 2))
     for frame, side in ((plan.white, 1), (plan.black, -1)):
         if frame is not None:
             total += float(np.sum(np.maximum(side * (levels - levels[frame]) / swing, 0) ** 2))

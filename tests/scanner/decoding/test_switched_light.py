@@ -10,6 +10,7 @@ from calib.numerics.array_types import Image
 from scanner.decoding import LightSwitchedError
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.errors import InputError
+from scanner.patterns import sequence_for
 from scanner.patterns.pattern import Pattern
 from scanner.patterns.presets import PRESETS
 from tests.support.synthetic_capture import Scene, decode
@@ -17,6 +18,7 @@ from tests.support.synthetic_capture import Scene, decode
 SCENE = replace(Scene(), exposure=150.0)
 QUICK = PRESETS["quick"].patterns(SCENE.projector)
 CONCAVE = PRESETS["concave"].patterns(SCENE.projector)
+GRAY = sequence_for(SCENE.projector, code="gray", cell=1, inverses=True, shifts=0)
 
 
 def switched(frames: Sequence[Image], number: int, share: float) -> list[Image]:
@@ -49,6 +51,8 @@ def decode_once_more(patterns: Sequence[Pattern], frames: Sequence[Image]) -> De
         (QUICK, len(QUICK) - 5, 0.1),  # within the fringes along y
         (QUICK, len(QUICK) - 5, -0.2),
         (CONCAVE, 6, 0.3),
+        (GRAY, 2, 0.6),  # before all pairs but that of white and black
+        (GRAY, 1, 0.6),
     ],
 )
 def test_switched_light_is_taken_out(patterns: Sequence[Pattern], number: int, share: float) -> None:

@@ -6,9 +6,10 @@ import pytest
 from calib.numerics import Bools
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.motion import mask_wrong_bits
 from scanner.decoding.motion.cycles import in_wrong_cycles
 from scanner.decoding.planning import plan_sequence
-from scanner.patterns import PRESETS
+from scanner.patterns import PRESETS, sequence_for
 
 SHAPE, PROJECTOR, PERIOD = (120, 160), (427, 240), 12.3
 PLAN = plan_sequence(PRESETS["quick"].patterns(PROJECTOR), PROJECTOR)
@@ -59,3 +60,24 @@ def test_a_thing_in_front_of_the_wall_is_no_other_cycle() -> None:
     thing[30:90, 40:100] = True
     px[thing, 0] += 1.4 * PERIOD
     assert not in_wrong_cycles(PLAN, maps(px, edge(thing))).any()
+
+
+def test_a_steep_surface_is_no_patch_of_wrong_bits() -> None:
+    """Where codes are alone, beside a wall on which most of the next pixels are of the same cell."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    floor = v > 60 + 0.1 * u
+    px = np.floor(np.stack([30 + 0.6 * u, 20 + 0.4 * v + 3.2 * np.maximum(v - 60 - 0.1 * u, 0)], axis=2))
+    wrong = np.zeros(SHAPE, np.bool_)
+    wrong[15:45, 100:130] = True
+    px[wrong] = np.random.default_rng(4).integers(0, 240, (np.count_nonzero(wrong), 2))
+    found = Maps(
+        px.astype(np.float32),
+        np.full(SHAPE, 1 / 12, np.float32),
+        np.full(SHAPE, np.uint8(MaskReason.KEPT)),
+        np.zeros((2, len(MaskReason)), int),
+    )
+    mask_wrong_bits(plan_sequence(sequence_for(PROJECTOR, cell=1, shifts=0), PROJECTOR), found, None)
+    masked = found.reason == MaskReason.MOVED
+    assert np.mean(masked[wrong]) > 0.95
+    assert not masked[floor].any()
+    assert 0.05 < np.mean(masked) < 0.12
