@@ -40,7 +40,7 @@ class Accumulators:
         pixels: NDArray[np.int64],
         alike: Callable[[int, Image], None] | None = None,
     ) -> None:
-        """`pixels` (P,): those of the sample. `alike` takes all frames of fringes, and of pairs, as bright as others."""
+        """`pixels` (P,): of the sample. `alike` takes the frames of fringes, and of pairs, made alike in brightness."""
         self.plan = plan
         self._equaliser, self._pixels, self._alike = pairs, pixels, alike
         self._of_bits: list[BitLevels] = []
