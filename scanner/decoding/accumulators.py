@@ -5,7 +5,7 @@ only for the one that they are compared with, or that gives their threshold.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import cast
@@ -32,17 +32,9 @@ class Accumulators:
     of the pixels' exposures, relative to each other; None if they are all alike.
     """
 
-    def __init__(
-        self,
-        plan: SequencePlan,
-        first: Image,
-        pairs: PairEqualiser,
-        pixels: NDArray[np.int64],
-        alike: Callable[[int, Image], None] | None = None,
-    ) -> None:
-        """`pixels` (P,): of the sample. `alike` takes the frames of fringes, and of pairs, made alike in brightness."""
+    def __init__(self, plan: SequencePlan, first: Image, pairs: PairEqualiser, pixels: NDArray[np.int64]) -> None:
         self.plan = plan
-        self._equaliser, self._pixels, self._alike = pairs, pixels, alike
+        self._equaliser, self._pixels = pairs, pixels
         self._of_bits: list[BitLevels] = []
         self.log_exposure: Floats32 | None = None
         shape = first.shape[0], first.shape[1]
@@ -75,8 +67,6 @@ class Accumulators:
         if index in self._steps:
             fold, step = self._steps[index]
             fold.fold(step, grey, self.peak)
-            if self._alike:
-                self._alike(index, grey)
         elif index in self._pair_of:
             self._add_of_pair(index, grey)
         elif index in self._alone:
@@ -160,9 +150,6 @@ class Accumulators:
         gains = self._equaliser.gains(pair)
         if gains is not None:
             bright, dark = gains.equalised(0, bright), gains.equalised(1, dark)
-        if self._alike:
-            self._alike(normal, bright)
-            self._alike(inverse, dark)
         for fold, bit in self._pairs[pair]:
             fold.fold(bit, bright, dark)
         if self._threshold is None and (self._alone or self.plan.black is None):

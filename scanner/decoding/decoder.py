@@ -143,12 +143,10 @@ class Decoder:
             shape = grey.shape[0], grey.shape[1]
             refuse_more_than_there_is(shape)
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
+            accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape), sample.pixels)
+            self._held = accumulators, sample, TileSample(shape), CoarseFrames(shape)
             halves = halves_of(self._plan)
             self._lit = EvenlyLit(halves, shape) if halves else None
-            equaliser = PairEqualiser(self._plan, sample, shape)
-            alike = self._lit.add if self._lit else None
-            accumulators = Accumulators(self._plan, grey, equaliser, sample.pixels, alike)
-            self._held = accumulators, sample, TileSample(shape), CoarseFrames(shape)
         accumulators, sample, tiles, coarse = self._held
         number = self._plan.shown[self._count]
         if number in self._of_fringes:
@@ -158,6 +156,8 @@ class Decoder:
             sample.add(grey)
             coarse.add(grey)
             accumulators.add(number, grey)
+            if self._lit is not None:
+                self._lit.add(number, grey)
             self._note_texture(image, number)
         self._count += 1
 

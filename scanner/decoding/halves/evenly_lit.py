@@ -71,10 +71,7 @@ def _means_of_pairs(axis: AxisPlan) -> Iterator[tuple[float, dict[int, float]]]:
 
 
 class EvenlyLit:
-    """The two pictures of the scene, (H, W) each, from frames as they arrive.
-
-    Frames of a pair that are not alike would leave stripes, whose ends look like a border that moves.
-    """
+    """The two pictures of the scene, (H, W) each, from frames as they arrive."""
 
     def __init__(self, halves: tuple[Half, Half], shape: tuple[int, int]) -> None:
         self.halves = halves
