@@ -62,13 +62,18 @@ class Accumulators:
         self._pair_of = {frame: pair for pair in self._pairs for frame in pair}
         self._steps = {frame: (fold, step) for fold in self.fringes for step, frame in enumerate(fold.fringe.frames)}
 
-    def add(self, index: int, grey: Image) -> None:
-        """Fold in frame `index`, (H, W); what is kept of it is a copy."""
+    def add(self, index: int, grey: Image) -> dict[int, Image]:
+        """Fold in frame `index`, (H, W); what is kept of it is a copy.
+
+        Returns the frames that have been folded in, by index, a pattern and its inverse made alike: with the second of
+        them both, with the first none.
+        """
+        folded = {index: grey}
         if index in self._steps:
             fold, step = self._steps[index]
             fold.fold(step, grey, self.peak)
         elif index in self._pair_of:
-            self._add_of_pair(index, grey)
+            folded = self._add_of_pair(index, grey)
         elif index in self._alone:
             self._waiting.keep(index, grey)
         elif index == self.plan.white:
@@ -80,6 +85,7 @@ class Accumulators:
         if self._darkest is not None:
             np.minimum(self._darkest, grey, out=self._darkest)
         self._fold_alone()
+        return folded
 
     def finish(self) -> float:
         """Fold in what waited for the whole sequence to give its threshold.
@@ -140,12 +146,12 @@ class Accumulators:
         darkest = self._darkest if black is None else black
         return self.brightest // 2 if darkest is None else _mean(self.brightest, darkest)
 
-    def _add_of_pair(self, index: int, grey: Image) -> None:
+    def _add_of_pair(self, index: int, grey: Image) -> dict[int, Image]:
         normal, inverse = pair = self._pair_of[index]
         other = self._waiting.take(inverse if index == normal else normal)
         if other is None:
             self._waiting.keep(index, grey)
-            return
+            return {}
         bright, dark = (grey, other) if index == normal else (other, grey)
         gains = self._equaliser.gains(pair)
         if gains is not None:
@@ -154,6 +160,7 @@ class Accumulators:
             fold.fold(bit, bright, dark)
         if self._threshold is None and (self._alone or self.plan.black is None):
             self._threshold = _mean(bright, dark)
+        return {normal: bright, inverse: dark}
 
     def _fold_alone(self) -> None:
         """Fold in the bits without an inverse as soon as there is a threshold for them."""

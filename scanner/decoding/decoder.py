@@ -155,9 +155,9 @@ class Decoder:
         if number not in self._plan.shown[: self._count]:
             sample.add(grey)
             coarse.add(grey)
-            accumulators.add(number, grey)
-            if self._lit is not None:
-                self._lit.add(number, grey)
+            for frame, made_alike in accumulators.add(number, grey).items():
+                if self._lit is not None:
+                    self._lit.add(frame, made_alike)
             self._note_texture(image, number)
         self._count += 1
 

@@ -78,7 +78,10 @@ class EvenlyLit:
         self.pictures: tuple[Floats32, Floats32] = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
 
     def add(self, number: int, grey: Image) -> None:
-        """Take pattern `number`, (H, W), if it is of a half."""
+        """Take pattern `number`, (H, W), if it is of a half.
+
+        Of a pair that is not as bright as each other the stripes remain, which move with neither device.
+        """
         for half, picture in zip(self.halves, self.pictures, strict=True):
             if weight := half.weights.get(number):
                 cv2.addWeighted(picture, 1, grey, weight, 0, dst=picture, dtype=cv2.CV_32F)

@@ -228,6 +228,16 @@ def test_a_projector_that_turned_between_the_axes_shows_by_the_border_of_its_pic
     assert "the projector moved by" in str(motion)
 
 
+def test_stripes_that_flicker_leaves_are_no_motion() -> None:
+    codes = tuple(pattern for pattern in APART if not isinstance(pattern, Phase))
+    brightness = 1 + np.random.default_rng(4).uniform(-0.15, 0.15, len(codes))
+    frames = replace(SCENE, zoom=1.6).frames(codes)
+    flickering = [np.rint(factor * each).astype(np.uint8) for factor, each in zip(brightness, frames, strict=True)]
+    motion = found(decode(codes, flickering, SCENE.projector))
+    assert not motion.significant
+    assert 0.005 < max(float(np.abs(each.motions).max()) for each in motion.unseen) < 0.05
+
+
 def test_the_first_axis_again_is_a_witness() -> None:
     again = (*APART, *tuple(phase_sequence("x", 6.7, 4))[:2])
     assert found(SCENE.decode(again)).significant is False
