@@ -30,13 +30,15 @@ class LevelSums:
 
     The second half of all pixels are each near their counterpart in the first.
 
-    `tolerance`: the largest share of another picture that is not told from noise.
+    `tolerance`: the largest share of another picture that is not told from noise. `variance`: of the noise, in squares
+    of the contrast, halfway between black and white.
     """
 
     pixels: tuple[np.ndarray, np.ndarray]
     dark: Floats
     contrast: Floats
     tolerance: float
+    variance: float
 
     def seen(self, image: Image) -> Floats:
         """Brightness (N,) in a frame: 0 where black looks like this, 1 where white does."""
@@ -52,21 +54,19 @@ class LevelSums:
         """About which share of a frame is of another picture than its own, which light every place alike together.
 
         `group`: their numbers in the series of all frames, of which `seen` has these and those that were on the wall
-        `beside` each. What of the sum, where it is not level, the differences between neighbours explain (least
-        squares); those are none where a picture stayed too long, so a sum that is far from level, or too dark, is not
-        theirs at all. How a picture looks that is black or white everywhere is known.
+        `beside` each. What of the sum, where it is not level, the differences between neighbours explain; those are
+        none where a picture stayed too long, so a sum that is far from level, or too dark, is not theirs at all. How a
+        picture looks that is black or white everywhere is known.
         """
         plain = [
             abs(float(seen[number].mean()) - picture[0, 0] / 255)
             for number, picture in zip(group, pictures, strict=True)
             if picture.min() == picture.max()
         ]
-        steps, sizes = _steps(group, seen, beside)
         total = np.sum([seen[number] for number in group], axis=0)
         if total.std() > _UNEVEN or not _DARKEST < total.mean() / len(group) < _BRIGHTEST:
             return 1.0
-        explained = _explained(steps[sizes > _LEAST_DIFFERENCE], total - total.mean())
-        return float(max([0.0, *plain, explained.std() / max(sizes.max(), _LEAST_DIFFERENCE)]))
+        return float(max([self._share(group, seen, beside, total), *plain]))
 
     def changed_share(
         self,
@@ -80,28 +80,40 @@ class LevelSums:
         What is the scene's own does not change; another picture's light is another one's the next time. `beside`: what
         was on the wall before and after each, either time.
         """
-        steps, sizes = _steps(group, seen, beside)
         change = np.sum([seen[number] - before[number] for number in group], axis=0)
-        explained = _explained(steps[sizes > _LEAST_DIFFERENCE], change - change.mean())
-        return float(explained.std() / max(sizes.max(), _LEAST_DIFFERENCE))
+        return self._share(group, seen, beside, change)
 
+    def _share(
+        self,
+        group: Sequence[int],
+        seen: Mapping[int, Floats],
+        beside: Mapping[int, Collection[int]],
+        values: Floats,
+    ) -> float:
+        """Of the differences between frames and those beside them, the largest share that is in values (N,).
 
-def _steps(
-    group: Sequence[int], seen: Mapping[int, Floats], beside: Mapping[int, Collection[int]]
-) -> tuple[Floats, Floats]:
-    """The differences (D, N) between frames and those beside them, about their means, and the rms of each (D,)."""
-    changes = sorted({(min(one, other), max(one, other)) for one in group for other in beside[one]})
-    steps = np.stack([seen[to] - seen[of] for of, to in changes if of in seen and to in seen])
-    steps -= steps.mean(axis=1, keepdims=True)
-    return steps, steps.std(axis=1)
+        Each by itself, as if nothing else was: relative to the largest one, that of a faint difference would seem small
+        (a fine fringe that follows a coarse one). And all together (least squares), for shares of several. Noise that
+        is in the values and in a difference alike is taken off.
+        """
+        changes = sorted({(min(one, other), max(one, other)) for one in group for other in beside[one]})
+        changes = [(of, to) for of, to in changes if of in seen and to in seen]
+        steps = np.stack([seen[to] - seen[of] for of, to in changes])
+        steps -= steps.mean(axis=1, keepdims=True)
+        sizes = steps.std(axis=1)
+        told = sizes > _LEAST_DIFFERENCE
+        if not told.any():
+            return 0.0
+        values = values - values.mean()
+        noise = self.variance * np.array([(to in group) - (of in group) for of, to in changes])
+        single = np.abs(steps @ values / values.size - noise)[told] / sizes[told] ** 2
+        return float(max(single.max(), _explained(steps[told], values).std() / sizes.max()))
 
 
 def _explained(terms: Floats, values: Floats) -> Floats:
     """What terms (T, N) explain of values (N,): least squares, by the normal equations, for there are few terms and
     many values; terms that nearly depend on others count for nothing.
     """
-    if not len(terms):
-        return np.zeros_like(values)
     squares, directions = np.linalg.eigh(terms @ terms.T)
     kept = squares > _ALIKE**2 * squares[-1]
     along = (terms @ values) @ directions[:, kept] / squares[kept]
@@ -115,10 +127,10 @@ def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, 
     levels = [np.stack([_grey(image[pixels]) for image in images]) for images in (dark, bright)]
     contrast = levels[1].mean(axis=0) - levels[0].mean(axis=0)
     # Noise is in a frame and in its differences to others alike, which looks as if they had to do with each other.
-    variance = float(np.mean(np.diff(levels[1], axis=0) ** 2 / 2 / contrast**2))
-    by_chance = 6 * np.sqrt(_MOST_TERMS * variance / len(pixels[0]))
-    noise = 4 * variance + by_chance
-    return LevelSums(pixels, levels[0].mean(axis=0), contrast, max(_LEAST_TOLERANCE, tolerance) + float(noise))
+    variances = [float(np.mean(np.diff(frames, axis=0) ** 2 / 2 / contrast**2)) for frames in levels]
+    by_chance = 6 * np.sqrt(_MOST_TERMS * variances[1] / len(pixels[0]))
+    tolerance = max(_LEAST_TOLERANCE, tolerance) + float(4 * variances[1] + by_chance)
+    return LevelSums(pixels, levels[0].mean(axis=0), contrast, tolerance, float(np.mean(variances)))
 
 
 def _pairs(lit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -45,6 +45,7 @@ class Bench:
         self._lost = lost
         self._lag_s = lag_s
         self._late = range(0)
+        self._late_s: dict[int, float] = {}
         self._rng = np.random.default_rng(seed)
         self._prepared = np.zeros(size[::-1], np.uint8)
         self._wall: list[tuple[float, Image]] = [(-1.0, self._prepared)]
@@ -88,8 +89,13 @@ class Bench:
         """From now on, of so many pictures one comes a refresh later than others, and nobody tells."""
         self._late = range(len(self._wall) + 4, 10**9, count)
 
+    def delay(self, number: int, seconds: float) -> None:
+        """The light of the picture of that number from now on comes so much later than it should, or sooner."""
+        self._late_s[len(self._wall) + number] = seconds
+
     def _leave(self, image: Image, moment: float) -> None:
         light = moment + self._latency_s + self._jitter_s * self._rng.random()
+        light += self._late_s.get(len(self._wall), 0.0)
         light += 1 / 60 if len(self._wall) in self._late else 0.0
         self._wall.append((max(light, self._wall[-1][0]), image))
 
