@@ -124,7 +124,11 @@ class Panned(Scene):
 
 @pytest.mark.parametrize(
     ("preset", "right_px", "down_px", "said"),
-    [("quick", 12.0, 0.0, "x by 12"), ("quick", 0.0, -12.3, "y by 12"), ("standard", -15.8, 0.3, "x by 16")],
+    [
+        ("quick", 12.0, 0.0, "x by about 12"),
+        ("quick", 0.0, -12.3, "y by about 12"),
+        ("standard", -15.8, 0.3, "x by about 16"),
+    ],
 )
 def test_a_knock_of_a_whole_period_between_code_and_fringes(
     preset: PresetName, right_px: float, down_px: float, said: str
@@ -135,7 +139,9 @@ def test_a_knock_of_a_whole_period_between_code_and_fringes(
         (after if isinstance(pattern, Phase) else SCENE).frame(pattern, number)
         for number, pattern in enumerate(patterns)
     ]
-    with pytest.raises(RefusalError, match=f"moved: along {said}.* projector pixels .* from the codes to the fringes"):
+    with pytest.raises(
+        RefusalError, match=f"moved: along {said} projector pixels or more, .* from the codes to the fringes"
+    ):
         decode(patterns, frames, SCENE.projector)
 
 
