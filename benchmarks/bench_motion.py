@@ -3,6 +3,7 @@
     python benchmarks/bench_motion.py --captures 500 --rooms 0 1 2 3 4
     python benchmarks/bench_motion.py --captures 200 --rooms 0 1 2 3 4 --rest 1
     python benchmarks/bench_motion.py --captures 500 --jobs 2 --results motion.jsonl    goes on where the file ends
+    python benchmarks/bench_motion.py --captures 500 --rooms 0 1 2 3 4 --numbers 366    some of them again
 
 Bumps of 0.1 to 10 px of either device in any direction at any frame, drifts as far over the capture, some at rest; all
 presets in turn, and their patterns in the order of other programs, which show all along x before all along y ('apart').
@@ -234,6 +235,8 @@ def totals(rows: Sequence[Row]) -> Iterator[str]:
 def main() -> None:
     options = _options()
     wanted = list(cases(options))
+    if options.numbers:
+        wanted = [wanted[number] for number in options.numbers]
     known = earlier(options.results)
     rows = [known[case] for case in wanted if case in known]
     # A process has all of one room and preset: they share what the camera sees at rest, which takes long to simulate.
@@ -256,6 +259,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--drifts", type=float, default=0.05, help="share of drifts, which take long to simulate")
     parser.add_argument("--per-turn", type=int, default=4, help="captures that share a turn of a device")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--numbers", type=int, nargs="+", help="of the captures, these only, from 0 on")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--results", type=Path, metavar="FILE", help="keep outcomes here, and go on where it ends")
     return parser.parse_args()

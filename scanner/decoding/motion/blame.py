@@ -71,11 +71,13 @@ def moved(motion: MotionFound) -> RefusalError:
 
 
 def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
-    codes = [frame for code in shift.axis.codes for frame in code.frames]
-    fringes = [frame for fringe in shift.axis.fringes for frame in fringe.frames]
+    axes = (shift.axis,) if shift.sure else plan.axes
+    codes = [frame for axis in axes for code in axis.codes for frame in code.frames]
+    fringes = [frame for axis in axes for fringe in axis.fringes for frame in fringe.frames]
+    how_far = f": along {shift.axis.axis} by about {abs(shift.px):.2g} projector pixels or more," if shift.sure else ""
     return RefusalError(
-        f"Camera or projector moved: along {shift.axis.axis} by {abs(shift.px):.2g} projector pixels between "
-        f"{plan.name(min(codes))} and {plan.name(max(fringes))}, from the codes to the fringes.",
+        f"Camera or projector moved{how_far} between {plan.name(min(codes))} and {plan.name(max(fringes))}, from the "
+        "codes to the fringes.",
         ADVICE,
     )
 

@@ -8,7 +8,7 @@ from calib.numerics import Bools
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.whole_periods import Offsets, moved_by_periods
+from scanner.decoding.motion.whole_periods import Knock, Offsets, moved_by_periods
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
 _SEEN = 5.0
@@ -24,14 +24,17 @@ _MOST_CYCLES = 0.4
 
 @dataclass(frozen=True)
 class CodeShift:
-    """Along an axis everything moved by `px` projector pixels, from the frames of its codes to those of its fringes.
+    """Along an axis everything moved by `px` projector pixels or more, from the frames of its codes to those of its
+    fringes: these tell it but for whole periods, and a part of it if it came between their own frames.
 
     `by_periods`: whole periods of the longest fringe are a part of that, which do not keep pixels from being decoded.
+    `sure`: it was along this axis, and not along the other one alone.
     """
 
     axis: AxisPlan
     px: float
     by_periods: bool = False
+    sure: bool = True
 
 
 def shifts_of_codes(
@@ -39,8 +42,8 @@ def shifts_of_codes(
 ) -> tuple[CodeShift, ...]:
     """Those that are more than nothing, given the signals of some pixels (P,); those that are `resting` (P,) count."""
     x, y = (_offsets(axis, of_axis, noise, resting) for axis, of_axis in zip(plan.axes, signals, strict=True))
-    by_periods = moved_by_periods(x, y) if x is not None and y is not None else (0.0, 0.0)
-    found = (_shift(each, px) for each, px in zip((x, y), by_periods, strict=True) if each is not None)
+    by_periods = moved_by_periods(x, y) if x is not None and y is not None else (None, None)
+    found = (_shift(each, knock) for each, knock in zip((x, y), by_periods, strict=True) if each is not None)
     return tuple(shift for shift in found if shift is not None)
 
 
@@ -67,8 +70,8 @@ def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools
     return Offsets(axis, centre, px_per_radian * np.angle(beyond / mean), px_per_radian * float(np.angle(mean)), seen)
 
 
-def _shift(found: Offsets, by_periods_px: float) -> CodeShift | None:
-    if by_periods_px:
-        return CodeShift(found.axis, by_periods_px, by_periods=True)
+def _shift(found: Offsets, knock: Knock | None) -> CodeShift | None:
+    if knock is not None:
+        return CodeShift(found.axis, knock.px, by_periods=True, sure=knock.sure)
     is_one = _LEAST_PX <= abs(found.mean_px) <= _MOST_CYCLES * found.period
     return CodeShift(found.axis, found.mean_px) if is_one else None

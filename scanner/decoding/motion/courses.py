@@ -84,17 +84,16 @@ def showings_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> Showin
 
 @dataclass(frozen=True)
 class Witnesses:
-    """The fringes `at_rest`, and the same `moved`: told of a motion, if only of none. What is left they tell."""
+    """The fringes, told of a motion, if only of none. What is left they tell."""
 
-    at_rest: Showings
-    moved: Showings
+    showings: Showings
     pixels: Pixels
 
     def tell(self, course: Course) -> Seen:
         """What they say of a motion of this course, beyond that of which they were told."""
         parts = []
         every = np.arange(len(self.pixels))
-        for axis, (of_axis, apart) in enumerate(zip(self.moved, self._apart, strict=True)):
+        for axis, (of_axis, apart) in enumerate(zip(self.showings, self._apart, strict=True)):
             follows = [one.fit.follow(course.at(one.times)) for one in of_axis]
             found = [(one.motion_px, one.precision) for one in follows]
             for (before, after), known in zip(pairwise(follows), apart, strict=True):
@@ -113,9 +112,11 @@ class Witnesses:
         tile. None where one period is longer by far.
         """
         found = []
-        for axis, (before, of_axis) in enumerate(zip(self.at_rest, self.moved, strict=True)):
+        for axis, of_axis in enumerate(self.showings):
             of_pairs: list[tuple[Floats, Floats] | None] = []
-            coordinate = _nearest(before[0].fit, self.pixels.projector_px[:, axis])
+            # Told of a motion, every fringe puts a pixel where it was before: the longest as well as the others.
+            longest = of_axis[0].fit
+            coordinate = _nearest(longest, self.pixels.projector_px[:, axis] - longest.mean_moved_px)
             for longer, shorter in pairwise(one.fit for one in of_axis):
                 nearest = _nearest(shorter, coordinate)
                 of_pairs.append(

@@ -1,7 +1,7 @@
 """What was found of a motion of camera or projector during a capture, and what it did to the coordinates."""
 
 from dataclasses import dataclass, replace
-from math import pi, sqrt
+from math import sqrt
 
 import numpy as np
 
@@ -10,12 +10,14 @@ from calib.refinement import Shifts
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 
-# More than this breaks fringes, so that single matches err; of a slow motion, each fringe sees a part only. Between the
-# axes it breaks none, but nothing confirms it either.
+# So much is taken back of what nothing confirms: a motion between the axes, or one that explains little.
 _LARGEST_BUMP_PX = 0.35
-# Frames before and after a bump by u px make a fringe of period λ, up to first order; what is left is up to π u² / λ.
-_BEYOND_FIRST_ORDER_PX = 0.06
-_LARGEST_DRIFT_PX = 3.0
+# Of the shortest period. One that explains what the frames show is followed up to a quarter of it; but a bump within a
+# fringe also leaves up to a quarter of itself as a ripple in single matches, and by bumps of whole parts of a period
+# other smaller ones are feigned.
+_LARGEST_CYCLES = 1 / 8
+# Of a slow motion, each fringe sees a part only. What is larger shifts coordinates by more than their gradient tells.
+_LARGEST_PX = 3.0
 # Of single frames: half a radian of a fringe of six pixels, beyond which its change is no longer linear.
 _LARGEST_OF_FRAMES_PX = 0.5
 # Drifts explain 80 to 90 % of what contradicts rest. What is called one and explains a third is a bump of many px.
@@ -104,8 +106,10 @@ class MotionFound:
         """Whether single matches can no longer be trusted."""
         if self.one_by_one:
             return self.significant and self.size_px > _LARGEST_OF_FRAMES_PX
-        can_be_followed = self.slow and self.explained > _LEAST_EXPLAINED
-        return self.significant and self.size_px > (_LARGEST_DRIFT_PX if can_be_followed else self.largest_px)
+        largest_px = _LARGEST_PX if self.slow else self.largest_px
+        if self.explained < _LEAST_EXPLAINED:
+            largest_px = min(largest_px, _LARGEST_BUMP_PX)
+        return self.significant and self.size_px > largest_px
 
     @property
     def shifts(self) -> Shifts:
@@ -127,8 +131,8 @@ class MotionFound:
 
 
 def largest_bump_px(finest_period: float) -> float:
-    """The largest bump, in px, that breaks no fringe of this or a longer period."""
-    return sqrt(_BEYOND_FIRST_ORDER_PX * finest_period / pi)
+    """The largest bump, in px, that can be taken back where fringes of this and longer periods tell of it."""
+    return min(_LARGEST_CYCLES * finest_period, _LARGEST_PX)
 
 
 def _likelier(motion: Floats) -> str:

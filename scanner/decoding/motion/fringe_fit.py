@@ -43,6 +43,11 @@ class FringeFit:
     noise: Floats
     moved_px: Floats | None = None
 
+    @property
+    def mean_moved_px(self) -> Floats | float:
+        """(P,): about as far as a fit that is told of no motion puts each pixel from where it was before."""
+        return 0.0 if self.moved_px is None else self.moved_px.mean(axis=0)
+
     @cached_property
     def _angles(self) -> Floats:
         """(N, P), or (N, 1) where it is the same for all pixels."""

@@ -57,7 +57,7 @@ class MotionMeter:
         self._finest_period = min(fringe.period for fringe in plan.fringes)
         self._sizes = (tiles.shape[1], tiles.shape[0]), projector_size
         self._showings = showings_of(plan, tiles, pixels)
-        self._witnesses = Witnesses(self._showings, self._showings, pixels)
+        self._witnesses = Witnesses(self._showings, pixels)
         by_motion = shifts_by_motion(pixels.camera_px, pixels.projector_px, pixels.gradient, *self._sizes)
         # Of all pixels the shifts of x, then of all those of y.
         self._design = np.concatenate([by_motion[:, 0], by_motion[:, 1]])
@@ -143,7 +143,7 @@ class MotionMeter:
             tuple(one.moved(tried.course, moved_px) for one in axis)
             for axis, moved_px in zip(self._showings, self._moved_px(tried.fit), strict=True)
         )
-        return Witnesses(self._showings, (x, y), self._pixels)
+        return Witnesses((x, y), self._pixels)
 
     def _refined(self, tried: _Tried) -> _Tried:
         """The same where it is too far for first order (Gauss–Newton)."""
@@ -162,9 +162,11 @@ class MotionMeter:
 
 
 def _share(fringes: Sequence[Showing], course: Course) -> float:
-    """The share of the motion in the coordinate: that in the most certain fringe, to whose mean others are brought."""
-    surest = min(fringes, key=lambda one: median(one.fit.variance))
-    return float(np.mean(surest.fit.follow(course.at(surest.times)).response))
+    """The share of the motion in the coordinate: that in the shortest fringe, to whose mean others are brought
+    (`fringes/systematic_error.py`).
+    """
+    shortest = fringes[-1]
+    return float(np.mean(shortest.fit.follow(course.at(shortest.times)).response))
 
 
 def measure_motion(

@@ -25,8 +25,10 @@ _SLOPES, _COLUMNS = 3, 8
 _ROUNDS = 6
 _HUBER = 2.0
 _SIGNIFICANT = 5.0
-# Focal lengths of projectors, in widths of the picture: no less, a usual one, and no more.
-_LEAST_FOCAL, _FOCAL, _MOST_FOCAL = 0.8, 1.5, 2.7
+# What moved is believed if nothing else is nearly as likely: a hundredth, in −2 log likelihood.
+_CLEARLY = 9.0
+# Focal lengths of projectors, in widths of the picture: no less, and no more.
+_LEAST_FOCAL, _MOST_FOCAL = 0.8, 2.7
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,18 @@ class Offsets:
         return self.axis.fringes[0].period
 
 
-def moved_by_periods(x: Offsets, y: Offsets) -> tuple[float, float]:
-    """By how many px the middle of the picture moved along x and y, where whole periods are a part of it; else 0."""
+@dataclass(frozen=True)
+class Knock:
+    """By `px` or more the middle of the picture moved along an axis, whole periods being a part of it. `sure`: it was
+    along this axis; else it may have been along the other one alone, by another size.
+    """
+
+    px: float
+    sure: bool
+
+
+def moved_by_periods(x: Offsets, y: Offsets) -> tuple[Knock | None, Knock | None]:
+    """How the picture moved along x and y where whole periods are a part of it; else None."""
     axes, width = (x, y), x.axis.length
     seen = np.flatnonzero(x.seen & y.seen)
     place = np.stack([(each.centre[seen] - (each.axis.length - 1) / 2) / width for each in axes], axis=1)
@@ -60,15 +72,15 @@ def moved_by_periods(x: Offsets, y: Offsets) -> tuple[float, float]:
                 rows.append(_row(number, place[members]))
                 offsets.append(each.mean_px + offset)
     if len(rows) < _FEWEST_BLOCKS:
-        return 0.0, 0.0
-    found, sigma = _fitted(np.array(rows), np.array(offsets))
+        return None, None
+    fit, moved, sure = _likeliest(np.array(rows), np.array(offsets))
     of_x, of_y = (
-        _by_periods(each.period, float(offset_px), float(curvature), float(of_curvature))
-        for each, offset_px, curvature, of_curvature in zip(
-            axes, found[[0, _SLOPES]], found[-2:], sigma[-2:], strict=True
-        )
+        _by_periods(each.period, fit.found[_SLOPES * number], fit.found[number - 2], fit.sigma[number - 2])
+        if moved[number]
+        else 0.0
+        for number, each in enumerate(axes)
     )
-    return of_x, of_y
+    return Knock(of_x, sure[0]) if of_x else None, Knock(of_y, sure[1]) if of_y else None
 
 
 def _blocks(place: Floats, height: float) -> list[Ints]:
@@ -95,27 +107,58 @@ def _row(number: int, place: Floats) -> Floats:
     return row
 
 
-def _fitted(rows: Floats, offsets: Floats) -> tuple[Floats, Floats]:
-    """Robust least squares, of blocks (M, 8) and (M,): parameters and their standard deviations, (8,)."""
+@dataclass(frozen=True)
+class _Fit:
+    """Parameters and their standard deviations, (8,); what is left of M blocks, (M,), and how far that scatters."""
+
+    found: Floats
+    sigma: Floats
+    left: Floats
+    scale: float
+
+    def cost(self, scale: float) -> float:
+        """−2 log likelihood if blocks scatter so, and some are off by more (Huber)."""
+        off = np.abs(self.left) / scale
+        return float(np.sum(np.where(off < _HUBER, off**2, _HUBER * (2 * off - _HUBER))))
+
+
+def _likeliest(rows: Floats, offsets: Floats) -> tuple[_Fit, list[bool], list[bool]]:
+    """The fit to blocks (M, 8) and (M,), which axes have moved, and which have so for sure: what is less likely by far
+    otherwise.
+    """
+    both, of_y = _fitted(rows, offsets), rows[:, _SLOPES] != 0
+    resting = []
+    for blocks in (~of_y, of_y):
+        bent = rows.copy()
+        bent[blocks, -2:] = 0.0
+        resting.append(_fitted(bent, offsets))
+    worse = [fit.cost(both.scale) - both.cost(both.scale) for fit in resting]
+    likelier = int(worse[1] < worse[0])
+    if worse[likelier] > -_CLEARLY:
+        return both, [True, True], [by > _CLEARLY for by in worse]
+    return resting[likelier], [axis != likelier for axis in (0, 1)], [by > _CLEARLY for by in worse]
+
+
+def _fitted(rows: Floats, offsets: Floats) -> _Fit:
+    """Robust least squares, of blocks (M, 8) and (M,)."""
     weights, scale = np.ones(len(rows)), 1.0
     found: Floats = np.zeros(_COLUMNS)
-    inverse: Floats = np.eye(_COLUMNS)
+    left, inverse = offsets, np.eye(_COLUMNS)
     for _ in range(_ROUNDS):
         inverse = np.linalg.pinv(rows.T @ (weights[:, None] * rows)).astype(np.float64)
         found = inverse @ rows.T @ (weights * offsets)
-        off = np.abs(offsets - rows @ found)
-        scale = SIGMA_PER_MEDIAN * float(np.median(off)) * len(rows) / max(len(rows) - _COLUMNS, 1)
-        weights = np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-9))
-    return found, scale * np.sqrt(np.diag(inverse))
+        left = offsets - rows @ found
+        scale = SIGMA_PER_MEDIAN * float(np.median(np.abs(left))) * len(rows) / max(len(rows) - _COLUMNS, 1)
+        weights = np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(left), 1e-9))
+    return _Fit(found, scale * np.sqrt(np.diag(inverse)), left, scale)
 
 
 def _by_periods(period: float, offset_px: float, curvature: float, sigma: float) -> float:
-    """An offset in the middle of the picture with the whole periods that bring it to such a curvature, in px per
-    width²; 0 without any.
+    """An offset in the middle of the picture with the one whole period, of perhaps several, that such a curvature asks
+    for, in px per width²; 0 without any.
     """
     least, most = sorted((0.0, offset_px / _LEAST_FOCAL**2))
     beyond = curvature - min(max(curvature, least), most)
     if abs(beyond) < max(_SIGNIFICANT * sigma, period / _MOST_FOCAL**2):
         return 0.0
-    periods = round((curvature * _FOCAL**2 - offset_px) / period) or int(np.sign(beyond))
-    return offset_px + periods * period
+    return float(offset_px + np.sign(beyond) * period)
