@@ -17,6 +17,7 @@ from calib.diagnostics.uncertainty import Uncertainty, moved_calibration
 from calib.geometry import Calibration, Matches, intersect, midpoints
 from calib.numerics import Floats, Ints, in_slices
 from calib.pointcloud import Plane, by_projector_px
+from calib.refusal import NoMeasurementError
 
 _STEP_PX = 0.01  # of a projector pixel, for derivatives
 _AT_ONCE = 4096  # points, whose derivatives are large
@@ -286,13 +287,17 @@ def spread_of_vertex(planes: Sequence[Plane], spreads: Sequence[Spread]) -> tupl
 def length_in_the_middle(points: Floats, errors: SystematicErrors) -> Budget:
     """Relative errors of lengths around the median of points (N, 3), root mean square of the three directions.
 
-    Of a short ruler, whose ends are seen where the calibration would have them seen.
+    Of a short ruler, whose ends are seen where the calibration has them. Raises NoMeasurementError if that is nowhere.
     """
     middle = np.median(points, axis=0)
     half = _RULER * float(np.linalg.norm(middle))
     ends = np.concatenate([middle + half * np.eye(3), middle - half * np.eye(3)])
     rig = errors.calibration
-    seen = rig.projector.project(ends @ rig.rotation.T + rig.translation)
-    moved = errors.of_points(Matches(rig.camera.project(ends), seen), ends)
+    seen = rig.camera.project(ends), rig.projector.project(ends @ rig.rotation.T + rig.translation)
+    if not np.isfinite(seen).all():
+        raise NoMeasurementError(
+            "The lens terms bring the middle of the scene to no pixel.", "Calibrate the rig again."
+        )
+    moved = errors.of_points(Matches(*seen), ends)
     strain = np.stack([moved[axis, axis] - moved[3 + axis, axis] for axis in range(3)]) / (2 * half)
     return _budget(0.0, 0.0, np.sqrt(np.mean(strain**2, axis=0)))

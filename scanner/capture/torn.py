@@ -42,10 +42,10 @@ def _is_torn(last: str) -> bool:
 def torn_image(folder: Path, file: str) -> str:
     """A sentence on the last frame's image if it is missing or damaged; nothing if it is whole, or no file in there."""
     path = folder / file
-    if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file or path.is_symlink():
+    if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file:
         return ""
     try:
-        if path.exists() and not path.is_file():
+        if path.is_symlink() or (path.exists() and not path.is_file()):
             return ""
         read_image(path)
     except OSError:

@@ -2,10 +2,9 @@
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import islice
 
 from calib.geometry import Size
 from calib.refusal import RefusalError
@@ -23,7 +22,8 @@ from scanner.checking.pictures import contrast_picture, coverage_picture, satura
 from scanner.checking.pixels import pixel_row
 from scanner.checking.report import CheckReport, CheckRow, Pixels, State
 from scanner.checking.response import measure_ramp, response_row
-from scanner.checking.steadiness import Before, patterns, steadiness_row
+from scanner.checking.settled import settled
+from scanner.checking.steadiness import Before, Levels, levels_of, patterns, steadiness_row
 from scanner.configuration import Config
 from scanner.decoding import MaskReason
 from scanner.patterns import Pattern, phase_sequence
@@ -80,9 +80,14 @@ class _Bench:
     earlier: list[Decoded]
     watch_s: float
 
-    def show(self, patterns: tuple[Pattern, ...]) -> Iterator[tuple[Pattern, Frame]]:
+    def show(self, patterns: Iterable[Pattern]) -> Iterator[tuple[Pattern, Frame]]:
         """Frames of patterns, sent as a scan would send them."""
-        return capture(self.rig, patterns, response=self.config.projector.known_response).frames
+        return capture(self.rig, tuple(patterns), response=self.config.projector.known_response).frames
+
+    def fringes(self, light: Light, what: str) -> Levels:
+        """What would show that something moved."""
+        frames = settled(self.show, patterns(), light)
+        return levels_of(self.terminal.track(frames, len(patterns()), what))
 
 
 class Checking:
@@ -142,7 +147,7 @@ def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
     """From a quick capture; the configured one follows where the quick one is refused or patchy, which takes longer."""
     rig, config, terminal = bench.rig, bench.config, bench.terminal
     meter = FringeMeter()
-    since_s = time.monotonic()
+    before = Before(time.monotonic(), light, bench.fringes(light, "Looking at stripes"))
     ghostly = leaves_ghost(light)
     quick = view.take_quick(rig, config, meter, terminal, ghostly=ghostly)
     checking.add(*transfer_rows(rig))
@@ -155,23 +160,18 @@ def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
     decoded = next((seen for seen in (scanned, quick) if seen and seen.decoding), None)
     decoded = decoded or view.take_coarse(rig, config, terminal, ghostly=ghostly)
     _check_lenses(bench, light, decoded, meter, checking)
-    _check_steadiness(bench, light, quick, since_s, checking)
+    _check_steadiness(bench, before, quick, checking)
     checking.add(row)
     checking.failure = failure
 
 
-def _check_steadiness(bench: _Bench, light: Light, quick: view.Capture, since_s: float, checking: Checking) -> None:
+def _check_steadiness(bench: _Bench, before: Before, quick: view.Capture, checking: Checking) -> None:
     if not quick.decoding:
         return
     with bench.terminal.step("Waiting to see whether anything drifts"):
-        time.sleep(max(0.0, bench.watch_s - (time.monotonic() - since_s)))
-    # In the first frame of a picture there may be something of the one before.
-    times = 2 if leaves_ghost(light) else 1
-    fringes = tuple(pattern for pattern in patterns() for _ in range(times))
-    shown = bench.terminal.track(bench.show(fringes), len(fringes), "Looking at the same stripes again")
-    frames = islice(shown, times - 1, None, times)
-    before = Before(since_s, light, view.projector_map(quick.decoding))
-    row = steadiness_row(bench.rig, before, frames, light.well_lit)
+        time.sleep(max(0.0, bench.watch_s - (time.monotonic() - before.since_s)))
+    now = bench.fringes(before.light, "Looking at the same stripes again")
+    row = steadiness_row(bench.rig, before, now, view.projector_map(quick.decoding))
     checking.add(*([row] if row else []))
 
 

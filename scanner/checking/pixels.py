@@ -13,6 +13,7 @@ from hw.rig import Rig
 from scanner.checking.light import Light, grey
 from scanner.checking.report import CheckRow, State
 from scanner.checking.response import RAMP_STEPS, Ramp
+from scanner.checking.settled import settled
 from scanner.patterns import Axis
 
 _NAME = "pixels"
@@ -30,9 +31,8 @@ def pixel_row(rig: Rig, light: Light, ramp: Ramp) -> CheckRow | None:
         return None
     where = light.well_lit
     black, white = light.mean_black[where].mean(), light.mean_white[where].mean()
-    # The second frame of each: in the first there may still be something of the picture before.
-    pictures = [_lines(axis, rig.projector.size) for axis in _AXES for _ in range(2)]
-    frames = list(rig.photograph(pictures))[1::2]
+    # Of a ghost that harms nothing else there would be percents of contrast here.
+    frames = settled(rig.photograph, [_lines(axis, rig.projector.size) for axis in _AXES])
     mean = np.array([(grey(frame.image)[where].mean() - black) / (white - black) for frame in frames])
     return row_of(_contrast(mean, ramp))
 

@@ -1,14 +1,14 @@
 """The projector's response, from a ramp of even grey pictures."""
 
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 
 from calib.numerics import Floats
 from hw.rig import Rig
-from scanner.checking.light import Light, grey, leaves_ghost
+from scanner.checking.light import Light, grey
 from scanner.checking.report import CheckRow, State
+from scanner.checking.settled import settled
 from scanner.patterns import ProjectorResponse
 
 _NAME = "response"
@@ -37,11 +37,8 @@ def measure_ramp(rig: Rig, light: Light) -> Ramp | None:
     where = light.well_lit
     if not where.any():
         return None
-    # In the first frame of a picture there may be something of the one before.
-    times = 2 if leaves_ghost(light) else 1
-    steps = np.repeat(np.linspace(0, 255, RAMP_STEPS), times)
-    pictures = (np.full((height, width), round(level), np.uint8) for level in steps)
-    frames = islice(rig.photograph(pictures), times - 1, None, times)
+    pictures = [np.full((height, width), round(level), np.uint8) for level in np.linspace(0, 255, RAMP_STEPS)]
+    frames = settled(rig.photograph, pictures, light)
     levels = np.array([grey(frame.image)[where].mean() for frame in frames])
     return ramp_of((levels - levels[0]) / (levels[-1] - levels[0]))
 

@@ -1,22 +1,25 @@
 """Does anything drift while the check goes on? The same fringes and the same white, seen again at its end.
 
-Each pixel's phase tells by how much its projector coordinate has changed since the quick capture; what a turn of the
-projector or of the camera does to all of them is fitted to that. A lamp that is not warm yet changes its brightness.
+Each pixel's phase tells by how much its projector coordinate has changed; what a turn of the projector or of the camera
+does to all of them is fitted to that. The same pictures are compared, in frames that have settled, so that nothing else
+about them (a ghost, a bent response) is taken for motion. A lamp that is not warm yet changes its brightness.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Floats, Ints
 from hw.rig import Frame, Rig
 from scanner.checking.light import Light, grey, photograph_light
 from scanner.checking.report import CheckRow, State
 from scanner.decoding.motion import Fit, fit_motion, shifts_by_motion, who_moved
 from scanner.patterns import Axis, Pattern, Phase, phase_sequence
 from scanner.quantities import plain
+
+Levels = Mapping[tuple[Axis, float], Floats]
 
 _NAME = "steadiness"
 _STEPS = 4
@@ -34,21 +37,28 @@ _MOST_PERCENT = 0.5
 
 @dataclass(frozen=True)
 class Before:
-    """What was seen from the time `since_s` on: `light`, and where camera pixels looked, `projector_px` (H, W, 2)."""
+    """What was seen from the time `since_s` on: `light`, and the `levels` (H, W) of each of the fringes."""
 
     since_s: float
     light: Light
-    projector_px: Floats
+    levels: Levels
 
 
 def patterns() -> tuple[Pattern, ...]:
-    """The fringes that are shown again."""
+    """The fringes that are shown, and shown again."""
     return tuple(pattern for axis in _AXES for pattern in phase_sequence(axis, PERIOD_PX, _STEPS))
 
 
-def steadiness_row(rig: Rig, before: Before, frames: Iterator[tuple[Pattern, Frame]], usable: Bools) -> CheckRow | None:
-    """What has changed since, by frames of `patterns()`; None if no pixels are `usable` (H, W). Raises DeviceError."""
-    moved = _moved(before.projector_px, frames, usable, rig.projector.size)
+def levels_of(frames: Iterable[tuple[Pattern, Frame]]) -> Levels:
+    """Of frames of `patterns()`. Raises DeviceError."""
+    return {(pattern.axis, pattern.shift): grey(frame.image) for pattern, frame in frames if isinstance(pattern, Phase)}
+
+
+def steadiness_row(rig: Rig, before: Before, now: Levels, projector_px: Floats) -> CheckRow | None:
+    """What has changed when the fringes look like this `now`, by where pixels look, (H, W, 2), NaN where that is not
+    known; None if it is nowhere. Raises DeviceError.
+    """
+    moved = _moved(before, now, projector_px, rig.projector.size)
     after = photograph_light(rig, 3, 2)
     where = before.light.well_lit & after.well_lit
     seconds = time.monotonic() - before.since_s
@@ -72,21 +82,16 @@ def row_of(fit: Fit, percent: float, seconds: float) -> CheckRow:
     return CheckRow(_NAME, State.POOR if advice else State.OK, finding, " ".join(advice))
 
 
-def _moved(
-    projector_px: Floats, frames: Iterator[tuple[Pattern, Frame]], usable: Bools, projector_size: tuple[int, int]
-) -> Fit | None:
-    levels = {
-        (pattern.axis, pattern.shift): grey(frame.image) for pattern, frame in frames if isinstance(pattern, Phase)
-    }
+def _moved(before: Before, now: Levels, projector_px: Floats, projector_size: tuple[int, int]) -> Fit | None:
     by_y, by_x = (np.gradient(projector_px, axis=axis) for axis in (0, 1))
-    known = usable & np.isfinite(np.concatenate([projector_px, by_x, by_y], axis=2)).all(axis=2)
+    known = before.light.well_lit & np.isfinite(np.concatenate([projector_px, by_x, by_y], axis=2)).all(axis=2)
     row, column = np.nonzero(known)
     chosen = np.linspace(0, len(row) - 1, min(len(row), _MOST_PIXELS)).astype(np.int64)
     if not len(chosen):
         return None
     place = row[chosen], column[chosen]
     was, gradient = projector_px[place], np.stack([by_x[place], by_y[place]], axis=2)
-    changed = np.stack([_change(axis, levels, was[:, number], place) for number, axis in enumerate(_AXES)], axis=1)
+    changed = np.stack([_change(axis, before.levels, now, place) for axis in _AXES], axis=1)
     height, width = known.shape
     camera_px = np.stack([place[1], place[0]], axis=1).astype(np.float64)
     design = shifts_by_motion(camera_px, was, gradient, (width, height), projector_size)
@@ -99,9 +104,14 @@ def _moved(
     )
 
 
-def _change(axis: Axis, levels: dict[tuple[Axis, float], Floats], was: Floats, place: tuple[Ints, Ints]) -> Floats:
-    """By how much the coordinate of pixels (P,) is another than it `was`."""
+def _change(axis: Axis, before: Levels, now: Levels, place: tuple[Ints, Ints]) -> Floats:
+    """By how much the coordinate that pixels (P,) look at has changed."""
+    change: Floats = _phase(axis, now, place) - _phase(axis, before, place)
+    return PERIOD_PX * (change - np.rint(change))
+
+
+def _phase(axis: Axis, levels: Levels, place: tuple[Ints, Ints]) -> Floats:
+    """(P,) in cycles."""
     first, second, third, fourth = (levels[axis, step / _STEPS][place] for step in range(_STEPS))
-    now = np.arctan2(fourth - second, first - third) * PERIOD_PX / (2 * np.pi)
-    change: Floats = now - was
-    return change - PERIOD_PX * np.rint(change / PERIOD_PX)
+    phase: Floats = np.arctan2(fourth - second, first - third) / (2 * np.pi)
+    return phase

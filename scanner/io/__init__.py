@@ -10,6 +10,7 @@ from scanner.io.given_file import (
     copy_given,
     read_bytes,
     read_whole,
+    real_path,
     refuse_more_pixels,
 )
 from scanner.io.image_file import SUFFIXES, read_image

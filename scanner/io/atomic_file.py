@@ -1,15 +1,36 @@
-"""Files that appear whole or not at all, and never over others unless that is asked for."""
+"""Files that appear whole or not at all, several of them together, and never over others unless that is asked for.
 
+They are written under hidden names, `.TOKEN.partial.NAME`. `.TOKEN.names` beside them is locked by the process that
+writes, and says which they are when all are whole: from then on, whoever begins next in that folder completes what was
+broken off. A partial file without that is removed.
+"""
+
+import fcntl
+import logging
 import os
+import secrets
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scanner.errors import InputError, cannot_write
+from scanner.interruption import finishing
+from scanner.io.durable import sync
+
+log = logging.getLogger(__name__)
+
+_LOCK, _PARTIAL = ".names", ".partial."
+_TOKEN_BYTES = 6
+_MOST_BYTES = 1 << 16  # of names
+_NOT_OPEN = -1
 
 
 def refuse_existing(path: Path, *, overwrite: bool) -> None:
-    """Raise InputError if `path` is anything but a file that may be replaced."""
+    """Raise InputError if `path` is anything but a file that may be replaced, once what was left there is settled.
+
+    Raises StorageError if it cannot be settled.
+    """
+    _settle(path.parent)
     if path.is_dir():
         raise InputError(f"{path}: is a folder, expected the name of a file to write")
     if path.exists() and not overwrite:
@@ -17,30 +38,122 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
 
 
 @contextmanager
-def new_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> Iterator[list[Path]]:
-    """Several of them that belong together, all of them or none; else as `new_file`."""
-    with ExitStack() as together:
-        yield [together.enter_context(new_file(folder / name, overwrite=overwrite)) for name in names]
+def new_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
+    """A hidden file beside `path` to write into; else as `new_files`."""
+    with new_files(path.parent, [path.name], overwrite=overwrite) as (partial,):
+        yield partial
 
 
 @contextmanager
-def new_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
-    """A hidden file beside `path` to write into; it becomes `path` when the block ends well, and vanishes if not.
+def new_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> Iterator[list[Path]]:
+    """Hidden files in a folder to write into; they get their `names` when the block ends well, and vanish if not.
 
-    Folders on the way are made. Raises InputError if `path` exists and may not be replaced, or no file can be there;
+    Folders on the way are made. Raises InputError if one exists and may not be replaced, or no file can be there;
     StorageError if the disk does not take it.
     """
-    refuse_existing(path, overwrite=overwrite)
-    partial = path.with_name(f".{os.getpid()}.partial.{path.name}")
+    for name in names:
+        refuse_existing(folder / name, overwrite=overwrite)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise cannot_write(path.parent, error, "made") from error
+        raise cannot_write(folder, error, "made") from error
+    partial = _Partial.new(folder)
     try:
-        yield partial
-        partial.replace(path)
+        partial.begin()
+        yield [partial.path(name) for name in names]
+        with finishing():
+            partial.publish(names)
     except OSError as error:
-        raise cannot_write(path, error) from error
+        raise cannot_write(folder / names[0], error) from error
     finally:
+        with finishing(ending=True):
+            partial.end()
+
+
+class _Partial:
+    """Files that are being written, by what their names have in common, and the lock on them."""
+
+    def __init__(self, lock: Path) -> None:
+        self._lock = lock
+        self._file = _NOT_OPEN
+
+    @classmethod
+    def new(cls, folder: Path) -> "_Partial":
+        """A set that has not begun."""
+        return cls(folder / f".{secrets.token_hex(_TOKEN_BYTES)}{_LOCK}")
+
+    def begin(self) -> None:
+        """Take the lock. Raises OSError."""
+        self._file = os.open(self._lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        with suppress(OSError):  # a file system without locks, where nobody settles anything
+            fcntl.flock(self._file, fcntl.LOCK_EX)
+        if not self._lock.exists():  # taken for what a killed program has left
+            os.close(self._file)
+            self.begin()
+
+    def take_over(self) -> bool:
+        """Take the lock of a process that was killed; False if it is alive, or that cannot be told. Raises OSError."""
+        self._file = os.open(self._lock, os.O_RDWR | os.O_NOFOLLOW)
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(self._file)
+            return False
+        return True
+
+    def path(self, name: str) -> Path:
+        """Where a file is as long as it is not whole."""
+        return self._lock.with_name(f"{self._stem}{_PARTIAL}{name}")
+
+    def publish(self, names: Sequence[str]) -> None:
+        """Give all files their names. Raises OSError."""
+        for name in names:
+            sync(self.path(name))
+        if len(names) > 1:
+            os.pwrite(self._file, "".join(f"{name}\n" for name in names).encode(), 0)
+            os.fsync(self._file)
+        for name in names:
+            self.path(name).replace(self._lock.with_name(name))
+
+    def settle(self) -> str:
+        """Complete what was whole, and remove the rest; a sentence on it, if there was anything."""
+        whole = os.pread(self._file, _MOST_BYTES, 0).decode(errors="replace").splitlines()
+        left = sorted(path.name.partition(_PARTIAL)[2] for path in self._partial_files())
+        for name in left:
+            with suppress(OSError):
+                if name in whole:
+                    self.path(name).replace(self._lock.with_name(name))
+        self.end()
+        told, folder = ", ".join(left), self._lock.parent
+        if left and whole:
+            return f"A program was killed when its files were whole: {told} in {folder} took their places now."
+        return f"What a program that was killed had written of {told} in {folder} is removed." if left else ""
+
+    def end(self) -> None:
+        """What has not got its name is removed, and the lock."""
         with suppress(OSError):  # of a disk that takes nothing, which is said already
-            partial.unlink(missing_ok=True)
+            for path in self._partial_files():
+                path.unlink(missing_ok=True)
+            self._lock.unlink(missing_ok=True)
+        with suppress(OSError):
+            os.close(self._file)
+
+    @property
+    def _stem(self) -> str:
+        return self._lock.name.removesuffix(_LOCK)
+
+    def _partial_files(self) -> list[Path]:
+        return list(self._lock.parent.glob(f"{self._stem}{_PARTIAL}*"))
+
+
+def _settle(folder: Path) -> None:
+    """Settle what programs that were killed have left in a folder. Raises StorageError, InputError."""
+    for lock in folder.glob(f".{'[0-9a-f]' * (2 * _TOKEN_BYTES)}{_LOCK}"):
+        left = _Partial(lock)
+        try:
+            if lock.is_file() and left.take_over() and (sentence := left.settle()):
+                log.warning("%s", sentence)
+        except FileNotFoundError:
+            continue  # its process has just ended
+        except OSError as error:
+            raise cannot_write(lock, error, "tidied up") from error

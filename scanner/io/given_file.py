@@ -29,6 +29,11 @@ def _open_without_waiting(name: str, flags: int) -> int:
     return os.open(name, flags | _WITHOUT_WAITING)
 
 
+def real_path(path: Path) -> Path:
+    """Where links lead; links in a circle, which `Path.resolve` raises RuntimeError for, are for who opens the file."""
+    return Path(os.path.realpath(path))
+
+
 @contextmanager
 def opened(path: Path, most_bytes: int | None = None) -> Iterator[BinaryIO]:
     """A regular file, open for reading; what links lead to counts, and nothing waits for the other end of a pipe.

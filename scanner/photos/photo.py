@@ -12,7 +12,7 @@ from PIL import ExifTags, Image
 from calib.geometry import Size
 from calib.numerics import Image as Pixels
 from scanner.errors import InputError
-from scanner.io import UNREADABLE, read_image
+from scanner.io import UNREADABLE, read_image, real_path
 
 _FULL_FRAME_DIAGONAL_MM = 43.2666  # of 36 × 24 mm, to which the 35 mm equivalent refers (CIPA DCG-001)
 _LONGEST_MM = 10_000
@@ -75,7 +75,7 @@ def read_photos(paths: Sequence[Path]) -> list[Photo]:
     Raises InputError for a file that cannot be read, one given twice, or photos whose sizes differ.
     """
     for i, path in enumerate(paths):
-        if any(path.resolve() == other.resolve() for other in paths[:i]):
+        if any(real_path(path) == real_path(other) for other in paths[:i]):
             raise InputError(f"{path}: was given twice; photos from different places are needed")
     stored = [_read(path) for path in paths]
     upright = [each.turned(each.orientation) for each in stored]

@@ -24,8 +24,10 @@ _RECORDED_OF_SEVERAL = {CAPTURE_FOLDER, MATCHES_FILE}
 def settle(out: Path) -> list[str]:
     """Settle what was left of `out`, and of whatever else in its folder; sentences on what became of it.
 
-    Raises InputError if a process is making `out` now, or something else is in the way; StorageError.
+    Raises InputError if `out` has no name, a process is making it now, or something else is in the way; StorageError.
     """
+    if out.name in ("", ".."):
+        raise InputError(f"{out}: expected the name of a folder to make, as in --out scans/room")
     told = []
     for partial in sorted({partial_of(out), *out.parent.glob(".*.partial")}):
         target = target_of(partial)

@@ -8,7 +8,7 @@ from calib.geometry import Calibration
 from scanner.capture import CAPTURE_FILE, open_capture
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.io import read_calibration
+from scanner.io import read_calibration, real_path
 from scanner.pipeline import decode_recording
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.reconstruction import read_captures
@@ -22,7 +22,7 @@ def read_stations(paths: Sequence[Path], config: Config, progress: Progress) -> 
 
     Raises InputError if a file is damaged, belongs to images of another size, or is given twice.
     """
-    twice = [path for number, path in enumerate(paths) if path.resolve() in [each.resolve() for each in paths[:number]]]
+    twice = [path for number, path in enumerate(paths) if real_path(path) in map(real_path, paths[:number])]
     if twice:
         raise InputError(f"{twice[0]}: given twice; a station counts once")
     stations: list[Decoded] = []

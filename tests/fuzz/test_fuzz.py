@@ -45,6 +45,8 @@ def test_what_must_not_be_is_found(planted: str, found: str) -> None:
     [
         ("calibrating", 3, 548),  # no answer beside the best one
         ("compared", 9, 96),  # a lens that brings points to no place at all
+        ("results", 77015, 97),  # the same, of the middle of the scene
+        ("capture", 77017, 2393),  # a last frame whose name is too long
     ],
 )
 def test_what_was_found_once_is_refused(target: str, seed: int, number: int, tmp_path: Path) -> None:

@@ -300,6 +300,42 @@ def test_a_disk_that_does_not_take_what_is_made_of_a_result(
     assert ended.files == {}
 
 
+@pytest.mark.parametrize("older", [False, True], ids=["new", "--overwrite"])
+def test_killed_between_two_of_several_files(bench: FaultBench, result: Path, tmp_path: Path, older: bool) -> None:
+    """Whoever begins next completes them, be it to refuse that there are files."""
+    model, export = tmp_path / "model", ("export", result, "--to", "colmap", "--out", tmp_path / "model")
+    if older:
+        assert bench.run(tmp_path, *export, "--points", 100).code == 0
+    assert bench.run(tmp_path, *export[:-1], tmp_path / "whole").code == 0
+    planted = {"at": "pathlib:Path.replace", "call": 2, "do": "SIGKILL"}
+    assert bench.run(tmp_path, *export, "--overwrite", faults=[planted]).code == -9
+    after = bench.run(tmp_path, *export)
+    assert after.code == 2
+    assert "A program was killed when its files were whole" in after.said
+    assert "already exists" in after.said
+    assert {path.name: path.read_bytes() for path in model.iterdir()} == {
+        path.name: path.read_bytes() for path in (tmp_path / "whole").iterdir()
+    }
+
+
+def test_ctrl_c_between_two_of_several_files_comes_after_them(bench: FaultBench, result: Path, tmp_path: Path) -> None:
+    planted = {"at": "pathlib:Path.replace", "call": 2, "do": "Ctrl-C again and again"}
+    export = ("export", result, "--to", "colmap", "--out", tmp_path / "model")
+    assert bench.run(tmp_path, *export, faults=[planted]).code == 130
+    assert names(tmp_path / "model") == {"cameras.txt", "images.txt", "points3D.txt"}
+
+
+def test_killed_while_a_file_is_written(bench: FaultBench, result: Path, tmp_path: Path) -> None:
+    planted = {"at": "scanner.io.atomic_file:sync", "do": "SIGKILL"}
+    export = ("export", result, "--to", "ply", "--out", tmp_path / "cloud.ply")
+    assert bench.run(tmp_path, *export, faults=[planted]).code == -9
+    assert not (tmp_path / "cloud.ply").exists()
+    after = bench.run(tmp_path, *export)
+    assert after.code == 0
+    assert "had written of cloud.ply" in after.said
+    assert names(tmp_path) == {"cloud.ply"}
+
+
 @pytest.mark.parametrize("largest_file", [1200, 3500])
 def test_files_may_not_be_large(bench: FaultBench, config: Path, largest_file: int) -> None:
     """The log, the listing's header or one of its lines is the first that does not fit."""

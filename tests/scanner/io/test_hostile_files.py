@@ -19,6 +19,7 @@ import pytest
 from PIL import Image
 
 from scanner.capture import identity, open_capture
+from scanner.commands.main import main
 from scanner.decoding.memory import refuse_more_than_there_is
 from scanner.errors import InputError
 from scanner.io import flow_yaml, parse_yaml, read_calibration, read_cloud, read_image, read_matches, read_yaml
@@ -390,3 +391,15 @@ def test_whole_jpegs_of_any_size_are_read(tmp_path: Path, size: tuple[int, int],
         data = cv2.imencode(".jpg", channels, [cv2.IMWRITE_JPEG_RST_INTERVAL, interval])[1].tobytes()
         (tmp_path / "a.jpg").write_bytes(data + b"and whatever a phone adds")
         assert read_image(tmp_path / "a.jpg").shape == channels.shape
+
+
+@pytest.mark.parametrize("command", ["photos", "room"])
+def test_links_in_a_circle_are_refused_by_name(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, circle = tmp_path / "rig.yaml", tmp_path / "circle"
+    config.write_text("camera: {width: 48, height: 32}\nprojector: {width: 48, height: 32}\n")
+    circle.symlink_to("circle")
+    given = [str(circle), str(tmp_path / "other"), "--config", str(config), "--out", str(tmp_path / "out")]
+    assert main([command, *given]) == 2
+    assert str(circle) in capsys.readouterr().err

@@ -188,3 +188,9 @@ def test_results_begun_side_by_side_are_not_in_each_others_way(tmp_path: Path) -
         made = pool.map(_make, [(str(tmp_path / "scans"), number) for number in range(500)], chunksize=1)
     assert made == [("whole", [])] * 500
     assert len(list((tmp_path / "scans").iterdir())) == 500
+
+
+@pytest.mark.parametrize("out", ["", ".", "/", ".."])
+def test_a_folder_without_a_name_is_refused(out: str) -> None:
+    with pytest.raises(InputError, match="expected the name of a folder to make"):
+        OutputFolder(Path(out))
