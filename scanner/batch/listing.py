@@ -12,6 +12,7 @@ from scanner.batch.place import Place
 from scanner.capture import CAPTURE_FILE
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
+from scanner.io import parse_calibration
 from scanner.results import CAPTURE_FOLDER
 from scanner.shown_text import harmless, shown
 
@@ -46,8 +47,16 @@ class Asked:
 
     def of_any(self) -> Job:
         """A job without a name and a capture. Raises InputError."""
-        known = None if self.calibration is None else Place(self.calibration).read().decode("utf-8", "replace")
-        return Job("", "", load_config(self.config, self.overrides), known)
+        return Job("", "", load_config(self.config, self.overrides), self._known)
+
+    def refuse_no_calibration(self) -> None:
+        """Raise InputError if the calibration of all is none: every row would say so."""
+        if self._known is not None:
+            parse_calibration(self._known, str(self.calibration))
+
+    @property
+    def _known(self) -> str | None:
+        return None if self.calibration is None else Place(self.calibration).read().decode("utf-8", "replace")
 
 
 def list_jobs(sources: Sequence[str], asked: Asked) -> tuple[Job, ...]:

@@ -5,6 +5,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from scanner.errors import InputError
+from scanner.shown_text import harmless, shown
 from scanner.ui import Terminal
 
 if TYPE_CHECKING:
@@ -21,7 +22,10 @@ def run(args: Namespace) -> None:
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers: expected 1 or more, found {args.workers}")
     terminal = Terminal(quiet=args.quiet)
+    if harmless(args.out) != args.out:
+        raise InputError(f"--out: expected a name of characters that can be shown, in UTF-8, found {shown(args.out)}")
     asked = Asked(args.config, tuple(args.set), args.calibration)
+    asked.refuse_no_calibration()
     with terminal.step("Looking for captures"):
         jobs = list_jobs(args.sources, asked)
     with ExitStack() as opened:

@@ -1,7 +1,7 @@
 """Files of each format, read and written whole or not at all. Knows nothing of scans."""
 
 from scanner.io.atomic_file import new_file, new_files, refuse_existing
-from scanner.io.calibration_file import read_calibration, write_calibration
+from scanner.io.calibration_file import parse_calibration, read_calibration, write_calibration
 from scanner.io.disk_space import require_space
 from scanner.io.durable import exchange, sync, sync_open, sync_tree
 from scanner.io.given_file import (

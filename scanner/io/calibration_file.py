@@ -12,7 +12,7 @@ from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas
 from scanner.errors import InputError
 from scanner.io.given_file import LONGEST_SIDE_PX, refuse_more_pixels
 from scanner.io.validation import Entry, Number, Whole, validate
-from scanner.io.yaml_text import block_yaml, flow_yaml, read_yaml
+from scanner.io.yaml_text import block_yaml, flow_yaml, parse_mapping, read_yaml
 
 # Far beyond any device and any unit of length, and near enough for the squares and products of them to be numbers.
 _LARGEST, _SMALLEST = 1e9, 1e-9
@@ -102,13 +102,22 @@ def read_calibration(path: Path) -> Calibration:
 
     Raises InputError for a missing file, a missing or wrong key, or a rotation that is none.
     """
-    entry = validate(_CalibrationEntry, read_yaml(path), str(path))
+    return _calibration(read_yaml(path), str(path))
+
+
+def parse_calibration(text: str, source: str) -> Calibration:
+    """As `read_calibration`, from a text that comes from `source`. Raises InputError."""
+    return _calibration(parse_mapping(text, source), source)
+
+
+def _calibration(mapping: dict[str, Any], source: str) -> Calibration:
+    entry = validate(_CalibrationEntry, mapping, source)
     if math.hypot(*entry.translation) < _SMALLEST:
-        raise InputError(f"{path}: translation must not be zero: camera and projector would be in one place")
+        raise InputError(f"{source}: translation must not be zero: camera and projector would be in one place")
     try:
         return entry.calibration()
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{source}: {error}") from error
 
 
 def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, Any] | None = None) -> None:
