@@ -29,6 +29,8 @@ _LEAST_EXPLAINED = 0.03
 _ROUNDS = 3
 # Offset, amplitude and phase.
 _PARAMETERS = 3
+# Beyond such a part of the shortest period, other parts of periods explain the same.
+_LINEAR_CYCLES = 1 / 6
 # A course that explains so much of what the best one does may be the true one.
 _NEARLY = 0.8
 # A device that explains so much of what the other one does may be the one that moved.
@@ -79,6 +81,7 @@ class MotionMeter:
         explained = self._explained(refined) if is_significant else 0.0
         shift, *others = (self._disturbance(one) for one in (refined, *likely))
         size_px = self._size_px(refined.fit)
+        linear = size_px < _LINEAR_CYCLES * self._finest_period
         first, last = min(one.course.first for one in likely), max(one.course.last for one in likely)
         return MotionFound(
             motion=refined.fit.motion,
@@ -91,7 +94,8 @@ class MotionMeter:
             shift=shift,
             others=tuple(others),
             largest_px=largest_bump_px(self._finest_period),
-            undecided=is_significant and (size_px > self._finest_period / 4 or self._is_undecided(best.course)),
+            linear=linear,
+            undecided=is_significant and (not linear or self._is_undecided(best.course)),
         )
 
     def _is_undecided(self, course: Course) -> bool:
