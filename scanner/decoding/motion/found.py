@@ -24,8 +24,7 @@ _LARGEST_OF_FRAMES_PX = 0.5
 _LEAST_EXPLAINED = 0.5
 # A device counts as moved if its motion is this share of the other's.
 _BOTH = 0.5
-# Fits to first order may come to anything beyond what fringes can tell.
-_MOST_TOLD_PX = 15.0
+_SIZE = "{:.2g} px"
 # What is taken back is known to this share of itself.
 _REMAINDER = 0.1
 # Between the axes, a motion of which nothing tells is taken to be of this size, one standard deviation.
@@ -81,9 +80,10 @@ class MotionFound:
     `first` and `last`. `size_px`: how far it moved the coordinates. `explained`: the share that it explains of what
     contradicts rest. `shift`: by what it shifted x and y against each other; `others`: the same of courses that explain
     it about as well. `unseen`: shifts of one standard deviation each that may have been beside it; `blind`: nothing
-    in the frames tells whether one of the devices turned between the axes. `largest_px`: the largest bump that leaves
-    single matches right. `undecided`: it may as well have been the other device, by itself. `one_by_one`: each frame by
-    itself, of which `motion` is the root mean square, and `shift` the means over the fringes.
+    in the frames tells whether one of the devices turned between the axes. `largest_px`: the largest bump that is taken
+    back. `linear`: small enough that its size can be told. `undecided`: it may as well have been the other device, by
+    itself. `one_by_one`: each frame by itself, of which `motion` is the root mean square, and `shift` the means over
+    the fringes.
     """
 
     motion: Floats
@@ -98,6 +98,7 @@ class MotionFound:
     unseen: tuple[Disturbance, ...] = ()
     blind: bool = False
     largest_px: float = _LARGEST_BUMP_PX
+    linear: bool = True
     undecided: bool = False
     one_by_one: bool = False
 
@@ -126,8 +127,14 @@ class MotionFound:
             px = float(np.hypot(*self.motion[PER_DEVICE : PER_DEVICE + 2]))
             return f"the camera's frames are each somewhere else, by {px:.2g} px"
         when = "slowly, from frame {} to {}" if self.slow else "between frames {} and {}"
-        who = _likelier(self.motion) if self.undecided else who_moved(self.motion)
-        return f"{who} {when.format(self.first, self.last)}"
+        return f"{self._who()} {when.format(self.first, self.last)}"
+
+    def _who(self) -> str:
+        """Who moved, and how far. What is too large may have been larger: fringes tell it but for whole periods."""
+        size = "about {:.2g} px or more" if self.is_too_large else _SIZE
+        if not self.linear:
+            size = f"more than {self.largest_px:.2g} projector pixels"
+        return _likelier(self.motion, size) if self.undecided else who_moved(self.motion, size)
 
 
 def largest_bump_px(finest_period: float) -> float:
@@ -135,15 +142,14 @@ def largest_bump_px(finest_period: float) -> float:
     return min(_LARGEST_CYCLES * finest_period, _LARGEST_PX)
 
 
-def _likelier(motion: Floats) -> str:
+def _likelier(motion: Floats, size: str) -> str:
     """In words, where either device explains a motion (8,): the likelier one first.
 
     A camera that moves is often taken for both; a projector that moves is not.
     """
     projector, camera = _sizes_px(motion)
     devices = ("camera", "projector") if camera >= _BOTH * projector else ("projector", "camera")
-    px = max(projector, camera)
-    return f"the {devices[0]}, or the {devices[1]}, moved by {f'{px:.2g}' if px < _MOST_TOLD_PX else 'many'} px"
+    return f"the {devices[0]}, or the {devices[1]}, moved by {size.format(max(projector, camera))}"
 
 
 def _sizes_px(motion: Floats) -> tuple[float, float]:
@@ -152,11 +158,11 @@ def _sizes_px(motion: Floats) -> tuple[float, float]:
     return projector, camera
 
 
-def who_moved(motion: Floats) -> str:
-    """In words, as in: the projector moved by 1.2 px; `motion` (8,) as in `rigid`."""
+def who_moved(motion: Floats, size: str = _SIZE) -> str:
+    """In words, as in: the projector moved by 1.2 px; `motion` (8,) as in `rigid`, `size`: how px are told."""
     projector, camera = _sizes_px(motion)
     moved = [
-        f"the {device} moved by {px:.2g} px"
+        f"the {device} moved by {size.format(px)}"
         for device, px, other in (("projector", projector, camera), ("camera", camera, projector))
         if px >= _BOTH * other
     ]
