@@ -191,7 +191,7 @@ def test_another_scheduler_comes_to_the_same_table(museum: Path, tmp_path: Path)
         (("--workers", "0"), "expected 1 or more"),
         (("--calibration", "nothing.yaml"), "nothing.yaml: cannot be read"),
         (("--calibration", "memory://nothing.yaml"), "memory://nothing.yaml"),
-        (("--calibration", __file__), "test_batch.py: "),
+        (("--calibration", __file__), "test_batch.py, line 1"),
         (("--out", "out\udcff"), "--out: expected a name"),
     ],
 )
