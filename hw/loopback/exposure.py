@@ -49,14 +49,17 @@ class RoomSensor:
         self._screen.look()
         x, y, width, height = request.region
         channels = 3 if request.pixel_format == RGB_8 else 1
-        noise = list(self._rng.standard_normal((channels, height, width), np.float32))  # while there is time
-        time.sleep(max(0.0, begin_s + exposure_s - time.monotonic()))
+        noise = list(self._rng.standard_normal((channels, height, width), np.float32))
+        # All that is computed is, as soon as it can be: a sensor has its frame when the exposure is over.
+        time.sleep(max(0.0, self._screen.decided_s(begin_s + exposure_s) - time.monotonic()))
         self._screen.look()
         part = np.s_[y : y + height, x : x + width]
         electrons = np.zeros((height, width), np.float32)
         for share, light in self._screen.shares(begin_s, begin_s + exposure_s):
             electrons += np.float32(share * request.exposure_us / self._white_exposure_us) * light[part]
-        return self._digits(electrons, noise, request)
+        digits = self._digits(electrons, noise, request)
+        time.sleep(max(0.0, begin_s + exposure_s - time.monotonic()))
+        return digits
 
     def _digits(self, electrons: Light, noise: list[Light], request: Request) -> bytes:
         sensor = self._amplified(16 if request.pixel_format == MONO_16 else 8, request.gain_db)

@@ -103,6 +103,10 @@ class ScreenHistory:
                 self.wall.send(self._looked_s, self._light())
             self._looked_s = now_s
 
+    def decided_s(self, end_s: float) -> float:
+        """From when on a look tells all light until a moment: what is shown later takes the latency to the wall."""
+        return end_s - self.wall.conditions.latency_ms / 1e3
+
     def shares(self, begin_s: float, end_s: float) -> list[tuple[float, Light]]:
         """The light on the wall between two moments, each picture's with its share; these add up to one."""
         with self._lock:

@@ -20,12 +20,14 @@ SIZE = (6, 4)
 
 
 class FakeScreen:
-    """A screen on which a test draws."""
+    """A screen on which a test draws; `looked_s`: when it was looked at last."""
 
     def __init__(self) -> None:
         self.level = 0
+        self.looked_s = 0.0
 
     def pixels(self) -> np.ndarray:
+        self.looked_s = time.monotonic()
         return np.full(SIZE[::-1], self.level * 0x010101, np.uint32)
 
 
@@ -143,6 +145,20 @@ def test_light_comes_late() -> None:
     half = exposed(0.0, request, change_after_s=0.1).mean()
     assert 30 < half < 70
     assert exposed(0.15, request, change_after_s=0.1).mean() < 3
+
+
+@pytest.mark.parametrize(("latency_ms", "most_ms"), [(0, 100), (80, 30), (200, 30)])
+def test_a_frame_is_computed_before_its_exposure_is_over(latency_ms: float, most_ms: float) -> None:
+    """As soon as no other light can come: its making does not delay it."""
+    screen = FakeScreen()
+    history = ScreenHistory(screen, lambda image: 100 * as_light(image))
+    history.wall.conditions = Conditions(latency_ms=latency_ms)
+    sensor = RoomSensor(cast(Any, WhiteWall()), history, white_exposure_us=20_000)
+    begin_s = time.monotonic()
+    sensor.expose(Request(100_000, -20, MONO_8, (0, 0, *SIZE)))
+    after_ms = 1e3 * (screen.looked_s - begin_s)
+    assert max(0, 100 - latency_ms) < after_ms < max(0, 100 - latency_ms) + most_ms
+    assert time.monotonic() - begin_s >= 0.1
 
 
 def done(level: int) -> Future[np.ndarray]:
