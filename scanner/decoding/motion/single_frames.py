@@ -140,7 +140,6 @@ def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts
     return replace(
         found,
         motion=typical,
-        significant=True,
         slow=False,
         one_by_one=True,
         first=plan.repeats * int(shifts.times[0]),
