@@ -50,14 +50,10 @@ class FrameShifts:
         squared = float(shifts @ np.linalg.solve(self.covariance + _OF_A_FRAME_PX**2 * np.eye(shifts.size), shifts))
         return self.by_event < _MOST_BY_EVENT and squared > chi2.isf(_BY_CHANCE, shifts.size - 2)
 
-    def of_axes(self, shares: Floats) -> tuple[Floats, Floats]:
-        """Sums (2, 2), of each axis (rows) to the right and down, of shares (2, N) of the shifts, and the covariance
-        (4, 4) of these, if none of the frames is where the camera is: their mean is by chance, too.
-        """
-        both = np.concatenate([np.kron(np.eye(2), of_axis) for of_axis in shares])
-        of_mean = np.mean(self.shift_px**2, axis=1) / len(self.times)
-        covariance = both @ self.covariance @ both.T + np.kron(np.ones((2, 2)), np.diag(of_mean))
-        return shares @ self.shift_px.T, covariance
+    def between(self, shares: Floats) -> tuple[Floats, Floats]:
+        """The sum (2,) of shares (N,) of the shifts, and its covariance (2, 2)."""
+        both = np.kron(np.eye(2), shares)
+        return self.shift_px @ shares, both @ self.covariance @ both.T
 
 
 def shifts_of_frames(plan: SequencePlan, tiles: TileSample, noise: NoiseModel, saturation: float) -> FrameShifts | None:
@@ -125,15 +121,17 @@ def _by_event(equations: FrameEquations, normal: Floats, right: Floats) -> float
 
 def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts, pixels: Pixels) -> MotionFound:
     """What single frames were moved by, in the place of the event that was `found`."""
-    shares = np.stack([_shares(axis.fringes[-1], plan, shifts.times) for axis in plan.axes])
-    moved_px, covariance = shifts.of_axes(shares)
+    x, y = (_shares(axis.fringes[-1], plan, shifts.times) for axis in plan.axes)
+    apart, covariance = shifts.between(x - y)
+    # Half of it for x, and half of it for y: what both have in common is as if the rig had stood there.
+    half = np.zeros((2, 2, COLUMNS))
+    half[0, :, PER_DEVICE : PER_DEVICE + 2] = np.eye(2) / 2
+    half[1] = -half[0]
 
     def disturbance(of: Floats) -> Disturbance:
-        motions = np.zeros((2, COLUMNS))
-        motions[:, PER_DEVICE : PER_DEVICE + 2] = of.reshape(2, 2)
-        return replace(found.shift, motions=motions)
+        return replace(found.shift, motions=np.einsum("adc,d->ac", half, of))
 
-    values, vectors = np.linalg.eigh(covariance + _OF_A_FRINGE_PX**2 * np.eye(4))
+    values, vectors = np.linalg.eigh(covariance + 2 * _OF_A_FRINGE_PX**2 * np.eye(2))
     spread = tuple(disturbance(sqrt(max(value, 0.0)) * vector) for value, vector in zip(values, vectors.T, strict=True))
     typical = np.zeros(COLUMNS)
     typical[PER_DEVICE : PER_DEVICE + 2] = np.sqrt(np.mean(shifts.shift_px**2, axis=1))
@@ -145,7 +143,7 @@ def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts
         first=plan.repeats * int(shifts.times[0]),
         last=plan.repeats * int(shifts.times[-1]),
         size_px=float(np.sqrt(np.mean(np.sum((pixels.gradient @ shifts.shift_px) ** 2, axis=1)))),
-        shift=disturbance(moved_px),
+        shift=disturbance(apart),
         others=(),
         unseen=spread,
     )
