@@ -39,6 +39,7 @@ from scanner.decoding.motion import (
     TileSample,
     blaming_motion,
     blaming_shifts,
+    refuse_untold,
     refuse_whole_periods,
     remarks_on,
 )
@@ -211,6 +212,8 @@ class Decoder:
                     matches, reasons = match_kept(plan, maps, brightest, self._one_axis, by_pixel=by_pixel)
                 odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
                 refuse_whole_periods(plan, seen.code_shifts)
+                if seen.unrest is None:
+                    refuse_untold(plan, [frame for oddity in oddities for frame in oddity.frames], seen.motion)
         darkness = too_dark(seen.levels, seen.noise)
         told = warnings_of(reasons, learnt.modulation, seen.flicker, darkness)
         return Decoding(

@@ -5,6 +5,7 @@ from scanner.decoding.motion.blame import (
     blaming_motion,
     blaming_shifts,
     moved,
+    refuse_untold,
     refuse_whole_periods,
     remarks_on,
 )
@@ -35,6 +36,7 @@ __all__ = [
     "mask_wrong_bits",
     "measure_motion",
     "moved",
+    "refuse_untold",
     "refuse_whole_periods",
     "remarks_on",
     "shifts_by_motion",

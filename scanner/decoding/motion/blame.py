@@ -1,6 +1,6 @@
 """What is said of captures during which something moved."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 
 from calib.refusal import RefusalError
@@ -63,6 +63,17 @@ def refuse_whole_periods(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Non
     by_periods = [shift for shift in shifts if shift.by_periods]
     if by_periods:
         raise _moved_before_fringes(plan, max(by_periods, key=lambda shift: abs(shift.px)))
+
+
+def refuse_untold(plan: SequencePlan, odd: Collection[int], motion: MotionFound | None) -> None:
+    """Raise RefusalError if something moved farther than fringes can tell, and `odd` frames of several of them show it.
+
+    Those by which shorter fringes are unwrapped may then name another cycle, the same one everywhere. What is wrong
+    with a single fringe is a frame of it.
+    """
+    broken = [fringe for fringe in plan.fringes if not {*odd}.isdisjoint(fringe.frames)]
+    if len(broken) > 1 and motion is not None and not motion.linear:
+        raise moved(motion)
 
 
 def moved(motion: MotionFound) -> RefusalError:
