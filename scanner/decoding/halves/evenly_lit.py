@@ -46,28 +46,19 @@ def _half(plan: SequencePlan, axis: AxisPlan) -> Half:
 
 
 def _weights(axis: AxisPlan) -> dict[int, float]:
-    groups = [*_fringe_means(axis)] or [*_means_of_pairs(axis)]
-    together = sum(share for share, _ in groups)
     weights: dict[int, float] = {}
-    for share, group in groups:
+    groups = [*_fringe_means(axis)] or [
+        dict.fromkeys(pair, 0.5) for pair in dict.fromkeys(pair for code in axis.codes for pair in code.pairs.values())
+    ]
+    for group in groups:
         for frame, weight in group.items():
-            weights[frame] = weights.get(frame, 0.0) + weight * share / together
+            weights[frame] = weights.get(frame, 0.0) + weight / len(groups)
     return weights
 
 
-def _fringe_means(axis: AxisPlan) -> Iterator[tuple[float, dict[int, float]]]:
+def _fringe_means(axis: AxisPlan) -> Iterator[dict[int, float]]:
     for fringe in axis.fringes:
-        yield 1.0, dict(zip(fringe.frames, fringe.weights[0].tolist(), strict=True))
-
-
-def _means_of_pairs(axis: AxisPlan) -> Iterator[tuple[float, dict[int, float]]]:
-    """Each with as great a share as its bit has in the coordinates: half of a code's edges are those of its finest bit.
-
-    A bump within the code then shifts the picture as far as it does the coordinates.
-    """
-    for code in axis.codes:
-        for bit, pair in code.pairs.items():
-            yield 2.0**bit, dict.fromkeys(pair, 0.5)
+        yield dict(zip(fringe.frames, fringe.weights[0].tolist(), strict=True))
 
 
 class EvenlyLit:

@@ -66,13 +66,14 @@ def refuse_whole_periods(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Non
 
 
 def refuse_untold(plan: SequencePlan, odd: Collection[int], motion: MotionFound | None) -> None:
-    """Raise RefusalError if something moved farther than fringes can tell, and `odd` frames of several of them show it.
+    """Raise RefusalError if something moved farther than fringes can tell, so that no motion explains what they show,
+    and `odd` frames of several of them show it.
 
     Those by which shorter fringes are unwrapped may then name another cycle, the same one everywhere. What is wrong
     with a single fringe is a frame of it.
     """
     broken = [fringe for fringe in plan.fringes if not {*odd}.isdisjoint(fringe.frames)]
-    if len(broken) > 1 and motion is not None and not motion.linear:
+    if len(broken) > 1 and motion is not None and not (motion.linear or motion.significant):
         raise moved(motion)
 
 

@@ -46,25 +46,31 @@ def _in_broken_patches(plan: SequencePlan, maps: Maps) -> Bools:
 
 
 def _jumps(plan: SequencePlan, coarse: CoarseFrames, maps: Maps) -> Bools:
-    """Pixels of the grid (h, w) that are farther from the next one than their surface's slope and its cells say."""
+    """Pixels of the grid (h, w) that are farther from the next one than cells leave them, and not as far as the next
+    ones are from each other: those of a steep surface are.
+    """
     found = np.zeros(coarse.of(maps.reason).shape, np.bool_)
     for number, axis in enumerate(plan.axes):
         value = cast(Floats32, coarse.of(maps.projector_px[..., number]))
         for jumps, at in ((found, value), (found.T, value.T)):
-            beside = _beside_next_steps(at)
-            known = np.isfinite(beside)
-            usual = median(beside[known]) if known.any() else 0.0
-            far = known & (beside > max(_FAR_CELLS * axis.cell, _TIMES_USUAL * usual))
+            steps = np.diff(at, axis=0)
+            far = _is_far(np.abs(steps), axis.cell) & _is_far(_beside_next(steps), axis.cell)
             jumps[:-1] |= far
             jumps[1:] |= far
     return found
 
 
-def _beside_next_steps(value: Floats32) -> Floats32:
-    """By how much each step from row to row of the values (h, w) differs from the one before or after it, whichever is
-    the more like it, (h - 1, w); itself, where both are unknown; NaN where it is.
+def _is_far(distance: Floats32, cell: float) -> Bools:
+    """(h, w), NaN where unknown; which is not far."""
+    known = np.isfinite(distance)
+    usual = median(distance[known]) if known.any() else 0.0
+    return known & (distance > max(_FAR_CELLS * cell, _TIMES_USUAL * usual))
+
+
+def _beside_next(steps: Floats32) -> Floats32:
+    """By how much each step (h, w), from one row to the next, differs from the one before or after it, whichever is the
+    more like it; itself, where both are unknown; NaN where it is.
     """
-    steps = np.diff(value, axis=0)
     others = np.full((2, *steps.shape), np.nan, np.float32)
     others[0, 1:], others[1, :-1] = steps[:-1], steps[1:]
     result: Floats32 = np.fmin(*np.abs(steps - others))
