@@ -5,7 +5,7 @@ import hashlib
 import io
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path, PurePosixPath
 
 from scanner.batch.place import Place
@@ -54,7 +54,7 @@ class Asked:
         if self._known is not None:
             parse_calibration(self._known, str(self.calibration))
 
-    @property
+    @cached_property
     def _known(self) -> str | None:
         return None if self.calibration is None else Place(self.calibration).read().decode("utf-8", "replace")
 

@@ -213,7 +213,7 @@ class Decoder:
                 odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
                 refuse_whole_periods(plan, seen.code_shifts)
                 if seen.unrest is None:
-                    refuse_untold(plan, [frame for oddity in oddities for frame in oddity.frames], seen.motion)
+                    refuse_untold(plan, {frame for oddity in oddities for frame in oddity.frames}, seen.motion)
         darkness = too_dark(seen.levels, seen.noise)
         told = warnings_of(reasons, learnt.modulation, seen.flicker, darkness)
         return Decoding(

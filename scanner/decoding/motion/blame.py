@@ -1,6 +1,6 @@
 """What is said of captures during which something moved."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import contextmanager
 
 from calib.refusal import RefusalError
@@ -65,14 +65,14 @@ def refuse_whole_periods(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Non
         raise _moved_before_fringes(plan, max(by_periods, key=lambda shift: abs(shift.px)))
 
 
-def refuse_untold(plan: SequencePlan, odd: Collection[int], motion: MotionFound | None) -> None:
+def refuse_untold(plan: SequencePlan, odd: Set[int], motion: MotionFound | None) -> None:
     """Raise RefusalError if something moved farther than fringes can tell, so that no motion explains what they show,
     and `odd` frames of several of them show it.
 
     Those by which shorter fringes are unwrapped may then name another cycle, the same one everywhere. What is wrong
     with a single fringe is a frame of it.
     """
-    broken = [fringe for fringe in plan.fringes if not {*odd}.isdisjoint(fringe.frames)]
+    broken = [fringe for fringe in plan.fringes if odd & {*fringe.frames}]
     if len(broken) > 1 and motion is not None and not (motion.linear or motion.significant):
         raise moved(motion)
 

@@ -12,9 +12,8 @@ from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 
 # So much is taken back of what nothing confirms: a motion between the axes, or one that explains little.
 _LARGEST_BUMP_PX = 0.35
-# Of the shortest period. One that explains what the frames show is followed up to a quarter of it; but a bump within a
-# fringe also leaves up to a quarter of itself as a ripple in single matches, and by bumps of whole parts of a period
-# other smaller ones are feigned.
+# Of the shortest period. Sizes are told up to a sixth of it (measure.py); but a bump within a fringe also leaves up to
+# a quarter of itself as a ripple in single matches.
 _LARGEST_CYCLES = 1 / 8
 # Of a slow motion, each fringe sees a part only. What is larger shifts coordinates by more than their gradient tells.
 _LARGEST_PX = 3.0
