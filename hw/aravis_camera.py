@@ -23,6 +23,7 @@ from hw.errors import DeviceError, FrameLostError  # noqa: E402
 from hw.exposures import whole_periods  # noqa: E402
 from hw.frame_clock import FrameClock  # noqa: E402
 from hw.pixel_formats import PixelFormat, pixel_format  # noqa: E402
+from hw.receive_buffer import receive_buffer  # noqa: E402
 from hw.rig import Frame  # noqa: E402
 from hw.settings import AravisRigSettings  # noqa: E402
 from hw.timed_devices import ATTEMPTS, TRIGGER_LAG_S  # noqa: E402
@@ -270,12 +271,28 @@ class AravisCamera:
             else:
                 camera.gv_set_packet_size(settings.packet_size)
                 self._expect("packet size", settings.packet_size, camera.gv_get_packet_size())
-        stream = camera.create_stream(None, None)
-        if camera.is_gv_device():
-            stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.AUTO)
+            stream = self._network_stream()
+        else:
+            stream = camera.create_stream(None, None)
         for _ in range(_BUFFERS):
             stream.push_buffer(Aravis.Buffer.new_allocate(camera.get_payload()))
         camera.start_acquisition()
+        return stream
+
+    def _network_stream(self) -> Any:
+        """Through a plain socket, where that keeps whole frames. What Aravis takes otherwise, if it may (as root), is a
+        ring of large blocks, which hands over the end of a frame when the block is full, or 5 ms are over
+        (`tp_retire_blk_tov` in arvgvstream.c of Aravis 0.8).
+        """
+        kept = receive_buffer(self._camera.get_payload())
+        if kept is not None:
+            self._camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+        stream = self._camera.create_stream(None, None)
+        if kept is None:
+            stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.AUTO)
+        else:
+            stream.set_property("socket-buffer-size", kept)
+            stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
         return stream
 
     def _read_back(self) -> dict[str, str]:
