@@ -7,7 +7,7 @@ instead of an error; a wait for a frame ignores Ctrl-C until it is over.
 
 import time
 from collections import defaultdict, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from statistics import median
@@ -26,7 +26,7 @@ from hw.pixel_formats import PixelFormat, pixel_format  # noqa: E402
 from hw.receive_buffer import receive_buffer  # noqa: E402
 from hw.rig import Frame  # noqa: E402
 from hw.settings import AravisRigSettings  # noqa: E402
-from hw.timed_devices import ATTEMPTS, TRIGGER_LAG_S  # noqa: E402
+from hw.timed_devices import ATTEMPTS, TRIGGER_LAG_S, nothing  # noqa: E402
 
 _BUFFERS = 4
 _SLICE_S = 0.1  # Ctrl-C waits at most so long
@@ -144,38 +144,48 @@ class AravisCamera:
         self._clock = FrameClock()
         return self.exposure_us
 
-    def expose(self) -> float:
+    def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
         """Expose one frame of what is before the camera from now on; returns when the exposure is over.
 
-        Returns the moment of its trigger (monotonic clock). Raises DeviceError if the camera does not answer.
+        Returns the moment of its trigger (monotonic clock). `meanwhile` is called when the camera has been told. Raises
+        DeviceError if the camera does not answer.
         """
         if self._disturbed:
             self._run_dry()
         self._drain()
         self._triggered_s = time.monotonic()
         if self._free_running:
-            return self._follow()
+            return self._follow(meanwhile)
         with self._errors("does not answer"):
             self._camera.software_trigger()
-        self._disturbed = time.monotonic() - self._triggered_s > _SLOW_TRIGGER_S
-        end = time.monotonic() + self.exposure_s
-        time.sleep(max(0.0, self.exposure_s - _STALE_S))
-        if time.monotonic() < end:
-            self._drain()  # what has arrived before the exposure is over is of an earlier one
-        time.sleep(max(0.0, end - time.monotonic()))
+        told_s = time.monotonic()
+        self._disturbed = told_s - self._triggered_s > _SLOW_TRIGGER_S
+        meanwhile()
+        time.sleep(max(0.0, self._triggered_s + self.exposure_s - _STALE_S - time.monotonic()))
+        self._drop_stale()
+        time.sleep(max(0.0, told_s + self.exposure_s - time.monotonic()))
         return self._triggered_s
 
-    def _follow(self) -> float:
+    def _drop_stale(self) -> None:
+        """What has arrived before an exposure may be over, the camera having obeyed at once, is of an earlier one."""
+        end_s = self._triggered_s + self.exposure_s
+        while time.monotonic() < end_s and (buffer := self._stream.try_pop_buffer()) is not None:
+            if time.monotonic() >= end_s and _came_s(buffer) >= self._triggered_s:
+                self._arrived = buffer  # whoever looked was held up
+            else:
+                self._recycle(buffer)
+
+    def _follow(self, meanwhile: Callable[[], None]) -> float:
         """Wait for a frame whose exposure begins now or later; when it did, as far as time stamps tell.
 
         Where they do not, frames are counted: some may have begun before.
         """
         asked_s, discarded = time.monotonic(), self._discarded
+        meanwhile()
         deadline_s = asked_s + (discarded + 1) * self.exposure_s + _LATEST_FRAME_S
         while (buffer := self._pop(deadline_s - time.monotonic())) is not None:
-            came_s = buffer.get_system_timestamp() / 1e9 - time.time() + time.monotonic()
             stamp_s = buffer.get_timestamp() / 1e9
-            begun_s = self._clock.begun_s(buffer.get_frame_id(), stamp_s, came_s, self.exposure_s)
+            begun_s = self._clock.begun_s(buffer.get_frame_id(), stamp_s, _came_s(buffer), self.exposure_s)
             tells = self._clock.tells and self._discarded <= _IN_FLIGHT
             if begun_s >= asked_s if tells else discarded == 0:
                 break
@@ -189,7 +199,9 @@ class AravisCamera:
         """The frame that was exposed last. Raises FrameLostError if it does not arrive whole, DeviceError."""
         if self._disturbed:
             raise FrameLostError("the camera was slow to answer")
-        buffer, self._arrived = self._arrived if self._free_running else self._pop(_LATEST_FRAME_S), None
+        buffer, self._arrived = self._arrived, None
+        if buffer is None and not self._free_running:
+            buffer = self._pop(_LATEST_FRAME_S)
         if buffer is None:
             self._disturbed = True
             self._check_control()
@@ -372,6 +384,11 @@ class AravisCamera:
                 f"camera {self.name}: {what}: {message}. Check cable and power, the configuration, and "
                 "what scan devices lists, then rerun."
             ) from error
+
+
+def _came_s(buffer: Any) -> float:
+    """When the first packet of a frame came (monotonic clock)."""
+    return float(buffer.get_system_timestamp() / 1e9 - time.time() + time.monotonic())
 
 
 def _centred(room: int, step: int) -> int:

@@ -211,12 +211,9 @@ class Flight:
             log.info("picture %d was missed by %.1f ms", number, 1e3 * (begin_s - latest_s))
             self._punctuality.begun(begin_s - light_s)
             return number, None
-        triggered_s = self._camera.expose()
         number = appointments.pass_on(begin_s)
         self._proofs.stood_beside(number, beside)
-        # While the frame is transferred there is time.
-        self._appoint()
-        self._proofs.judge()
+        triggered_s = self._camera.expose(self._while_exposed)
         try:
             frame = self._camera.collect()
             self._punctuality.ready(time.monotonic() - triggered_s)
@@ -229,6 +226,11 @@ class Flight:
             self.tally.retriggered += 1
             return number, None
         return number, frame
+
+    def _while_exposed(self) -> None:
+        """Whatever takes a while, for there is time."""
+        self._appoint()
+        self._proofs.judge()
 
     def _appoint(self, most: int | None = None) -> None:
         """Appoint the pictures that have to leave before the one after this is exposed, `most` of them."""

@@ -1,5 +1,6 @@
 """What a projector and a camera that share no trigger line have to do and to tell, so that they can be timed."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -22,6 +23,10 @@ class Swap:
 
     begun_s: float
     done_s: float
+
+
+def nothing() -> None:
+    """There is nothing to do meanwhile."""
 
 
 class BufferedProjector(Projector, Protocol):
@@ -62,10 +67,11 @@ class TriggeredCamera(Camera, Protocol):
         Infinite if nobody knows.
         """
 
-    def expose(self) -> float:
+    def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
         """Expose one frame, beginning now or later; returns when the exposure is over. Raises DeviceError.
 
         Returns the moment of the trigger, or of the begin where there is none, in seconds of the monotonic clock.
+        `meanwhile` is called once the camera has been told: what it takes, up to an exposure, costs no time.
         """
 
     def collect(self) -> Frame:

@@ -1,5 +1,6 @@
 """Pictures in flight, on a bench whose clock stands still while nothing happens."""
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from hw.errors import DeviceError
 from hw.synchronisation import SynchronisedRig, synchronised
+from hw.timed_devices import nothing
 from scanner.patterns import draw, level_groups, sequence_for, unpaired_bits
 from tests.support.rig_bench import SIZE, Bench
 
@@ -59,6 +61,14 @@ def test_a_frame_takes_its_exposure_and_a_margin_whatever_the_latency(
     beside = latency_ms / 1e3 / COUNT  # the first picture's light is waited for
     assert 1.1 < (rig.turns.tally.seconds_per_frame - beside) / bench.exposure_s < 1.23
     assert rig.flight.rhythm.in_flight == pytest.approx(latency_ms / 40, abs=1.1)
+
+
+def test_pictures_are_sent_on_their_way_during_exposures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What that takes is no part of a frame's time."""
+    rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.002, sending_s=0.008))
+    assert rig.flight is not None
+    assert rig.flight.missed == 0
+    assert 1.1 < (rig.turns.tally.seconds_per_frame - 0.05 / COUNT) / (1 / 30) < 1.23
 
 
 def test_a_slow_transfer_sets_the_pace(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -246,9 +256,9 @@ def test_a_camera_of_which_nobody_knows_when_it_exposes_takes_turns(monkeypatch:
 
         _asked = False
 
-        def expose(self) -> float:
+        def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
             self._asked = False
-            moment = super().expose()
+            moment = super().expose(meanwhile)
             self._asked = True
             return moment
 

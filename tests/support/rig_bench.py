@@ -1,5 +1,6 @@
 """A projector and a camera on a clock that only they move: what real ones do with time, exactly and at once."""
 
+from collections.abc import Callable
 from math import ceil
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ import pytest
 from calib.numerics.array_types import Image
 from hw.errors import FrameLostError
 from hw.rig import Frame
-from hw.timed_devices import Swap
+from hw.timed_devices import Swap, nothing
 
 SIZE = (8, 6)
 
@@ -36,6 +37,7 @@ class Bench:
         lag_s: float = 0.0,
         seed: int = 0,
         size: tuple[int, int] = SIZE,
+        sending_s: float = 0.0,
     ) -> None:
         self.now = 0.0
         self.size = size
@@ -44,6 +46,7 @@ class Bench:
         self._noise, self._gain = noise, gain
         self._lost = lost
         self._lag_s = lag_s
+        self._sending_s = sending_s
         self._late = range(0)
         self._late_s: dict[int, float] = {}
         self._rng = np.random.default_rng(seed)
@@ -74,6 +77,7 @@ class Bench:
 
     def show_at(self, image: Image, when_s: float) -> None:
         """Appointments are kept however late it is: what they bring is on the wall when its time has come."""
+        self._sleep(self._sending_s)
         begun = max(when_s, self.now, self._swaps[-1].done_s if self._swaps else 0.0)
         self._swaps.append(Swap(begun, begun + 0.002))
         self._leave(image, begun + 0.002)
@@ -103,13 +107,14 @@ class Bench:
         self.prepare(image)
         self.flip()
 
-    def expose(self) -> float:
+    def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
         triggered = self.now
+        meanwhile()
         self.late_s = self._lag_s * self._rng.random()
         self._begin = triggered + self.late_s
         if self.wait_s:  # it runs freely
             self._begin = triggered = self.wait_s * ceil(self._begin / self.wait_s)
-        self._sleep(self._begin - self.now + self.exposure_s)
+        self._sleep(max(0.0, self._begin - self.now + self.exposure_s))
         self.exposures += 1
         self.log.append("expose")
         return triggered
