@@ -29,9 +29,10 @@ _SMALLEST, _MARGIN = 30, 1
 _FAINT = 0.5
 # Frames that contradict the others in so much of where something moved are those in which it did.
 _MUCH_OF_IT = 0.1
-# Where more than this moved, it is no thing before what rests, unless it was in few places at once: a bump is all over
-# the picture in the same frames. Nor is it if the picture as a whole is elsewhere, in pixels of the grid.
-MOST, _MOST_IN_ALL, _FEW_AT_ONCE, _MOVED_PX = 0.7, 0.9, 0.25, 0.5
+# Where more than this moved, it is no thing before what rests, unless it passed: where it has left, frames agree again,
+# so that a pixel contradicts itself in about one group of frames, and after a bump in many. Nor is it if the picture as
+# a whole is elsewhere, in pixels of the grid.
+MOST, _MOST_IN_ALL, _PASSED, _MOVED_PX = 0.7, 0.97, 1.5, 0.5
 
 
 @dataclass(frozen=True)
@@ -70,15 +71,23 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     moved = patches(off, lit)
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
-    at_once = max((float(each.mean()) for _, each in groups), default=0.0)
-    if not 0 < share <= (_MOST_IN_ALL if at_once <= _FEW_AT_ONCE else MOST):
+    if not 0 < share <= (_MOST_IN_ALL if _passed(groups, off[lit]) else MOST):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
     if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):
         return None
     spoilt = _spoilt(plan, levels, lit, moved, noise) if plan.fringes else moved
-    rests = coarse.at_full_size(lit & ~moved)
+    rests = coarse.at_full_size(lit & ~moved & ~_crowded(off, lit))
     return Unrest(coarse.at_full_size(moved), coarse.at_full_size(spoilt), rests, share, tuple(sorted(frames)))
+
+
+def _passed(groups: list[tuple[tuple[int, ...], Bools]], off: Bools) -> bool:
+    """Whether pixels that are off (P,) are so in about one of the groups of frames, which may tell in several ways."""
+    times = sum(
+        np.count_nonzero(np.any([each for of, each in groups if of == frames], axis=0))
+        for frames in {of for of, _ in groups}
+    )
+    return times <= _PASSED * np.count_nonzero(off)
 
 
 def _spoilt(plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel) -> Bools:
@@ -116,15 +125,22 @@ def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[
 
 
 def patches(off: Bools, lit: Bools) -> Bools:
-    """Where most lit pixels around are off, (h, w), as far as they hang together, with a margin."""
-    window = (_WINDOW, _WINDOW)
-    wrong, around = (
-        cv2.boxFilter(each.astype(np.float32), -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        for each in (off & lit, lit)
-    )
-    dense = (wrong > _DENSE * around) & (around > _ENOUGH_LIT * _WINDOW**2) & lit
+    """Where many lit pixels around are off, (h, w), of enough, as far as they hang together, with a margin."""
+    dense = _crowded(off, lit) & (_around(lit) > _ENOUGH_LIT * _WINDOW**2)
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(dense.astype(np.uint8), connectivity=8)
     large = statistics[:, cv2.CC_STAT_AREA] >= _SMALLEST
     large[0] = False
     kernel = np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8)
     return cast(Bools, cv2.dilate(large[labels].astype(np.uint8), kernel).astype(np.bool_))
+
+
+def _crowded(off: Bools, lit: Bools) -> Bools:
+    """Lit pixels of which many around are off, (h, w)."""
+    return (_around(off & lit) > _DENSE * _around(lit)) & lit
+
+
+def _around(some: Bools) -> Floats32:
+    """How many there are in the window around each pixel, (h, w)."""
+    window = (_WINDOW, _WINDOW)
+    count = cv2.boxFilter(some.astype(np.float32), -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return cast(Floats32, count)

@@ -81,6 +81,24 @@ def test_who_goes_past_is_masked(preset: PresetName, first: int, named: str) -> 
     assert any("Something moved in" in warning and named in warning for warning in decoding.warnings)
 
 
+def test_who_crosses_nearly_all_of_the_picture_is_masked_where_that_was() -> None:
+    """A third at a time, here in a pair of bits, there in another, and amid the steps of a fringe."""
+    frames, lit = SCENE.frames(STANDARD), SCENE.well_lit()
+    columns = np.flatnonzero(lit.any(axis=0))
+    edges = np.quantile(columns, [0.0, 0.31, 0.62, 0.93]).astype(int)
+    for first, left, right in zip((20, 22, 28), edges, edges[1:], strict=False):
+        place = np.s_[:, left:right]
+        for number in range(first, first + 2):
+            frames[number] = frames[number].copy()
+            frames[number][place] = OTHER.frame(STANDARD[number], number)[place]
+    decoding = decode(STANDARD, frames, SCENE.projector)
+    kept = decoding.reasons == MaskReason.KEPT
+    assert any("Something moved in" in warning for warning in decoding.warnings)
+    assert np.mean(kept[:, edges[3] + 6 :][lit[:, edges[3] + 6 :]]) > 0.95
+    assert 0.3 < np.mean(kept[lit]) < 0.8
+    assert wrong(decoding) < 0.005
+
+
 def test_what_is_pushed_aside_is_masked_where_it_was_and_is() -> None:
     frames = passed(STANDARD, range(30, len(STANDARD)), other=replace(SCENE, turn_deg=9.0))
     decoding = decode(STANDARD, frames, SCENE.projector)
