@@ -5,7 +5,8 @@ evenly lit in both halves, all of it moves in the camera's picture with the came
 picture alone with the projector.
 """
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +14,8 @@ from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.halves.borders import Places, places_of_tiles
 from scanner.decoding.halves.edges import Edges
-from scanner.decoding.halves.evenly_lit import EvenlyLit
+from scanner.decoding.halves.evenly_lit import EvenlyLit, pairs_of
+from scanner.decoding.halves.moment import Moment, moment_of
 from scanner.decoding.halves.registration import TileShifts, shifts_of_tiles
 from scanner.decoding.halves.tile_moments import centres_of_tiles
 from scanner.decoding.motion.found import SUSPECTED_PX, Disturbance, MotionFound
@@ -38,6 +40,10 @@ _SMALL_PX = 0.2
 # The border is looked for within so many camera px of where it should be: what is beside it rests. Where it may be
 # elsewhere, within more, and so many times the blur.
 _REACH_PX, _COARSE_REACH_PX, _REACH_OF_BLUR = 4.0, 10.0, 2.0
+# Where edges are of before and of after, coordinates between them scatter; so much of that is in their means.
+_MIXED = 0.2
+# A motion within a half explains so much more than one between them.
+_LIKELIER = 1.3
 _ROUNDS = 8
 _HUBER = 2.0
 # The median of the root of what two shifts leave, in standard deviations.
@@ -45,6 +51,24 @@ _MEDIAN_CHI = 1.18
 # Tiles that are neighbours may have in common what is no motion.
 _GROUP_PX = 64
 _SINGULAR = 1e-9
+
+
+@dataclass(frozen=True)
+class _Course:
+    """A motion between two frames, of which x and y are shifted against each other by a `share`, with its `sigma`."""
+
+    share: float = 1.0
+    sigma: float = 0.0
+    first: int | None = None
+    last: int | None = None
+
+    @property
+    def others(self) -> tuple[float, ...]:
+        """Shares that may as well be the true one."""
+        return (self.share - self.sigma, self.share + self.sigma) if self.sigma else ()
+
+
+_BETWEEN = _Course()
 
 
 def motion_between(
@@ -66,21 +90,27 @@ def motion_between(
     places = places_of_tiles(projector_px, step_px)
     first, second = lit.halves
     shares = np.array([axis.axis == second.axis.axis for axis in plan.axes], np.float64)
-    fit = _of_one_or_both(lit.pictures, Edges(projector_px, places, shares, projector_size))
-    shift = Disturbance(np.outer(shares, fit.motion), *sizes)
+    edges = Edges(projector_px, places, shares, projector_size)
+    fit, course = _of_one_or_both(lit.pictures, edges), _BETWEEN
+    for other in _within_halves(lit, edges):
+        of_other = _of_one_or_both(lit.pictures_of(other.before, other.after), edges)
+        # Between the halves it looks smaller than it was.
+        if of_other.significance > _SIGNIFICANT and _turn_px(of_other) > _turn_px(fit):
+            fit, course = of_other, _course(lit, plan, other)
+    shift = Disturbance(np.outer(shares, course.share * fit.motion), *sizes)
     size_px = _typical_px(shift, places, sizes[0])
     significant = fit.significance > _SIGNIFICANT and size_px > _LEAST_PX
-    spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(fit.covariance)]
+    spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(course.share**2 * fit.covariance)]
     between = MotionFound(
         motion=fit.motion,
         significant=significant,
         slow=False,
-        first=plan.repeats * first.last,
-        last=plan.repeats * second.first,
+        first=plan.repeats * (first.last if course.first is None else course.first),
+        last=plan.repeats * (second.first if course.last is None else course.last),
         size_px=size_px,
         explained=1.0,
         shift=shift,
-        others=(),
+        others=tuple(Disturbance(np.outer(shares, one * fit.motion), *sizes) for one in course.others),
         unseen=tuple(spread if significant else [*spread, shift]),
         blind=bool(np.sqrt(np.diag(fit.covariance))[_TURNS].max() > SUSPECTED_PX / 2),
         largest_px=_LARGEST_PX,
@@ -88,6 +118,35 @@ def motion_between(
     if within is None or not within.significant or (significant and size_px > within.size_px):
         return between
     return replace(within, unseen=between.unseen, blind=between.blind)
+
+
+def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
+    """When pairs of codes changed, if that was not between the halves: by the scene, and by the border."""
+    if not lit.of_pairs:
+        return
+    first = len(pairs_of(lit.halves[0].axis))
+    for chosen in edges.masks(np.zeros(COLUMNS), _COARSE_REACH_PX):
+        moment = moment_of([*lit.of_pairs.values()], chosen, first)
+        if moment is not None and moment.gained > _LIKELIER and moment.before and moment.after:
+            yield moment
+
+
+def _turn_px(fit: Fit) -> float:
+    return float(np.linalg.norm(fit.motion[_TURNS]))
+
+
+def _course(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Course:
+    """What a change at this moment does to the coordinates: half of a code's edges are those of its finest bit."""
+    done = dict(zip(lit.of_pairs, moment.done.tolist(), strict=True))
+    of_halves = []
+    for half in lit.halves:
+        pairs = pairs_of(half.axis)
+        edges = {bit: 2.0**bit for bit in pairs}
+        of_halves.append(sum(edges[bit] * done[pair] for bit, pair in pairs.items()) / sum(edges.values()))
+    places = [sorted(plan.shown.index(frame) for frame in pair) for pair in lit.of_pairs]
+    before, after = places[max(moment.before)], places[min(moment.after)]
+    mixed = max(np.sqrt(share * (1 - share)) for share in of_halves)
+    return _Course(of_halves[1] - of_halves[0], _MIXED * mixed, before[-1], after[0])
 
 
 def _of_one_or_both(pictures: tuple[Floats32, Floats32], edges: Edges) -> Fit:
