@@ -38,6 +38,9 @@ _REPAIRED = 0.5
 _MUCH_LEFT, _AS_GOOD = 0.3, 0.9
 _DIFFERENT = 0.02
 _MOST_BRIGHTER = 4.0
+# A lamp that flickers makes white brighter or darker by less than so many times. Where it does, and that explains the
+# frames about as well as light that was switched, none was.
+_FLICKERS, _ABOUT = 2.0, 1.1
 _FEWEST_COMPARED = 400
 # Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
 _SAME_SIGMAS = 4.0
@@ -107,7 +110,8 @@ def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequenc
 def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, LightSwitch | None]:
     """The frames that were made alike, or as they are if that makes more sense, without light that was switched.
 
-    None was if all makes sense once they are alike: a darker step of a fringe is also light at the opposite one.
+    None was if all makes sense once they are alike: a darker step of a fringe is also light at the opposite one. Nor if
+    light flickers and white alone explains it, which no gain is known of: all frames after a dark one have more light.
     """
     best: tuple[Shown, LightSwitch | None] = alike, None
     if not contradictions(plan, alike) and not may_be_switched(plan, alike.levels):
@@ -119,7 +123,12 @@ def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown
         if switch is not None:
             without = replace(one, levels=switch.undone(one.levels))
             best = min(best, (without, switch), key=lambda each: _contradiction(plan, each[0].levels, shown.swing))
-    return best
+    flickers = not np.array_equal(alike.levels, shown.levels)
+    if best[1] is None or plan.white is None or not flickers:
+        return best
+    flickered = _with_white(plan, alike, 1 / _FLICKERS, _FLICKERS)
+    left = [_contradiction(plan, one.levels, shown.swing) for one in (flickered, best[0])]
+    return (alike, None) if left[0] <= _ABOUT * left[1] else best
 
 
 def _with_brighter_white(plan: SequencePlan, alike: Shown) -> Shown:
@@ -129,16 +138,24 @@ def _with_brighter_white(plan: SequencePlan, alike: Shown) -> Shown:
     if plan.white is None:
         return alike
 
-    def brighter(times: float) -> Shown:
+    brighter = _with_white(plan, alike, 1, _MOST_BRIGHTER)
+    left = [_contradiction(plan, one.levels, alike.swing) for one in (brighter, alike)]
+    return brighter if left[0] < _REPAIRED * left[1] else alike
+
+
+def _with_white(plan: SequencePlan, alike: Shown, least: float, most: float) -> Shown:
+    """The frames with white as many times as bright as makes most sense, within limits."""
+
+    def times(factor: float) -> Shown:
         levels = alike.levels.copy()
-        levels[plan.white] *= np.float32(times)
+        levels[plan.white] *= np.float32(factor)
         return replace(alike, levels=levels)
 
-    def left(times: float) -> float:
-        return _contradiction(plan, brighter(times).levels, alike.swing)
+    def left(factor: float) -> float:
+        return _contradiction(plan, times(factor).levels, alike.swing)
 
-    found = minimize_scalar(left, bounds=(1, _MOST_BRIGHTER), method="bounded", options={"xatol": 0.01})
-    return brighter(float(found.x)) if found.fun < _REPAIRED * left(1.0) else alike
+    found = minimize_scalar(left, bounds=(least, most), method="bounded", options={"xatol": 0.01})
+    return times(float(found.x))
 
 
 def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Oddity]) -> str:

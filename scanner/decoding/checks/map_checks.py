@@ -25,6 +25,8 @@ from scanner.decoding.tune import agreeing
 from scanner.errors import InputError
 
 _FEWEST_PIXELS = 100
+# Amplitudes below this part of what the brightest few have say nothing about the order of frames.
+_FAINT, _BRIGHT = 0.05, 0.98
 # The mean cosine of the phase that a Gray cell leaves; cells that leave less say too little about the phase.
 _INFORMATIVE = 0.3
 # Fringes that have nothing to do with the code leave nothing of that cosine.
@@ -51,6 +53,9 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     measured = replace(decoder, tolerances=widest_tolerances(axis)).measure(signals)
     interval = measured.interval
     lit = measured.well_lit & interval.possible
+    if np.any(lit):
+        # Gains of a lamp that are a little wrong leave a fringe where only the room's light is.
+        lit &= measured.powers[0] > _FAINT**2 * np.quantile(measured.powers[0][lit], _BRIGHT)
     if np.count_nonzero(lit) < _FEWEST_PIXELS:
         return
     for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):

@@ -13,14 +13,19 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 # The polynomials up to the cubic ones, of either coordinate, share what is seen.
 _MODES = 20
+# Frames that are each somewhere else ripple a fringe, and what of it is alike over whole faces is this part of the
+# coordinates' motion: 0.001 to 0.002 px of 0.2 to 0.3, of each polynomial, in three simulated rooms.
+_LEFT_OF_SINGLE_FRAMES = 0.006
 
 
 def between_periods_px(plan: SequencePlan, motion: MotionFound | None) -> float:
-    """What coordinates may err smoothly if a motion was seen between fringes of two periods, and was none, as of
-    `calib.refinement.Shifts`; 0 if none was seen.
+    """What coordinates may err smoothly if a motion was seen between fringes of two periods, and was none, or if each
+    frame was somewhere else, as of `calib.refinement.Shifts`; 0 if none was seen.
     """
-    if motion is None or not motion.significant or motion.slow or motion.one_by_one:
+    if motion is None or not motion.significant or motion.slow:
         return 0.0
+    if motion.one_by_one:
+        return _LEFT_OF_SINGLE_FRAMES * motion.size_px
     periods = sorted({fringe.period for fringe in plan.fringes}, reverse=True)
     for longer, shorter in pairwise(periods):
         before = [place for place in _places(plan, longer) if place >= motion.last / plan.repeats]

@@ -66,8 +66,10 @@ class MotionMeter:
         self._tile = np.tile(pixels.tile, 2)
         self._times = sorted({int(time) for axis in self._showings for one in axis for time in one.times})
 
-    def measure(self) -> MotionFound:
-        """The motion that explains the fringes best, and what may be the truth beside it."""
+    def measure(self) -> tuple[MotionFound, bool]:
+        """The motion that explains the fringes best, and what may be the truth beside it; and whether they contradict
+        rest, if only by what no single event explains.
+        """
         slow = Course(self._times[0], self._times[-1], slow=True)
         bumps = [Course(first, last) for first, last in pairwise(self._times)]
         tried = [self._try(course) for course in [slow, *bumps[::_STRIDE]]]
@@ -83,9 +85,10 @@ class MotionMeter:
         size_px = self._size_px(refined.fit)
         linear = size_px < _LINEAR_CYCLES * self._finest_period
         first, last = min(one.course.first for one in likely), max(one.course.last for one in likely)
-        return MotionFound(
+        contradicted = self._is_overdetermined and is_significant
+        found = MotionFound(
             motion=refined.fit.motion,
-            significant=self._is_overdetermined and is_significant and explained > _LEAST_EXPLAINED,
+            significant=contradicted and explained > _LEAST_EXPLAINED,
             slow=best.course.slow,
             first=self._repeats * (best.course.first if best.course.slow else first),
             last=self._repeats * (best.course.last if best.course.slow else last),
@@ -97,6 +100,7 @@ class MotionMeter:
             linear=linear,
             undecided=is_significant and (not linear or self._is_undecided(best.course)),
         )
+        return found, contradicted
 
     def _is_undecided(self, course: Course) -> bool:
         """Whether the camera alone explains about as much as the projector alone, as before a scene of little depth."""
@@ -185,8 +189,8 @@ def measure_motion(
     pixels = choose_pixels(plan, tiles, signals, noise, saturation)
     if pixels is None:
         return None
-    found = MotionMeter(plan, tiles, pixels, projector_size).measure()
-    shifts = shifts_of_frames(plan, tiles, noise, saturation) if found.significant else None
+    found, contradicted = MotionMeter(plan, tiles, pixels, projector_size).measure()
+    shifts = shifts_of_frames(plan, tiles, noise, saturation) if contradicted else None
     if shifts is None or not shifts.is_no_event:
         return found
     one_by_one = moved_one_by_one(found, plan, shifts, pixels)

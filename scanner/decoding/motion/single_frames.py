@@ -27,6 +27,9 @@ _HUBER = 2.0
 # What ripple makes of a single frame at rest, and of the mean of those of a fringe, as between halves.
 _OF_A_FRAME_PX, _OF_A_FRINGE_PX = 0.03, 0.01
 _BY_CHANCE = erfc(5.0 / sqrt(2))
+# Of what contradicts rest beside light, in squares: shifts explain more than 0.9 where frames were shifted, and less
+# than 0.3 where light that flickered was not told.
+_LEAST_BY_SHIFTS = 0.5
 # One event explains all of what frames that it moved show; what is not linear about it is some hundredths.
 _MOST_BY_EVENT = 0.95
 
@@ -34,21 +37,25 @@ _MOST_BY_EVENT = 0.95
 @dataclass(frozen=True)
 class FrameShifts:
     """Of N frames, taken as number `times` (N,) of the sequence: how far each shows the scene to the right and down,
-    `shift_px` (2, N), about their mean; with the `covariance` (2 N, 2 N) of these. `by_event`: how much of what they
-    explain one bump or one even drift of both devices explains.
+    `shift_px` (2, N), about their mean; with the `covariance` (2 N, 2 N) of these. `by_shifts`: the share that they
+    explain of what light leaves. `by_event`: how much of what they explain one bump or one even drift of both devices
+    explains.
     """
 
     times: Ints
     shift_px: Floats
     covariance: Floats
+    by_shifts: float
     by_event: float
 
     @property
     def is_no_event(self) -> bool:
-        """Whether they differ by more than chance, and no single event explains it."""
+        """Whether they differ by more than chance, and explain what no single event does."""
+        if self.by_shifts < _LEAST_BY_SHIFTS or self.by_event >= _MOST_BY_EVENT:
+            return False
         shifts = self.shift_px.reshape(-1)
         squared = float(shifts @ np.linalg.solve(self.covariance + _OF_A_FRAME_PX**2 * np.eye(shifts.size), shifts))
-        return self.by_event < _MOST_BY_EVENT and squared > chi2.isf(_BY_CHANCE, shifts.size - 2)
+        return squared > chi2.isf(_BY_CHANCE, shifts.size - 2)
 
     def between(self, shares: Floats) -> tuple[Floats, Floats]:
         """The sum (2,) of shares (N,) of the shifts, and its covariance (2, 2)."""
@@ -72,15 +79,10 @@ def _solved(equations: FrameEquations) -> FrameShifts:
     alike = 4 * count
     expected[:alike, :alike] += np.sum(design**2) * np.kron(np.eye(4), np.full((count, count), 1 / count))
     asked = slice(0, len(columns) - count)
-    weight = np.ones(len(seen))
-    for _ in range(_ROUNDS):
-        weighted = design * weight
-        normal, right = weighted @ design.T + expected, weighted @ seen
-        inverse = np.linalg.inv(normal[asked, asked])
-        found = inverse @ right[asked]
-        left = seen - found @ design[asked]
-        scale = SIGMA_PER_MEDIAN * median(np.abs(left))
-        weight = np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(left), 1e-9))
+    light = slice(2 * count, len(columns) - count)
+    found, left, weight, inverse = _robust(design[asked], seen, expected[asked, asked])
+    _, left_by_light, *_ = _robust(design[light], seen, expected[light, light])
+    normal, right = (design * weight) @ design.T + expected, (design * weight) @ seen
     scores = (design[asked] * (weight * left)).reshape(columns[asked].shape).sum(axis=1)
     _, group = np.unique(equations.tile, return_inverse=True)
     sums = np.stack([np.bincount(group, of_unknown) for of_unknown in scores])
@@ -90,8 +92,26 @@ def _solved(equations: FrameEquations) -> FrameShifts:
         equations.times,
         (about_mean @ found[: 2 * count]).reshape(2, count),
         about_mean @ covariance @ about_mean,
+        1.0 - (_scale(left) / max(_scale(left_by_light), 1e-9)) ** 2,
         _by_event(equations, normal, right),
     )
+
+
+def _robust(design: Floats, seen: Floats, expected: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """The unknowns (U,) that explain what is seen (M,); what is left, its weights (M,), the inverse normal matrix."""
+    weight: Floats = np.ones(len(seen))
+    for _ in range(_ROUNDS):
+        weighted = design * weight
+        inverse: Floats = np.asarray(np.linalg.inv(weighted @ design.T + expected), np.float64)
+        found = inverse @ (weighted @ seen)
+        left = seen - found @ design
+        weight = np.minimum(1.0, _HUBER * _scale(left) / np.maximum(np.abs(left), 1e-9))
+    return found, left, weight, inverse
+
+
+def _scale(left: Floats) -> float:
+    """The standard deviation of what is left (M,), but for what is far off."""
+    return SIGMA_PER_MEDIAN * float(median(np.abs(left)))
 
 
 def _by_event(equations: FrameEquations, normal: Floats, right: Floats) -> float:
@@ -138,6 +158,7 @@ def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts
     return replace(
         found,
         motion=typical,
+        significant=True,
         slow=False,
         one_by_one=True,
         first=plan.repeats * int(shifts.times[0]),
