@@ -142,7 +142,7 @@ class Decoder:
         grey = self._light.remove(self._count, grey) if self._light else grey
         if self._held is None:
             shape = grey.shape[0], grey.shape[1]
-            refuse_more_than_there_is(shape)
+            refuse_more_than_there_is(shape, codes_alone=not self._plan.fringes)
             sample = Sample(shape, neighbours=needs_neighbours(self._plan))
             accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape), sample.pixels)
             self._held = accumulators, sample, TileSample(shape), CoarseFrames(shape)

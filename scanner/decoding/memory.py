@@ -4,13 +4,14 @@ from pathlib import Path
 
 from scanner.errors import InputError
 
-_BYTES_PER_PIXEL = 70  # at its highest, with 16-bit frames and a match at every pixel
+# At its highest, with 16-bit frames and a match at every pixel. Of codes alone every pair is kept.
+_BYTES_PER_PIXEL, _OF_CODES_ALONE = 70, 155
 _MEMINFO = Path("/proc/meminfo")
 
 
-def refuse_more_than_there_is(shape: tuple[int, int]) -> None:
+def refuse_more_than_there_is(shape: tuple[int, int], *, codes_alone: bool) -> None:
     """Raise InputError if frames (H, W) take more memory than is free, where the system tells."""
-    needed, free = shape[0] * shape[1] * _BYTES_PER_PIXEL, _free_bytes()
+    needed, free = shape[0] * shape[1] * (_OF_CODES_ALONE if codes_alone else _BYTES_PER_PIXEL), _free_bytes()
     if free is not None and needed > free:
         raise InputError(
             f"frames of {shape[1]} × {shape[0]} pixels take about {needed / 1e9:.1f} GB of memory to decode, and "

@@ -87,7 +87,7 @@ def _passed(groups: list[tuple[tuple[int, ...], Bools]], off: Bools) -> bool:
         np.count_nonzero(np.any([each for of, each in groups if of == frames], axis=0))
         for frames in {of for of, _ in groups}
     )
-    return times <= _PASSED * np.count_nonzero(off)
+    return bool(times <= _PASSED * np.count_nonzero(off))
 
 
 def _spoilt(plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel) -> Bools:
