@@ -13,7 +13,7 @@ from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
 from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Oddity
-from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
+from scanner.decoding.checks.frame_checks import ENOUGH_RESTING, agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.fringes.blur import leave_out_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
@@ -125,9 +125,9 @@ def look(
 
 
 def _unrest(plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel) -> Unrest | None:
-    """Where something moved, if exchanged frames are not why it looks so."""
+    """Where something moved, if enough rests to tell, and exchanged frames are not why it looks so."""
     found = find_unrest(plan, coarse, noise)
-    if found is None:
+    if found is None or np.count_nonzero(found.rests.reshape(-1)[sample.pixels]) < ENOUGH_RESTING:
         return None
     levels = sample.levels[:, found.moved.reshape(-1)[sample.pixels]]
     return None if an_exchange_explains(plan, levels, found.frames) else found
@@ -160,7 +160,8 @@ def _equalise(
     levels = sample.levels
     lit = lit_by(np.ptp(levels, axis=0))
     if unrest is not None:
-        lit = lit[unrest.rests.reshape(-1)[sample.pixels[lit]]]
+        resting = lit[unrest.rests.reshape(-1)[sample.pixels[lit]]]
+        lit = resting if len(resting) >= ENOUGH_RESTING else lit
     few = sample.pixels[lit]
     middle, brightest = (
         image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)

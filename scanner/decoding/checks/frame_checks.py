@@ -28,7 +28,7 @@ _WELL_SEEN = 20.0
 _LEAST_SWING = 2.0
 _FEWEST_LIT = 20
 _ENOUGH_LIT = 500
-_ENOUGH_RESTING = 100
+ENOUGH_RESTING = 100
 _MOST_LIT = 4000
 # Each frame in a wrong place adds the square of its difference from the right one to the contradictions, twice that if
 # only one other frame contradicts it; undoing an exchange takes away at least this part of it.
@@ -82,7 +82,7 @@ def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: f
     high, low = levels.max(axis=0), levels.min(axis=0)
     sigma = noise.sigma((high + low) / 2)
     lit = (high - low > _SEEN * np.sqrt(2) * sigma) & (high - low > _LEAST_SWING) & (high < saturation)
-    if np.count_nonzero(lit) < _ENOUGH_RESTING:
+    if np.count_nonzero(lit) < ENOUGH_RESTING:
         return False
     return not contradictions(plan, Shown(levels[:, lit], (high - low)[lit], sigma[lit]))
 

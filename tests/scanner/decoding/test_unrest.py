@@ -155,6 +155,16 @@ def test_nothing_moved(preset: PresetName, scene: Scene) -> None:
     assert not np.any(decoding.reasons == MaskReason.MOVED)
 
 
+def test_where_all_that_is_lit_seems_to_move_nothing_is_learnt_from_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As when a lamp is switched on that lights more than the projector does."""
+    lit = SCENE.well_lit()
+    seeming = Unrest(lit, lit, ~lit, 0.9, (30, 31))
+    monkeypatch.setattr("scanner.decoding.learning.find_unrest", lambda *_: seeming)
+    decoding = SCENE.decode(STANDARD)
+    assert not np.any(decoding.reasons == MaskReason.MOVED)
+    assert wrong(decoding) < 0.0005
+
+
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("knocked_px", [6, 14])
 def test_a_camera_that_was_knocked_is_no_thing_that_moved(preset: PresetName, knocked_px: int) -> None:
