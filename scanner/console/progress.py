@@ -113,7 +113,8 @@ def durations_in(path: Path) -> Mapping[str, float]:
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
             found = [match.groups() for line in file.read(_LOG_BYTES).splitlines() if (match := _STEP.match(line))]
-        times = [datetime.fromisoformat(when) for when, _ in found]
+        # A damaged log may tell the zone of one line: the clock counts.
+        times = [datetime.fromisoformat(when).replace(tzinfo=None) for when, _ in found]
     except (OSError, ValueError):
         return {}
     steps = zip(found, times, times[1:], strict=False)

@@ -283,6 +283,8 @@ def test_how_long_it_takes_is_told_by_the_last_time(tmp_path: Path) -> None:
     )
     assert durations_in(log) == {"Capturing and decoding": pytest.approx(10, abs=1), "Calibrating": 7}
     assert durations_in(tmp_path / "nothing") == {}
+    log.write_text(log.read_text().replace("03:04:22,", "03:04:22+05,"))
+    assert durations_in(log)["Calibrating"] == 7, "a damaged line"
     assert Stage("Calibrating", began_s=100.0, usual_s=7.0).left_s(102.0) == 5.0
     assert Stage("Calibrating", began_s=100.0, usual_s=7.0).left_s(120.0) == 0.0
     assert Stage("Capturing", 5, 20, began_s=100.0, usual_s=1.0).left_s(110.0) == 30.0
