@@ -9,7 +9,8 @@ from calib.numerics import Bools, Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.halves.tile_moments import TILE_PX, centres_of_tiles, moments_of_tiles
 
-# The light ends within so many camera px of decoded pixels.
+# Decoded pixels so near to the border, in projector px, tell that it passes, within so many camera px.
+_NEAR_PX = 6.0
 _REACH_PX = 10
 # Planes go on for so many tiles beyond what is decoded: the border of a picture that moved is masked there.
 _BEYOND_TILES = 3
@@ -30,6 +31,15 @@ class Places:
 
     projector_px: Floats
     gradient: Floats
+
+
+def seen_border(projector_px: Floats32, size: tuple[int, int], step_px: float) -> Bools:
+    """Where (H, W) the border of a picture of (width, height) may be seen, by the coordinates (H, W, 2) around it.
+
+    These come in steps of `step_px`.
+    """
+    inside = np.minimum(projector_px, np.array(size, np.float32) - 1 - projector_px)
+    return _around(inside.min(axis=2) < _NEAR_PX + step_px / 2)  # NaN is not
 
 
 def near_border(

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.halves.borders import Places, going_on, lit_in, near_border
+from scanner.decoding.halves.borders import Places, going_on, lit_in, near_border, seen_border
 from scanner.decoding.halves.tile_moments import TILE_PX, centres_of_tiles
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 
@@ -19,12 +19,25 @@ _LEAST_AREA = 1e-3
 
 
 @dataclass(frozen=True)
+class Shown:
+    """Pixels (H, W) that show the `scene` in the light, and those that show the `border` of the picture; by how much
+    that border moves in each of T tiles, `of_border` (T, 2, 8), per px of each part of a motion, NaN where unknown.
+    """
+
+    scene: Bools
+    border: Bools
+    of_border: Floats
+
+
+@dataclass(frozen=True)
 class Edges:
-    """Of a capture: `projector_px` (H, W, 2), NaN where unknown, by frames of which those along the axes of which
-    `later` (2,) is 1 were taken after a motion; `places` of its tiles. `size` (width, height) of the projector.
+    """Of a capture: `projector_px` (H, W, 2) in steps of `step_px`, NaN where unknown, by frames of which those along
+    the axes of which `later` (2,) is 1 were taken after a motion; `places` of its tiles. `size` (width, height) of the
+    projector.
     """
 
     projector_px: Floats32
+    step_px: float
     places: Places
     later: Floats
     size: tuple[int, int]
@@ -37,8 +50,16 @@ class Edges:
         return moved
 
     @cached_property
-    def of_border(self) -> Floats:
-        """The same of the border of the projector's picture; NaN where unknown."""
+    def decoded(self) -> Shown:
+        """By the pixels that are decoded: what hardly moved."""
+        border = seen_border(self.projector_px, self.size, self.step_px)
+        unknown = ~np.isfinite(self.places.gradient).all(axis=(1, 2))
+        of_border = self._of_border.copy()
+        of_border[unknown] = np.nan
+        return Shown(self._lit & ~border, border, of_border)
+
+    @cached_property
+    def _of_border(self) -> Floats:
         gradient = np.nan_to_num(self._around.gradient)
         known = np.abs(np.linalg.det(gradient)) > _LEAST_AREA
         gradient[~known] = np.eye(2)
@@ -47,17 +68,14 @@ class Edges:
         moved[~known] = np.nan
         return moved
 
-    def masks(self, motion: Floats, reach_px: float) -> tuple[Bools, Bools]:
-        """Pixels (H, W) that show the scene in the light, and those that show the border of the picture, within so many
-        px of where it was before a motion (8,).
-        """
+    def beside(self, motion: Floats, reach_px: float) -> Shown:
+        """Within so many px of where the border was before a motion (8,), by the planes around it."""
         width, height = self._camera_size
         centre = centres_of_tiles((height, width)).reshape(-1, 2)
         places = self._around
         by_motion = shifts_by_motion(centre, places.projector_px, places.gradient, self._camera_size, self.size)
         border = near_border(self.projector_px, places, by_motion @ motion * self.later, self.size, reach_px)
-        # In the dark a camera's fixed pattern, which rests, is much of what is seen.
-        return lit_in(self.projector_px) & ~border, border
+        return Shown(self._lit & ~border, border, self._of_border)
 
     def taken_back(self, picture: Floats32, motion: Floats) -> tuple[Floats32, Floats32]:
         """A picture (H, W) of the scene, and one of the border of the projector's picture, as before a motion (8,)."""
@@ -68,7 +86,7 @@ class Edges:
         to = np.column_stack([turn, middle + np.array([right, down]) - turn @ middle])
         x, y = np.meshgrid(np.arange(width), np.arange(height))
         scene_px = (to[:, 0] * x[..., None] + to[:, 1] * y[..., None] + to[:, 2]).astype(np.float32)
-        by_projector = np.nan_to_num(self.of_border[:, :, :PER_DEVICE] @ motion[:PER_DEVICE])
+        by_projector = np.nan_to_num(self._of_border[:, :, :PER_DEVICE] @ motion[:PER_DEVICE])
         grid = by_projector.reshape(height // TILE_PX, width // TILE_PX, 2).astype(np.float32)
         covered = np.zeros((height, width, 2), np.float32)
         if grid.size:
@@ -82,6 +100,11 @@ class Edges:
             for places in (scene_px, scene_px + covered)
         )
         return np.asarray(scene, np.float32), np.asarray(border, np.float32)
+
+    @cached_property
+    def _lit(self) -> Bools:
+        # In the dark a camera's fixed pattern, which rests, is much of what is seen.
+        return lit_in(self.projector_px)
 
     @property
     def _camera_size(self) -> tuple[int, int]:

@@ -8,12 +8,13 @@ picture alone with the projector.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.halves.borders import Places, places_of_tiles
-from scanner.decoding.halves.edges import Edges
+from scanner.decoding.halves.edges import Edges, Shown
 from scanner.decoding.halves.evenly_lit import EvenlyLit, pairs_of
 from scanner.decoding.halves.moment import Moment, moment_of
 from scanner.decoding.halves.registration import TileShifts, shifts_of_tiles
@@ -37,9 +38,14 @@ _TURNS = [0, 1, PER_DEVICE, PER_DEVICE + 1]
 # A motion that is not small against the blur of edges is found from coarse to fine.
 _COARSE_TO_FINE_PX = (6.0, 3.0, 1.5, 0.0, 0.0)
 _SMALL_PX = 0.2
+# Such a fit is believed if its last step is this small, and it explains this share of what the pictures differ by where
+# they have edges: without texture it finds what is not there.
+_CONVERGED_PX, _EXPLAINED = 0.1, 0.5
 # The border is looked for within so many camera px of where it should be: what is beside it rests. Where it may be
 # elsewhere, within more, and so many times the blur.
 _REACH_PX, _COARSE_REACH_PX, _REACH_OF_BLUR = 4.0, 10.0, 2.0
+# One pair that differs from all others does so by its stripes.
+_FEWEST_PAIRS = 2
 # Where edges are of before and of after, coordinates between them scatter; so much of that is in their means.
 _MIXED = 0.2
 # A motion within a half explains so much more than one between them.
@@ -90,7 +96,7 @@ def motion_between(
     places = places_of_tiles(projector_px, step_px)
     first, second = lit.halves
     shares = np.array([axis.axis == second.axis.axis for axis in plan.axes], np.float64)
-    edges = Edges(projector_px, places, shares, projector_size)
+    edges = Edges(projector_px, step_px, places, shares, projector_size)
     fit, course = _of_one_or_both(lit.pictures, edges), _BETWEEN
     for other in _within_halves(lit, edges):
         of_other = _of_one_or_both(lit.pictures_of(other.before, other.after), edges)
@@ -125,9 +131,12 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
     if not lit.of_pairs:
         return
     first = len(pairs_of(lit.halves[0].axis))
-    for chosen in edges.masks(np.zeros(COLUMNS), _COARSE_REACH_PX):
+    shown = edges.beside(np.zeros(COLUMNS), _COARSE_REACH_PX)
+    for chosen in (shown.scene, shown.border):
         moment = moment_of([*lit.of_pairs.values()], chosen, first)
-        if moment is not None and moment.gained > _LIKELIER and moment.before and moment.after:
+        if moment is None or min(len(moment.before), len(moment.after)) < _FEWEST_PAIRS:
+            continue
+        if moment.gained > _LIKELIER:
             yield moment
 
 
@@ -163,36 +172,70 @@ def _of_one_or_both(pictures: tuple[Floats32, Floats32], edges: Edges) -> Fit:
 
 
 def _measured(pictures: tuple[Floats32, Floats32], edges: Edges, expected_px: Floats) -> Fit:
-    """From coarse to fine, where it is not small."""
-    motion = np.zeros(COLUMNS)
-    fit = _fit(pictures, edges, motion, expected_px, 0.0)
-    coarse = _fit(pictures, edges, motion, expected_px, _COARSE_TO_FINE_PX[0])
-    if max(np.abs(fit.motion).max(), np.abs(coarse.motion).max()) < _SMALL_PX:
+    """Where it is not small, from coarse to fine: of both devices if that can be believed, or of the camera alone."""
+    at_rest = np.zeros(COLUMNS)
+    fit = _fit(pictures, edges, edges.decoded, at_rest, expected_px)
+    coarse_px = _COARSE_TO_FINE_PX[0]
+    coarse = _fit(pictures, edges, _beside(edges, at_rest, coarse_px), at_rest, expected_px, coarse_px)
+    largest_px = float(np.abs(fit.motion).max())
+    if max(largest_px, float(np.abs(coarse.motion).max())) < _SMALL_PX:
         return fit
+    motion, moved = at_rest, fit
     for blur_px in _COARSE_TO_FINE_PX:
-        fit = _fit(pictures, edges, motion, expected_px, blur_px)
-        motion = motion + fit.motion
-    return replace(fit, motion=motion)
+        moved = _fit(pictures, edges, _beside(edges, motion, blur_px), motion, expected_px, blur_px)
+        motion = motion + moved.motion
+    if np.abs(moved.motion).max() < _CONVERGED_PX and _explained(pictures, edges, motion) > _EXPLAINED:
+        return replace(moved, motion=motion)
+    if largest_px < _SMALL_PX:
+        return fit
+    camera = at_rest.copy()
+    for blur_px in _COARSE_TO_FINE_PX:
+        fit = _fit(pictures, edges, edges.decoded, camera, expected_px, blur_px)
+        camera[PER_DEVICE:] += fit.motion[PER_DEVICE:]
+    return replace(fit, motion=np.concatenate([fit.motion[:PER_DEVICE], camera[PER_DEVICE:]]))
 
 
-def _fit(pictures: tuple[Floats32, Floats32], edges: Edges, motion: Floats, expected_px: Floats, blur_px: float) -> Fit:
-    """What there is beside a motion (8,).
+def _beside(edges: Edges, motion: Floats, blur_px: float) -> Shown:
+    return edges.beside(motion, _COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX)
 
-    Of blurred pictures all tiles are believed alike: most of a border may run along the motion, and not show it.
-    """
+
+def _explained(pictures: tuple[Floats32, Floats32], edges: Edges, motion: Floats) -> float:
+    """The share, in squares, of what the pictures (H, W) differ by at their edges that a motion (8,) explains."""
+    before, after = pictures
+    of_scene, of_border = edges.taken_back(after, motion)
+    shown = _beside(edges, motion, 0.0)
+    steepness = np.square(cv2.Sobel(before, cv2.CV_32F, 1, 0)) + np.square(cv2.Sobel(before, cv2.CV_32F, 0, 1))
+    left = sum(
+        float(np.sum((steepness * np.square(back - before))[at]))
+        for back, at in ((of_scene, shown.scene), (of_border, shown.border))
+    )
+    differ = float(np.sum((steepness * np.square(after - before))[shown.scene | shown.border]))
+    return 1 - left / max(differ, 1e-12)
+
+
+def _fit(
+    pictures: tuple[Floats32, Floats32],
+    edges: Edges,
+    shown: Shown,
+    motion: Floats,
+    expected_px: Floats,
+    blur_px: float = 0.0,
+) -> Fit:
+    """What there is beside a motion (8,)."""
     before, after = pictures
     of_scene, of_border = edges.taken_back(after, motion) if motion.any() else (after, after)
-    in_scene, at_border = edges.masks(motion, _COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX)
-    scene = shifts_of_tiles(before, of_scene, in_scene, blur_px)
-    border = shifts_of_tiles(before, of_border, at_border, blur_px, own_light=not blur_px)
-    known = np.isfinite(edges.of_border).all(axis=(1, 2))
+    # Where the border may be anywhere, all tiles are believed alike: most of it may run along the motion.
+    anywhere = blur_px > 0 and shown is not edges.decoded
+    scene = shifts_of_tiles(before, of_scene, shown.scene, blur_px)
+    border = shifts_of_tiles(before, of_border, shown.border, blur_px, own_light=not anywhere)
+    known = np.isfinite(shown.of_border).all(axis=(1, 2))
     centre_px, normal, pull = (
         np.concatenate([getattr(scene, name), getattr(border, name)[known]]) for name in ("centre_px", "normal", "pull")
     )
-    design = np.concatenate([edges.of_scene, edges.of_border[known]])
+    design = np.concatenate([edges.of_scene, shown.of_border[known]])
     tells = normal.trace(axis1=1, axis2=2) > 0
     tiles = TileShifts(centre_px[tells], normal[tells], pull[tells])
-    return _least_squares(design[tells], expected_px, tiles, np.inf if blur_px else _HUBER)
+    return _least_squares(design[tells], expected_px, tiles, np.inf if anywhere else _HUBER)
 
 
 def _least_squares(design: Floats, expected_px: Floats, tiles: TileShifts, huber: float) -> Fit:

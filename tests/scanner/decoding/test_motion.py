@@ -273,7 +273,7 @@ def test_a_projector_that_turned_between_the_axes_shows_by_the_border_of_its_pic
     assert motion.is_too_large == (abs(down_px) > 0.5)
 
 
-@pytest.mark.parametrize("pairs_after", [1, 2])
+@pytest.mark.parametrize("pairs_after", [2, 3])
 def test_a_camera_that_turned_before_the_finest_bits_of_a_code(pairs_after: int) -> None:
     at, px = len(CODES) - 2 * pairs_after, 0.3
     after = Turned(SCENE.camera, SCENE.projector, down_px=px)
@@ -282,7 +282,7 @@ def test_a_camera_that_turned_before_the_finest_bits_of_a_code(pairs_after: int)
     assert motion.significant
     assert motion.motion[5] == pytest.approx(px, abs=0.05)  # not a part of it, as the mean over all pairs
     assert motion.first < at <= motion.last
-    share = {1: 0.5, 2: 0.75}[pairs_after]  # of the edges
+    share = {2: 0.75, 3: 0.875}[pairs_after]  # of the edges
     assert motion.shift.motions[1, 5] == pytest.approx(share * px, abs=0.05)
 
 
