@@ -28,6 +28,8 @@ _SIGNIFICANT = 5.0
 _LEAST_PX = 0.02
 # What all of the scene, or of a border, shows is known to be one motion.
 _LARGEST_PX = 0.5
+# A camera that moved farther sees other things beside the edges of things, and moved along with its tripod's head.
+_LARGEST_OF_CAMERA_PX = 0.5
 # What ripple of fringes and fixed patterns do to what is measured, in captures of real devices at rest.
 _SYSTEMATIC_PX = 0.01
 # Of what nothing is seen: a knock turns a device; it hardly rolls it, and changes no zoom.
@@ -119,7 +121,7 @@ def motion_between(
         others=tuple(Disturbance(np.outer(shares, one * fit.motion), *sizes) for one in course.others),
         unseen=tuple(spread if significant else [*spread, shift]),
         blind=bool(np.sqrt(np.diag(fit.covariance))[_TURNS].max() > SUSPECTED_PX / 2),
-        largest_px=_LARGEST_PX,
+        largest_px=_LARGEST_PX if np.hypot(*fit.motion[_TURNS[2:]]) < _LARGEST_OF_CAMERA_PX else 0.0,
     )
     if within is None or not within.significant or (significant and size_px > within.size_px):
         return between
