@@ -4,8 +4,8 @@ from pathlib import Path
 
 from scanner.errors import InputError
 
-# At its highest, with 16-bit frames and a match at every pixel. Of codes alone edges are kept as well.
-_BYTES_PER_PIXEL, _OF_CODES_ALONE = 70, 120
+# At its highest, with 16-bit frames and a match at every pixel. Of codes alone edges and all pairs are kept as well.
+_BYTES_PER_PIXEL, _OF_CODES_ALONE = 70, 152
 _MEMINFO = Path("/proc/meminfo")
 
 

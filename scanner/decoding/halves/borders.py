@@ -7,11 +7,14 @@ import numpy as np
 
 from calib.numerics import Bools, Floats
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.halves.tile_moments import centres_of_tiles, moments_of_tiles
+from scanner.decoding.halves.tile_moments import TILE_PX, centres_of_tiles, moments_of_tiles
 
 # Decoded pixels so near to the border, in projector px, tell that it passes, within so many camera px.
 _NEAR_PX = 6.0
 _REACH_PX = 10
+# Planes go on for so many tiles beyond what is decoded: the border of a picture that moved is masked there.
+_BEYOND_TILES = 3
+_FLAT = 1e-3  # projector px per camera px
 # The coordinates of a tile are those of a plane through its decoded pixels and its neighbours'.
 _AROUND_TILES = 3
 _FEWEST_PX = 100
@@ -30,13 +33,38 @@ class Places:
     gradient: Floats
 
 
-def near_border(projector_px: Floats32, size: tuple[int, int], step_px: float) -> Bools:
+def seen_border(projector_px: Floats32, size: tuple[int, int], step_px: float) -> Bools:
     """Where (H, W) the border of a picture of (width, height) may be seen, by the coordinates (H, W, 2) around it.
 
     These come in steps of `step_px`.
     """
     inside = np.minimum(projector_px, np.array(size, np.float32) - 1 - projector_px)
     return _around(inside.min(axis=2) < _NEAR_PX + step_px / 2)  # NaN is not
+
+
+def near_border(
+    projector_px: Floats32, places: Places, moved_px: Floats, size: tuple[int, int], reach_px: float
+) -> Bools:
+    """Where (H, W) the border of a picture of (width, height) may be seen: within so many camera px of where it falls.
+
+    By the coordinates (H, W, 2) without the `moved_px` (T, 2) of their tile; where unknown, by the planes of the tiles.
+    """
+    height, width, _ = projector_px.shape
+    columns = width // TILE_PX
+    found = np.zeros((height, width), np.bool_)
+    last = np.array(size, np.float64) - 1
+    steep = np.maximum(np.linalg.norm(places.gradient, axis=2), _FLAT)
+    offset = np.stack(np.meshgrid(*[np.arange(TILE_PX) - (TILE_PX - 1) / 2] * 2), axis=-1)
+    for row in range(height // TILE_PX):
+        tiles = slice(row * columns, (row + 1) * columns)
+        part = slice(row * TILE_PX, (row + 1) * TILE_PX), slice(0, columns * TILE_PX)
+        seen = projector_px[part].reshape(TILE_PX, columns, TILE_PX, 2).transpose(1, 0, 2, 3)
+        at_centre, beside, slopes = (of_tiles[tiles, None, None] for of_tiles in (places.projector_px, moved_px, steep))
+        of_planes = at_centre + np.einsum("tac,yxc->tyxa", places.gradient[tiles], offset)
+        place = np.where(np.isfinite(seen).all(axis=3, keepdims=True), seen, of_planes) - beside
+        inside_px = (np.minimum(place, last - place) / slopes).min(axis=3)
+        found[part] = (np.abs(inside_px) < reach_px).transpose(1, 0, 2).reshape(TILE_PX, -1)  # NaN is not
+    return found
 
 
 def lit_in(projector_px: Floats32) -> Bools:
@@ -76,3 +104,24 @@ def places_of_tiles(projector_px: Floats32, step_px: float) -> Places:
     offset = centres_of_tiles(known.shape).reshape(-1, 2) - np.array([width, height]) / 2
     at_centre: Floats = smooth_planes[:, 0] + np.einsum("ta,tac->tc", offset, smooth_planes[:, 1:])
     return Places(at_centre, smooth_planes[:, 1:].transpose(0, 2, 1))
+
+
+def going_on(places: Places, shape: tuple[int, ...]) -> Places:
+    """The same of an image of `shape` (H, W): tiles beside those that are known have the plane of the nearest one."""
+    rows, columns = (size // TILE_PX for size in shape)
+    unknown = ~np.isfinite(places.gradient).all(axis=(1, 2))
+    if unknown.all():
+        return places
+    far, label = cv2.distanceTransformWithLabels(
+        unknown.reshape(rows, columns).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of_label = np.zeros(int(label.max()) + 1, np.int64)
+    known = np.flatnonzero(~unknown)
+    of_label[label.reshape(-1)[known]] = known
+    nearest = of_label[label.reshape(-1)]
+    gradient = places.gradient[nearest]
+    centre = centres_of_tiles(shape).reshape(-1, 2)
+    projector_px = places.projector_px[nearest] + np.einsum("tac,tc->ta", gradient, centre - centre[nearest])
+    beyond = far.reshape(-1) > _BEYOND_TILES
+    projector_px[beyond], gradient[beyond] = np.nan, np.nan
+    return Places(projector_px, gradient)

@@ -5,8 +5,9 @@ pattern: all patterns along x together give one picture of the scene, those alon
 of one axis is shown before all of the other, and nothing else tells of a motion in between.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import cv2
 import numpy as np
@@ -56,6 +57,11 @@ def _weights(axis: AxisPlan) -> dict[int, float]:
     return weights
 
 
+def pairs_of(axis: AxisPlan) -> dict[int, tuple[int, int]]:
+    """Bit → frames of the pattern and of its inverse, where a Gray code alone tells the coordinate."""
+    return axis.codes[0].pairs if len(axis.codes) == 1 and not axis.fringes else {}
+
+
 def _fringe_means(axis: AxisPlan) -> Iterator[dict[int, float]]:
     for fringe in axis.fringes:
         yield dict(zip(fringe.frames, fringe.weights[0].tolist(), strict=True))
@@ -67,6 +73,9 @@ class EvenlyLit:
     def __init__(self, halves: tuple[Half, Half], shape: tuple[int, int]) -> None:
         self.halves = halves
         self.pictures: tuple[Floats32, Floats32] = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        # Of codes alone, in the order in which they were shown.
+        self.of_pairs: dict[tuple[int, int], Image] = {}
+        self._pairs = {frame: pair for half in halves for pair in pairs_of(half.axis).values() for frame in pair}
 
     def add(self, number: int, grey: Image) -> None:
         """Take pattern `number`, (H, W), if it is of a half.
@@ -76,3 +85,12 @@ class EvenlyLit:
         for half, picture in zip(self.halves, self.pictures, strict=True):
             if weight := half.weights.get(number):
                 cv2.addWeighted(picture, 1, grey, weight, 0, dst=picture, dtype=cv2.CV_32F)
+        if (pair := self._pairs.get(number)) is not None:
+            other = self.of_pairs.get(pair)
+            self.of_pairs[pair] = grey if other is None else cast(Image, cv2.addWeighted(other, 0.5, grey, 0.5, 0))
+
+    def pictures_of(self, before: Sequence[int], after: Sequence[int]) -> tuple[Floats32, Floats32]:
+        """The means (H, W) of two groups of the pairs, by number."""
+        of_pairs = [*self.of_pairs.values()]
+        earlier, later = (np.mean([of_pairs[k] for k in group], axis=0) for group in (before, after))
+        return np.asarray(earlier, np.float32), np.asarray(later, np.float32)

@@ -5,24 +5,31 @@ evenly lit in both halves, all of it moves in the camera's picture with the came
 picture alone with the projector.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Floats
+from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.halves.borders import Places, lit_in, near_border, places_of_tiles
-from scanner.decoding.halves.evenly_lit import EvenlyLit
+from scanner.decoding.halves.borders import Places, places_of_tiles
+from scanner.decoding.halves.edges import Edges, Shown
+from scanner.decoding.halves.evenly_lit import EvenlyLit, pairs_of
+from scanner.decoding.halves.moment import Moment, moment_of
 from scanner.decoding.halves.registration import TileShifts, shifts_of_tiles
 from scanner.decoding.halves.tile_moments import centres_of_tiles
 from scanner.decoding.motion.found import SUSPECTED_PX, Disturbance, MotionFound
-from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, shifts_by_motion
+from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
 from scanner.decoding.sequence_plan import SequencePlan
 
 # From so many standard deviations on, and so many px, it is more than ripple and noise make at rest.
 _SIGNIFICANT = 5.0
 _LEAST_PX = 0.02
+# What all of the scene, or of a border, shows is known to be one motion.
+_LARGEST_PX = 0.5
+# A camera that moved farther sees other things beside the edges of things, and moved along with its tripod's head.
+_LARGEST_OF_CAMERA_PX = 0.5
 # What ripple of fringes and fixed patterns do to what is measured, in captures of real devices at rest.
 _SYSTEMATIC_PX = 0.01
 # Of what nothing is seen: a knock turns a device; it hardly rolls it, and changes no zoom.
@@ -33,6 +40,18 @@ _TURNS = [0, 1, PER_DEVICE, PER_DEVICE + 1]
 # A motion that is not small against the blur of edges is found from coarse to fine.
 _COARSE_TO_FINE_PX = (6.0, 3.0, 1.5, 0.0, 0.0)
 _SMALL_PX = 0.2
+# Such a fit is believed if its last step is this small, and it explains this share of what the pictures differ by where
+# they have edges: without texture it finds what is not there.
+_CONVERGED_PX, _EXPLAINED = 0.1, 0.5
+# The border is looked for within so many camera px of where it should be: what is beside it rests. Where it may be
+# elsewhere, within more, and so many times the blur.
+_REACH_PX, _COARSE_REACH_PX, _REACH_OF_BLUR = 4.0, 10.0, 2.0
+# One pair that differs from all others does so by its stripes.
+_FEWEST_PAIRS = 2
+# Where edges are of before and of after, coordinates between them scatter; so much of that is in their means.
+_MIXED = 0.2
+# A motion within a half explains so much more than one between them.
+_LIKELIER = 1.3
 _ROUNDS = 8
 _HUBER = 2.0
 # The median of the root of what two shifts leave, in standard deviations.
@@ -40,20 +59,24 @@ _MEDIAN_CHI = 1.18
 # Tiles that are neighbours may have in common what is no motion.
 _GROUP_PX = 64
 _SINGULAR = 1e-9
-# Where a camera pixel covers less of the projector's picture, in its pixels, its coordinates stand still.
-_LEAST_AREA = 1e-3
 
 
 @dataclass(frozen=True)
-class _Edges:
-    """Pixels (H, W) in the light that show the scene, and those that show the border of the picture; and by how much
-    either moves in each of T tiles, (T, 2, 8), per px of each part of the motion, NaN where unknown.
-    """
+class _Course:
+    """A motion between two frames, of which x and y are shifted against each other by a `share`, with its `sigma`."""
 
-    scene: Bools
-    border: Bools
-    of_scene: Floats
-    of_border: Floats
+    share: float = 1.0
+    sigma: float = 0.0
+    first: int | None = None
+    last: int | None = None
+
+    @property
+    def others(self) -> tuple[float, ...]:
+        """Shares that may as well be the true one."""
+        return (self.share - self.sigma, self.share + self.sigma) if self.sigma else ()
+
+
+_BETWEEN = _Course()
 
 
 def motion_between(
@@ -73,51 +96,71 @@ def motion_between(
     # Codes alone leave steps.
     step_px = 0.0 if plan.fringes else max(axis.cell for axis in plan.axes)
     places = places_of_tiles(projector_px, step_px)
-    fit = _of_one_or_both(lit.pictures, _edges(projector_px, step_px, places, *sizes))
     first, second = lit.halves
     shares = np.array([axis.axis == second.axis.axis for axis in plan.axes], np.float64)
-    shift = Disturbance(np.outer(shares, fit.motion), *sizes)
+    edges = Edges(projector_px, step_px, places, shares, projector_size)
+    fit, course = _of_one_or_both(lit.pictures, edges), _BETWEEN
+    for other in _within_halves(lit, edges):
+        of_other = _of_one_or_both(lit.pictures_of(other.before, other.after), edges)
+        # Between the halves it looks smaller than it was.
+        if of_other.significance > _SIGNIFICANT and _turn_px(of_other) > _turn_px(fit):
+            fit, course = of_other, _course(lit, plan, other)
+    shift = Disturbance(np.outer(shares, course.share * fit.motion), *sizes)
     size_px = _typical_px(shift, places, sizes[0])
     significant = fit.significance > _SIGNIFICANT and size_px > _LEAST_PX
-    spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(fit.covariance)]
+    spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(course.share**2 * fit.covariance)]
     between = MotionFound(
         motion=fit.motion,
         significant=significant,
         slow=False,
-        first=plan.repeats * first.last,
-        last=plan.repeats * second.first,
+        first=plan.repeats * (first.last if course.first is None else course.first),
+        last=plan.repeats * (second.first if course.last is None else course.last),
         size_px=size_px,
         explained=1.0,
         shift=shift,
-        others=(),
+        others=tuple(Disturbance(np.outer(shares, one * fit.motion), *sizes) for one in course.others),
         unseen=tuple(spread if significant else [*spread, shift]),
         blind=bool(np.sqrt(np.diag(fit.covariance))[_TURNS].max() > SUSPECTED_PX / 2),
+        largest_px=_LARGEST_PX if np.hypot(*fit.motion[_TURNS[2:]]) < _LARGEST_OF_CAMERA_PX else 0.0,
     )
     if within is None or not within.significant or (significant and size_px > within.size_px):
         return between
     return replace(within, unseen=between.unseen, blind=between.blind)
 
 
-def _edges(
-    projector_px: Floats32, step_px: float, places: Places, camera_size: tuple[int, int], size: tuple[int, int]
-) -> _Edges:
-    centre = centres_of_tiles(projector_px.shape[:2]).reshape(-1, 2)
-    # With this gradient, what a device's picture does; the sign is that of coordinates in the projector's.
-    flat = np.broadcast_to(-np.eye(2), (len(centre), 2, 2))
-    moved = shifts_by_motion(centre, places.projector_px, flat, camera_size, size)
-    scene, border = moved.copy(), moved.copy()
-    scene[:, :, :PER_DEVICE] = 0.0
-    gradient = np.nan_to_num(places.gradient)
-    known = np.abs(np.linalg.det(gradient)) > _LEAST_AREA
-    gradient[~known] = np.eye(2)
-    border[:, :, :PER_DEVICE] = -np.linalg.solve(gradient, moved[:, :, :PER_DEVICE])
-    border[~known] = np.nan
-    # In the dark a camera's fixed pattern, which rests, is much of what is seen.
-    is_border = near_border(projector_px, size, step_px)
-    return _Edges(lit_in(projector_px) & ~is_border, is_border, scene, border)
+def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
+    """When pairs of codes changed, if that was not between the halves: by the scene, and by the border."""
+    if not lit.of_pairs:
+        return
+    first = len(pairs_of(lit.halves[0].axis))
+    shown = edges.beside(np.zeros(COLUMNS), _COARSE_REACH_PX)
+    for chosen in (shown.scene, shown.border):
+        moment = moment_of([*lit.of_pairs.values()], chosen, first)
+        if moment is None or min(len(moment.before), len(moment.after)) < _FEWEST_PAIRS:
+            continue
+        if moment.gained > _LIKELIER:
+            yield moment
 
 
-def _of_one_or_both(pictures: tuple[Floats32, Floats32], edges: _Edges) -> Fit:
+def _turn_px(fit: Fit) -> float:
+    return float(np.linalg.norm(fit.motion[_TURNS]))
+
+
+def _course(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Course:
+    """What a change at this moment does to the coordinates: half of a code's edges are those of its finest bit."""
+    done = dict(zip(lit.of_pairs, moment.done.tolist(), strict=True))
+    of_halves = []
+    for half in lit.halves:
+        pairs = pairs_of(half.axis)
+        edges = {bit: 2.0**bit for bit in pairs}
+        of_halves.append(sum(edges[bit] * done[pair] for bit, pair in pairs.items()) / sum(edges.values()))
+    places = [sorted(plan.shown.index(frame) for frame in pair) for pair in lit.of_pairs]
+    before, after = places[max(moment.before)], places[min(moment.after)]
+    mixed = max(np.sqrt(share * (1 - share)) for share in of_halves)
+    return _Course(of_halves[1] - of_halves[0], _MIXED * mixed, before[-1], after[0])
+
+
+def _of_one_or_both(pictures: tuple[Floats32, Floats32], edges: Edges) -> Fit:
     """The motion from the earlier picture to the later one; of one device where the other has hardly moved."""
     fit = _measured(pictures, edges, _EXPECTED_PX)
     devices = np.split(np.arange(COLUMNS), [PER_DEVICE])
@@ -130,45 +173,74 @@ def _of_one_or_both(pictures: tuple[Floats32, Floats32], edges: _Edges) -> Fit:
     return replace(fit, motion=_measured(pictures, edges, expected_px).motion)
 
 
-def _measured(pictures: tuple[Floats32, Floats32], edges: _Edges, expected_px: Floats) -> Fit:
-    fit = _fit(pictures, edges, expected_px, 0.0)
-    if np.abs(fit.motion).max() < _SMALL_PX:
+def _measured(pictures: tuple[Floats32, Floats32], edges: Edges, expected_px: Floats) -> Fit:
+    """Where it is not small, from coarse to fine: of both devices if that can be believed, or of the camera alone."""
+    at_rest = np.zeros(COLUMNS)
+    fit = _fit(pictures, edges, edges.decoded, at_rest, expected_px)
+    coarse_px = _COARSE_TO_FINE_PX[0]
+    coarse = _fit(pictures, edges, _beside(edges, at_rest, coarse_px), at_rest, expected_px, coarse_px)
+    largest_px = float(np.abs(fit.motion).max())
+    if max(largest_px, float(np.abs(coarse.motion).max())) < _SMALL_PX:
         return fit
-    before, after = pictures
-    camera = np.zeros(PER_DEVICE)
+    motion, moved = at_rest, fit
     for blur_px in _COARSE_TO_FINE_PX:
-        fit = _fit((before, _moved_back(after, camera)), edges, expected_px, blur_px)
-        camera += fit.motion[PER_DEVICE:]
-    return replace(fit, motion=np.concatenate([fit.motion[:PER_DEVICE], camera]))
+        moved = _fit(pictures, edges, _beside(edges, motion, blur_px), motion, expected_px, blur_px)
+        motion = motion + moved.motion
+    if np.abs(moved.motion).max() < _CONVERGED_PX and _explained(pictures, edges, motion) > _EXPLAINED:
+        return replace(moved, motion=motion)
+    if largest_px < _SMALL_PX:
+        return fit
+    camera = at_rest.copy()
+    for blur_px in _COARSE_TO_FINE_PX:
+        fit = _fit(pictures, edges, edges.decoded, camera, expected_px, blur_px)
+        camera[PER_DEVICE:] += fit.motion[PER_DEVICE:]
+    return replace(fit, motion=np.concatenate([fit.motion[:PER_DEVICE], camera[PER_DEVICE:]]))
 
 
-def _moved_back(picture: Floats32, motion: Floats) -> Floats32:
-    """A picture (H, W) as it was before the camera's motion (4,)."""
-    height, width = picture.shape
-    right, down, roll, zoom = motion
-    middle = (np.array([width, height]) - 1) / 2
-    turn = np.eye(2) + np.array([[zoom, -roll], [roll, zoom]]) / (width / 2)
-    offset = middle + np.array([right, down]) - turn @ middle
-    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    back = cv2.warpAffine(
-        picture, np.column_stack([turn, offset]), (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE
+def _beside(edges: Edges, motion: Floats, blur_px: float) -> Shown:
+    return edges.beside(motion, _COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX)
+
+
+def _explained(pictures: tuple[Floats32, Floats32], edges: Edges, motion: Floats) -> float:
+    """The share, in squares, of what the pictures (H, W) differ by at their edges that a motion (8,) explains."""
+    before, after = pictures
+    of_scene, of_border = edges.taken_back(after, motion)
+    shown = _beside(edges, motion, 0.0)
+    steepness = np.square(cv2.Sobel(before, cv2.CV_32F, 1, 0)) + np.square(cv2.Sobel(before, cv2.CV_32F, 0, 1))
+    left = sum(
+        float(np.sum((steepness * np.square(back - before))[at]))
+        for back, at in ((of_scene, shown.scene), (of_border, shown.border))
     )
-    return np.asarray(back, np.float32)
+    differ = float(np.sum((steepness * np.square(after - before))[shown.scene | shown.border]))
+    return 1 - left / max(differ, 1e-12)
 
 
-def _fit(pictures: tuple[Floats32, Floats32], edges: _Edges, expected_px: Floats, blur_px: float) -> Fit:
-    scene = shifts_of_tiles(*pictures, edges.scene, blur_px)
-    border = shifts_of_tiles(*pictures, edges.border, blur_px)
-    known = np.isfinite(edges.of_border).all(axis=(1, 2))
+def _fit(
+    pictures: tuple[Floats32, Floats32],
+    edges: Edges,
+    shown: Shown,
+    motion: Floats,
+    expected_px: Floats,
+    blur_px: float = 0.0,
+) -> Fit:
+    """What there is beside a motion (8,)."""
+    before, after = pictures
+    of_scene, of_border = edges.taken_back(after, motion) if motion.any() else (after, after)
+    # Where the border may be anywhere, all tiles are believed alike: most of it may run along the motion.
+    anywhere = blur_px > 0 and shown is not edges.decoded
+    scene = shifts_of_tiles(before, of_scene, shown.scene, blur_px)
+    border = shifts_of_tiles(before, of_border, shown.border, blur_px, own_light=not anywhere)
+    known = np.isfinite(shown.of_border).all(axis=(1, 2))
     centre_px, normal, pull = (
         np.concatenate([getattr(scene, name), getattr(border, name)[known]]) for name in ("centre_px", "normal", "pull")
     )
-    design = np.concatenate([edges.of_scene, edges.of_border[known]])
+    design = np.concatenate([edges.of_scene, shown.of_border[known]])
     tells = normal.trace(axis1=1, axis2=2) > 0
-    return _least_squares(design[tells], expected_px, TileShifts(centre_px[tells], normal[tells], pull[tells]))
+    tiles = TileShifts(centre_px[tells], normal[tells], pull[tells])
+    return _least_squares(design[tells], expected_px, tiles, np.inf if anywhere else _HUBER)
 
 
-def _least_squares(design: Floats, expected_px: Floats, tiles: TileShifts) -> Fit:
+def _least_squares(design: Floats, expected_px: Floats, tiles: TileShifts, huber: float) -> Fit:
     """Robust least squares of the motion (8,), with what is expected where nothing is seen."""
     expected = np.diag(1 / expected_px**2)
     by_motion = tiles.normal @ design
@@ -179,7 +251,7 @@ def _least_squares(design: Floats, expected_px: Floats, tiles: TileShifts) -> Fi
         left = tiles.pull - by_motion @ motion
         chi = np.sqrt(np.maximum(_squares(tiles.normal, left), 0.0))
         scale = max(float(np.median(chi)) / _MEDIAN_CHI, 1.0) if len(chi) else 1.0
-        weight = np.minimum(1.0, _HUBER * scale / np.maximum(chi, 1e-9))
+        weight = np.minimum(1.0, huber * scale / np.maximum(chi, 1e-9))
     _, group = np.unique(tiles.centre_px // _GROUP_PX, axis=0, return_inverse=True)
     scores = np.einsum("t,tac,ta->tc", weight, design, left)
     sums = np.stack([np.bincount(group.reshape(-1), column) for column in scores.T], axis=1)

@@ -1,0 +1,63 @@
+"""When it was that pictures of the same scene changed: between which two of them, or within one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Bools, Floats, Image
+
+# Some of the pixels tell it.
+_MOST_PIXELS = 60_000
+_FEWEST_PIXELS = 1_000
+# A picture that has this share of the change is of before and after.
+_PARTLY = 0.25
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Of K pictures, the share (K,) of a change that each has, `done`; `gained`: how many times as much of what they
+    differ by it explains as a change between two given ones.
+    """
+
+    done: Floats
+    gained: float
+
+    @property
+    def before(self) -> tuple[int, ...]:
+        """Those that are as before."""
+        return tuple(np.flatnonzero(self.done == 0).tolist())
+
+    @property
+    def after(self) -> tuple[int, ...]:
+        """Those that are as after."""
+        return tuple(np.flatnonzero(self.done == 1).tolist())
+
+
+def moment_of(pictures: Sequence[Image], chosen: Bools, first: int) -> Moment | None:
+    """When pictures (H, W) changed once, by `chosen` pixels (H, W), beside a change after the `first` few.
+
+    None where too few pixels tell. What is brighter all over is no change.
+    """
+    pixels = np.flatnonzero(chosen)
+    if len(pixels) < _FEWEST_PIXELS:
+        return None
+    pixels = pixels[:: -(-len(pixels) // _MOST_PIXELS)]
+    levels = np.stack([picture.reshape(-1)[pixels] for picture in pictures]).astype(np.float64)
+    mean = levels.mean(axis=0)
+    light = np.stack([np.ones_like(mean), mean])
+    levels -= levels @ light.T @ np.linalg.inv(light @ light.T) @ light
+    count = len(levels)
+    sums = np.cumsum(levels, axis=0)[:-1]
+    splits = np.arange(1, count)
+    # The sum of squares between the two groups, of each split.
+    between = np.sum(sums**2, axis=1) * count / (splits * (count - splits))
+    best = int(np.argmax(between)) + 1
+    # Either of those at the change may be of both sides of it.
+    before, after = (part.mean(axis=0) for part in (levels[: max(best - 1, 1)], levels[min(best + 1, count - 1) :]))
+    done = (levels - before) @ (after - before) / max(float((after - before) @ (after - before)), 1e-12)
+    shares = (np.arange(count) >= best).astype(np.float64)
+    at_change = np.array([number for number in (best - 1, best) if 0 < number < count - 1], np.int64)
+    partly = at_change[np.abs(done[at_change] - 0.5) < 0.5 - _PARTLY]
+    shares[partly] = done[partly]
+    return Moment(shares, float(between[best - 1] / max(between[first - 1], 1e-12)))
