@@ -29,7 +29,7 @@ _LEAST_PX = 0.02
 # What all of the scene, or of a border, shows is known to be one motion.
 _LARGEST_PX = 0.5
 # A camera that moved farther sees other things beside the edges of things, and moved along with its tripod's head.
-_LARGEST_OF_CAMERA_PX = 0.5
+_LARGEST_OF_CAMERA_PX = 0.75
 # What ripple of fringes and fixed patterns do to what is measured, in captures of real devices at rest.
 _SYSTEMATIC_PX = 0.01
 # Of what nothing is seen: a knock turns a device; it hardly rolls it, and changes no zoom.
