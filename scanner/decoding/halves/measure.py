@@ -48,6 +48,8 @@ _CONVERGED_PX, _EXPLAINED = 0.1, 0.5
 _REACH_PX, _COARSE_REACH_PX, _REACH_OF_BLUR = 4.0, 10.0, 2.0
 # One pair that differs from all others does so by its stripes.
 _FEWEST_PAIRS = 2
+# Two pairs do so by as much, where fine stripes are sharpened.
+_LEAST_WITHIN_PX = 0.1
 # Where edges are of before and of after, coordinates between them scatter; so much of that is in their means.
 _MIXED = 0.2
 # A motion within a half explains so much more than one between them.
@@ -103,7 +105,7 @@ def motion_between(
     for other in _within_halves(lit, edges):
         of_other = _of_one_or_both(lit.pictures_of(other.before, other.after), edges)
         # Between the halves it looks smaller than it was.
-        if of_other.significance > _SIGNIFICANT and _turn_px(of_other) > _turn_px(fit):
+        if of_other.significance > _SIGNIFICANT and _turn_px(of_other) > max(_turn_px(fit), _LEAST_WITHIN_PX):
             fit, course = of_other, _course(lit, plan, other)
     shift = Disturbance(np.outer(shares, course.share * fit.motion), *sizes)
     size_px = _typical_px(shift, places, sizes[0])
