@@ -46,7 +46,7 @@ def moment_of(pictures: Sequence[Image], chosen: Bools, first: int) -> Moment | 
     levels = np.stack([picture.reshape(-1)[pixels] for picture in pictures]).astype(np.float64)
     mean = levels.mean(axis=0)
     light = np.stack([np.ones_like(mean), mean])
-    levels -= levels @ light.T @ np.linalg.inv(light @ light.T) @ light
+    levels -= levels @ np.linalg.pinv(light) @ light  # the mean may be even itself
     count = len(levels)
     sums = np.cumsum(levels, axis=0)[:-1]
     splits = np.arange(1, count)

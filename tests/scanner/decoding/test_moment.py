@@ -1,0 +1,45 @@
+"""When it was that pictures of the same scene changed."""
+
+import numpy as np
+import pytest
+
+from calib.numerics import Image
+from scanner.decoding.halves.moment import moment_of
+
+SHAPE = (48, 64)
+EVERYWHERE = np.ones(SHAPE, np.bool_)
+
+
+def picture(shift: int) -> Image:
+    """A wavy scene, so many pixels to the right."""
+    x = np.arange(SHAPE[1]) - shift
+    return np.broadcast_to(120 + 60 * np.sin(x / 3), SHAPE).astype(np.uint8)
+
+
+@pytest.mark.parametrize("changed", [2, 5, 8])
+def test_a_change_is_where_it_was(changed: int) -> None:
+    moment = moment_of([picture(number >= changed) for number in range(10)], EVERYWHERE, 4)
+    assert moment is not None
+    assert (moment.before, moment.after) == (tuple(range(changed)), tuple(range(changed, 10)))
+    assert 1.3 < moment.gained < 20
+
+
+def test_a_picture_of_before_and_after() -> None:
+    pictures = [picture(number >= 5) for number in range(10)]
+    pictures[5] = ((picture(0).astype(np.float64) + picture(1)) / 2).astype(np.uint8)
+    moment = moment_of(pictures, EVERYWHERE, 4)
+    assert moment is not None
+    assert moment.done[5] == pytest.approx(0.5, abs=0.05)
+    assert (moment.before, moment.after) == ((0, 1, 2, 3, 4), (6, 7, 8, 9))
+
+
+def test_an_even_picture_never_changes() -> None:
+    moment = moment_of([np.full(SHAPE, 100, np.uint8)] * 6, EVERYWHERE, 3)
+    assert moment is not None
+    assert moment.gained < 1.3
+
+
+def test_too_few_pixels_tell_nothing() -> None:
+    few = np.zeros(SHAPE, np.bool_)
+    few[:10, :10] = True
+    assert moment_of([picture(0), picture(1), picture(1)], few, 1) is None
