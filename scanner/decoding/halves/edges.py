@@ -42,7 +42,7 @@ class Edges:
     later: Floats
     size: tuple[int, int]
 
-    @property
+    @cached_property
     def of_scene(self) -> Floats:
         """By how much the scene moves in each of T tiles, (T, 2, 8), per px of each part of a motion."""
         moved = self._of_devices.copy()
@@ -70,10 +70,8 @@ class Edges:
 
     def beside(self, motion: Floats, reach_px: float) -> Shown:
         """Within so many px of where the border was before a motion (8,), by the planes around it."""
-        width, height = self._camera_size
-        centre = centres_of_tiles((height, width)).reshape(-1, 2)
         places = self._around
-        by_motion = shifts_by_motion(centre, places.projector_px, places.gradient, self._camera_size, self.size)
+        by_motion = shifts_by_motion(self._centre, places.projector_px, places.gradient, self._camera_size, self.size)
         border = near_border(self.projector_px, places, by_motion @ motion * self.later, self.size, reach_px)
         return Shown(self._lit & ~border, border, self._of_border)
 
@@ -84,8 +82,8 @@ class Edges:
         middle = (np.array([width, height]) - 1) / 2
         turn = np.eye(2) + np.array([[zoom, -roll], [roll, zoom]]) / (width / 2)
         to = np.column_stack([turn, middle + np.array([right, down]) - turn @ middle])
-        x, y = np.meshgrid(np.arange(width), np.arange(height))
-        scene_px = (to[:, 0] * x[..., None] + to[:, 1] * y[..., None] + to[:, 2]).astype(np.float32)
+        of_column, of_row = np.outer(np.arange(width), to[:, 0]), np.outer(np.arange(height), to[:, 1]) + to[:, 2]
+        scene_px = (of_row[:, None] + of_column).astype(np.float32)
         by_projector = np.nan_to_num(self._of_border[:, :, :PER_DEVICE] @ motion[:PER_DEVICE])
         grid = by_projector.reshape(height // TILE_PX, width // TILE_PX, 2).astype(np.float32)
         covered = np.zeros((height, width, 2), np.float32)
@@ -112,6 +110,10 @@ class Edges:
         return width, height
 
     @cached_property
+    def _centre(self) -> Floats:
+        return centres_of_tiles(self.projector_px.shape[:2]).reshape(-1, 2)
+
+    @cached_property
     def _around(self) -> Places:
         """Tiles that are partly lit or masked as well, as beyond the border."""
         return going_on(self.places, self.projector_px.shape[:2])
@@ -119,8 +121,6 @@ class Edges:
     @cached_property
     def _of_devices(self) -> Floats:
         """What the devices' own pictures do, (T, 2, 8): the projector's in its px."""
-        width, height = self._camera_size
-        centre = centres_of_tiles((height, width)).reshape(-1, 2)
         # With this gradient; the sign is that of coordinates in the projector's.
-        flat = np.broadcast_to(-np.eye(2), (len(centre), 2, 2))
-        return shifts_by_motion(centre, self._around.projector_px, flat, self._camera_size, self.size)
+        flat = np.broadcast_to(-np.eye(2), (len(self._centre), 2, 2))
+        return shifts_by_motion(self._centre, self._around.projector_px, flat, self._camera_size, self.size)

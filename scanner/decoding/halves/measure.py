@@ -19,7 +19,7 @@ from scanner.decoding.halves.evenly_lit import EvenlyLit, pairs_of
 from scanner.decoding.halves.moment import Moment, moment_of
 from scanner.decoding.halves.registration import TileShifts, shifts_of_tiles
 from scanner.decoding.halves.tile_moments import centres_of_tiles
-from scanner.decoding.motion.found import SUSPECTED_PX, Disturbance, MotionFound
+from scanner.decoding.motion.found import SUSPECTED_PX, Disturbance, MotionFound, turns_px
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
 from scanner.decoding.sequence_plan import SequencePlan
 
@@ -105,8 +105,10 @@ def motion_between(
     for other in _within_halves(lit, edges):
         of_other = _of_one_or_both(lit.pictures_of(other.before, other.after), edges)
         # Between the halves it looks smaller than it was.
-        if of_other.significance > _SIGNIFICANT and _turn_px(of_other) > max(_turn_px(fit), _LEAST_WITHIN_PX):
+        larger = np.hypot(*turns_px(of_other.motion)) > max(np.hypot(*turns_px(fit.motion)), _LEAST_WITHIN_PX)
+        if larger and of_other.significance > _SIGNIFICANT:
             fit, course = of_other, _course(lit, plan, other)
+    _, camera_px = turns_px(fit.motion)
     shift = Disturbance(np.outer(shares, course.share * fit.motion), *sizes)
     size_px = _typical_px(shift, places, sizes[0])
     significant = fit.significance > _SIGNIFICANT and size_px > _LEAST_PX
@@ -123,7 +125,7 @@ def motion_between(
         others=tuple(Disturbance(np.outer(shares, one * fit.motion), *sizes) for one in course.others),
         unseen=tuple(spread if significant else [*spread, shift]),
         blind=bool(np.sqrt(np.diag(fit.covariance))[_TURNS].max() > SUSPECTED_PX / 2),
-        largest_px=_LARGEST_PX if np.hypot(*fit.motion[_TURNS[2:]]) < _LARGEST_OF_CAMERA_PX else 0.0,
+        largest_px=_LARGEST_PX if camera_px < _LARGEST_OF_CAMERA_PX else 0.0,
     )
     if within is None or not within.significant or (significant and size_px > within.size_px):
         return between
@@ -134,18 +136,17 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
     """When pairs of codes changed, if that was not between the halves: by the scene, and by the border."""
     if not lit.of_pairs:
         return
+    seen = set()  # both mostly tell the same
     first = len(pairs_of(lit.halves[0].axis))
     shown = edges.beside(np.zeros(COLUMNS), _COARSE_REACH_PX)
     for chosen in (shown.scene, shown.border):
         moment = moment_of([*lit.of_pairs.values()], chosen, first)
         if moment is None or min(len(moment.before), len(moment.after)) < _FEWEST_PAIRS:
             continue
-        if moment.gained > _LIKELIER:
+        groups = moment.before, moment.after
+        if moment.gained > _LIKELIER and groups not in seen:
+            seen.add(groups)
             yield moment
-
-
-def _turn_px(fit: Fit) -> float:
-    return float(np.linalg.norm(fit.motion[_TURNS]))
 
 
 def _course(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Course:
@@ -179,17 +180,17 @@ def _measured(pictures: tuple[Floats32, Floats32], edges: Edges, expected_px: Fl
     """Where it is not small, from coarse to fine: of both devices if that can be believed, or of the camera alone."""
     at_rest = np.zeros(COLUMNS)
     fit = _fit(pictures, edges, edges.decoded, at_rest, expected_px)
-    coarse_px = _COARSE_TO_FINE_PX[0]
-    coarse = _fit(pictures, edges, _beside(edges, at_rest, coarse_px), at_rest, expected_px, coarse_px)
+    coarsest_px, *finer_px = _COARSE_TO_FINE_PX
+    step = _fit_beside(pictures, edges, at_rest, expected_px, coarsest_px)
     largest_px = float(np.abs(fit.motion).max())
-    if max(largest_px, float(np.abs(coarse.motion).max())) < _SMALL_PX:
+    if max(largest_px, float(np.abs(step.motion).max())) < _SMALL_PX:
         return fit
-    motion, moved = at_rest, fit
-    for blur_px in _COARSE_TO_FINE_PX:
-        moved = _fit(pictures, edges, _beside(edges, motion, blur_px), motion, expected_px, blur_px)
-        motion = motion + moved.motion
-    if np.abs(moved.motion).max() < _CONVERGED_PX and _explained(pictures, edges, motion) > _EXPLAINED:
-        return replace(moved, motion=motion)
+    motion = step.motion
+    for blur_px in finer_px:
+        step = _fit_beside(pictures, edges, motion, expected_px, blur_px)
+        motion = motion + step.motion
+    if np.abs(step.motion).max() < _CONVERGED_PX and _explained(pictures, edges, motion) > _EXPLAINED:
+        return replace(step, motion=motion)
     if largest_px < _SMALL_PX:
         return fit
     camera = at_rest.copy()
@@ -199,15 +200,23 @@ def _measured(pictures: tuple[Floats32, Floats32], edges: Edges, expected_px: Fl
     return replace(fit, motion=np.concatenate([fit.motion[:PER_DEVICE], camera[PER_DEVICE:]]))
 
 
-def _beside(edges: Edges, motion: Floats, blur_px: float) -> Shown:
-    return edges.beside(motion, _COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX)
+def _fit_beside(
+    pictures: tuple[Floats32, Floats32], edges: Edges, motion: Floats, expected_px: Floats, blur_px: float
+) -> Fit:
+    """A step from coarse to fine: what there is beside a motion (8,), with the border where the planes put it.
+
+    While the border may be anywhere, all tiles are believed alike: most of it may run along the motion.
+    """
+    reach_px = _COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX
+    shown = edges.beside(motion, reach_px)
+    return _fit(pictures, edges, shown, motion, expected_px, blur_px, anywhere=blur_px > 0)
 
 
 def _explained(pictures: tuple[Floats32, Floats32], edges: Edges, motion: Floats) -> float:
     """The share, in squares, of what the pictures (H, W) differ by at their edges that a motion (8,) explains."""
     before, after = pictures
     of_scene, of_border = edges.taken_back(after, motion)
-    shown = _beside(edges, motion, 0.0)
+    shown = edges.beside(motion, _REACH_PX)
     steepness = np.square(cv2.Sobel(before, cv2.CV_32F, 1, 0)) + np.square(cv2.Sobel(before, cv2.CV_32F, 0, 1))
     left = sum(
         float(np.sum((steepness * np.square(back - before))[at]))
@@ -224,12 +233,12 @@ def _fit(
     motion: Floats,
     expected_px: Floats,
     blur_px: float = 0.0,
+    *,
+    anywhere: bool = False,
 ) -> Fit:
-    """What there is beside a motion (8,)."""
+    """What there is beside a motion (8,); a border that may be `anywhere` has no light of its own, and no outliers."""
     before, after = pictures
     of_scene, of_border = edges.taken_back(after, motion) if motion.any() else (after, after)
-    # Where the border may be anywhere, all tiles are believed alike: most of it may run along the motion.
-    anywhere = blur_px > 0 and shown is not edges.decoded
     scene = shifts_of_tiles(before, of_scene, shown.scene, blur_px)
     border = shifts_of_tiles(before, of_border, shown.border, blur_px, own_light=not anywhere)
     known = np.isfinite(shown.of_border).all(axis=(1, 2))

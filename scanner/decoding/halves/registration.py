@@ -16,7 +16,7 @@ from scanner.decoding.halves.tile_moments import centres_of_tiles, moments_of_ti
 from scanner.decoding.slopes import LEVEL, SLOPE
 
 _FEWEST_PX = 24
-_OF_SHIFT = 2
+_OF_LIGHT, _OF_SHIFT = 2, 2
 _SINGULAR = 1e-6
 
 
@@ -46,28 +46,25 @@ def shifts_of_tiles(
     mean -= np.float32(mean.mean())
     level, by_x, by_y = (_filtered(mean, *taps) for taps in ((LEVEL, LEVEL), (SLOPE, LEVEL), (LEVEL, SLOPE)))
     difference = _filtered(after - before, LEVEL, LEVEL)
-    light = [np.ones_like(level), level] if own_light else []
-    moments = moments_of_tiles([*light, -by_x, -by_y, difference], chosen)
-    (count,) = moments_of_tiles([np.ones_like(level)], chosen).reshape(1, -1)
-    width = moments.shape[-1]
-    return TileShifts(
-        centres_of_tiles(mean.shape).reshape(-1, 2), *_of_moments(moments.reshape(-1, width, width), count)
-    )
+    moments = moments_of_tiles([np.ones_like(level), level, -by_x, -by_y, difference], chosen).reshape(-1, 5, 5)
+    return TileShifts(centres_of_tiles(mean.shape).reshape(-1, 2), *_of_moments(moments, own_light=own_light))
 
 
 def _filtered(picture: Floats32, across: Floats, down: Floats) -> Floats32:
     return np.asarray(cv2.sepFilter2D(picture, cv2.CV_32F, across, down), np.float32)
 
 
-def _of_moments(moments: Floats, count: Floats) -> tuple[Floats, Floats]:
-    """N and b from the moments (T, k, k) of light, which may be 1 and M, of −∇M, and of D, over `count` (T,) pixels."""
-    light = moments.shape[1] - _OF_SHIFT - 1
-    of_light, beside = moments[:, :light, :light], moments[:, :light, light:]
-    rest = moments[:, light:, light:] - beside.transpose(0, 2, 1) @ _solved(of_light, beside)
+def _of_moments(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:
+    """N and b from the moments (T, 5, 5) of 1, M, −∇M and D."""
+    count, rest = moments[:, 0, 0], moments[:, 2:, 2:]
+    parameters = _OF_SHIFT
+    if own_light:
+        parameters += _OF_LIGHT
+        rest = rest - moments[:, 2:, :2] @ _solved(moments[:, :2, :2], moments[:, :2, 2:])
     normal, pull = rest[:, :2, :2], rest[:, :2, 2]
     left = rest[:, 2, 2] - np.einsum("ta,ta->t", pull, _solved(normal, pull[..., None])[..., 0])
     enough = count >= _FEWEST_PX
-    variance = np.maximum(left, 0.0) / np.maximum(count - light - _OF_SHIFT, 1)
+    variance = np.maximum(left, 0.0) / np.maximum(count - parameters, 1)
     # What is left of a tile by chance is not less than what is left of most.
     variance = np.maximum(variance, max(float(np.median(variance[enough])) if enough.any() else 0.0, 1e-9))
     precision = enough / variance
@@ -77,5 +74,5 @@ def _of_moments(moments: Floats, count: Floats) -> tuple[Floats, Floats]:
 def _solved(matrices: Floats, right: Floats) -> Floats:
     """Least squares with square matrices (T, 2, 2) that may be singular."""
     size = np.trace(matrices, axis1=1, axis2=2)[:, None, None]
-    solved: Floats = np.linalg.solve(matrices + (_SINGULAR * size + 1e-12) * np.eye(matrices.shape[1]), right)
+    solved: Floats = np.linalg.solve(matrices + (_SINGULAR * size + 1e-12) * np.eye(2), right)
     return solved

@@ -123,7 +123,7 @@ class MotionFound:
     def __str__(self) -> str:
         """In words, as in: the projector moved by 1.2 px between frames 18 and 24."""
         if self.one_by_one:
-            px = float(np.hypot(*self.motion[PER_DEVICE : PER_DEVICE + 2]))
+            _, px = turns_px(self.motion)
             return f"the camera's frames are each somewhere else, by {px:.2g} px"
         when = "slowly, from frame {} to {}" if self.slow else "between frames {} and {}"
         return f"{self._who()} {when.format(self.first, self.last)}"
@@ -146,12 +146,12 @@ def _likelier(motion: Floats, size: str) -> str:
 
     A camera that moves is often taken for both; a projector that moves is not.
     """
-    projector, camera = _sizes_px(motion)
+    projector, camera = turns_px(motion)
     devices = ("camera", "projector") if camera >= _BOTH * projector else ("projector", "camera")
     return f"the {devices[0]}, or the {devices[1]}, moved by {size.format(max(projector, camera))}"
 
 
-def _sizes_px(motion: Floats) -> tuple[float, float]:
+def turns_px(motion: Floats) -> tuple[float, float]:
     """By how many of its px the projector's picture moved, and the camera's."""
     projector, camera = (float(np.hypot(*part[:2])) for part in np.split(motion, [PER_DEVICE]))
     return projector, camera
@@ -159,7 +159,7 @@ def _sizes_px(motion: Floats) -> tuple[float, float]:
 
 def who_moved(motion: Floats, size: str = _SIZE) -> str:
     """In words, as in: the projector moved by 1.2 px; `motion` (8,) as in `rigid`, `size`: how px are told."""
-    projector, camera = _sizes_px(motion)
+    projector, camera = turns_px(motion)
     moved = [
         f"the {device} moved by {size.format(px)}"
         for device, px, other in (("projector", projector, camera), ("camera", camera, projector))
