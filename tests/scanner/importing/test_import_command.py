@@ -104,6 +104,15 @@ def test_a_frame_that_was_taken_twice_is_left_out(
     assert not (tmp_path / "capture" / "frames" / name).exists()
 
 
+def test_a_lens_that_is_capped_is_refused(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("{}.png"), lambda image: 0 * image)
+    assert imported(source, "--out", tmp_path / "capture") == 2
+    assert "it has no sequence of" in capsys.readouterr().err
+    assert not (tmp_path / "capture").exists()
+
+
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_a_camera_on_its_side(camera: Photographer, tmp_path: Path, turns: int) -> None:
     source = camera.write(
