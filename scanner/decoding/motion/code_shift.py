@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Bools
+from calib.numerics import Bools, Floats
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
@@ -17,6 +17,7 @@ _FEWEST = 300
 _PARAMETERS = 3
 # Frames that were exchanged leave fringes that follow the code nowhere, or here and there.
 _AGREEING = 0.9
+_BINS, _ENDS = 256, (0.02, 0.98)
 _LEAST_PX = 0.5
 # Half a period is also what a finest bit makes that was exchanged with its inverse.
 _MOST_CYCLES = 0.4
@@ -63,11 +64,29 @@ def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools
     if np.count_nonzero(seen) < _FEWEST:
         return None
     centre, px_per_radian = interval.centre.astype(np.float64), longest.period / (2 * np.pi)
-    beyond = np.exp(1j * (np.arctan2(sine, cosine) - centre / px_per_radian))
-    mean = complex(np.mean(beyond[seen]))
-    if abs(mean) < _AGREEING * np.sinc(axis.cell / longest.period):
+    beyond = np.arctan2(sine, cosine).astype(np.float64) - centre / px_per_radian
+    if abs(np.mean(np.exp(1j * beyond[seen]))) < _AGREEING * np.sinc(axis.cell / longest.period):
         return None
-    return Offsets(axis, centre, px_per_radian * np.angle(beyond / mean), px_per_radian * float(np.angle(mean)), seen)
+    about = middle_of(beyond[seen], axis.cell / longest.period)
+    return Offsets(axis, centre, px_per_radian * _wrapped(beyond - about), px_per_radian * about, seen)
+
+
+def middle_of(angles: Floats, width: float) -> float:
+    """Of angles (P,) that fill a part of the circle, so many turns wide: where such a part holds most of them.
+
+    Their mean is no measure of it where cells are nearly as long as the period: few angles more or less turn it.
+    """
+    count, _ = np.histogram(_wrapped(angles), _BINS, (-np.pi, np.pi))
+    within = np.abs(np.fft.fftfreq(_BINS)) <= width / 2
+    held = np.fft.irfft(np.fft.rfft(count) * np.fft.rfft(within), _BINS)
+    fullest = np.exp(2j * np.pi * np.flatnonzero(held > held.max() - 0.5) / _BINS).sum()
+    about = float(np.angle(-fullest * np.exp(1j * np.pi / _BINS)))
+    return about + float(np.quantile(_wrapped(angles - about), _ENDS).mean())
+
+
+def _wrapped(angles: Floats) -> Floats:
+    """To within half a turn of zero."""
+    return angles - 2 * np.pi * np.rint(angles / (2 * np.pi))
 
 
 def _shift(found: Offsets, knock: Knock | None) -> CodeShift | None:

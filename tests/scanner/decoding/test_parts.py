@@ -15,6 +15,7 @@ from scanner.decoding.connected_components import SMALLEST_PATCH, small_patches
 from scanner.decoding.fringes.gamma_ripple import TABLE_LENGTH, straightening
 from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
 from scanner.decoding.light.saturation_level import saturation_level
+from scanner.decoding.motion.code_shift import middle_of
 from scanner.decoding.planning import plan_sequence, repeat_length
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
 from scanner.patterns.pattern import Gray, Pattern, gray_sequence, phase_sequence
@@ -145,6 +146,23 @@ def test_the_saturation_of_16_bit_images(peak: int, level: float) -> None:
 
 def test_the_saturation_of_8_bit_images() -> None:
     assert saturation_level(np.array([[3, 9]], np.uint8)) == 254
+
+
+@given(
+    turned=st.floats(-3.0, 3.0),
+    width=st.floats(0.05, 0.95),
+    kept=st.floats(0.5, 1.0),
+    seed=st.integers(0, 99),
+)
+def test_the_middle_of_what_fills_a_part_of_the_circle_unevenly(
+    turned: float, width: float, kept: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    turns = rng.uniform(-width / 2, width / 2, 3000)
+    turns = turns[(turns < width / 6) | (rng.uniform(size=len(turns)) < kept)]
+    noisy = turned + 2 * np.pi * (turns + rng.normal(0, 0.003, len(turns)))
+    off = np.angle(np.exp(1j * (middle_of(noisy, width) - turned))) / (2 * np.pi)
+    assert abs(off) < 0.012
 
 
 def test_every_frame_is_planned_once() -> None:
