@@ -21,6 +21,8 @@ from scanner.decoding.tiles import in_tiles, widened
 
 # Pixels beyond a tile that its own depend on: whole blocks, so that these are the same ones in every tile.
 _HALO = BLOCK_PX * -(-(REACH_PX + 1) // BLOCK_PX)  # and one for what breaks the surface
+# Why pixels are masked where something moved: close to the rig it is brighter than all that rests.
+_OF_MOTION = (*CONTRADICTIONS, MaskReason.SATURATED)
 _TILE_PX = 48
 _MOST_TILES = 48
 _HALF, _UNKNOWN = np.float32(0.5), np.float32(np.nan)
@@ -49,8 +51,8 @@ def coordinate_maps(
 ) -> Maps:
     """Both coordinates of all pixels. Without fringes, what is not smooth is left as it is: cells have steps.
 
-    `moved` (H, W): where something did, which is why pixels contradict themselves there; `spoilt` (H, W): what that is
-    masked of, whatever they say.
+    `moved` (H, W): where something did, which is why pixels contradict themselves or are too bright there; `spoilt`
+    (H, W): what that is masked of, whatever they say.
     """
     plan, (height, width) = accumulators.plan, accumulators.middle.shape
     footprint = _footprint(accumulators, decoders)
@@ -66,7 +68,7 @@ def coordinate_maps(
         found = list(map(AxisDecoder.decode, decoders, signals_of(accumulators, lambda image: image[wide])))
         if moved is not None and spoilt is not None:
             for c in found:
-                why = (spoilt[wide] & (c.reason != MaskReason.DARK)) | (moved[wide] & np.isin(c.reason, CONTRADICTIONS))
+                why = (spoilt[wide] & (c.reason != MaskReason.DARK)) | (moved[wide] & np.isin(c.reason, _OF_MOTION))
                 np.copyto(c.reason, np.uint8(MaskReason.MOVED), where=why)
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)

@@ -24,7 +24,8 @@ MISSING_ENDS: tuple[tuple[Pattern, ...], ...] = ((Black(),), (White(),), (White(
 def without_doubles(files: FrameFiles, samples: Samples) -> Iterator[tuple[FrameFiles, Samples]]:
     """The frames without those that look like the ones before them: without all of these, else without one.
 
-    Where nothing is lit, all of them look alike, and none is the other one's double. `samples`: of the numbered frames, and then of white and black.
+    Where nothing is lit, all of them look alike, and none is the other one's double. `samples`: of the numbered frames,
+    and then of white and black.
     """
     if not np.any(samples.lit):
         return

@@ -15,7 +15,7 @@ from calib.numerics import Bools, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
-from scanner.decoding.sequence_plan import Fringe, GrayCode, SequencePlan
+from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
 # A contradiction: in swings of a pixel, in standard deviations of the noise, and in what most pixels have of it (a
 # camera that is not linear, a projector that sharpens or loses the light of fine stripes). Things may be before more
@@ -27,10 +27,12 @@ _LIT_BITS = 0.7
 # A camera that is not linear sees such pairs of stripes as brighter or darker than others: of black and white next to
 # each other that a lens mixes by up to a quarter of the swing, with the response curve of sRGB.
 _FINE_BITS, _OF_FINE = 3, 2.5
+# What is lit by a fringe and not by white is lit by way of what moved: flickering lamps do not make half of the swing.
+_FAR_BEYOND = 5.0
 # Offset, amplitude and phase.
 _PARAMETERS = 3
-_HARMONICS, _TRIMS, _MOST_OFF = (2, 3), 3, 3.0
-# The same, from the smallest of what is left and not from the median (of a normal distribution).
+_HARMONICS, _TRIMS = (2, 3), 3
+# So many times what the pixels that rest leave is farther off than three standard deviations.
 _OFF_RESTING = 5.25
 
 
@@ -52,52 +54,47 @@ def contradictions(plan: SequencePlan, levels: Floats32, noise: NoiseModel) -> l
 
 
 def broken_fringes(
-    plan: SequencePlan, levels: Floats32, noise: NoiseModel, part: float, resting: Bools
-) -> list[tuple[tuple[int, ...], Bools]]:
-    """The same of fringes whose coordinates are wrong for it. `part`: of a contradiction, that is enough; `resting`
-    (P,): the pixels that tell what is usual.
-
-    Light that changes a little from one fringe to the next, as near a thing that was moved, harms neither: `part` is of
-    what steps of a fringe contradict each other, where another period tells of another surface.
-    """
-    of_fringes = {fringe.frames for fringe in plan.fringes}
-    every = [group for group in _groups(plan, levels) if group.frames in of_fringes]
-    if not _tell_by_themselves(plan):
-        return _where(every, levels, noise, part, resting)
-    return _where(every, levels, noise, 1.0, resting) + _where(_cosines(plan, levels), levels, noise, part, resting)
-
-
-def _tell_by_themselves(plan: SequencePlan) -> bool:
-    """Whether there are two periods along both axes, of steps enough, and nothing comes to stay between the axes: those
-    of one are shown amid those of the other.
-    """
-    ranges = [[(min(fringe.frames), max(fringe.frames)) for fringe in axis.fringes] for axis in plan.axes]
-    amid = all(any(a < d and c < b for c, d in ranges[1 - k]) for k, own in enumerate(ranges) for a, b in own)
-    two = all(len(axis.fringes) > 1 for axis in plan.axes)
-    return amid and two and all(len(fringe.frames) > _PARAMETERS for fringe in plan.fringes)
+    plan: SequencePlan, fringes: Iterable[Fringe], levels: Floats32, noise: NoiseModel, resting: Bools
+) -> Bools:
+    """Where some of the fringes contradict themselves or the rest (P,); those `resting` (P,) tell what is usual."""
+    frames = {fringe.frames for fringe in fringes}
+    groups = (group for group in _groups(plan, levels) if group.frames in frames)
+    off: Bools = np.any([each for _, each in _where(groups, levels, noise, resting)], axis=0)
+    return off
 
 
 def _where(
-    groups: Iterable[_Group], levels: Floats32, noise: NoiseModel, part: float = 1.0, resting: Bools | None = None
+    groups: Iterable[_Group], levels: Floats32, noise: NoiseModel, resting: Bools | None = None
 ) -> list[tuple[tuple[int, ...], Bools]]:
     swing = np.ptp(levels, axis=0)
     sigma = np.sqrt(noise.variance(levels.max(axis=0))) / swing
-    return [(group.frames, _contradicts(group, swing, sigma, part, resting)) for group in groups]
+    return [(group.frames, _contradicts(group, swing, sigma, resting)) for group in groups]
 
 
-def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, part: float, resting: Bools | None) -> Bools:
+def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, resting: Bools | None) -> Bools:
     off = np.abs(group.off) / swing
     some = off if resting is None or not resting.any() else off[resting]
     usual = _TIMES_USUAL * float(np.quantile(some, _RESTING))
     least = max(group.times * _LEAST, usual)
-    return cast(Bools, off > part * np.maximum(least, _SIGMAS * group.noise_gain * sigma))
+    return cast(Bools, off > np.maximum(least, _SIGMAS * group.noise_gain * sigma))
+
+
+def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
+    """Those of bits that may be finer than what camera and projector resolve, or the scene scatters; where one of them
+    is wrong, so is the coordinate by few cells.
+    """
+    found: set[int] = set()
+    for code in plan.codes:
+        fine = range(code.bits - _FINE_BITS, code.bits)
+        found |= {frames[bit] for frames in (code.normal, code.inverse) for bit in fine if bit in frames}
+    return found
 
 
 def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     """What must agree, at lit pixels, `levels` (frames, P)."""
     if not levels.shape[1]:
         return
-    blurred = {frame for code in plan.codes if not plan.fringes for frame in _finest(code)}
+    blurred = set() if plan.fringes else frames_of_fine_bits(plan)
     pairs = [pair for pair in plan.complements if not blurred & {*pair}]
     fine = [pair for pair in plan.complements if blurred & {*pair}]
     half_lit = [(levels[a] + levels[b]) / 2 for a, b in pairs]
@@ -109,11 +106,36 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
             yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0)
         for frames in fine:
             yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0, _OF_FINE)
-        ambient = levels.min(axis=0)
-        for fringe, light in zip(even, means, strict=True):
-            yield _Group(fringe.frames, _off_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
+        for fringe in even:
+            yield _Group(fringe.frames, _off_mean(fringe, levels, usual), 1.0)
     yield from _cosines(plan, levels)
+    yield from _beyond_white(plan, levels)
     yield from _beyond_white_and_black(plan, levels)
+
+
+def _off_mean(fringe: Fringe, levels: Floats32, usual: Floats32) -> Floats32:
+    """What the mean of a fringe's equal steps and the ambient light leave of the usual light (P,).
+
+    A projector that is not linear makes the mean another part of white, and adds the harmonic of as many cycles as
+    there are steps. Where light comes by way of other surfaces, too, that may have any phase: so much is not told from
+    motion.
+    """
+    of_fringe, ambient = levels[list(fringe.frames)], levels.min(axis=0)
+    light, cosine, sine = of_fringe.mean(axis=0), *fringe.weights[1:].astype(np.float32) @ of_fringe
+    phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
+    every = np.stack([light, ambient, amplitude * np.cos(phase), amplitude * np.sin(phase)], axis=1)
+    brightness, left = _fit_most(every, usual[:, None], _alike(usual / np.maximum(light, 1e-6)))
+    # Fringes swing by half of the pixel's range at most; the harmonic may be left out once, and be too much elsewhere.
+    bent = np.float32(np.hypot(*brightness[2:, 0])) * (levels.max(axis=0) - ambient)
+    return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
+
+
+def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
+    """The brightest step of each fringe, if it is far above white."""
+    if plan.white is not None:
+        for fringe in plan.fringes:
+            above = levels[list(fringe.frames)].max(axis=0) - levels[plan.white]
+            yield _Group(fringe.frames, np.maximum(above, 0), float(np.sqrt(2)), _FAR_BEYOND)
 
 
 def _cosines(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
@@ -144,40 +166,17 @@ def _alike(values: Floats32) -> Bools:
     return cast(Bools, (values >= ordered[start]) & (values <= ordered[start + count - 1]))
 
 
-def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
-    """What the mean of a fringe's steps and the ambient light, `parts` (2, P), leave of the usual light (P,).
-
-    A projector that is not linear makes the mean another part of white, and adds the harmonic of as many cycles as
-    there are steps. Where light comes by way of other surfaces, too, that may have any phase: so much is not told from
-    motion.
+def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats32, Floats32]:
+    """By how much to multiply the terms (P, N) to explain the targets (P, K) where pixels agree, as many as rest at
+    least, (N, K); and what is left of these (P, K). `first` (P,): where they agree roughly.
     """
-    _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
-    phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
-    every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
-    brightness, left = _fit_most(every.T, usual[:, None])
-    # Fringes swing by half of the pixel's range at most; the harmonic may be left out once, and be too much elsewhere.
-    bent = np.float32(np.hypot(*brightness[2:, 0])) * (frames.max(axis=0) - parts[1])
-    return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
-
-
-def _fit_most(terms: Floats32, targets: Floats32, first: Bools | None = None) -> tuple[Floats32, Floats32]:
-    """By how much to multiply the terms (P, N) to explain the targets (P, K) where most pixels agree, (N, K); and what
-    is left of these (P, K). `first` (P,): where they agree roughly, which need not be most of them.
-    """
-    kept = np.ones(len(targets), np.bool_) if first is None else first
+    kept = first
     for _ in range(_TRIMS):
         factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
         left = targets - terms @ factors
         size = np.sqrt(np.mean(left**2, axis=1))
-        usual = _MOST_OFF * median(size) if first is None else _OFF_RESTING * float(np.quantile(size, _RESTING))
-        kept = size <= max(usual, 1e-6)
+        kept = size <= max(_OFF_RESTING * float(np.quantile(size, _RESTING)), 1e-6)
     return cast(Floats32, factors), left
-
-
-def _finest(code: GrayCode) -> set[int]:
-    """The frames of bits that may be finer than what camera and projector resolve, or the scene scatters."""
-    fine = range(code.bits - _FINE_BITS, code.bits)
-    return {frames[bit] for frames in (code.normal, code.inverse) for bit in fine if bit in frames}
 
 
 def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
@@ -198,12 +197,16 @@ def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_G
 
 
 def _off_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
-    """What the steps (N, P) of a fringe leave of a cosine and of its harmonics, rms (P,)."""
+    """What the steps (N, P) of a fringe leave of a cosine and of its harmonics, rms (P,).
+
+    Harmonics are first told where least is left of the cosine: elsewhere, more than half of it may be motion.
+    """
     angles = 2 * np.pi * np.array(fringe.shifts)
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1).astype(np.float32)
     fit = fringe.weights.astype(np.float32) @ levels
     left = levels - design @ fit
     phase, amplitude = np.arctan2(fit[2], fit[1]), np.hypot(fit[1], fit[2])
     terms = np.stack([amplitude * wave(k * phase) for k in _HARMONICS for wave in (np.cos, np.sin)], axis=1)
-    _, left = _fit_most(terms, left.T)
+    size = np.sqrt(np.mean(left**2, axis=0)) / np.maximum(np.ptp(levels, axis=0), 1e-6)
+    _, left = _fit_most(terms, left.T, size <= np.quantile(size, _RESTING))
     return cast(Floats32, np.sqrt(np.mean(left**2, axis=1)))

@@ -15,7 +15,7 @@ from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.coarse_frames import CoarseFrames
-from scanner.decoding.motion.light_arithmetic import broken_fringes, contradictions
+from scanner.decoding.motion.light_arithmetic import broken_fringes, contradictions, frames_of_fine_bits
 from scanner.decoding.sequence_plan import SequencePlan
 
 # Pixels that swing less than this share of what the brightest few do are hardly lit.
@@ -25,8 +25,6 @@ _STRIDE, _A_FEW = 3, 4
 # So many of the lit pixels around one are in contradiction where something moved; its edges are lit by both.
 _WINDOW, _DENSE, _ENOUGH_LIT = 9, 0.3, 0.3
 _SMALLEST, _MARGIN = 30, 1
-# Beside what surely moved, so much of a contradiction is one.
-_FAINT = 0.5
 # Frames that contradict the others in so much of where something moved are those in which it did.
 _MUCH_OF_IT = 0.1
 # Where more than this moved, it is no thing before what rests, unless it passed: where it has left, frames agree again,
@@ -71,12 +69,16 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     moved = patches(off, lit)
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
-    if not 0 < share <= (_MOST_IN_ALL if _passed(groups, off[lit]) else MOST):
+    passed = _passed(groups, off[lit])
+    if not 0 < share <= (_MOST_IN_ALL if passed else MOST):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
     if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):
         return None
-    spoilt = _spoilt(plan, levels, lit, moved, noise) if plan.fringes else moved
+    if plan.fringes:
+        spoilt = _spoilt(plan, levels, lit, moved, noise, passed=passed)
+    else:
+        spoilt = moved & (off | _in_fine_bits(plan, groups, lit)) if passed else moved
     rests = coarse.at_full_size(lit & ~moved & ~_crowded(off, lit))
     return Unrest(coarse.at_full_size(moved), coarse.at_full_size(spoilt), rests, share, tuple(sorted(frames)))
 
@@ -90,14 +92,26 @@ def _passed(groups: list[tuple[tuple[int, ...], Bools]], off: Bools) -> bool:
     return bool(times <= _PASSED * np.count_nonzero(off))
 
 
-def _spoilt(plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel) -> Bools:
-    """Where fringes changed, if only half as much as tells that something moved (hysteresis), (h, w).
+def _in_fine_bits(plan: SequencePlan, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools) -> Bools:
+    """Where something passed while fine bits were shown (h, w): what is wrong by few cells looks right."""
+    fine, off = frames_of_fine_bits(plan), np.zeros(lit.shape, np.bool_)
+    for frames, each in groups:
+        if fine.intersection(frames):
+            off[lit] |= each
+    return patches(off, lit)
 
-    Pixel by pixel: a fringe that is dark where a shadow falls does not change, and stays right.
+
+def _spoilt(
+    plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel, *, passed: bool
+) -> Bools:
+    """Where fringes changed (h, w), pixel by pixel: one that is dark where a shadow falls does not, and stays right.
+
+    Longer fringes than the last of an axis tell its cycle only: where something `passed` during one, the cycle is
+    right, or does not fit, or shows beside that of its surface. What came to stay is seen by some of them only.
     """
+    fringes = [axis.fringes[-1] for axis in plan.axes if axis.fringes] if passed else plan.fringes
     off = np.zeros(lit.shape, np.bool_)
-    for _, each in broken_fringes(plan, levels[:, lit], noise, _FAINT, ~moved[lit]):
-        off[lit] |= each
+    off[lit] = broken_fringes(plan, fringes, levels[:, lit], noise, ~moved[lit])
     near: Bools = cv2.dilate(moved.astype(np.uint8), np.ones((_WINDOW, _WINDOW), np.uint8)) > 0
     return off & near
 

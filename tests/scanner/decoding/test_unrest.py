@@ -117,6 +117,24 @@ def test_a_large_thing_is_masked_where_codes_are_alone(first_from_end: int) -> N
     assert wrong(decoding) < 0.005
 
 
+SHADED = replace(SCENE, exposure=0.1 * SCENE.exposure)
+
+
+@pytest.mark.parametrize("of_coarse_bit", [4, 9])
+def test_a_shadow_amid_coarse_bits_alone_costs_the_pixels_that_were_lit(of_coarse_bit: int) -> None:
+    patterns = sequence_for(SCENE.projector, cell=2, shifts=0)
+    large, lit = np.s_[20:205, 60:240], SCENE.well_lit()
+    decoding = decode(patterns, passed(patterns, [of_coarse_bit], large, SHADED), SCENE.projector)
+    assert 0.3 < np.mean((decoding.reasons == MaskReason.KEPT)[large][lit[large]]) < 0.7
+    assert wrong(decoding) < 0.005
+
+
+def test_a_shadow_on_the_longer_fringe_alone_leaves_what_the_shorter_one_says() -> None:
+    decoding = decode(STANDARD, passed(STANDARD, range(26, 30), other=SHADED), SCENE.projector)
+    assert 0.2 < np.mean((decoding.reasons == MaskReason.KEPT)[around(-4) & SCENE.well_lit()]) < 0.8
+    assert wrong(decoding) < 0.002
+
+
 def test_a_hand_is_masked_as_small_as_it_is() -> None:
     hand = np.s_[100:125, 210:235]
     decoding = decode(STANDARD, passed(STANDARD, range(28, 32), hand), SCENE.projector)
