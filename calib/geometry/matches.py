@@ -4,9 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints, in_pieces
+from calib.numerics import Bools, Floats, Ints, in_slices
 
 NO_FACE = -1
+# Matches that are checked at a time: nothing lies between that would have to stay in the processor's cache.
+_PIECE = 1 << 19
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class Matches:
                 raise ValueError(f"{name} must have the shape {shape}, found {value.shape}")
             if not _is_finite(value):
                 raise ValueError(f"{name} must hold finite numbers, found NaN or infinity")
-        if self.sigma_px is not None and np.any(self.sigma_px <= 0):
+        sigma = self.sigma_px
+        if sigma is not None and not all(in_slices(n, _PIECE, lambda at: bool((sigma[at] > 0).all()))):
             raise ValueError("sigma_px must be positive")
 
     def __len__(self) -> int:
@@ -76,4 +79,11 @@ class Matches:
 
 def _is_finite(values: Floats | Ints) -> bool:
     """Whether all numbers (N, …) are, piece by piece, for there may be millions."""
-    return all(in_pieces(len(values), lambda at: bool(np.isfinite(values[at]).all())))
+    if np.issubdtype(values.dtype, np.integer):
+        return True
+
+    def is_finite(at: slice) -> bool:
+        # A finite sum of squares, read in one pass, has none but finite terms; an infinite one may have overflowed.
+        return bool(np.isfinite(np.vdot(values[at], values[at]))) or bool(np.isfinite(values[at]).all())
+
+    return all(in_slices(len(values), _PIECE, is_finite))
