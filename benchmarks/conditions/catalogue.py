@@ -142,7 +142,7 @@ def _picture() -> Iterator[Condition]:
     for percent in (103, 105, 120):
         yield Condition("picture cropped", f"of {percent} %", {"panel": {"scale": percent / 100}})
     yield Condition("picture squeezed", "75 %", {"panel": {"squeeze": 0.75}})
-    for percent in (5, 20):
+    for percent in (1, 2, 5, 20):
         yield Condition("keystone", f"{percent} %", {"panel": {"keystone": percent / 100}})
     for factor in (0.9, 1.1):
         yield Condition("projector's size stated", f"× {factor}", frames=stated(factor), fault=True)
