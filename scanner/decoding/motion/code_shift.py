@@ -17,6 +17,7 @@ _FEWEST = 300
 _PARAMETERS = 3
 # Frames that were exchanged leave fringes that follow the code nowhere, or here and there.
 _AGREEING = 0.9
+# Where angles lie is found to a bin of the circle, and then by the middle of these quantiles.
 _BINS, _ENDS = 256, (0.02, 0.98)
 _LEAST_PX = 0.5
 # Half a period is also what a finest bit makes that was exchanged with its inverse.

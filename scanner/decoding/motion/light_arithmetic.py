@@ -106,28 +106,12 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
             yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0)
         for frames in fine:
             yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0, _OF_FINE)
-        for fringe in even:
-            yield _Group(fringe.frames, _off_mean(fringe, levels, usual), 1.0)
+        ambient = levels.min(axis=0)
+        for fringe, light in zip(even, means, strict=True):
+            yield _Group(fringe.frames, _off_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
     yield from _cosines(plan, levels)
     yield from _beyond_white(plan, levels)
     yield from _beyond_white_and_black(plan, levels)
-
-
-def _off_mean(fringe: Fringe, levels: Floats32, usual: Floats32) -> Floats32:
-    """What the mean of a fringe's equal steps and the ambient light leave of the usual light (P,).
-
-    A projector that is not linear makes the mean another part of white, and adds the harmonic of as many cycles as
-    there are steps. Where light comes by way of other surfaces, too, that may have any phase: so much is not told from
-    motion.
-    """
-    of_fringe, ambient = levels[list(fringe.frames)], levels.min(axis=0)
-    light, cosine, sine = of_fringe.mean(axis=0), *fringe.weights[1:].astype(np.float32) @ of_fringe
-    phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
-    every = np.stack([light, ambient, amplitude * np.cos(phase), amplitude * np.sin(phase)], axis=1)
-    brightness, left = _fit_most(every, usual[:, None], _alike(usual / np.maximum(light, 1e-6)))
-    # Fringes swing by half of the pixel's range at most; the harmonic may be left out once, and be too much elsewhere.
-    bent = np.float32(np.hypot(*brightness[2:, 0])) * (levels.max(axis=0) - ambient)
-    return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
 
 
 def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
@@ -164,6 +148,22 @@ def _alike(values: Floats32) -> Bools:
     ordered = np.sort(values)
     start = int(np.argmin(ordered[count - 1 :] - ordered[: len(ordered) - count + 1]))
     return cast(Bools, (values >= ordered[start]) & (values <= ordered[start + count - 1]))
+
+
+def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
+    """What the mean of a fringe's steps and the ambient light, `parts` (2, P), leave of the usual light (P,).
+
+    A projector that is not linear makes the mean another part of white, and adds the harmonic of as many cycles as
+    there are steps. Where light comes by way of other surfaces, too, that may have any phase: so much is not told from
+    motion.
+    """
+    _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
+    phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
+    every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
+    brightness, left = _fit_most(every.T, usual[:, None], _alike(usual / np.maximum(parts[0], 1e-6)))
+    # Fringes swing by half of the pixel's range at most; the harmonic may be left out once, and be too much elsewhere.
+    bent = np.float32(np.hypot(*brightness[2:, 0])) * (frames.max(axis=0) - parts[1])
+    return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
 
 
 def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats32, Floats32]:

@@ -23,6 +23,8 @@ SCENE = Scene()
 STANDARD = sequence_for(SCENE.projector)
 # Another surface at another place, twice as bright: who walks by is closer to the projector.
 OTHER = replace(SCENE, turn_deg=-20.0, zoom=0.6, exposure=400.0, seed=2)
+# The same place in the shadow of something.
+SHADED = replace(SCENE, exposure=0.1 * SCENE.exposure)
 # Of the camera's 225 × 300 pixels.
 PLACE = np.s_[60:190, 200:250]
 EVERYWHERE = np.s_[:, :]
@@ -115,9 +117,6 @@ def test_a_large_thing_is_masked_where_codes_are_alone(first_from_end: int) -> N
     assert 0.3 < np.count_nonzero(lit[large]) / np.count_nonzero(lit) < 0.6
     assert np.mean((decoding.reasons == MaskReason.MOVED)[large][lit[large]]) > 0.95
     assert wrong(decoding) < 0.005
-
-
-SHADED = replace(SCENE, exposure=0.1 * SCENE.exposure)
 
 
 @pytest.mark.parametrize("of_coarse_bit", [4, 9])
