@@ -23,9 +23,12 @@ from scanner.capture import (
     Stream,
     capture,
     identity,
+    known_of_lines,
+    measure_lines,
     next_place,
     open_capture,
     record,
+    remarks_on_lines,
     take_up,
 )
 from scanner.configuration import CONFIGURATION_KEY, Config
@@ -129,13 +132,15 @@ def take(
             write_calibration(folder / TRUTH_FILE, opened.truth, {"place": stands} if stands else None)
         how = patterns, config.sequence.exposures_us, config.projector.known_response
         live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
-        live = replace(live, metadata={**live.metadata, CONFIGURATION_KEY: config.recorded})
+        lines = measure_lines(opened.rig) if begun is None else known_of_lines(begun.metadata)
+        live = replace(live, metadata={**live.metadata, **lines, CONFIGURATION_KEY: config.recorded})
         recorded = folder / CAPTURE_FOLDER
 
         def again() -> Stream:
             return open_capture(recorded).stream()
 
         found = decode(record(live, recorded), progress, "Capturing and decoding", name, again=again)
+        found = found.noting(*remarks_on_lines(lines))
     return replace(found, facts=replace(found.facts, truth=opened.truth))
 
 
@@ -188,7 +193,8 @@ def decode_recording(recording: Recording, terminal: Progress, calibration: Cali
         return recording.stream().shown_as(sequence.patterns)
 
     found = decode(stream(), terminal, "Decoding", str(recording.folder), calibration, again=stream)
-    return found.noting(*recording.notes, *filter(None, [sequence.words, _resumption(recording)]))
+    said = filter(None, [sequence.words, _resumption(recording), *remarks_on_lines(recording.metadata)])
+    return found.noting(*recording.notes, *said)
 
 
 def _resumption(recording: Recording) -> str:

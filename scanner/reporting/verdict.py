@@ -8,6 +8,7 @@ import numpy as np
 from calib.diagnostics import FROM_ONE_PLACE
 from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
+from scanner.capture import CHANGED_SHAPE
 from scanner.decoding import UNSEEN_MOTION
 from scanner.patterns import Axis
 from scanner.quantities import intrinsic_errors_percent, percent, relative_focal_sigmas
@@ -52,6 +53,8 @@ _CHECK_THE_CENTRE = (
 _MOST_BY_MOTION_PERCENT = 0.5
 _IF_NOTHING_MOVED = "Calibrated, if nothing moved between the axes"
 _WITNESS = "Capture again with the patterns of 'scan patterns': they are in an order that shows what moves."
+_IF_PIXELS_ARE_SQUARE = "Calibrated, if the projector does not correct its picture's shape"
+_TURN_OFF = "Turn off keystone correction, digital zoom and aspect correction in the projector's menu, and scan again."
 _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and that nothing has moved since it was made."
 
 
@@ -129,6 +132,8 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
     unseen = [note for note in calibrated.solution.notes if note.startswith(UNSEEN_MOTION)]
     if unseen or calibrated.solution.possible_percent > _MOST_BY_MOTION_PERCENT:
         return Verdict("fair", _IF_NOTHING_MOVED, (*unseen, *reasons), _WITNESS)
+    if changed := [warning for warning in report.warnings if warning.startswith(CHANGED_SHAPE)]:
+        return Verdict("fair", _IF_PIXELS_ARE_SQUARE, (*changed, *reasons), _TURN_OFF)
     if worst is not None and worst <= MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
     advice = _ONE_MORE if report.company.count > 1 else _THREE_CAPTURES

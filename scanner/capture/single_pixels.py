@@ -1,0 +1,86 @@
+"""Does each pixel of a picture become one of the projector? Lines of one pixel tell, in five pictures before a capture.
+
+Lines of black and white send as much light as wide stripes do, if they arrive as they are. Scaled, or corrected for
+keystone, they become greyer, and of grey a projector makes less than half of white, for its response bends. The camera
+only has to see how bright they are. A picture that was scaled alone is as good as any other; one that was corrected for
+keystone is of oblong, skewed pixels, which three faces in one view hardly contradict.
+"""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from calib.numerics import Floats, Image
+from hw.rig import Rig
+
+LINES_KEY = "lines_of_one_pixel_keep"
+CHANGED_SHAPE = "The projector does not show single pixels as they are"
+_STRIPE_PX = 8
+_BLACK, _MIDDLE, _WHITE = 0, 128, 255
+# What is lit has so much of what the brightest few do.
+_LIT, _BRIGHT_PERCENTILE = 0.1, 99.0
+# Where grey is nearly half of white, lines tell nothing.
+_LEAST_BEND = 0.05
+# Of what lines and grey differ by: scaled by most factors, or corrected for 1 % of keystone, they keep 0.3 to 0.4; of
+# pixels that share a tenth of their light, 0.7.
+_LEAST_KEPT = 0.6
+
+
+def measure_lines(rig: Rig) -> Mapping[str, object]:
+    """For the recording: what lines of one pixel keep of what they and grey differ by, from 0 to 1; nothing where the
+    camera cannot tell. Raises DeviceError.
+    """
+    size = rig.projector.size
+    # A ghost of the picture before is of as much light, or of less by little.
+    pictures = [
+        _even(size, _BLACK),
+        _even(size, _MIDDLE),
+        _lines(size, 1, _STRIPE_PX),
+        _lines(size, 1),
+        _lines(size, 0),
+    ]
+    black, grey, wide, *thin = (_levels(frame.image) for frame in rig.photograph(pictures))
+    light = grey - black
+    lit = light > max(_LIT * float(np.percentile(light, _BRIGHT_PERCENTILE)), 1.0)
+    if not lit.any():
+        return {}
+    of_black, of_grey, of_wide, *of_thin = (float(levels[lit].mean()) for levels in (black, grey, wide, *thin))
+    bend = of_wide - of_grey
+    if bend < _LEAST_BEND * (of_wide - of_black):
+        return {}
+    return {LINES_KEY: round(min((level - of_grey) / bend for level in of_thin), 2)}
+
+
+def known_of_lines(metadata: Mapping[str, object]) -> Mapping[str, object]:
+    """The same, of a recording that was begun."""
+    return {key: value for key, value in metadata.items() if key == LINES_KEY}
+
+
+def remarks_on_lines(metadata: Mapping[str, object]) -> Iterator[str]:
+    """What the operator should know of what a recording says of them."""
+    kept = metadata.get(LINES_KEY)
+    if isinstance(kept, int | float) and kept < _LEAST_KEPT:
+        yield (
+            f"{CHANGED_SHAPE}: lines of one pixel keep {max(kept, 0):.0%} of what makes them differ from grey. "
+            "It scales the picture, changes its shape, or lets pixels share their light. If it corrects for keystone, "
+            "the focal lengths are wrong, by 4 to 20 % for 1 % of it. Show the picture in the projector's own "
+            "resolution, turn such corrections off, and move the projector instead."
+        )
+
+
+def _even(size: tuple[int, int], level: int) -> Image:
+    width, height = size
+    return np.full((height, width), level, np.uint8)
+
+
+def _lines(size: tuple[int, int], axis: int, px: int = 1) -> Image:
+    """Black and white by turns, so many pixels wide, along axis 0 (y) or 1 (x) of an image."""
+    width, height = size
+    number = np.indices((height, width))[axis] // px
+    return np.where(number % 2, _WHITE, _BLACK).astype(np.uint8)
+
+
+def _levels(image: Image) -> Floats:
+    """(H, W) of a grey or colour image."""
+    values = np.asarray(image, np.float64)
+    return values.mean(axis=2) if values.ndim == 3 else values

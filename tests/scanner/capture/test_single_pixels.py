@@ -1,0 +1,47 @@
+"""Whether the projector shows pixels as they are, before a capture; and what is said of it, then and in replays."""
+
+import pytest
+
+from hw.open_rig import open_rig
+from hw.settings import PanelSettings, SimulatedRigSettings
+from scanner.capture import CHANGED_SHAPE, known_of_lines, measure_lines, remarks_on_lines
+
+CAMERA, PROJECTOR = (204, 160), (214, 120)
+
+
+def measured(**settings: object) -> dict[str, object]:
+    rig = SimulatedRigSettings.model_validate({"backend": "simulated", **settings})
+    with open_rig(rig, CAMERA, PROJECTOR) as opened:
+        return dict(measure_lines(opened.rig))
+
+
+@pytest.mark.parametrize(
+    ("settings", "least", "most"),
+    [
+        ({}, 0.9, 1.1),
+        ({"panel": {"mirrored": True}}, 0.9, 1.1),
+        ({"ambient": 0.3, "camera_blur_px": 2.0, "projector_blur_px": 1.5}, 0.9, 1.1),
+        ({"panel": PanelSettings(keystone=0.02)}, 0.2, 0.55),
+        ({"panel": {"keystone": 0.1}}, 0.2, 0.55),
+        ({"panel": {"scale": 0.8}}, 0.2, 0.5),
+    ],
+)
+def test_lines_of_one_pixel_arrive_unless_the_picture_is_changed(
+    settings: dict[str, object], least: float, most: float
+) -> None:
+    found = measured(**settings)
+    (kept,) = found.values()
+    assert isinstance(kept, float)
+    assert least < kept < most
+    said = list(remarks_on_lines({"camera": "of one who recorded it", **found}))
+    assert [sentence.startswith(CHANGED_SHAPE) for sentence in said] == [True] * (most < 0.6)
+    assert known_of_lines({"frames": [], **found}) == found
+
+
+def test_a_projector_without_a_bent_response_does_not_tell() -> None:
+    assert measured(gamma=1.0) == {}
+    assert not list(remarks_on_lines({}))
+
+
+def test_what_a_stranger_has_written_there_is_no_number() -> None:
+    assert not list(remarks_on_lines({"lines_of_one_pixel_keep": "nothing"}))
