@@ -124,6 +124,7 @@ def take(
     with ExitStack() as devices:
         with progress.step("Preparing the rig"):
             opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
+            lines = measure_lines(opened.rig) if begun is None else known_of_lines(begun.metadata)
         if opened.truth:
             stands = opened.place and {
                 "rotation": opened.place.rotation.tolist(),
@@ -132,7 +133,6 @@ def take(
             write_calibration(folder / TRUTH_FILE, opened.truth, {"place": stands} if stands else None)
         how = patterns, config.sequence.exposures_us, config.projector.known_response
         live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
-        lines = measure_lines(opened.rig) if begun is None else known_of_lines(begun.metadata)
         live = replace(live, metadata={**live.metadata, **lines, CONFIGURATION_KEY: config.recorded})
         recorded = folder / CAPTURE_FOLDER
 

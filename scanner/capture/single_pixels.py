@@ -9,9 +9,11 @@ keystone is of oblong, skewed pixels, which three faces in one view hardly contr
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib.numerics import Floats, Image
+from calib.numerics import Image
 from hw.rig import Rig
+from scanner.capture.stream import refuse_another_size
 
 LINES_KEY = "lines_of_one_pixel_keep"
 CHANGED_SHAPE = "The projector does not show single pixels as they are"
@@ -28,7 +30,7 @@ _LEAST_KEPT = 0.6
 
 def measure_lines(rig: Rig) -> Mapping[str, object]:
     """For the recording: what lines of one pixel keep of what they and grey differ by, from 0 to 1; nothing where the
-    camera cannot tell. Raises DeviceError.
+    camera cannot tell. Raises DeviceError if a device fails or the camera delivers frames of another size.
     """
     size = rig.projector.size
     # A ghost of the picture before is of as much light, or of less by little.
@@ -39,12 +41,18 @@ def measure_lines(rig: Rig) -> Mapping[str, object]:
         _lines(size, 1),
         _lines(size, 0),
     ]
-    black, grey, wide, *thin = (_levels(frame.image) for frame in rig.photograph(pictures))
+    levels = []
+    for frame in rig.photograph(pictures):
+        refuse_another_size(frame, rig.camera.size)
+        levels.append(_levels(frame.image))
+    black, grey, wide, *thin = levels
     light = grey - black
     lit = light > max(_LIT * float(np.percentile(light, _BRIGHT_PERCENTILE)), 1.0)
     if not lit.any():
         return {}
-    of_black, of_grey, of_wide, *of_thin = (float(levels[lit].mean()) for levels in (black, grey, wide, *thin))
+    of_black, of_grey, of_wide, *of_thin = (
+        float(each[lit].mean(dtype=np.float64)) for each in (black, grey, wide, *thin)
+    )
     bend = of_wide - of_grey
     if bend < _LEAST_BEND * (of_wide - of_black):
         return {}
@@ -80,7 +88,7 @@ def _lines(size: tuple[int, int], axis: int, px: int = 1) -> Image:
     return np.where(number % 2, _WHITE, _BLACK).astype(np.uint8)
 
 
-def _levels(image: Image) -> Floats:
-    """(H, W) of a grey or colour image."""
-    values = np.asarray(image, np.float64)
-    return values.mean(axis=2) if values.ndim == 3 else values
+def _levels(image: Image) -> NDArray[np.float32]:
+    """(H, W) of a grey or colour image: all of its pixels, for a camera may resolve the lines, and some would beat."""
+    values = image.astype(np.float32)
+    return values if values.ndim == 2 else values.mean(axis=2, dtype=np.float32)

@@ -59,14 +59,20 @@ def capture(
 def _frames(
     rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, ...], response: ProjectorResponse | None
 ) -> Iterator[tuple[Pattern, Frame]]:
-    width, height = rig.camera.size
     pictures = _pictures(patterns, rig.projector.size, response)
     frames = rig.photograph(pictures, exposures_us, level_groups(patterns), unpaired_bits(patterns))
     for pattern, frame in zip(patterns, frames, strict=True):
-        if frame.image.shape[:2] != (height, width):
-            found = f"{frame.image.shape[1]} × {frame.image.shape[0]}"
-            raise DeviceError(f"the camera says that its frames are {width} × {height}, but delivered one of {found}")
+        refuse_another_size(frame, rig.camera.size)
         yield pattern, frame
+
+
+def refuse_another_size(frame: Frame, size: tuple[int, int]) -> None:
+    """Raise DeviceError if a frame is not of the camera's size, (width, height)."""
+    height, width = frame.image.shape[:2]
+    if (width, height) != size:
+        raise DeviceError(
+            f"the camera says that its frames are {size[0]} × {size[1]}, but delivered one of {width} × {height}"
+        )
 
 
 def _pictures(
