@@ -24,6 +24,7 @@ from scanner.results.stages import Decoded
 from scanner.ui.terminal import Terminal
 from tests.support.small_capture import SIZE
 
+BEFORE_PATTERNS = 5  # frames, of lines of one pixel and what they are compared with
 CONFIG = """
 camera: {width: 48, height: 32}
 projector: {width: 48, height: 32}
@@ -71,13 +72,13 @@ class Mirror:
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[SimulatedRigSettings]:
-    """The settings that rigs are opened with; the second of them breaks after three frames."""
+    """The settings that rigs are opened with; the second of them breaks after three frames of its patterns."""
     settings_seen: list[SimulatedRigSettings] = []
 
     @contextmanager
     def open_mirror(settings: SimulatedRigSettings, *_: object) -> Iterator[OpenedRig]:
         settings_seen.append(settings)
-        mirror = Mirror(3 if len(settings_seen) == 2 else 1000)
+        mirror = Mirror(BEFORE_PATTERNS + 3 if len(settings_seen) == 2 else 1000)
         yield OpenedRig(Rig(mirror, mirror), None)
 
     monkeypatch.setattr(pipeline, "open_rig", open_mirror)
