@@ -48,26 +48,41 @@ def new_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
 def new_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> Iterator[list[Path]]:
     """Hidden files in a folder to write into; they get their `names` when the block ends well, and vanish if not.
 
-    Folders on the way are made. Raises InputError if one exists and may not be replaced, or no file can be there;
-    StorageError if the disk does not take it.
+    Folders on the way are made, and vanish with them. Raises InputError if one exists and may not be replaced, or no
+    file can be there; StorageError if the disk does not take it.
     """
     for name in names:
         refuse_existing(folder / name, overwrite=overwrite)
+    with _made(folder):
+        partial = _Partial.new(folder)
+        try:
+            partial.begin()
+            yield [partial.path(name) for name in names]
+            with finishing():
+                partial.publish(names)
+        except OSError as error:
+            raise cannot_write(folder / names[0], error) from error
+        finally:
+            with finishing(ending=True):
+                partial.end()
+
+
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """A folder, and those on the way to it; where nothing comes of it, those that were made for it vanish."""
+    missing: list[Path] = []
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cannot_write(folder, error, "made") from error
-    partial = _Partial.new(folder)
-    try:
-        partial.begin()
-        yield [partial.path(name) for name in names]
-        with finishing():
-            partial.publish(names)
-    except OSError as error:
-        raise cannot_write(folder / names[0], error) from error
-    finally:
-        with finishing(ending=True):
-            partial.end()
+        try:
+            missing = [each for each in (folder, *folder.parents) if not each.exists()]
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise cannot_write(folder, error, "made") from error
+        yield
+    except BaseException:
+        for each in missing:
+            with suppress(OSError):  # not made yet, or somebody has put something there
+                each.rmdir()
+        raise
 
 
 class _Partial:

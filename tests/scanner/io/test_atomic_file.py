@@ -1,0 +1,46 @@
+"""What is left of folders that were made for files of which nothing came."""
+
+from pathlib import Path
+
+import pytest
+
+from scanner.errors import InputError, StorageError
+from scanner.io import new_files
+
+NAMES = ("one", "two")
+
+
+def write(folder: Path, *, fail: bool) -> None:
+    with new_files(folder, NAMES, overwrite=False) as paths:
+        paths[0].write_text("1")
+        if fail:
+            raise OSError(28, "No space left on device")
+        paths[1].write_text("2")
+
+
+def test_folders_that_were_made_for_nothing_vanish(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="No space left"):
+        write(tmp_path / "a" / "b", fail=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders_that_were_there_before_stay_with_what_is_in_them(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "a" / "note").write_text("mine")
+    for folder in (tmp_path / "a" / "b", tmp_path / "a", tmp_path / "empty"):
+        with pytest.raises(StorageError):
+            write(folder, fail=True)
+    found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")}
+    assert found == {"a", "a/note", "empty"}
+
+
+def test_a_folder_that_cannot_be_made_leaves_none_on_the_way(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be made"):
+        write(tmp_path / "a" / ("b" * 300), fail=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_became_of_it_stays(tmp_path: Path) -> None:
+    write(tmp_path / "a" / "b", fail=False)
+    assert {path.name for path in (tmp_path / "a" / "b").iterdir()} == set(NAMES)
