@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from scanner.errors import InputError
+from scanner.shown_text import shown
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -18,6 +19,8 @@ MISSING_DASK = (
 # A capture that was there when so many workers died is what ends them.
 _DEATHS = 3
 _REACHED_WITHIN_S = 20
+# With less, a worker is killed over the smallest capture.
+_LEAST_BYTES = 400_000_000
 _SETTINGS = {
     "distributed.scheduler.allowed-failures": _DEATHS - 1,
     # Dask would also have workers give memory back at once (MALLOC_TRIM_THRESHOLD_), which costs a quarter of the time
@@ -46,6 +49,19 @@ def require_dask() -> None:
     except ImportError as error:
         raise InputError(MISSING_DASK) from error
     logging.getLogger(distributed.__name__).setLevel(logging.CRITICAL)
+
+
+def refuse_no_memory(size: str) -> None:
+    """Raise InputError if a size is none, or no worker could live with it."""
+    from dask.utils import parse_bytes
+
+    try:
+        enough = parse_bytes(size) >= _LEAST_BYTES
+    except (ValueError, OverflowError):
+        enough = False
+    if not enough:
+        least = f"{_LEAST_BYTES / 1e6:.0f}MB"
+        raise InputError(f"--memory: expected a size of {least} or more, as in 4GB, found {shown(size)}")
 
 
 @contextmanager

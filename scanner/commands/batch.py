@@ -14,13 +14,25 @@ if TYPE_CHECKING:
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
-    from scanner.batch import Asked, Batch, ClusterOptions, client_of, described, list_jobs, require_dask, run_batch
+    from scanner.batch import (
+        Asked,
+        Batch,
+        ClusterOptions,
+        client_of,
+        described,
+        list_jobs,
+        refuse_no_memory,
+        require_dask,
+        run_batch,
+    )
 
     require_dask()
     if args.scheduler and (args.workers or args.memory):
         raise InputError("--workers and --memory are for this machine; a scheduler has its workers: give one of them")
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers: expected 1 or more, found {args.workers}")
+    if args.memory is not None:
+        refuse_no_memory(args.memory)
     terminal = Terminal(quiet=args.quiet)
     if harmless(args.out) != args.out:
         raise InputError(f"--out: expected a name of characters that can be shown, in UTF-8, found {shown(args.out)}")
