@@ -63,7 +63,7 @@ def _print(args: Namespace, terminal: Terminal) -> None:
 
 def _from_captures(args: Namespace, target: Target, out: Path, terminal: Terminal) -> FromBoards:
     if not args.overwrite:
-        refuse_occupied(out)
+        refuse_occupied(out, overwrite=False)
     result = calibrate_captures(read_folders(args.captures), target, terminal)
     with new_result(out, Config(), overwrite=args.overwrite) as folder:
         save_result(result, folder)

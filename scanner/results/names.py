@@ -74,10 +74,10 @@ def unused(path: Path) -> Path:
     return candidate
 
 
-def refuse_occupied(out: Path) -> None:
-    """Raise InputError if there is something at `out` already, other than an empty folder."""
+def refuse_occupied(out: Path, *, overwrite: bool | None = None) -> None:
+    """Raise InputError if there is something at `out` already, other than an empty folder; `overwrite` as below."""
     if is_occupied(out):
-        refuse_to_lose(out, overwrite=False)
+        refuse_to_lose(out, overwrite=overwrite)
 
 
 def is_occupied(path: Path) -> bool:
@@ -87,10 +87,11 @@ def is_occupied(path: Path) -> bool:
     return path.exists() or path.is_symlink()
 
 
-def refuse_to_lose(out: Path, *, overwrite: bool) -> None:
-    """Raise InputError unless what is at `out` is a result, and may be overwritten."""
+def refuse_to_lose(out: Path, *, overwrite: bool | None) -> None:
+    """Raise InputError unless what is at `out` is a result, and may be overwritten; None: nobody can ask for that."""
     if not overwrite:
-        raise InputError(f"{out}: already exists; choose another --out, or replace an earlier result with --overwrite")
+        instead = "" if overwrite is None else ", or replace an earlier result with --overwrite"
+        raise InputError(f"{out}: already exists; choose another --out{instead}")
     if out.is_symlink() or not out.is_dir() or not (out / LOG_FILE).is_file():
         raise InputError(f"{out}: exists and is no result of an earlier scan, so it is not overwritten")
     foreign = sorted(path.name for path in out.iterdir() if path.name not in _OURS)

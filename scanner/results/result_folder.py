@@ -55,15 +55,15 @@ class OutputFolder:
     While it is made, nobody else can make `out`. What programs have left there that were killed is settled first, and
     `tell` is given a sentence on each.
 
-    Raises InputError if `out` exists, unless it is an empty folder, or a result of ours and `overwrite` is set, or if
-    it is being made.
+    Raises InputError if `out` exists, unless it is an empty folder, or a result of ours and `overwrite` is set (None:
+    nobody can ask for that), or if it is being made.
     """
 
     def __init__(
         self,
         out: Path,
         *,
-        overwrite: bool = False,
+        overwrite: bool | None = None,
         keep_capture: bool = False,
         tell: Callable[[str], None] = log.warning,
     ) -> None:

@@ -255,6 +255,17 @@ def test_everything_is_checked_before_the_capture(
         assert words in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["patterns", "import", "replay"])
+def test_what_exists_is_replaced_only_by_commands_that_can(
+    tmp_path: Path, config: Path, capture_folder: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    more = ["--config", config] if command == "patterns" else [capture_folder]
+    assert run(command, *more, "--out", tmp_path) == 2
+    message = capsys.readouterr().err
+    assert "already exists; choose another --out" in message
+    assert ("--overwrite" in message) == (command == "replay")
+
+
 @pytest.mark.parametrize(("section", "words"), [("rig", "'rig'"), ("projector", "'projector")])
 def test_what_a_scan_needs_is_asked_for(
     tmp_path: Path, config: Path, capsys: pytest.CaptureFixture[str], section: str, words: str
