@@ -39,8 +39,6 @@ _SEEN = 5.0
 _FAINTLY_SEEN = 3.0
 # One-sided 93 %. A bit this weak lies at the edge of its stripe, where a wrong one costs a single cell.
 _CERTAIN_BIT = 1.5
-# Smaller differences are rounding, compression and stray light, whatever the noise.
-_LEAST_DIFFERENCE = 5.0
 # How far beyond the projector's pixels noise may carry a coordinate.
 _EDGE_PX = 0.5
 _FAINTEST_POWER = np.float32(1e-6)
@@ -228,8 +226,8 @@ def _undecided(code: GrayCode, fine: Mapping[int, Image], least_certain: Floats3
 def least_contrasts(noise: NoiseModel, middle: NDArray[np.generic]) -> tuple[Floats32, Floats32]:
     """From which contrast on a bit is certain, and a code is seen, at each level half-way between lit and unlit."""
     difference_sigma = np.float32(sqrt(2)) * noise.sigma(middle)
-    certain = np.maximum(np.float32(_LEAST_DIFFERENCE), np.float32(_CERTAIN_BIT) * difference_sigma)
-    return certain, np.maximum(np.float32(2 * _LEAST_DIFFERENCE), np.float32(_SEEN) * difference_sigma)
+    certain = np.maximum(np.float32(noise.stray), np.float32(_CERTAIN_BIT) * difference_sigma)
+    return certain, np.maximum(np.float32(2 * noise.stray), np.float32(_SEEN) * difference_sigma)
 
 
 def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:

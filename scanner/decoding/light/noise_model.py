@@ -5,7 +5,7 @@ every fringe over its shifts. Their differences are noise. Where a sequence has 
 frames along their rows is used as well; edges of the scene do not move its median (after Immerkær, CVIU 64, 1996).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,14 +22,22 @@ _FEWEST_IN_BIN = 100
 _QUIET = 0.1
 _ENOUGH_REPEATS = 3
 _SEED = 7
+# Differences that may be stray light are a part of what the brightest pixels show, a few of which are enough …
+_STRAY_PART, _BRIGHTEST = 0.03, 0.995
+# … but those of rounding are not; and larger ones are neither.
+_ROUNDING, _MOST_STRAY = 1.0, 5.0
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Variance of a pixel at grey level I: `at_black` + `gain` · I (read noise and quantisation, shot noise)."""
+    """Variance of a pixel at grey level I: `at_black` + `gain` · I (read noise and quantisation, shot noise).
+
+    `stray`: differences between frames up to here are rounding, compression and stray light, whatever the noise.
+    """
 
     at_black: float
     gain: float
+    stray: float = _MOST_STRAY
 
     def sigma(self, level: NDArray[np.generic]) -> Floats32:
         """Standard deviation in grey levels at each level; any shape."""
@@ -57,12 +65,14 @@ def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> Nois
     unsaturated = levels.max(axis=0) < saturation
     if not unsaturated.any():
         return NoiseModel(_QUANTISATION, 0.0)
+    contrast = float(np.quantile(np.ptp(levels, axis=0), _BRIGHTEST))
     repeats = _repeats(plan, levels[:, unsaturated])
     curvature = sample.curvature
     if curvature is not None:
         rows = zip(levels[:, unsaturated], curvature[:, unsaturated], strict=True)
         repeats += [(level, bend / np.float32(np.sqrt(6))) for level, bend in rows]
-    return _fit(*_variance_by_level(*(np.stack(parts) for parts in zip(*repeats, strict=True))))
+    noise = _fit(*_variance_by_level(*(np.stack(parts) for parts in zip(*repeats, strict=True))))
+    return replace(noise, stray=min(max(_ROUNDING, _STRAY_PART * contrast), _MOST_STRAY))
 
 
 def _repeats(plan: SequencePlan, levels: Floats32) -> list[tuple[Floats32, Floats32]]:

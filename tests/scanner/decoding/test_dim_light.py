@@ -1,0 +1,45 @@
+"""Little light costs accuracy, not pixels: what is too faint is a part of what the brightest ones show."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from calib.numerics.array_types import Image
+from scanner.patterns import sequence_for
+from tests.support.synthetic_capture import Scene, decode
+
+SCENE = replace(Scene(), ambient=1.0, read_noise=0.5, electrons_per_level=100.0)
+GRAY = sequence_for(SCENE.projector, code="gray", cell=1, inverses=True, shifts=0)
+
+
+def as_jpeg(image: Image) -> Image:
+    whole, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 75])
+    assert whole
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("exposure", "stored", "kept", "error_px"),
+    [(50.0, np.asarray, 0.99, 0.015), (25.0, np.asarray, 0.94, 0.03), (40.0, as_jpeg, 0.97, 0.04)],
+    ids=["a quarter", "an eighth", "a fifth, as JPEG"],
+)
+def test_codes_in_little_light(exposure: float, stored: Callable[[Image], Image], kept: float, error_px: float) -> None:
+    scene = replace(SCENE, exposure=exposure)
+    decoding = decode(GRAY, [stored(frame) for frame in scene.frames(GRAY)], scene.projector)
+    errors = np.abs(scene.errors(decoding))
+    assert np.mean(decoding.reasons[scene.well_lit()] == 0) > kept
+    assert 0.3 * error_px < np.median(errors) < error_px
+    assert np.mean(errors > 1) < 1e-3
+
+
+def test_shadows_stay_dark() -> None:
+    """They have light of their own, which has bounced about, by a tenth of what is lit directly."""
+    scene = replace(SCENE, exposure=50.0)
+    decoding = scene.decode(GRAY)
+    u, v = np.meshgrid(*(np.arange(float(size)) for size in scene.camera))
+    shadow = cv2.erode(scene.is_shadow(u, v).astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    assert np.count_nonzero(shadow) > 500
+    assert np.mean(decoding.reasons[shadow] == 0) < 0.02
