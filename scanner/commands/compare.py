@@ -11,7 +11,9 @@ from scanner.comparing import (
     write_compare,
     write_compare_page,
 )
+from scanner.errors import InputError
 from scanner.io import new_files, refuse_existing
+from scanner.shown_text import shown
 from scanner.ui import Terminal
 
 
@@ -22,6 +24,8 @@ def run(args: Namespace) -> None:
         for name in (COMPARE_FILE, COMPARE_PAGE):
             refuse_existing(args.out / name, overwrite=args.overwrite)
     depths = [depth for depth in (args.depths or "").split(",") if depth.strip()]
+    if args.depths is not None and not depths:
+        raise InputError(f"--depths: expected lengths, as in 1m,2m,3m, found {shown(args.depths)}")
     found = compare_files(args.first, args.second, depths)
     terminal.show(table(found), *summary(found))
     if args.out:

@@ -118,6 +118,7 @@ def test_a_difference_is_told_with_where_it_is(case: Before, folder: Path, capsy
     [
         ("boards nowhere.yaml", "no such file"),
         ("boards truth.yaml --depths 1ell", "ell"),
+        ("boards truth.yaml --depths ,", "--depths: expected lengths"),
         ("boards truth.yaml --depths 1um", "next to nothing in common"),
         ("boards other.yaml", "these are two rigs"),
     ],
