@@ -16,6 +16,7 @@ from pathlib import Path
 from scanner.errors import InputError, cannot_write
 from scanner.interruption import finishing
 from scanner.io.durable import sync
+from scanner.io.new_folders import missing_folders, remove_empty
 
 log = logging.getLogger(__name__)
 
@@ -73,15 +74,13 @@ def _made(folder: Path) -> Iterator[None]:
     missing: list[Path] = []
     try:
         try:
-            missing = [each for each in (folder, *folder.parents) if not each.exists()]
+            missing = missing_folders(folder)
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise cannot_write(folder, error, "made") from error
         yield
     except BaseException:
-        for each in missing:
-            with suppress(OSError):  # not made yet, or somebody has put something there
-                each.rmdir()
+        remove_empty(missing)
         raise
 
 

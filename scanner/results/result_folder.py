@@ -4,7 +4,7 @@ import logging
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -14,7 +14,7 @@ from calib.refusal import RefusalError
 from scanner.configuration import Config
 from scanner.errors import InputError, StorageError, cannot_write, is_of_the_disk
 from scanner.interruption import finishing
-from scanner.io import MATCHES_FILE, sync_tree
+from scanner.io import MATCHES_FILE, missing_folders, remove_empty, sync_tree
 from scanner.results.leftovers import frames_in, keep_recording, kept_words, settle
 from scanner.results.names import CAPTURES_FOLDER, LOG_FILE, ROOM_FILE, is_occupied, refuse_to_lose, unused
 from scanner.results.unfinished import STATE, Claim, HeldError, State, partial_of, publish
@@ -79,7 +79,7 @@ class OutputFolder:
         self.folder = partial_of(self.out)
 
     def __enter__(self) -> Self:
-        self._new_parents = [parent for parent in self.out.parents if not parent.exists()]
+        self._new_parents = missing_folders(self.out.parent)
         try:
             self._claim = self._claimed()
             self._claim.say(State.LIVE if self._keep_capture else State.MADE)
@@ -174,6 +174,4 @@ class OutputFolder:
 
     def _discard(self) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)  # what is left of it is settled by the next
-        for parent in self._new_parents:
-            with suppress(OSError):  # someone else has put something there since
-                parent.rmdir()
+        remove_empty(self._new_parents)
