@@ -5,5 +5,11 @@ from scanner.capture.recorder import CAPTURE_FILE, record
 from scanner.capture.recording import Recording, open_capture
 from scanner.capture.resuming import take_up
 from scanner.capture.rig_placement import check_places, next_place
-from scanner.capture.single_pixels import CHANGED_SHAPE, known_of_lines, measure_lines, remarks_on_lines
+from scanner.capture.single_pixels import (
+    CHANGED_SHAPE,
+    known_of_lines,
+    lines_of_light,
+    measure_lines,
+    remarks_on_lines,
+)
 from scanner.capture.stream import Stream, capture

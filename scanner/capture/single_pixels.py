@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from calib.numerics import Image
 from hw.rig import Rig
 from scanner.capture.stream import refuse_another_size
+from scanner.patterns import Axis
 
 LINES_KEY = "lines_of_one_pixel_keep"
 CHANGED_SHAPE = "The projector does not show single pixels as they are"
@@ -37,9 +38,9 @@ def measure_lines(rig: Rig) -> Mapping[str, object]:
     pictures = [
         _even(size, _BLACK),
         _even(size, _MIDDLE),
-        _lines(size, 1, _STRIPE_PX),
-        _lines(size, 1),
-        _lines(size, 0),
+        lines_of_light("x", size, (_BLACK, _WHITE), _STRIPE_PX),
+        lines_of_light("x", size, (_BLACK, _WHITE)),
+        lines_of_light("y", size, (_BLACK, _WHITE)),
     ]
     levels = []
     for frame in rig.photograph(pictures):
@@ -57,6 +58,14 @@ def measure_lines(rig: Rig) -> Mapping[str, object]:
     if bend < _LEAST_BEND * (of_wide - of_black):
         return {}
     return {LINES_KEY: round(min((level - of_grey) / bend for level in of_thin), 2)}
+
+
+def lines_of_light(axis: Axis, size: tuple[int, int], levels: tuple[int, int], px: int = 1) -> Image:
+    """Two grey levels by turns along an axis, each so many pixels wide, in a picture of this size, (width, height)."""
+    width, height = size
+    number = np.arange(width)[None, :] if axis == "x" else np.arange(height)[:, None]
+    values = np.array(levels, np.uint8)[number // px % 2]
+    return np.ascontiguousarray(np.broadcast_to(values, (height, width)))
 
 
 def known_of_lines(metadata: Mapping[str, object]) -> Mapping[str, object]:
@@ -79,13 +88,6 @@ def remarks_on_lines(metadata: Mapping[str, object]) -> Iterator[str]:
 def _even(size: tuple[int, int], level: int) -> Image:
     width, height = size
     return np.full((height, width), level, np.uint8)
-
-
-def _lines(size: tuple[int, int], axis: int, px: int = 1) -> Image:
-    """Black and white by turns, so many pixels wide, along axis 0 (y) or 1 (x) of an image."""
-    width, height = size
-    number = np.indices((height, width))[axis] // px
-    return np.where(number % 2, _WHITE, _BLACK).astype(np.uint8)
 
 
 def _levels(image: Image) -> NDArray[np.float32]:

@@ -8,8 +8,9 @@ how bright it is, not the lines.
 
 import numpy as np
 
-from calib.numerics import Floats, Image
+from calib.numerics import Floats
 from hw.rig import Rig
+from scanner.capture import lines_of_light
 from scanner.checking.light import Light, grey
 from scanner.checking.report import CheckRow, State
 from scanner.checking.response import RAMP_STEPS, Ramp
@@ -32,7 +33,8 @@ def pixel_row(rig: Rig, light: Light, ramp: Ramp) -> CheckRow | None:
     where = light.well_lit
     black, white = light.mean_black[where].mean(), light.mean_white[where].mean()
     # Of a ghost that harms nothing else there would be percents of contrast here.
-    frames = settled(rig.photograph, [_lines(axis, rig.projector.size) for axis in _AXES])
+    levels = _level(_DARK), _level(_BRIGHT)
+    frames = settled(rig.photograph, [lines_of_light(axis, rig.projector.size, levels) for axis in _AXES])
     mean = np.array([(grey(frame.image)[where].mean() - black) / (white - black) for frame in frames])
     return row_of(_contrast(mean, ramp))
 
@@ -58,14 +60,6 @@ def row_of(contrast: Floats) -> CheckRow:
             "overscan and aspect correction in its menu; move the projector instead.",
         )
     return CheckRow(_NAME, State.OK, finding)
-
-
-def _lines(axis: Axis, size: tuple[int, int]) -> Image:
-    """One pixel dark, one bright, along an axis."""
-    width, height = size
-    number = np.arange(width)[None, :] if axis == "x" else np.arange(height)[:, None]
-    levels = np.where(number % 2, _level(_BRIGHT), _level(_DARK)).astype(np.uint8)
-    return np.ascontiguousarray(np.broadcast_to(levels, (height, width)))
 
 
 def _level(step: int) -> int:
