@@ -289,7 +289,7 @@ def _by_refinement(
     if refinement is None:
         raise no_corner(cells, RIG)
     by_curvature = refinement.covariance
-    refinement = _with_smooth_errors(refinement, shifts)
+    refinement, _ = _with_shifts(_with_smooth_errors(refinement, shifts), [each.decoding for each in shifts])
     at_rest_percent = percent_of_intrinsics(refinement.fit.state, np.sqrt(np.diag(refinement.covariance)))
     refinement, likely_percent = _with_shifts(refinement, [each.likely for each in shifts])
     notes: tuple[str, ...] = ()

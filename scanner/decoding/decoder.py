@@ -20,6 +20,7 @@ from scanner.decoding.checked_maps import checked_maps
 from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
+from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
 from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
@@ -83,6 +84,7 @@ class Decoding:
     darkness: str | None = None
     footprint_px2: float = 0.0
     smooth_px: float = SMOOTH_PX
+    stripes: FinestStripes | None = None
 
 
 class Decoder:
@@ -194,8 +196,9 @@ class Decoder:
         with blaming_motion(lambda: seen.motion, seen.broken):
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities, once_more=once_more and not self._mended)
-                del sample
                 maps, by_pixel = checked_maps(accumulators, learnt, seen, odd=bool(oddities))
+                stripes = finest_stripes(accumulators.plan, sample, maps)
+                del sample
                 motion = seen.motion
                 if self._lit is not None:
                     motion = motion_between(
@@ -229,6 +232,7 @@ class Decoder:
             darkness=darkness,
             footprint_px2=maps.footprint_px2,
             smooth_px=hypot(smooth_error_px(plan.fringes), between_periods_px(plan, motion)),
+            stripes=stripes,
         )
 
     @property

@@ -17,6 +17,7 @@ from scanner.reconstruction.face_masks import label_by_masks
 from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.reconstruction.metric_scale import scaled
 from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_doubt
+from scanner.reconstruction.panel_pixels import on_panel
 from scanner.reconstruction.sheet_scale import scaled_by_sheet
 from scanner.results import Decoded, SelfCalibrated, Stage, naming
 
@@ -45,7 +46,7 @@ def label(captures: Sequence[Decoded], reached: list[Stage], masks: Bools | None
     for number, capture in enumerate(captures):
         with naming(capture, among=len(captures)):
             refuse_moved(capture)
-            found = _label(capture, masks if capture is captures[-1] else None)
+            found = on_panel(_label(capture, masks if capture is captures[-1] else None))
             reached[number] = found
             refuse_few(
                 found.matches,

@@ -30,7 +30,8 @@ def refuse_costly(captures: Sequence[Decoded], solution: SelfCalibration) -> Non
 def shifts_of(capture: Decoded) -> Shifts:
     """By what all matches of a capture may be shifted."""
     motion = capture.decoding.motion if capture.decoding else None
-    return replace(Shifts() if motion is None else motion.shifts, smooth_px=capture.origin.smooth_px)
+    of_motion = Shifts() if motion is None else motion.shifts
+    return replace(of_motion, decoding=capture.panel or (), smooth_px=capture.origin.smooth_px)
 
 
 def with_doubt(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:

@@ -12,6 +12,7 @@ from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Corner, Matches
 from calib.numerics import Image, Ints
 from calib.pointcloud import Cloud, MergedCloud
+from calib.refinement import Shift
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureFacts
@@ -35,7 +36,8 @@ class Decoded:
     """A capture as matches, which carry face labels as soon as these are known; `origin` says where they come from.
 
     `plane` (N,) is which plane each match is on, as of `Faces`, where the faces were found and not given. `name` says
-    in messages which of several captures it is.
+    in messages which of several captures it is. `panel`: by what the projector's pixels may err, by fields of one
+    standard deviation, if the picture's were taken to the panel's; empty where they are the same, None until asked.
     """
 
     facts: CaptureFacts
@@ -43,6 +45,7 @@ class Decoded:
     origin: Decoding | GivenMatches
     name: str = ""
     plane: Ints | None = None
+    panel: tuple[Shift, ...] | None = None
 
     @property
     def decoding(self) -> Decoding | None:
