@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from calib.geometry import Calibration, Matches
+from calib.geometry import Calibration, Matches, mapped
 from calib.numerics import Bools, Floats
 from calib.plane_segmentation import find_faces
 from calib.refusal import RefusalError
@@ -26,13 +26,15 @@ class Truth:
     """Of a simulated capture: `projector_px` (H, W, 2), NaN where the picture does not reach; `calibration`.
 
     `moved_px`: of the frames, against `projector_px`. `pinhole`: whether the projector is one, with square pixels. If
-    not, only the camera's focal length is held against the truth.
+    not, only the camera's focal length is held against the truth, and matches may as well be pixels of the panel, to
+    which `panel` (3, 3) takes those of the picture.
     """
 
     projector_px: Floats
     calibration: Calibration
     pinhole: bool = True
     moved_px: tuple[float, float] = (0.0, 0.0)
+    panel: Floats | None = None
 
     def moved(self, by_px: tuple[float, float]) -> "Truth":
         """That of frames that were moved to the right and down, which moves the camera's principal point along."""
@@ -87,8 +89,16 @@ def calibration_error(found: Calibration, truth: Truth) -> CalibrationError:
 
 def match_errors(matches: Matches, truth: Truth) -> Floats:
     """Distances (k,) in projector px from what the camera pixels see; where they see an edge or nothing is left out."""
-    errors = np.linalg.norm(matches.projector_px - _expected_px(matches, truth), axis=1)
-    return errors[np.isfinite(errors)]
+    expected = _expected_px(matches, truth)
+    seen = np.isfinite(expected[:, 0])
+    expected, found = expected[seen], np.asarray(matches.projector_px, np.float64)[seen]
+    errors: Floats = np.linalg.norm(found - expected, axis=1)
+    if truth.panel is None or not len(errors):
+        return errors
+    off = found - mapped(truth.panel, expected)
+    # Where the panel begins cannot be told but for a part of a pixel.
+    on_panel: Floats = np.linalg.norm(off - np.rint(np.median(off, axis=0)), axis=1)
+    return min(errors, on_panel, key=np.median)
 
 
 def _expected_px(matches: Matches, truth: Truth) -> Floats:

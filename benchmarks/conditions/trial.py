@@ -17,7 +17,8 @@ from conditions.captures import Capture, patterns_of, take
 from conditions.catalogue import AMBIENT, Condition, conditions
 from conditions.judging import Truth, calibration_error, could_be_decoded, match_errors, matched_share
 from conditions.plain_decoder import plain_matches
-from hw.settings import SimulatedRigSettings
+from hw.settings import PanelSettings, SimulatedRigSettings
+from hw.simulated.picture import panel_shape
 from hw.simulated.simulation import SimulatedRoom
 from scanner.commands.main import main as scan
 from scanner.io import MATCHES_FILE, read_calibration, read_matches
@@ -115,7 +116,8 @@ def _truth(
     projector_px = shown.ground_truth().projector_px.astype(np.float64)
     true = shown.calibration
     if true is None or np.ptp(true.projector.focal_px) > 1e-6 * true.projector.focal_px[0]:
-        return Truth(projector_px, room.calibration, pinhole=False)
+        shape = panel_shape(PanelSettings.model_validate(dict(panel)), *projector_size)
+        return Truth(projector_px, room.calibration, pinhole=False, panel=shape)
     return Truth(projector_px, true)
 
 

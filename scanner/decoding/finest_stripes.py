@@ -27,13 +27,13 @@ _STEPS = 256
 class FinestStripes:
     """At N pixels: `camera_px` (N, 2), `projector_px` (N, 2), `log_ratio` (N,) of the contrast along x to that along y.
 
-    `beats` (2,): of a resampled picture, by how much the logarithm of the contrast along x, y swings at most.
+    `periods` (2,): of these stripes along x, y, in the picture's pixels.
     """
 
     camera_px: Floats
     projector_px: Floats
     log_ratio: Floats
-    beats: tuple[float, float]
+    periods: tuple[float, float]
 
 
 def finest_stripes(plan: SequencePlan, sample: Sample, maps: Maps) -> FinestStripes | None:
@@ -45,7 +45,7 @@ def finest_stripes(plan: SequencePlan, sample: Sample, maps: Maps) -> FinestStri
     of_axes = [_contrast(axis, levels, projector_px[:, number]) for number, axis in enumerate(plan.axes)]
     if any(found is None for found in of_axes) or not kept.any():
         return None
-    (x, beat_x), (y, beat_y) = (found for found in of_axes if found is not None)
+    (x, period_x), (y, period_y) = (found for found in of_axes if found is not None)
     span = np.ptp(levels, axis=0)
     kept &= (np.minimum(x, y) > _LEAST_CONTRAST * np.maximum(span, 1)) & (span > 0)
     row, column = np.divmod(sample.pixels[kept], maps.reason.shape[1])
@@ -54,16 +54,16 @@ def finest_stripes(plan: SequencePlan, sample: Sample, maps: Maps) -> FinestStri
         np.stack([column, row], axis=1).astype(np.float64),
         projector_px[kept].astype(np.float64),
         ratio.astype(np.float64),
-        (beat_x, beat_y),
+        (period_x, period_y),
     )
 
 
 def _contrast(axis: AxisPlan, levels: Floats32, coordinate: Floats32) -> tuple[Floats32, float] | None:
-    """In grey levels, (P,), 0 where it is unknown; and how much its logarithm beats if the picture is resampled."""
+    """In grey levels, (P,), 0 where it is unknown; and the period of the stripes that it is of."""
     if axis.fringes:
         fringe = axis.fringes[-1]
         cosine, sine = fringe.weights[1:].astype(np.float32) @ levels[list(fringe.frames)]
-        return np.hypot(cosine, sine), _beat(fringe.period)
+        return np.hypot(cosine, sine), fringe.period
     for code in axis.codes:
         bit = max(code.pairs, default=-1)
         if bit == code.bits - 1 and code.base in (None, bit):
@@ -73,12 +73,20 @@ def _contrast(axis: AxisPlan, levels: Floats32, coordinate: Floats32) -> tuple[F
             wave = np.cos(2 * np.pi * (coordinate + code.offset + 0.5 - 2 * code.cell) / period)
             known: Bools = np.abs(wave) > _LEAST_OF_WAVE
             contrast = np.where(known, (levels[normal] - levels[inverse]) / np.where(known, wave, 1), 0)
-            return np.maximum(contrast, 0).astype(np.float32), _beat(period)
+            return np.maximum(contrast, 0).astype(np.float32), float(period)
     return None
 
 
-def _beat(period: float) -> float:
-    """First harmonic of the logarithm of what a linear interpolation between two pixels leaves of a wave."""
+def left_between(shift_px: Floats, period: float) -> Floats:
+    """The logarithm of what a linear interpolation between two pixels leaves of a wave that is so many pixels long."""
+    between = shift_px - np.floor(shift_px)
+    left: Floats = 0.5 * np.log(1 - 2 * between * (1 - between) * (1 - np.cos(2 * np.pi / period)))
+    return left
+
+
+def first_harmonic(shift_px: Floats, period: float) -> Floats:
+    """The same but for its mean, as smooth as it can be."""
     between = (np.arange(_STEPS) + 0.5) / _STEPS
-    power = 1 - 2 * between * (1 - between) * (1 - np.cos(2 * np.pi / period))
-    return float(2 * np.mean(0.5 * np.log(power) * np.cos(2 * np.pi * between)))
+    half_swing = 2 * np.mean(left_between(between, period) * np.cos(2 * np.pi * between))
+    harmonic: Floats = half_swing * np.cos(2 * np.pi * shift_px)
+    return harmonic

@@ -6,8 +6,8 @@ crests. The shift is that of a homography, so that a fit over the picture finds 
 sign, for the beats of a shift and of its opposite are the same: a projector only makes pictures smaller.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft, optimize
@@ -15,7 +15,7 @@ from scipy import fft, optimize
 from calib.geometry import Matches, mapped
 from calib.numerics import Bools, Floats, Ints, in_parallel, robust_sigma
 from calib.refinement import Shift, monomials
-from scanner.decoding import FinestStripes
+from scanner.decoding import FinestStripes, first_harmonic, left_between
 
 # How much narrower the far edge may be, for which is looked; more of it leaves no fine stripes.
 _MOST_NARROWER = 0.05
@@ -29,8 +29,8 @@ _FEWEST_ON_A_PLANE = 100
 _NEAR_PX = 2
 _SECOND_ORDER = 6
 _OUTLIER_SIGMAS, _ROUNDS = 3.5, 4
-# Wider stripes lose nothing.
-_LEAST_BEAT = 0.005
+# Wider stripes lose less than 2 %.
+_LONGEST_PX = 16.0
 # What no beat explains of a spectrum, relative to noise, stays below it.
 _LEAST_POWER = 50.0
 # Of the amplitude that a linear interpolation between two pixels has, beats have 0.9 to 1.2; what else varies over real
@@ -40,7 +40,7 @@ _SIGNIFICANT_SIGMAS, _LEAST_PX = 6.0, 0.5
 # By how much the misfit must fall, in squared sigmas, to believe that a picture is turned, sheared, or leans twice.
 _WORTH_THE_REST = 25.0
 # The residuals of a scene are alike over several pixels of the sample.
-_ALIKE = 3.0
+_ALIKE = 4.0
 # A homography, in units of half the picture's width about its middle, less the identity: what it adds to x by x, y and
 # 1, to y by x, y and 1, to the denominator by x and y.
 _UPRIGHT = (0, 2, 4, 5)  # what neither turns nor shears
@@ -64,7 +64,7 @@ def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size
 
     `plane` (N,): which one each match is on, negative where it is on none. Over each plane contrast changes smoothly.
     """
-    if min(stripes.beats) < _LEAST_BEAT:
+    if max(stripes.periods) > _LONGEST_PX:
         return None
     where = _planes_at(stripes.camera_px, matches.camera_px, plane)
     if np.count_nonzero(where >= 0) < _FEWEST:
@@ -75,18 +75,22 @@ def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size
     fits = [beat.refined(start, free) for free, start in _starts(beat)]
     if not fits:
         return None
-    fit = beat.freed(max(fits, key=lambda fit: fit.explained))
+    # The wave has a cusp at each crest, by which it is found well, but only from nearby.
+    beat = replace(beat, wave=left_between)
+    best = max(fits, key=lambda fit: fit.explained)
+    fit = beat.freed(beat.refined(best.values, best.free))
     return beat.keystone(fit) if fit.is_of_a_beat and beat.leans(fit) else None
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """`values` (8,) and the `covariance` (8, 8) of what was free; the share of the variance that is `explained`, and by
-    beats along x, y of what `strengths` relative to those that a linear interpolation has.
+    """`values` (8,) and their `covariance` (8, 8), of which some were `free`; the share of the variance that is
+    `explained`, and by beats along x, y of what `strengths` relative to those that a linear interpolation has.
     """
 
     values: Floats
     covariance: Floats
+    free: tuple[int, ...]
     explained: float
     strengths: tuple[float, float]
 
@@ -100,7 +104,8 @@ class _Fit:
 @dataclass(frozen=True)
 class _Beat:
     """The logarithms `data` (N,) of contrasts at `x`, `y` (N,), in units of `half` the picture's width about its
-    middle, without what is in `smooth` (N, M), whose columns are orthonormal.
+    middle, without what is in `smooth` (N, M), whose columns are orthonormal. `wave`: how shifts in pixels and the
+    period of stripes make them beat.
     """
 
     x: Floats
@@ -108,7 +113,8 @@ class _Beat:
     data: Floats
     smooth: Floats
     size: tuple[int, int]
-    beats: tuple[float, float]
+    periods: tuple[float, float]
+    wave: Callable[[Floats, float], Floats]
 
     @classmethod
     def of(cls, stripes: FinestStripes, plane: Ints, size: tuple[int, int]) -> "_Beat | None":
@@ -122,7 +128,7 @@ class _Beat:
                 return None
             data = stripes.log_ratio[chosen]
             data = data - smooth @ (smooth.T @ data)
-            found = cls(x[chosen], y[chosen], data, smooth, size, stripes.beats)
+            found = cls(x[chosen], y[chosen], data, smooth, size, stripes.periods, first_harmonic)
             chosen[np.flatnonzero(chosen)[np.abs(data) > _OUTLIER_SIGMAS * robust_sigma(data)]] = False
         return found
 
@@ -149,7 +155,7 @@ class _Beat:
     def waves(self, values: Floats) -> Floats:
         """(2, N): the beats of x and of y, without what passes for smooth change."""
         x, y = self.shifts_px(values)
-        both = np.stack([self.beats[0] * np.cos(2 * np.pi * x), -self.beats[1] * np.cos(2 * np.pi * y)])
+        both = np.stack([self.wave(x, self.periods[0]), -self.wave(y, self.periods[1])])
         waves: Floats = both - (both @ self.smooth) @ self.smooth.T
         return waves
 
@@ -174,7 +180,7 @@ class _Beat:
         covariance = np.zeros((len(start), len(start)))
         covariance[np.ix_(columns, columns)] = inner[:-1, :-1] / self.half**2
         explained = 1 - float(np.mean(found.fun**2) / np.mean(self.data**2))
-        return _Fit(best, covariance, explained, (float(strengths[0]), float(strengths[1])))
+        return _Fit(best, covariance, free, explained, (float(strengths[0]), float(strengths[1])))
 
     def freed(self, fit: _Fit) -> _Fit:
         """With all of a homography free, where that explains more than chance would."""
