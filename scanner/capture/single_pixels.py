@@ -80,8 +80,9 @@ def remarks_on_lines(metadata: Mapping[str, object]) -> Iterator[str]:
         yield (
             f"{CHANGED_SHAPE}: lines of one pixel keep {max(kept, 0):.0%} of what makes them differ from grey. "
             "It scales the picture, changes its shape, or lets pixels share their light. If it corrects for keystone, "
-            "the focal lengths are wrong, by 4 to 20 % for 1 % of it. Show the picture in the projector's own "
-            "resolution, turn such corrections off, and move the projector instead."
+            "which the finest stripes do not show, the focal lengths are wrong, by 4 to 20 % for 1 % of "
+            "it. Show the picture in the projector's own resolution, turn such corrections off, and move the projector "
+            "instead."
         )
 
 

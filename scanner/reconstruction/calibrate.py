@@ -14,10 +14,10 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.reconstruction.face_margins import without_margins
 from scanner.reconstruction.face_masks import label_by_masks
+from scanner.reconstruction.keystone import on_panel
 from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.reconstruction.metric_scale import scaled
 from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_doubt
-from scanner.reconstruction.panel_pixels import on_panel
 from scanner.reconstruction.sheet_scale import scaled_by_sheet
 from scanner.results import Decoded, SelfCalibrated, Stage, naming
 

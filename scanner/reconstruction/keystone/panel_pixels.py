@@ -5,7 +5,7 @@ from dataclasses import replace
 from calib.geometry import mapped
 from scanner.capture import CHANGED_SHAPE
 from scanner.quantities import percent
-from scanner.reconstruction.keystone import Keystone, measure_keystone
+from scanner.reconstruction.keystone.measure import Keystone, measure_keystone
 from scanner.results import Decoded
 
 

@@ -1,0 +1,134 @@
+"""A picture that is resampled, as contrasts of stripes that beat: how well a homography explains them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+
+from calib.numerics import Floats, Ints, robust_sigma
+from scanner.decoding import FinestStripes, first_harmonic
+from scanner.reconstruction.keystone.planes import smooth_over
+
+_FEWEST = 300
+_OUTLIER_SIGMAS, _ROUNDS = 3.5, 4
+# Of the amplitude that a linear interpolation between two pixels has, beats have 0.9 to 1.2; what else varies over real
+# scenes has up to 0.6, and in simulated ones explains up to 2 % of the variance, where beats explain 9 % or more.
+_LEAST_EXPLAINED, _LEAST_STRENGTH, _MOST_STRENGTH = 0.04, 0.75, 1.5
+_SIGNIFICANT_SIGMAS, _LEAST_PX = 6.0, 0.5
+# By how much the misfit must fall, in squared sigmas, to believe that a picture is turned, sheared, or leans twice.
+_WORTH_THE_REST = 25.0
+# The residuals of a scene are alike over several pixels of the sample.
+_ALIKE = 4.0
+# Of a homography, in units of half the picture's width about its middle, less the identity: what x, y and 1 add to x,
+# what they add to y, and what x and y add to the denominator.
+NUMBERS = 8
+UPRIGHT = (0, 2, 4, 5)  # what neither turns nor shears
+LEANS = slice(6, 8)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """`values` (8,) and their `covariance` (8, 8), of which some were `free`; the share of the variance that is
+    `explained`, and by beats along x, y of what `strengths` relative to those that a linear interpolation has.
+    """
+
+    values: Floats
+    covariance: Floats
+    free: tuple[int, ...]
+    explained: float
+    strengths: tuple[float, float]
+
+    @property
+    def is_of_a_beat(self) -> bool:
+        """Whether it is as strong along both axes as one is."""
+        is_as_strong = all(_LEAST_STRENGTH <= strength <= _MOST_STRENGTH for strength in self.strengths)
+        return is_as_strong and self.explained >= _LEAST_EXPLAINED
+
+
+@dataclass(frozen=True)
+class Beat:
+    """The logarithms `data` (N,) of contrasts at `x`, `y` (N,), in units of `half` the picture's width about its
+    middle, without what is in `smooth` (N, M), whose columns are orthonormal. `wave`: how shifts in pixels and the
+    period of stripes make them beat.
+    """
+
+    x: Floats
+    y: Floats
+    data: Floats
+    smooth: Floats
+    size: tuple[int, int]
+    periods: tuple[float, float]
+    wave: Callable[[Floats, float], Floats]
+
+    @classmethod
+    def of(cls, stripes: FinestStripes, plane: Ints, size: tuple[int, int]) -> "Beat | None":
+        """Without what changes smoothly over each plane, and without outliers."""
+        half, middle = (size[0] - 1) / 2, (np.array(size) - 1) / 2
+        x, y = ((stripes.projector_px - middle) / half).T
+        found, chosen = None, plane >= 0
+        for _ in range(_ROUNDS):
+            smooth, chosen = smooth_over(plane, x, y, chosen)
+            if np.count_nonzero(chosen) < max(_FEWEST, 2 * smooth.shape[1]):
+                return None
+            data = stripes.log_ratio[chosen]
+            data = data - smooth @ (smooth.T @ data)
+            found = cls(x[chosen], y[chosen], data, smooth, size, stripes.periods, first_harmonic)
+            chosen[np.flatnonzero(chosen)[np.abs(data) > _OUTLIER_SIGMAS * robust_sigma(data)]] = False
+        return found
+
+    @property
+    def half(self) -> float:
+        """Half the picture's width, in pixels."""
+        return (self.size[0] - 1) / 2
+
+    def leans(self, fit: Fit) -> bool:
+        """Whether the far edge is narrower than the near one, by what matters and is certain."""
+        lean, sigma = np.abs(fit.values[LEANS]), np.sqrt(np.diag(fit.covariance)[LEANS])
+        axis = int(np.argmax(lean))
+        at_corners_px = lean[axis] * self.half * (1.0, self.size[1] / self.size[0])[axis]
+        return bool(at_corners_px > _LEAST_PX and lean[axis] > _SIGNIFICANT_SIGMAS * sigma[axis])
+
+    def shifts_px(self, values: Floats) -> tuple[Floats, Floats]:
+        """Of panel against picture, (N,) along x and y."""
+        xx, xy, x1, yx, yy, y1, lean_x, lean_y = values
+        by = self.half / (1 + lean_x * self.x + lean_y * self.y)
+        there_x = ((1 + xx) * self.x + xy * self.y + x1) * by
+        there_y = (yx * self.x + (1 + yy) * self.y + y1) * by
+        return there_x - self.half * self.x, there_y - self.half * self.y
+
+    def waves(self, values: Floats) -> Floats:
+        """(2, N): the beats of x and of y, without what passes for smooth change."""
+        x, y = self.shifts_px(values)
+        both = np.stack([self.wave(x, self.periods[0]), -self.wave(y, self.periods[1])])
+        waves: Floats = both - (both @ self.smooth) @ self.smooth.T
+        return waves
+
+    def refined(self, start: Floats, free: tuple[int, ...]) -> Fit:
+        """By least squares, from what is nearly right."""
+        columns = list(free)
+
+        def values(step: Floats) -> Floats:
+            moved = start.copy()
+            moved[columns] += step[:-1] / self.half
+            return moved
+
+        def misfit(step: Floats) -> Floats:
+            residuals: Floats = step[-1] * self.waves(values(step)).sum(axis=0) - self.data
+            return residuals
+
+        found = optimize.least_squares(misfit, np.append(np.zeros(len(columns)), 1.0), method="lm", max_nfev=300)
+        best = values(found.x)
+        strengths = np.linalg.lstsq(self.waves(best).T, self.data, rcond=None)[0]
+        jacobian = np.asarray(found.jac)
+        inner = np.linalg.pinv(jacobian.T @ jacobian) * np.mean(found.fun**2) * _ALIKE
+        covariance = np.zeros((NUMBERS, NUMBERS))
+        covariance[np.ix_(columns, columns)] = inner[:-1, :-1] / self.half**2
+        explained = 1 - float(np.mean(found.fun**2) / np.mean(self.data**2))
+        return Fit(best, covariance, free, explained, (float(strengths[0]), float(strengths[1])))
+
+    def freed(self, fit: Fit) -> Fit:
+        """With all of a homography free, where that explains more than chance would."""
+        freed = self.refined(fit.values, tuple(range(NUMBERS)))
+        gained = (freed.explained - fit.explained) / (1 - freed.explained) * len(self.data) / _ALIKE
+        return freed if gained > _WORTH_THE_REST else fit

@@ -1,0 +1,82 @@
+"""Keystone correction, measured: the homography by which the projector reshapes its picture, from what it spoils.
+
+Where a pixel of the picture falls between two pixels of the panel, the finest stripes lose contrast; where it falls on
+one, they keep it. Along both axes the loss beats with the shift between picture and panel, whole shifts being the
+crests. The shift is that of a homography, so that a fit over the picture finds it to a small part of a pixel, up to its
+sign, for the beats of a shift and of its opposite are the same: a projector only makes pictures smaller.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.geometry import Matches, mapped
+from calib.numerics import Floats, Ints
+from calib.refinement import Shift
+from scanner.decoding import FinestStripes, left_between
+from scanner.reconstruction.keystone.beat import LEANS, Beat, Fit
+from scanner.reconstruction.keystone.planes import planes_at
+from scanner.reconstruction.keystone.starts import starts
+
+# Wider stripes lose less than 2 %.
+_LONGEST_PX = 16.0
+
+
+@dataclass(frozen=True)
+class Keystone:
+    """`homography` (3, 3) takes the picture's pixels to the panel's, whole pixels of whose origin nobody can tell.
+
+    `narrower`: how much smaller the far edge is shown than the near one, as a share. `shifts`: by what panel pixels may
+    err, by fields of one standard deviation.
+    """
+
+    homography: Floats
+    narrower: float
+    shifts: tuple[Shift, ...]
+
+
+def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size: tuple[int, int]) -> Keystone | None:
+    """What the projector of (width, height) pixels does to its picture, if it shows.
+
+    `plane` (N,): which one each match is on, negative where it is on none. Over each plane contrast changes smoothly.
+    """
+    if max(stripes.periods) > _LONGEST_PX or not len(stripes.log_ratio) or not len(matches):
+        return None
+    beat = Beat.of(stripes, planes_at(stripes.camera_px, matches.camera_px, plane), size)
+    fits = [] if beat is None else [beat.refined(start, free) for free, start in starts(beat)]
+    if beat is None or not fits:
+        return None
+    # The wave has a cusp at each crest, by which it is found well, but only from nearby.
+    best, cusped = max(fits, key=lambda fit: fit.explained), replace(beat, wave=left_between)
+    fit = cusped.freed(cusped.refined(best.values, best.free))
+    return _keystone(fit, size) if fit.is_of_a_beat and cusped.leans(fit) else None
+
+
+def _keystone(fit: Fit, size: tuple[int, int]) -> Keystone:
+    """The homography between pixels, and the fields of its standard deviations."""
+    homography = _between_pixels(fit.values, size)
+    eigenvalues, directions = np.linalg.eigh(fit.covariance)
+    steps = [np.sqrt(value) * way for value, way in zip(eigenvalues, directions.T, strict=True) if value > 0]
+    back = np.linalg.inv(homography)
+
+    def shifted(step: Floats) -> Shift:
+        other = _between_pixels(fit.values + step, size) @ back
+
+        def shift(_camera_px: Floats, projector_px: Floats, _gradient: Floats) -> Floats:
+            moved: Floats = mapped(other, projector_px) - projector_px
+            return moved
+
+        return shift
+
+    narrower = 2 * np.abs(fit.values[LEANS]) * (1.0, size[1] / size[0])
+    return Keystone(homography, float(narrower.max()), tuple(map(shifted, steps)))
+
+
+def _between_pixels(values: Floats, size: tuple[int, int]) -> Floats:
+    """The homography (3, 3) of these numbers, from pixels to pixels."""
+    xx, xy, x1, yx, yy, y1, lean_x, lean_y = values
+    half, middle_y = (size[0] - 1) / 2, (size[1] - 1) / 2
+    to_units = np.array([[1, 0, -half], [0, 1, -middle_y], [0, 0, half]]) / half
+    within = np.array([[1 + xx, xy, x1], [yx, 1 + yy, y1], [lean_x, lean_y, 1]])
+    homography: Floats = np.linalg.inv(to_units) @ within @ to_units
+    return homography

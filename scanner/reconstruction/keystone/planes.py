@@ -1,0 +1,49 @@
+"""Where a thin sample of pixels is on planes, and what changes smoothly over these."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Bools, Floats, Ints, compiled
+from calib.refinement import monomials
+
+_NEAR_PX = 2
+_NOBODY, _SEVERAL = -2, -1
+_SECOND_ORDER = 6
+_FEWEST = 100
+
+
+def planes_at(pixels: Floats, camera_px: Floats, plane: Ints) -> Ints:
+    """Which plane camera pixels (P, 2) are on, as all matches near them say; −1 where none does, or they differ.
+
+    `camera_px` (N, 2) are those of matches, `plane` (N,) which one each is on, negative where it is on none.
+    """
+    at, down = pixels.astype(np.int64).T
+    width, height = (int(max(near.max(), of.max())) + 2 for near, of in zip(pixels.T, camera_px.T, strict=True))
+    labels = np.full((height + 2 * _NEAR_PX, width + 2 * _NEAR_PX), _NOBODY, np.int32)
+    _note(camera_px, plane, labels)
+    near = np.stack([labels[down + i, at + j] for i in range(2 * _NEAR_PX + 1) for j in range(2 * _NEAR_PX + 1)])
+    greatest = near.max(axis=0)
+    agree = np.all((near == greatest) | (near == _NOBODY), axis=0)
+    return np.where(agree, np.maximum(greatest, _SEVERAL), _SEVERAL)
+
+
+@compiled
+def _note(camera_px: Floats, plane: Ints, labels: NDArray[np.int32]) -> None:
+    """Write the planes of matches (N, 2) where they are, in an image with a border."""
+    for i in range(len(plane)):
+        row, column = int(camera_px[i, 1] + 0.5) + _NEAR_PX, int(camera_px[i, 0] + 0.5) + _NEAR_PX
+        labels[row, column] = max(plane[i], _SEVERAL)
+
+
+def smooth_over(plane: Ints, x: Floats, y: Floats, chosen: Bools) -> tuple[Floats, Bools]:
+    """An orthonormal basis (N, M) of what changes up to second order over each plane, for the chosen pixels that are on
+    one of some size.
+    """
+    large = [number for number in np.unique(plane[chosen]) if np.sum(chosen & (plane == number)) >= _FEWEST]
+    chosen = chosen & np.isin(plane, large)
+    here, where = np.stack([x, y], axis=1)[chosen], plane[chosen]
+    columns = np.zeros((len(here), _SECOND_ORDER * len(large)))
+    for number, label in enumerate(large):
+        on = where == label
+        columns[on, _SECOND_ORDER * number : _SECOND_ORDER * (number + 1)] = monomials(here[on])[:, :_SECOND_ORDER]
+    return np.linalg.qr(columns)[0], chosen

@@ -1,0 +1,152 @@
+"""Keystone correction, read off the contrast of stripes that a projector resamples: drawn here by OpenCV."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib.geometry import Matches, mapped
+from hw.open_rig import open_rig
+from hw.settings import SimulatedRigSettings
+from scanner.decoding import FinestStripes
+from scanner.io import MATCHES_FILE, read_calibration, read_matches
+from scanner.reconstruction.keystone.measure import Keystone, measure_keystone
+from scanner.results import CALIBRATION_FILE, read_verdict
+from tests.support.command_line import run
+
+SIZE = (480, 270)
+SHIFTS = 4
+
+
+def trapezoid(narrower: float, edge: str, inset: float) -> np.ndarray:
+    """Takes the picture's pixels to the panel's: one edge so much narrower, all of it by an inset smaller."""
+    width, height = SIZE
+    corners = np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)], np.float32)
+    x, y = narrower / 2 * width, narrower / 2 * height
+    by = {
+        "top": [(x, y), (-x, y), (0, 0), (0, 0)],
+        "bottom": [(0, 0), (0, 0), (-x, -y), (x, -y)],
+        "left": [(x, y), (0, 0), (0, 0), (x, -y)],
+        "right": [(0, 0), (-x, y), (-x, -y), (0, 0)],
+    }[edge]
+    middle = (np.array(SIZE) - 1) / 2
+    there = (corners + np.array(by, np.float32) - middle) * (1 - inset) + middle
+    return cv2.getPerspectiveTransform(corners, there.astype(np.float32)).astype(np.float64)
+
+
+def stripes(homography: np.ndarray, period: float, noise: float, seed: int) -> FinestStripes:
+    """What remains of fringes on a panel that shows the picture with linear interpolation, at random places of it."""
+    width, height = SIZE
+    rng = np.random.default_rng(seed)
+    picture_px = rng.uniform((2, 2), (width - 3, height - 3), (6000, 2))
+    panel_px = mapped(homography, picture_px).astype(np.float32)
+    contrasts = []
+    for axis in (0, 1):
+        along = np.indices((height, width))[1 - axis]
+        parts: list[np.ndarray] = []
+        for shift in range(SHIFTS):
+            picture = (0.5 + 0.5 * np.cos(2 * np.pi * (along / period + shift / SHIFTS))).astype(np.float32)
+            panel = cv2.warpPerspective(picture, homography, SIZE, flags=cv2.INTER_LINEAR)
+            blurred = cv2.GaussianBlur(panel, (0, 0), 0.7)
+            parts.append(
+                np.asarray(cv2.remap(blurred, panel_px[:, None, 0], panel_px[:, None, 1], cv2.INTER_CUBIC))[:, 0]
+            )
+        contrasts.append(np.hypot(parts[0] - parts[2], parts[1] - parts[3]))
+    ratio = np.log(contrasts[0]) - np.log(contrasts[1]) + rng.normal(0, noise, len(picture_px))
+    # A scene of two planes, one of which blurs stripes along y more than the other, and more and more.
+    right = picture_px[:, 0] > width / 2
+    ratio += np.where(right, 0.1, -0.2 + 1e-3 * picture_px[:, 1])
+    return FinestStripes(np.rint(picture_px), picture_px, ratio, (period, period))
+
+
+def measured(homography: np.ndarray, period: float = 6.7, noise: float = 0.05, seed: int = 0) -> Keystone | None:
+    seen = stripes(homography, period, noise, seed)
+    plane = (seen.projector_px[:, 0] > SIZE[0] / 2).astype(np.int32)
+    return measure_keystone(seen, Matches(seen.camera_px, seen.projector_px), plane, SIZE)
+
+
+def worst_px(found: np.ndarray, true: np.ndarray) -> float:
+    """Over the picture, but for where the panel begins."""
+    grid = np.stack(np.meshgrid(np.linspace(0, SIZE[0] - 1, 9), np.linspace(0, SIZE[1] - 1, 9)), axis=-1).reshape(-1, 2)
+    off = mapped(found, grid) - mapped(true, grid)
+    return float(np.linalg.norm(off - np.rint(np.median(off, axis=0)), axis=1).max())
+
+
+@settings(max_examples=15)
+@given(
+    st.floats(0.012, 0.04),
+    st.sampled_from(["top", "bottom", "left", "right"]),
+    st.floats(0.0, 0.01),
+    st.sampled_from([4.0, 6.7, 8.43]),
+    st.integers(0, 1000),
+)
+def test_a_trapezoid_is_found_to_a_part_of_a_pixel(
+    narrower: float, edge: str, inset: float, period: float, seed: int
+) -> None:
+    true = trapezoid(narrower, edge, inset)
+    keystone = measured(true, period, seed=seed)
+    assert keystone is not None
+    assert 0.9 * narrower < keystone.narrower < 1.1 * narrower
+    off_px = worst_px(keystone.homography, true)
+    assert off_px < 0.4
+    # What it says that it may err by is of the size of what it errs by.
+    grid = mapped(keystone.homography, np.array([(0.0, 0.0), (479.0, 0.0), (479.0, 269.0), (0.0, 269.0)]))
+    fields = [np.linalg.norm(shift(grid, grid, grid), axis=1) for shift in keystone.shifts]
+    sigma_px = float(np.sqrt(np.sum(np.square(fields), axis=0)).max())
+    assert 0.005 < sigma_px < 0.25
+    assert off_px < 5 * sigma_px
+
+
+@pytest.mark.parametrize("period", [4.0, 6.7, 12.3])
+@pytest.mark.parametrize("scale", [1.0, 0.97, 0.8])
+def test_what_is_shown_as_it_is_or_smaller_has_no_keystone(scale: float, period: float) -> None:
+    middle = (np.array(SIZE) - 1) / 2
+    smaller = np.array([[scale, 0, middle[0] * (1 - scale)], [0, scale, middle[1] * (1 - scale)], [0, 0, 1.0]])
+    assert measured(smaller, period) is None
+
+
+def test_stripes_too_wide_to_lose_anything_tell_nothing() -> None:
+    assert measured(trapezoid(0.03, "top", 0.0), period=40.0, noise=0.0) is None
+
+
+def test_noise_is_no_keystone() -> None:
+    assert measured(trapezoid(0.03, "top", 0.0), noise=3.0) is None
+
+
+def test_matches_on_no_plane_tell_nothing() -> None:
+    seen = stripes(trapezoid(0.03, "top", 0.0), 6.7, 0.05, 0)
+    matches = Matches(seen.camera_px, seen.projector_px)
+    assert measure_keystone(seen, matches, np.full(len(matches), -1, np.int32), SIZE) is None
+    assert measure_keystone(seen, matches[:0], np.empty(0, np.int32), SIZE) is None
+
+
+def test_a_scan_through_keystone_correction_is_calibrated_as_if_it_were_off(tmp_path: Path) -> None:
+    """Off by 45 % where nobody looks, with a sigma of 1.5 %."""
+    settings = {
+        "rig": {"backend": "simulated", "seed": 0, "panel": {"keystone": 0.02}},
+        "camera": {"width": 612, "height": 512, "principal_point": {"known": [313.82, 263.32]}},
+        "projector": {"width": 427, "height": 240},
+        "corner": {"squareness_deg": 0},
+    }
+    (tmp_path / "room.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
+    assert run("--config", tmp_path / "room.yaml", "--out", tmp_path / "scan", "--quiet") == 0
+    found = read_calibration(tmp_path / "scan" / CALIBRATION_FILE)
+    verdict = read_verdict(tmp_path / "scan" / CALIBRATION_FILE)
+    assert verdict is not None
+    (said,) = [note for note in verdict.notes if "keystone" in note]
+    assert "2.0 % narrower" in said
+    with open_rig(SimulatedRigSettings(seed=0), (612, 512), (427, 240)) as as_it_is:
+        assert as_it_is.truth is not None
+        true = as_it_is.truth.camera.focal_px[0]
+    sigma = found.sigma.camera.focal_px
+    assert sigma is not None
+    assert 0.002 < sigma[0] / true < 0.05
+    assert abs(found.camera.focal_px[0] - true) < 4 * sigma[0]
+    # The panel's pixels, of which the picture has lost the upper corners.
+    panel_px = read_matches(tmp_path / "scan" / MATCHES_FILE).projector_px
+    upper = panel_px[panel_px[:, 1] < 20]
+    assert 2 < upper[:, 0].min() < 8
