@@ -42,11 +42,11 @@ def label(captures: Sequence[Decoded], reached: list[Stage], masks: Bools | None
 
     `masks` (3, H, W) are of the newest capture. Raises RefusalError; `reached` is told how far each capture got.
     """
-    labelled = []
+    labelled: list[Decoded] = []
     for number, capture in enumerate(captures):
         with naming(capture, among=len(captures)):
             refuse_moved(capture)
-            found = on_panel(_label(capture, masks if capture is captures[-1] else None))
+            found = on_panel(_label(capture, masks if capture is captures[-1] else None), labelled)
             reached[number] = found
             refuse_few(
                 found.matches,

@@ -31,7 +31,8 @@ def shifts_of(capture: Decoded) -> Shifts:
     """By what all matches of a capture may be shifted."""
     motion = capture.decoding.motion if capture.decoding else None
     of_motion = Shifts() if motion is None else motion.shifts
-    return replace(of_motion, decoding=capture.panel or (), smooth_px=capture.origin.smooth_px)
+    of_panel = capture.panel.shifts if capture.panel else ()
+    return replace(of_motion, decoding=of_panel, smooth_px=capture.origin.smooth_px)
 
 
 def with_doubt(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:

@@ -35,6 +35,7 @@ from scanner.results.stages import (
     Decoded,
     GivenCalibration,
     GivenMatches,
+    Panel,
     Reconstructed,
     Refused,
     Scan,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Corner, Matches
-from calib.numerics import Image, Ints
+from calib.numerics import Floats, Image, Ints
 from calib.pointcloud import Cloud, MergedCloud
 from calib.refinement import Shift
 from calib.refusal import RefusalError
@@ -32,12 +32,21 @@ class GivenMatches:
 
 
 @dataclass(frozen=True)
+class Panel:
+    """`homography` (3, 3): what took the projector's picture to the pixels of its panel, which it may err by `shifts`,
+    fields of one standard deviation.
+    """
+
+    homography: Floats
+    shifts: tuple[Shift, ...] = ()
+
+
+@dataclass(frozen=True)
 class Decoded:
     """A capture as matches, which carry face labels as soon as these are known; `origin` says where they come from.
 
     `plane` (N,) is which plane each match is on, as of `Faces`, where the faces were found and not given. `name` says
-    in messages which of several captures it is. `panel`: by what the projector's pixels may err, by fields of one
-    standard deviation, if the picture's were taken to the panel's; empty where they are the same, None until asked.
+    in messages which of several captures it is. `panel`: what the projector's pixels are of; None until it was asked.
     """
 
     facts: CaptureFacts
@@ -45,7 +54,7 @@ class Decoded:
     origin: Decoding | GivenMatches
     name: str = ""
     plane: Ints | None = None
-    panel: tuple[Shift, ...] | None = None
+    panel: Panel | None = None
 
     @property
     def decoding(self) -> Decoding | None:

@@ -1,27 +1,51 @@
 """Matches in the pixels of the projector's panel, where it reshapes the picture that is sent to it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from calib.geometry import mapped
+from calib.numerics import Floats
 from scanner.capture import CHANGED_SHAPE
 from scanner.quantities import percent
 from scanner.reconstruction.keystone.measure import Keystone, measure_keystone
-from scanner.results import Decoded
+from scanner.results import Decoded, Panel
+
+_AS_SHOWN = Panel(np.eye(3))
 
 
-def on_panel(capture: Decoded) -> Decoded:
-    """A capture whose planes are known, with its matches in pixels that are square, as far as its stripes tell."""
+def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
+    """A capture whose planes are known, with its matches in pixels that are square, as far as its stripes tell.
+
+    What panel pixels begin at is that of `others` of the same rig, if they have any.
+    """
     decoding, plane = capture.decoding, capture.matches.face if capture.plane is None else capture.plane
     if capture.panel is not None or decoding is None or decoding.stripes is None or plane is None:
         return capture
-    keystone = measure_keystone(decoding.stripes, capture.matches, plane, capture.facts.projector_size)
+    size = capture.facts.projector_size
+    keystone = measure_keystone(decoding.stripes, capture.matches, plane, size)
     if keystone is None:
-        return replace(capture, panel=())
-    matches = replace(capture.matches, projector_px=mapped(keystone.homography, capture.matches.projector_px))
+        return replace(capture, panel=_AS_SHOWN)
+    homography = keystone.homography
+    for other in others:
+        if other.panel is not None and other.panel is not _AS_SHOWN:
+            homography = beginning_as(other.panel.homography, homography, size)
+            break
+    matches = replace(capture.matches, projector_px=mapped(homography, capture.matches.projector_px))
     # What five pictures before a scan made suspect was measured.
     warnings = tuple(warning for warning in decoding.warnings if not warning.startswith(CHANGED_SHAPE))
-    measured = replace(capture, matches=matches, panel=keystone.shifts, origin=replace(decoding, warnings=warnings))
+    panel = Panel(homography, keystone.shifts)
+    measured = replace(capture, matches=matches, panel=panel, origin=replace(decoding, warnings=warnings))
     return measured.noting(_said(keystone))
+
+
+def beginning_as(other: Floats, homography: Floats, size: tuple[int, int]) -> Floats:
+    """The homography by whole pixels of the panel nearer to another one."""
+    middle = (np.array([size], np.float64) - 1) / 2
+    (apart,) = np.rint(mapped(other, middle) - mapped(homography, middle))
+    there: Floats = np.array([[1, 0, apart[0]], [0, 1, apart[1]], [0, 0, 1]]) @ homography
+    return there
 
 
 def _said(keystone: Keystone) -> str:

@@ -15,6 +15,7 @@ from hw.settings import SimulatedRigSettings
 from scanner.decoding import FinestStripes
 from scanner.io import MATCHES_FILE, read_calibration, read_matches
 from scanner.reconstruction.keystone.measure import Keystone, measure_keystone
+from scanner.reconstruction.keystone.panel_pixels import beginning_as
 from scanner.results import CALIBRATION_FILE, read_verdict
 from tests.support.command_line import run
 
@@ -122,6 +123,18 @@ def test_matches_on_no_plane_tell_nothing() -> None:
     matches = Matches(seen.camera_px, seen.projector_px)
     assert measure_keystone(seen, matches, np.full(len(matches), -1, np.int32), SIZE) is None
     assert measure_keystone(seen, matches[:0], np.empty(0, np.int32), SIZE) is None
+
+
+@given(st.integers(-9, 9), st.integers(-9, 9), st.floats(-0.4, 0.4))
+def test_captures_of_one_rig_begin_at_the_same_pixel_of_its_panel(right: int, down: int, by: float) -> None:
+    one = trapezoid(0.03, "left", 0.0)
+    other = np.array([[1, 0, right + by], [0, 1, down], [0, 0, 1]]) @ trapezoid(0.03, "left", 0.0)
+    assert worst_from(beginning_as(one, other, SIZE), one) == pytest.approx(abs(by), abs=1e-6)
+
+
+def worst_from(found: np.ndarray, true: np.ndarray) -> float:
+    corners = np.array([(0.0, 0.0), (479.0, 0.0), (479.0, 269.0), (0.0, 269.0)])
+    return float(np.linalg.norm(mapped(found, corners) - mapped(true, corners), axis=1).max())
 
 
 def test_a_scan_through_keystone_correction_is_calibrated_as_if_it_were_off(tmp_path: Path) -> None:
