@@ -24,16 +24,16 @@ _STEP_PX = 0.5
 
 @dataclass(frozen=True)
 class Shifts:
-    """By what the matches of a capture may be shifted, by fields of one standard deviation each: those that `decoding`
-    leaves at rest, `likely` ones, and `possible` ones, which nothing tells of. `smooth_px`: by what a decoder errs
-    smoothly over each plane, along either axis: the standard deviation of the amplitude of every polynomial up to the
-    cubic ones, orthonormal in the mean.
+    """By what the matches of a capture may be shifted, by fields of one standard deviation each: `likely` ones, and
+    `possible` ones, which nothing tells of. `smooth_px`: by what a decoder errs smoothly over each plane, along either
+    axis: the standard deviation of the amplitude of every polynomial up to the cubic ones, orthonormal in the mean.
+    `decoding`: what else it errs by, whether anything moved or not.
     """
 
-    decoding: tuple[Shift, ...] = ()
     likely: tuple[Shift, ...] = ()
     possible: tuple[Shift, ...] = ()
     smooth_px: float = 0.0
+    decoding: tuple[Shift, ...] = ()
 
 
 def response_to_shift(refinement: Refinement, shift: Shift, capture: int) -> Floats:
