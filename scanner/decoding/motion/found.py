@@ -118,7 +118,7 @@ class MotionFound:
         if self.significant:
             likely = [each.less(self.shift).times(1 / sqrt(len(self.others))) for each in self.others]
             likely.append(self.shift.times(_REMAINDER))
-        return Shifts(tuple(each.shifts for each in likely), tuple(each.shifts for each in self.unseen))
+        return Shifts(likely=tuple(each.shifts for each in likely), possible=tuple(each.shifts for each in self.unseen))
 
     def __str__(self) -> str:
         """In words, as in: the projector moved by 1.2 px between frames 18 and 24."""

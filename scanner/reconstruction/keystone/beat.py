@@ -1,12 +1,12 @@
 """A picture that is resampled, as contrasts of stripes that beat: how well a homography explains them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize
 
-from calib.numerics import Floats, Ints, robust_sigma
+from calib.numerics import Floats, Ints, evenly, robust_sigma
 from scanner.decoding import FinestStripes, first_harmonic
 from scanner.reconstruction.keystone.planes import smooth_over
 
@@ -20,9 +20,11 @@ _SIGNIFICANT_SIGMAS, _LEAST_PX = 6.0, 0.5
 _WORTH_THE_REST = 25.0
 # The residuals of a scene are alike over several pixels of the sample.
 _ALIKE = 4.0
+_MOST_EVALUATIONS = 150
 # Of a homography, in units of half the picture's width about its middle, less the identity: what x, y and 1 add to x,
 # what they add to y, and what x and y add to the denominator.
 NUMBERS = 8
+EVERYTHING = tuple(range(NUMBERS))
 UPRIGHT = (0, 2, 4, 5)  # what neither turns nor shears
 LEANS = slice(6, 8)
 
@@ -82,6 +84,22 @@ class Beat:
         """Half the picture's width, in pixels."""
         return (self.size[0] - 1) / 2
 
+    def within(self, share: float) -> "Beat":
+        """What is in the middle of the picture, up to so much of its width and height."""
+        tall = self.size[1] / self.size[0]
+        return self._at(np.flatnonzero((np.abs(self.x) < share) & (np.abs(self.y) < share * tall)))
+
+    def thinned(self, most: int) -> "Beat":
+        """At so many pixels, or up to twice as many."""
+        return self._at(evenly(np.ones(len(self.data), np.bool_), most))
+
+    def _at(self, chosen: Ints) -> "Beat":
+        if len(chosen) == len(self.data):
+            return self
+        smooth = np.linalg.qr(self.smooth[chosen])[0]
+        data = self.data[chosen]
+        return replace(self, x=self.x[chosen], y=self.y[chosen], data=data - smooth @ (smooth.T @ data), smooth=smooth)
+
     def leans(self, fit: Fit) -> bool:
         """Whether the far edge is narrower than the near one, by what matters and is certain."""
         lean, sigma = np.abs(fit.values[LEANS]), np.sqrt(np.diag(fit.covariance)[LEANS])
@@ -117,7 +135,9 @@ class Beat:
             residuals: Floats = step[-1] * self.waves(values(step)).sum(axis=0) - self.data
             return residuals
 
-        found = optimize.least_squares(misfit, np.append(np.zeros(len(columns)), 1.0), method="lm", max_nfev=300)
+        found = optimize.least_squares(
+            misfit, np.append(np.zeros(len(columns)), 1.0), method="lm", max_nfev=_MOST_EVALUATIONS
+        )
         best = values(found.x)
         strengths = np.linalg.lstsq(self.waves(best).T, self.data, rcond=None)[0]
         jacobian = np.asarray(found.jac)
@@ -127,8 +147,11 @@ class Beat:
         explained = 1 - float(np.mean(found.fun**2) / np.mean(self.data**2))
         return Fit(best, covariance, free, explained, (float(strengths[0]), float(strengths[1])))
 
-    def freed(self, fit: Fit) -> Fit:
-        """With all of a homography free, where that explains more than chance would."""
-        freed = self.refined(fit.values, tuple(range(NUMBERS)))
-        gained = (freed.explained - fit.explained) / (1 - freed.explained) * len(self.data) / _ALIKE
-        return freed if gained > _WORTH_THE_REST else fit
+    def without(self, fit: Fit) -> "Beat":
+        """What is left when that is explained."""
+        return replace(self, data=self.data - fit.strengths @ self.waves(fit.values))
+
+    def believable(self, freer: Fit, fit: Fit) -> Fit:
+        """The freer of two fits where it explains more than chance would, else the other."""
+        gained = (freer.explained - fit.explained) / (1 - freer.explained) * len(self.data) / _ALIKE
+        return freer if gained > _WORTH_THE_REST else fit

@@ -14,12 +14,13 @@ from calib.geometry import Matches, mapped
 from calib.numerics import Floats, Ints
 from calib.refinement import Shift
 from scanner.decoding import FinestStripes, left_between
-from scanner.reconstruction.keystone.beat import LEANS, Beat, Fit
+from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, Fit
 from scanner.reconstruction.keystone.planes import planes_at
-from scanner.reconstruction.keystone.starts import starts
+from scanner.reconstruction.keystone.starts import beats, starts, starts_leaning_twice
 
 # Wider stripes lose less than 2 %.
 _LONGEST_PX = 16.0
+_MOST_AT_FIRST = 4000
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,25 @@ def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size
     if max(stripes.periods) > _LONGEST_PX or not len(stripes.log_ratio) or not len(matches):
         return None
     beat = Beat.of(stripes, planes_at(stripes.camera_px, matches.camera_px, plane), size)
-    fits = [] if beat is None else [beat.refined(start, free) for free, start in starts(beat)]
-    if beat is None or not fits:
-        return None
+    fit = None if beat is None else _fit(beat)
+    return None if beat is None or fit is None or not beat.leans(fit) else _keystone(fit, size)
+
+
+def _fit(beat: Beat) -> Fit | None:
+    """The homography that explains how contrasts beat; None where none does."""
+    thin = beat.thinned(_MOST_AT_FIRST)
     # The wave has a cusp at each crest, by which it is found well, but only from nearby.
-    best, cusped = max(fits, key=lambda fit: fit.explained), replace(beat, wave=left_between)
-    fit = cusped.freed(cusped.refined(best.values, best.free))
-    return _keystone(fit, size) if fit.is_of_a_beat and cusped.leans(fit) else None
+    cusped = replace(beat, wave=left_between)
+    for found in (starts, starts_leaning_twice):
+        fits = [thin.refined(start.values, start.free) for start in found(thin)]
+        if fits:
+            best = max(fits, key=lambda fit: fit.explained)
+            fit = cusped.refined(best.values, best.free)
+            fit = cusped.believable(cusped.refined(fit.values, EVERYTHING), fit)
+            # A wrong one explains a part of the picture.
+            if fit.is_of_a_beat and not beats(cusped.without(fit)):
+                return fit
+    return None
 
 
 def _keystone(fit: Fit, size: tuple[int, int]) -> Keystone:

@@ -1,12 +1,18 @@
-"""Homographies from which a fit to beating contrasts may start: leans are tried, the rest is the peak of a spectrum."""
+"""Homographies from which a fit to beating contrasts may start: leans are tried, the rest is the peak of a spectrum.
 
-from collections.abc import Iterator
+A lean makes chirps of waves. Where it is undone, each axis has one frequency left, which a Fourier transform finds.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
 from calib.numerics import Floats, in_parallel
-from scanner.reconstruction.keystone.beat import UPRIGHT, Beat
+from scanner.reconstruction.keystone.beat import EVERYTHING, UPRIGHT, Beat
 
 # How much narrower the far edge may be, for which is looked; more of it leaves no fine stripes.
 _MOST_NARROWER = 0.05
@@ -15,77 +21,141 @@ _CELLS_ALONG = 213
 _LEAST_CELL_PX = 4.0
 _PADDED = 1.5
 _TRIED, _APART_PX = 8, 0.4
-# What no beat explains of a spectrum, relative to noise, stays below it.
-_LEAST_POWER = 50.0
+# What no beat explains of a spectrum, relative to noise, stays below the first; below the second even with a lean that
+# is not undone there is none.
+_LEAST_POWER, _LEAST_CHIRP = 50.0, 35.0
+# Leans along both axes are tried so many to each side, in as much of the picture's middle as these reach around.
+_LEANS = 10
+_TRIED_TWICE = 4
+_GROWTH = 1.4
 
 
-def starts(beat: Beat) -> Iterator[tuple[tuple[int, ...], Floats]]:
-    """Homographies that are nearly right, the likeliest first, each with those of its numbers that are not zero. None
-    where nothing beats.
+@dataclass(frozen=True)
+class Start:
+    """`values` of a homography, as of `beat.py`, those of which that are `free` being not zero; and its `power`."""
 
-    A lean multiplies waves by a chirp; without that each axis has one frequency left, which a Fourier transform finds.
-    """
-    width, height = beat.size
-    cell = max(_LEAST_CELL_PX, width / _CELLS_ALONG)
-    columns, rows = int(width / cell) + 2, int(height / cell) + 2
-    column = ((beat.x * beat.half + width / 2) / cell).astype(np.int64).clip(0, columns - 1)
-    row = ((beat.y * beat.half + height / 2) / cell).astype(np.int64).clip(0, rows - 1)
-    sums = np.bincount(row * columns + column, beat.data, minlength=rows * columns).reshape(rows, columns)
-    at_x = (((np.arange(columns) + 0.5) * cell - width / 2) / beat.half)[None, :]
-    at_y = (((np.arange(rows) + 0.5) * cell - height / 2) / beat.half)[:, None]
-    padded = fft.next_fast_len(int(_PADDED * rows)), fft.next_fast_len(int(_PADDED * columns))
-    frequencies = [fft.fftfreq(size, cell / beat.half) for size in padded]
-    first = np.array([at_y[0, 0], at_x[0, 0]])
+    power: float
+    values: Floats
+    free: tuple[int, ...]
 
-    def peak(chirp: Floats) -> tuple[float, float, float, float]:
-        turned = (sums * np.exp(2j * np.pi * beat.half * chirp)).astype(np.complex64)
-        spectrum = fft.fft2(turned, s=padded)
-        power = np.abs(spectrum)
-        at = np.unravel_index(int(np.argmax(power)), padded)
-        by_y, by_x = (float(of[i]) for of, i in zip(frequencies, at, strict=True))
-        cycles = float(np.angle(spectrum[at])) / (2 * np.pi) - by_y * first[0] - by_x * first[1]
-        return float(power[at]) ** 2, by_x, by_y, cycles
 
-    found = []
-    for lean_at, (of_x, of_y), furthest in (
-        (7, (at_x * at_y, at_y * at_y), height / width),
-        (6, (at_x * at_x, at_x * at_y), 1.0),
-    ):
-        step = _STEP_PX / (beat.half * furthest)
-        for number in range(int(np.ceil(_MOST_NARROWER / (2 * furthest * step))) + 1):
-            lean = number * step
-            (power_x, xx, _, x1), (power_y, _, yy, y1) = in_parallel(peak, [lean * of_x, lean * of_y])
-            # Beats along y lower the ratio.
-            cycles = [each - round(each) for each in (x1, y1 + 0.5)]
-            values = np.array([xx, 0.0, cycles[0], 0.0, yy, cycles[1], 0.0, 0.0]) / beat.half
-            values[lean_at] = lean
-            found.append((power_x + power_y, lean_at, values))
-    found.sort(key=lambda each: -each[0])
-    tried: list[Floats] = []
-    if found[0][0] < _LEAST_POWER * float(np.sum(beat.data**2)):
+def beats(beat: Beat) -> bool:
+    """Whether there is anything to be explained."""
+    return _strongest(_Spectrum.of(beat).peaks(_single_leans(beat))) >= _LEAST_POWER
+
+
+def _strongest(found: Sequence[Start]) -> float:
+    return max(start.power for start in found)
+
+
+def starts(beat: Beat) -> Iterator[Start]:
+    """The likeliest first of those that lean along one axis, or none; none where nothing beats."""
+    found = _Spectrum.of(beat).peaks(_single_leans(beat))
+    if _strongest(found) >= _LEAST_POWER:
+        yield from _apart(found, beat, _TRIED)
+
+
+def starts_leaning_twice(beat: Beat) -> Iterator[Start]:
+    """Those that lean along both axes: found in the middle, and followed as more of the picture is taken."""
+    singly = _single_leans(beat)
+    if _strongest(_Spectrum.of(beat).peaks(singly)) < _LEAST_CHIRP:
         return
-    for _, lean_at, values in found:
-        there = _at_corners(values, height / width)
-        if all(np.abs(there - other).max() * beat.half > _APART_PX for other in tried):
-            tried.append(there)
-            yield (*UPRIGHT, lean_at), values if _shrinks(there, height / width) else -values
-        if len(tried) == _TRIED:
+    share = min(1.0, float(np.sqrt(_LEANS / len(singly))))
+    middle = beat.within(share)
+    step = _STEP_PX / (beat.half * share**2)
+    leans = step * np.arange(-_LEANS, _LEANS + 1)
+    found = _Spectrum.of(middle).peaks(product(leans[leans > 0], leans[leans != 0]))
+    for start in _apart(found, middle, _TRIED_TWICE):
+        values, reached = start.values, share
+        while reached < 1:
+            values = beat.within(reached).refined(values, EVERYTHING).values
+            reached *= _GROWTH
+        yield replace(start, values=values)
+
+
+def _single_leans(beat: Beat) -> list[tuple[float, float]]:
+    """Along x or along y, from none to the most, by steps that matter at the corners."""
+    tall = beat.size[1] / beat.size[0]
+    along_x, along_y = (_STEP_PX / (beat.half * furthest) for furthest in (1.0, tall))
+    many_x, many_y = (int(np.ceil(_MOST_NARROWER / (2 * step))) for step in (along_x, along_y * tall))
+    upwards = [(0.0, number * along_y) for number in range(many_y + 1)]
+    return [*upwards, *((number * along_x, 0.0) for number in range(1, many_x + 1))]
+
+
+def _apart(found: list[Start], beat: Beat, most: int) -> Iterator[Start]:
+    """The strongest that differ at the picture's corners; of two opposite ones, which beat alike, the smaller one."""
+    corners = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * (1.0, beat.size[1] / beat.size[0])
+    taken: list[Floats] = []
+    for start in sorted(found, key=lambda start: -start.power):
+        moved = _moved(start.values, corners)
+        if all(np.abs(moved - other).max() * beat.half > _APART_PX for other in taken):
+            taken.append(moved)
+            yield start if np.sum(moved * corners) < 0 else replace(start, values=-start.values)
+        if len(taken) == most:
             return
 
 
-def _corners(tall: float) -> Floats:
-    """Of a picture that is so tall as a part of its width, (4, 2)."""
-    return np.array([(x, y) for x in (-1, 1) for y in (-tall, tall)])
-
-
-def _at_corners(values: Floats, tall: float) -> Floats:
-    """By how much the corners of the picture move, (4, 2)."""
-    corners = _corners(tall)
-    there = corners * (1 + values[[0, 4]]) + values[[2, 5]]
-    moved: Floats = there / (1 + corners @ values[6:])[:, None] - corners
+def _moved(values: Floats, corners: Floats) -> Floats:
+    """By how much a picture's corners (4, 2) are moved."""
+    xx, xy, x1, yx, yy, y1, lean_x, lean_y = values
+    x, y = corners.T
+    there = np.stack([(1 + xx) * x + xy * y + x1, yx * x + (1 + yy) * y + y1], axis=1)
+    moved: Floats = there / (1 + lean_x * x + lean_y * y)[:, None] - corners
     return moved
 
 
-def _shrinks(moved: Floats, tall: float) -> bool:
-    """Whether the corners of the picture move inwards, on the whole."""
-    return float(np.sum(moved * _corners(tall))) < 0
+@dataclass(frozen=True)
+class _Spectrum:
+    """The data of a beat summed in the cells (rows, columns) of a grid, at `x` (1, columns) and `y` (rows, 1). Lengths
+    are in units of `half` the picture's width in pixels; `energy`: the squares of the data.
+    """
+
+    sums: Floats
+    x: Floats
+    y: Floats
+    cell: float
+    half: float
+    energy: float
+
+    @classmethod
+    def of(cls, beat: Beat) -> "_Spectrum":
+        width, height = beat.size
+        cell = max(_LEAST_CELL_PX, width / _CELLS_ALONG)
+        columns, rows = int(width / cell) + 2, int(height / cell) + 2
+        column = ((beat.x * beat.half + width / 2) / cell).astype(np.int64).clip(0, columns - 1)
+        row = ((beat.y * beat.half + height / 2) / cell).astype(np.int64).clip(0, rows - 1)
+        sums = np.bincount(row * columns + column, beat.data, minlength=rows * columns).astype(np.float64)
+        sums = sums.reshape(rows, columns)
+        x: Floats = (((np.arange(columns) + 0.5) * cell - width / 2) / beat.half)[None, :].astype(np.float64)
+        y: Floats = (((np.arange(rows) + 0.5) * cell - height / 2) / beat.half)[:, None].astype(np.float64)
+        # Of the middle of a picture there is less to transform.
+        at_x, at_y = (slice(of.min(), of.max() + 1) for of in (column, row))
+        return cls(sums[at_y, at_x], x[:, at_x], y[at_y], cell / beat.half, beat.half, float(np.sum(beat.data**2)))
+
+    def peaks(self, leans: Iterable[tuple[float, float]]) -> list[Start]:
+        """For each lean to the side and up, the likeliest homography."""
+        return in_parallel(lambda lean: self._peak(*lean), leans)
+
+    def _peak(self, lean_x: float, lean_y: float) -> Start:
+        lean = lean_x * self.x + lean_y * self.y
+        (power_x, xx, xy, x1), (power_y, yx, yy, y1) = (self._strongest(lean * along) for along in (self.x, self.y))
+        power = (power_x + power_y) / self.energy
+        # Beats along y lower the ratio.
+        x1, y1 = (cycles - round(cycles) for cycles in (x1, y1 + 0.5))
+        values = np.array([xx, xy, x1, yx, yy, y1, lean_x * self.half, lean_y * self.half]) / self.half
+        if lean_x and lean_y:
+            return Start(power, values, EVERYTHING)
+        values[[1, 3]] = 0.0
+        return Start(power, values, (*UPRIGHT, 6 if lean_x else 7))
+
+    def _strongest(self, chirp: Floats) -> tuple[float, float, float, float]:
+        """The power of the strongest wave, its frequencies along x and y, and its phase in the middle in cycles."""
+        padded = tuple(fft.next_fast_len(int(_PADDED * count)) for count in self.sums.shape)
+        turned: NDArray[np.complex64] = (self.sums * np.exp(2j * np.pi * self.half * chirp)).astype(np.complex64)
+        wave = fft.fft2(turned, s=padded)
+        row, column = np.unravel_index(int(np.argmax(np.abs(wave))), padded)
+        frequencies = [fft.fftfreq(count, self.cell) for count in padded]
+        by_y, by_x = float(frequencies[0][row]), float(frequencies[1][column])
+        strongest = complex(wave[row, column])
+        phase = np.angle(strongest) / (2 * np.pi) - by_x * self.x[0, 0] - by_y * self.y[0, 0]
+        return abs(strongest) ** 2, by_x, by_y, float(phase)

@@ -102,6 +102,19 @@ def test_a_trapezoid_is_found_to_a_part_of_a_pixel(
     assert off_px < 5 * sigma_px
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_any_quadrangle_is_found(seed: int) -> None:
+    """As corners are moved one by one, or a projector looks askew."""
+    rng = np.random.default_rng(seed)
+    width, height = SIZE
+    corners = np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)], np.float32)
+    there = corners + np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * rng.uniform(0, 0.03, (4, 2)) * SIZE
+    true = cv2.getPerspectiveTransform(corners, there.astype(np.float32)).astype(np.float64)
+    keystone = measured(true, seed=seed)
+    assert keystone is not None
+    assert 1e-4 < worst_px(keystone.homography, true) < 0.2
+
+
 @pytest.mark.parametrize("period", [4.0, 6.7, 12.3])
 @pytest.mark.parametrize("scale", [1.0, 0.97, 0.8])
 def test_what_is_shown_as_it_is_or_smaller_has_no_keystone(scale: float, period: float) -> None:
