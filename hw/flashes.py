@@ -9,7 +9,7 @@ from statistics import median
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Image
+from calib.numerics import Bools, Floats, Image, grey
 from hw.errors import DeviceError, FrameLostError, OverexposedError
 from hw.level_sums import LevelSums, level_sums
 from hw.rig import Frame
@@ -179,8 +179,8 @@ class Flashes:
 
     def _lit_pixels(self, dark: list[Image], bright: list[Image]) -> Bools:
         """Pixels that white lights well without clipping them, (H, W)."""
-        contrast = _grey(np.mean(bright, axis=0)) - _grey(np.mean(dark, axis=0))
-        noise = np.std(_grey(dark[1].astype(np.float64)) - _grey(dark[0].astype(np.float64)))
+        contrast = grey(np.mean(bright, axis=0)) - grey(np.mean(dark, axis=0))
+        noise = np.std(grey(dark[1].astype(np.float64)) - grey(dark[0].astype(np.float64)))
         strong = float(np.percentile(contrast, 99))
         if strong < 6 * noise or strong <= 0:
             raise DeviceError(
@@ -201,7 +201,7 @@ class Flashes:
 
     def _levels(self, image: Image) -> Floats:
         """How bright the lit pixels are, (B,), from the top to the bottom: a rolling shutter begins with the top."""
-        lit = _grey(image)[self._lit]
+        lit = grey(image)[self._lit]
         return np.array([part.mean() for part in np.array_split(lit, min(_BANDS, len(lit)))])
 
     def _missing(self, image: Image, target: int) -> Floats:
@@ -209,7 +209,3 @@ class Flashes:
         share = (self._levels(image) - self._dark) / (self._bright - self._dark)
         missing: Floats = 1 - share if target == 1 else share
         return missing
-
-
-def _grey(image: Image | Floats) -> Floats:
-    return image.mean(axis=2) if image.ndim == 3 else np.asarray(image, np.float64)

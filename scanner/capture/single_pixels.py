@@ -9,9 +9,8 @@ keystone is of oblong, skewed pixels, which three faces in one view hardly contr
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.numerics import Image
+from calib.numerics import Image, grey
 from hw.rig import Rig
 from scanner.capture.stream import refuse_another_size
 from scanner.patterns import Axis
@@ -45,14 +44,14 @@ def measure_lines(rig: Rig) -> Mapping[str, object]:
     levels = []
     for frame in rig.photograph(pictures):
         refuse_another_size(frame, rig.camera.size)
-        levels.append(_levels(frame.image))
-    black, grey, wide, *thin = levels
-    light = grey - black
+        levels.append(grey(frame.image).astype(np.float32))
+    black, middle, wide, *thin = levels
+    light = middle - black
     lit = light > max(_LIT * float(np.percentile(light, _BRIGHT_PERCENTILE)), 1.0)
     if not lit.any():
         return {}
     of_black, of_grey, of_wide, *of_thin = (
-        float(each[lit].mean(dtype=np.float64)) for each in (black, grey, wide, *thin)
+        float(each[lit].mean(dtype=np.float64)) for each in (black, middle, wide, *thin)
     )
     bend = of_wide - of_grey
     if bend < _LEAST_BEND * (of_wide - of_black):
@@ -89,9 +88,3 @@ def remarks_on_lines(metadata: Mapping[str, object]) -> Iterator[str]:
 def _even(size: tuple[int, int], level: int) -> Image:
     width, height = size
     return np.full((height, width), level, np.uint8)
-
-
-def _levels(image: Image) -> NDArray[np.float32]:
-    """(H, W) of a grey or colour image: all of its pixels, for a camera may resolve the lines, and some would beat."""
-    values = image.astype(np.float32)
-    return values if values.ndim == 2 else values.mean(axis=2, dtype=np.float32)

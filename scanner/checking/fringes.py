@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Image
+from calib.numerics import Floats, Image, grey
 from hw.rig import Frame
-from scanner.checking.light import grey
 from scanner.patterns import Axis, Pattern, Phase
 
 STEPS = 4

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Image, robust_sigma
+from calib.numerics import Bools, Floats, Image, grey, robust_sigma
 from hw.rig import Rig
 from scanner.checking.limits import LEAST_AMPLITUDE, TOLERATED_LOSS
 from scanner.checking.report import CheckRow, State
@@ -22,12 +22,6 @@ _BRIGHT_PERCENTILE = 99.0
 _MOST_GHOST = 0.01
 # JPEG and demosaicing spread clipped pixels over their neighbours' levels.
 CLIPPED = 254 / 255
-
-
-def grey(image: Image) -> Floats:
-    """(H, W) of a grey or colour image, in its grey levels."""
-    values = np.asarray(image, np.float64)
-    return values.mean(axis=2) if values.ndim == 3 else values
 
 
 def brightest_channel(image: Image) -> Image:

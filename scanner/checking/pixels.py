@@ -8,10 +8,10 @@ how bright it is, not the lines.
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.numerics import Floats, grey
 from hw.rig import Rig
 from scanner.capture import lines_of_light
-from scanner.checking.light import Light, grey
+from scanner.checking.light import Light
 from scanner.checking.report import CheckRow, State
 from scanner.checking.response import RAMP_STEPS, Ramp
 from scanner.checking.settled import settled

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.numerics import Floats, grey
 from hw.rig import Rig
-from scanner.checking.light import Light, grey
+from scanner.checking.light import Light
 from scanner.checking.report import CheckRow, State
 from scanner.checking.settled import settled
 from scanner.patterns import ProjectorResponse

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, grey
 from hw.rig import Frame, Rig
-from scanner.checking.light import Light, grey, photograph_light
+from scanner.checking.light import Light, photograph_light
 from scanner.checking.report import CheckRow, State
 from scanner.decoding.motion import Fit, fit_motion, shifts_by_motion, who_moved
 from scanner.patterns import Axis, Pattern, Phase, phase_sequence

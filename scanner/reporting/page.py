@@ -58,15 +58,16 @@ def write_report(path: Path, report: ReportInput) -> None:
     parts = dict(zip(PARTS, in_parallel(lambda part: part(report), PARTS.values()), strict=True))
     tables = sections.tables(report)
     solution, found = report.solution, report.reconstructed
+    decision = verdict(report)
     template = environment().get_template("report.html")
     page = template.render(
         **parts,
         subtitle=sections.subtitle(report.facts),
         provenance=report.provenance,
         configuration=sections.configuration(report.provenance),
-        verdict=verdict(report),
-        warnings=report.warnings,
-        notes=report.notes,
+        verdict=decision,
+        warnings=[warning for warning in report.warnings if warning in decision.notes],
+        notes=[note for note in report.notes if note in decision.notes],
         method=solution.method if solution else None,
         tables=tables,
         has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),

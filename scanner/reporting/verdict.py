@@ -60,7 +60,10 @@ _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and th
 
 def verdict(report: ReportInput) -> Verdict:
     """The verdict on a result."""
-    found = replace(_of_outcome(report), notes=(*report.warnings, *report.notes))
+    found = _of_outcome(report)
+    # What is a reason is not said once more.
+    notes = tuple(note for note in (*report.warnings, *report.notes) if note not in found.reasons)
+    found = replace(found, notes=notes)
     return found if report.scene is None else replace(found, reasons=(report.scene.sentence, *found.reasons))
 
 
