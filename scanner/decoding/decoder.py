@@ -197,7 +197,7 @@ class Decoder:
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities, once_more=once_more and not self._mended)
                 maps, by_pixel = checked_maps(accumulators, learnt, seen, odd=bool(oddities))
-                stripes = finest_stripes(accumulators.plan, sample, maps)
+                stripes = finest_stripes(accumulators, sample, maps)
                 del sample
                 motion = seen.motion
                 if self._lit is not None:

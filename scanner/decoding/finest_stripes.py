@@ -1,22 +1,28 @@
-"""What arrives of the contrast of the finest stripes, along x against along y, at a thin sample of pixels.
+"""What arrives of the contrast of the finest stripes, along x against along y, at pixels scattered over the image.
 
 Light that bounces, blur and the surface weaken both alike. A projector that resamples its picture does not: where a
 pixel of the picture falls between two of the panel, stripes across that direction lose most, and the loss beats over
 the picture with the shift between the two (moiré).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib.numerics import Bools, Floats
+from calib.numerics import Bools, Floats, Ints
+from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.axis_signals import Signals, signals_of
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.pixel_sample import Sample
-from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.decoding.sequence_plan import AxisPlan
 
-# Of white less black: where less is left of the stripes, noise is most of it.
+# A regular grid could beat with the stripes.
+_MOST_PIXELS, _SEED = 65536, 20_261_124
+# Of what pixels swing by: where less is left of the stripes, noise is most of it.
 _LEAST_CONTRAST = 0.02
 # Between two stripes a bit says nothing of its contrast.
 _LEAST_OF_WAVE = 0.5
@@ -35,31 +41,61 @@ class FinestStripes:
     log_ratio: Floats
     periods: tuple[float, float]
 
+    def at(self, chosen: Ints) -> "FinestStripes":
+        """Some of the pixels."""
+        return replace(
+            self,
+            camera_px=self.camera_px[chosen],
+            projector_px=self.projector_px[chosen],
+            log_ratio=self.log_ratio[chosen],
+        )
 
-def finest_stripes(plan: SequencePlan, sample: Sample, maps: Maps) -> FinestStripes | None:
-    """At the pixels of the sample that are kept. None where an axis has no stripes of which this can be said."""
-    kept = maps.reason.reshape(-1)[sample.pixels] == MaskReason.KEPT
-    projector_px = maps.projector_px.reshape(-1, 2)[sample.pixels]
-    kept &= np.isfinite(projector_px).all(axis=1)
-    levels = sample.levels
-    of_axes = [_contrast(axis, levels, projector_px[:, number]) for number, axis in enumerate(plan.axes)]
-    if any(found is None for found in of_axes) or not kept.any():
+
+def finest_stripes(accumulators: Accumulators, sample: Sample, maps: Maps) -> FinestStripes | None:
+    """At pixels that are kept, of the sample where codes are alone. None where an axis has no stripes that tell."""
+    x, y = accumulators.plan.axes
+    if x.fringes and y.fringes:
+        many = min(_MOST_PIXELS, maps.reason.size)
+        pixels = np.sort(np.random.default_rng(_SEED).integers(0, maps.reason.size, many))
+        of_x, of_y = map(_of_fringe, signals_of(accumulators, lambda image: image.reshape(1, -1)[:, pixels]))
+        return _where_kept(pixels, of_x, of_y, (x.fringes[-1].period, y.fringes[-1].period), maps)
+    pixels, levels = sample.pixels, sample.levels
+    column, row = maps.projector_px.reshape(-1, 2)[pixels].T
+    found_x, found_y = _of_axis(x, levels, column), _of_axis(y, levels, row)
+    if found_x is None or found_y is None:
         return None
-    (x, period_x), (y, period_y) = (found for found in of_axes if found is not None)
-    span = np.ptp(levels, axis=0)
-    kept &= (np.minimum(x, y) > _LEAST_CONTRAST * np.maximum(span, 1)) & (span > 0)
-    row, column = np.divmod(sample.pixels[kept], maps.reason.shape[1])
-    ratio = np.log(x[kept]) - np.log(y[kept])
+    return _where_kept(pixels, found_x[0], found_y[0], (found_x[1], found_y[1]), maps)
+
+
+def _where_kept(
+    pixels: NDArray[np.int64], of_x: Floats32, of_y: Floats32, periods: tuple[float, float], maps: Maps
+) -> FinestStripes | None:
+    """From contrasts (P,) at pixels (P,), 0 where they are unknown."""
+    projector_px = maps.projector_px.reshape(-1, 2)[pixels]
+    known: Bools = np.isfinite(projector_px).all(axis=1) & (maps.reason.reshape(-1)[pixels] == MaskReason.KEPT)
+    for contrast in (of_x, of_y):
+        known &= contrast > 0
+        if known.any():
+            known &= contrast > _LEAST_CONTRAST * np.max(contrast[known])
+    if not known.any():
+        return None
+    row, column = np.divmod(pixels[known], maps.reason.shape[1])
     return FinestStripes(
         np.stack([column, row], axis=1).astype(np.float64),
-        projector_px[kept].astype(np.float64),
-        ratio.astype(np.float64),
-        (period_x, period_y),
+        projector_px[known].astype(np.float64),
+        np.log(of_x[known] / of_y[known]).astype(np.float64),
+        periods,
     )
 
 
-def _contrast(axis: AxisPlan, levels: Floats32, coordinate: Floats32) -> tuple[Floats32, float] | None:
-    """In grey levels, (P,), 0 where it is unknown; and the period of the stripes that it is of."""
+def _of_fringe(signals: Signals) -> Floats32:
+    """The amplitude (P,) of the finest."""
+    cosine, sine = signals.fringe(len(signals.components) - 1)
+    return np.hypot(cosine, sine)
+
+
+def _of_axis(axis: AxisPlan, levels: NDArray[Any], coordinate: Floats32) -> tuple[Floats32, float] | None:
+    """The contrast of its finest fringe or bit, (P,), 0 where it is unknown; and the period of these stripes."""
     if axis.fringes:
         fringe = axis.fringes[-1]
         cosine, sine = fringe.weights[1:].astype(np.float32) @ levels[list(fringe.frames)]
@@ -68,12 +104,12 @@ def _contrast(axis: AxisPlan, levels: Floats32, coordinate: Floats32) -> tuple[F
         bit = max(code.pairs, default=-1)
         if bit == code.bits - 1 and code.base in (None, bit):
             normal, inverse = code.pairs[bit]
-            period = 4 * code.cell
             # Of words 0, 1, 2, 3 the finest bit is set in 1 and 2.
+            period = 4.0 * code.cell
             wave = np.cos(2 * np.pi * (coordinate + code.offset + 0.5 - 2 * code.cell) / period)
             known: Bools = np.abs(wave) > _LEAST_OF_WAVE
             contrast = np.where(known, (levels[normal] - levels[inverse]) / np.where(known, wave, 1), 0)
-            return np.maximum(contrast, 0).astype(np.float32), float(period)
+            return np.maximum(contrast, 0).astype(np.float32), period
     return None
 
 

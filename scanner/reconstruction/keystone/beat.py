@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize
 
-from calib.numerics import Floats, Ints, evenly, robust_sigma
-from scanner.decoding import FinestStripes, first_harmonic
+from calib.numerics import Floats, Ints, robust_sigma
+from scanner.decoding import FinestStripes
 from scanner.reconstruction.keystone.planes import smooth_over
 
 _FEWEST = 300
@@ -18,13 +18,16 @@ _LEAST_EXPLAINED, _LEAST_STRENGTH, _MOST_STRENGTH = 0.04, 0.75, 1.5
 _SIGNIFICANT_SIGMAS, _LEAST_PX = 6.0, 0.5
 # By how much the misfit must fall, in squared sigmas, to believe that a picture is turned, sheared, or leans twice.
 _WORTH_THE_REST = 25.0
-# The residuals of a scene are alike over several pixels of the sample.
-_ALIKE = 4.0
+# The residuals of a scene are alike over several pixels, however many are taken.
+_ALIKE, _MOST_INDEPENDENT = 4.0, 1250
 _MOST_EVALUATIONS = 150
 # Of a homography, in units of half the picture's width about its middle, less the identity: what x, y and 1 add to x,
 # what they add to y, and what x and y add to the denominator.
 NUMBERS = 8
 EVERYTHING = tuple(range(NUMBERS))
+
+# Shifts in pixels (N,), and the period of stripes → the logarithm of what is left of these.
+Wave = Callable[[Floats, float], Floats]
 UPRIGHT = (0, 2, 4, 5)  # what neither turns nor shears
 LEANS = slice(6, 8)
 
@@ -51,8 +54,7 @@ class Fit:
 @dataclass(frozen=True)
 class Beat:
     """The logarithms `data` (N,) of contrasts at `x`, `y` (N,), in units of `half` the picture's width about its
-    middle, without what is in `smooth` (N, M), whose columns are orthonormal. `wave`: how shifts in pixels and the
-    period of stripes make them beat.
+    middle, without what is in `smooth` (N, M), whose columns are orthonormal. `wave`: how they beat.
     """
 
     x: Floats
@@ -61,11 +63,11 @@ class Beat:
     smooth: Floats
     size: tuple[int, int]
     periods: tuple[float, float]
-    wave: Callable[[Floats, float], Floats]
+    wave: Wave
 
     @classmethod
-    def of(cls, stripes: FinestStripes, plane: Ints, size: tuple[int, int]) -> "Beat | None":
-        """Without what changes smoothly over each plane, and without outliers."""
+    def of(cls, stripes: FinestStripes, plane: Ints, size: tuple[int, int], wave: Wave) -> "Beat | None":
+        """Without what changes smoothly over each plane, and without outliers; None of too few pixels."""
         half, middle = (size[0] - 1) / 2, (np.array(size) - 1) / 2
         x, y = ((stripes.projector_px - middle) / half).T
         found, chosen = None, plane >= 0
@@ -75,7 +77,7 @@ class Beat:
                 return None
             data = stripes.log_ratio[chosen]
             data = data - smooth @ (smooth.T @ data)
-            found = cls(x[chosen], y[chosen], data, smooth, size, stripes.periods, first_harmonic)
+            found = cls(x[chosen], y[chosen], data, smooth, size, stripes.periods, wave)
             chosen[np.flatnonzero(chosen)[np.abs(data) > _OUTLIER_SIGMAS * robust_sigma(data)]] = False
         return found
 
@@ -84,21 +86,20 @@ class Beat:
         """Half the picture's width, in pixels."""
         return (self.size[0] - 1) / 2
 
+    @property
+    def alike(self) -> float:
+        """How many pixels tell as much as one would whose residual is independent."""
+        return max(_ALIKE, len(self.data) / _MOST_INDEPENDENT)
+
     def within(self, share: float) -> "Beat":
         """What is in the middle of the picture, up to so much of its width and height."""
         tall = self.size[1] / self.size[0]
-        return self._at(np.flatnonzero((np.abs(self.x) < share) & (np.abs(self.y) < share * tall)))
-
-    def thinned(self, most: int) -> "Beat":
-        """At so many pixels, or up to twice as many."""
-        return self._at(evenly(np.ones(len(self.data), np.bool_), most))
-
-    def _at(self, chosen: Ints) -> "Beat":
-        if len(chosen) == len(self.data):
+        inside = (np.abs(self.x) < share) & (np.abs(self.y) < share * tall)
+        if inside.all():
             return self
-        smooth = np.linalg.qr(self.smooth[chosen])[0]
-        data = self.data[chosen]
-        return replace(self, x=self.x[chosen], y=self.y[chosen], data=data - smooth @ (smooth.T @ data), smooth=smooth)
+        smooth = np.linalg.qr(self.smooth[inside])[0]
+        data = self.data[inside]
+        return replace(self, x=self.x[inside], y=self.y[inside], data=data - smooth @ (smooth.T @ data), smooth=smooth)
 
     def leans(self, fit: Fit) -> bool:
         """Whether the far edge is narrower than the near one, by what matters and is certain."""
@@ -141,7 +142,7 @@ class Beat:
         best = values(found.x)
         strengths = np.linalg.lstsq(self.waves(best).T, self.data, rcond=None)[0]
         jacobian = np.asarray(found.jac)
-        inner = np.linalg.pinv(jacobian.T @ jacobian) * np.mean(found.fun**2) * _ALIKE
+        inner = np.linalg.pinv(jacobian.T @ jacobian) * np.mean(found.fun**2) * self.alike
         covariance = np.zeros((NUMBERS, NUMBERS))
         covariance[np.ix_(columns, columns)] = inner[:-1, :-1] / self.half**2
         explained = 1 - float(np.mean(found.fun**2) / np.mean(self.data**2))
@@ -153,5 +154,5 @@ class Beat:
 
     def believable(self, freer: Fit, fit: Fit) -> Fit:
         """The freer of two fits where it explains more than chance would, else the other."""
-        gained = (freer.explained - fit.explained) / (1 - freer.explained) * len(self.data) / _ALIKE
+        gained = (freer.explained - fit.explained) / (1 - freer.explained) * len(self.data) / self.alike
         return freer if gained > _WORTH_THE_REST else fit

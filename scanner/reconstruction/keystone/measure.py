@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.geometry import Matches, mapped
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, evenly
 from calib.refinement import Shift
-from scanner.decoding import FinestStripes, left_between
+from scanner.decoding import FinestStripes, first_harmonic, left_between
 from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, Fit
 from scanner.reconstruction.keystone.planes import planes_at
 from scanner.reconstruction.keystone.starts import beats, starts, starts_leaning_twice
 
 # Wider stripes lose less than 2 %.
 _LONGEST_PX = 16.0
-_MOST_AT_FIRST = 4000
+_MOST_AT_FIRST = 2500
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,28 @@ def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size
     """
     if max(stripes.periods) > _LONGEST_PX or not len(stripes.log_ratio) or not len(matches):
         return None
-    beat = Beat.of(stripes, planes_at(stripes.camera_px, matches.camera_px, plane), size)
-    fit = None if beat is None else _fit(beat)
-    return None if beat is None or fit is None or not beat.leans(fit) else _keystone(fit, size)
+    where = planes_at(stripes.camera_px, matches.camera_px, plane)
+    found = _found_at_first(stripes, where, size)
+    # Few pixels tell that there is something, and all of them what it is.
+    beat = None if found is None else Beat.of(stripes, where, size, first_harmonic)
+    if beat is None or found is None:
+        return None
+    cusped, nearby = replace(beat, wave=left_between), beat.refined(found.values, found.free)
+    fits = [cusped.refined(start.values, found.free) for start in (found, nearby)]
+    fit = max(fits, key=lambda fit: fit.explained)
+    return _keystone(fit, size) if fit.is_of_a_beat and beat.leans(fit) else None
 
 
-def _fit(beat: Beat) -> Fit | None:
-    """The homography that explains how contrasts beat; None where none does."""
-    thin = beat.thinned(_MOST_AT_FIRST)
+def _found_at_first(stripes: FinestStripes, where: Ints, size: tuple[int, int]) -> Fit | None:
+    """The homography that explains how contrasts beat, at some of the pixels; None where none does."""
+    some = evenly(where >= 0, _MOST_AT_FIRST)
+    thin = Beat.of(stripes.at(some), where[some], size, first_harmonic)
+    if thin is None:
+        return None
     # The wave has a cusp at each crest, by which it is found well, but only from nearby.
-    cusped = replace(beat, wave=left_between)
-    for found in (starts, starts_leaning_twice):
-        fits = [thin.refined(start.values, start.free) for start in found(thin)]
+    cusped = replace(thin, wave=left_between)
+    for likely in (starts, starts_leaning_twice):
+        fits = [thin.refined(start.values, start.free) for start in likely(thin)]
         if fits:
             best = max(fits, key=lambda fit: fit.explained)
             fit = cusped.refined(best.values, best.free)

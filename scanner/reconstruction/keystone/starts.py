@@ -23,7 +23,7 @@ _PADDED = 1.5
 _TRIED, _APART_PX = 8, 0.4
 # What no beat explains of a spectrum, relative to noise, stays below the first; below the second even with a lean that
 # is not undone there is none.
-_LEAST_POWER, _LEAST_CHIRP = 50.0, 35.0
+_LEAST_POWER, _LEAST_CHIRP = 50.0, 40.0
 # Leans along both axes are tried so many to each side, in as much of the picture's middle as these reach around.
 _LEANS = 10
 _TRIED_TWICE = 4
