@@ -5,6 +5,7 @@ pixel of the picture falls between two of the panel, stripes across that directi
 the picture with the shift between the two (moiré).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -120,9 +121,16 @@ def left_between(shift_px: Floats, period: float) -> Floats:
     return left
 
 
-def first_harmonic(shift_px: Floats, period: float) -> Floats:
-    """The same but for its mean, as smooth as it can be."""
+def first_harmonics(count: int) -> Callable[[Floats, float], Floats]:
+    """The same as a Fourier series without its mean: the smoother, the fewer."""
     between = (np.arange(_STEPS) + 0.5) / _STEPS
-    half_swing = 2 * np.mean(left_between(between, period) * np.cos(2 * np.pi * between))
-    harmonic: Floats = half_swing * np.cos(2 * np.pi * shift_px)
-    return harmonic
+
+    def series(shift_px: Floats, period: float) -> Floats:
+        left = left_between(between, period)
+        total = np.zeros(len(shift_px))
+        for n in range(1, count + 1):
+            half_swing = 2 * np.mean(left * np.cos(2 * np.pi * n * between))
+            total += half_swing * np.cos(2 * np.pi * n * shift_px)
+        return total
+
+    return series

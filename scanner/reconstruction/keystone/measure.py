@@ -13,7 +13,7 @@ import numpy as np
 from calib.geometry import Matches, mapped
 from calib.numerics import Floats, Ints, evenly
 from calib.refinement import Shift
-from scanner.decoding import FinestStripes, first_harmonic, left_between
+from scanner.decoding import FinestStripes, first_harmonics
 from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, Fit
 from scanner.reconstruction.keystone.planes import planes_at
 from scanner.reconstruction.keystone.starts import beats, starts, starts_leaning_twice
@@ -21,6 +21,8 @@ from scanner.reconstruction.keystone.starts import beats, starts, starts_leaning
 # Wider stripes lose less than 2 %.
 _LONGEST_PX = 16.0
 _MOST_AT_FIRST = 2500
+# The wave has a cusp at each crest, by which it is found well, but only from nearby.
+_ROUND, _SHARP = first_harmonics(1), first_harmonics(5)
 
 
 @dataclass(frozen=True)
@@ -46,31 +48,28 @@ def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size
     where = planes_at(stripes.camera_px, matches.camera_px, plane)
     found = _found_at_first(stripes, where, size)
     # Few pixels tell that there is something, and all of them what it is.
-    beat = None if found is None else Beat.of(stripes, where, size, first_harmonic)
+    beat = None if found is None else Beat.of(stripes, where, size, _SHARP)
     if beat is None or found is None:
         return None
-    cusped, nearby = replace(beat, wave=left_between), beat.refined(found.values, found.free)
-    fits = [cusped.refined(start.values, found.free) for start in (found, nearby)]
-    fit = max(fits, key=lambda fit: fit.explained)
+    fit = beat.refined(found.values, found.free)
     return _keystone(fit, size) if fit.is_of_a_beat and beat.leans(fit) else None
 
 
 def _found_at_first(stripes: FinestStripes, where: Ints, size: tuple[int, int]) -> Fit | None:
     """The homography that explains how contrasts beat, at some of the pixels; None where none does."""
     some = evenly(where >= 0, _MOST_AT_FIRST)
-    thin = Beat.of(stripes.at(some), where[some], size, first_harmonic)
+    thin = Beat.of(stripes.at(some), where[some], size, _ROUND)
     if thin is None:
         return None
-    # The wave has a cusp at each crest, by which it is found well, but only from nearby.
-    cusped = replace(thin, wave=left_between)
+    sharp = replace(thin, wave=_SHARP)
     for likely in (starts, starts_leaning_twice):
         fits = [thin.refined(start.values, start.free) for start in likely(thin)]
         if fits:
             best = max(fits, key=lambda fit: fit.explained)
-            fit = cusped.refined(best.values, best.free)
-            fit = cusped.believable(cusped.refined(fit.values, EVERYTHING), fit)
+            fit = sharp.refined(best.values, best.free)
+            fit = sharp.believable(sharp.refined(fit.values, EVERYTHING), fit)
             # A wrong one explains a part of the picture.
-            if fit.is_of_a_beat and not beats(cusped.without(fit)):
+            if fit.is_of_a_beat and not beats(sharp.without(fit)):
                 return fit
     return None
 
