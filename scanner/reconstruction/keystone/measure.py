@@ -21,7 +21,7 @@ from scanner.reconstruction.keystone.starts import beats, starts, starts_leaning
 # Wider stripes lose less than 2 %.
 _LONGEST_PX = 16.0
 _MOST_AT_FIRST = 2500
-# The wave has a cusp at each crest, by which it is found well, but only from nearby.
+# What has more harmonics is found better, but only from nearby.
 _ROUND, _SHARP = first_harmonics(1), first_harmonics(5)
 
 
