@@ -40,6 +40,7 @@ _LOOK_AT_THE_MISSES = (
 _BOTH_AXES = "To see whether the calibration still fits, project patterns along the other axis as well."
 # What a calibration from boards leaves of the principal point.
 _CALIBRATED_CENTRE_PX = 1.5
+_MOST_BY_CENTRE = 0.01
 _FREE_THE_CENTRE = (
     "Make sure of the principal point to a pixel, or leave camera.principal_point.known out and capture the same "
     "corner from two or three places: then it is measured."
@@ -128,7 +129,7 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
         return Verdict("fair", "Calibrated, but with errors that show", tuple(reasons), _LOOK_AT_THE_MISSES)
     price = price_of_principal_point(calibrated.solution)
     reasons += price.sentences
-    if price.per_px * _CALIBRATED_CENTRE_PX > MEASUREMENT_GRADE:
+    if price.per_px * _CALIBRATED_CENTRE_PX > _MOST_BY_CENTRE:
         headline = "Calibrated, as well as the principal point that was given"
         return Verdict("fair", headline, (*price.sentences, *reasons[: -len(price.sentences)]), _FREE_THE_CENTRE)
     reasons += [note for note in calibrated.solution.notes if note.startswith(FROM_ONE_PLACE)]
