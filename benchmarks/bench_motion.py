@@ -236,6 +236,8 @@ def main() -> None:
     options = _options()
     wanted = list(cases(options))
     if options.numbers:
+        if not all(0 <= number < len(wanted) for number in options.numbers):
+            raise SystemExit(f"--numbers: expected from 0 to {len(wanted) - 1}, found {max(options.numbers)}")
         wanted = [wanted[number] for number in options.numbers]
     known = earlier(options.results)
     rows = [known[case] for case in wanted if case in known]
