@@ -20,7 +20,8 @@ _SIGNIFICANT_SIGMAS, _LEAST_PX = 6.0, 0.5
 _WORTH_THE_REST = 25.0
 # The residuals of a scene are alike over several pixels, however many are taken.
 _ALIKE, _MOST_INDEPENDENT = 4.0, 1250
-_MOST_EVALUATIONS = 150
+# Of the misfit and of the step, relative to themselves, where a fit ends.
+_PRECISE = 1e-5
 # Of a homography, in units of half the picture's width about its middle, less the identity: what x, y and 1 add to x,
 # what they add to y, and what x and y add to the denominator.
 NUMBERS = 8
@@ -137,7 +138,7 @@ class Beat:
             return residuals
 
         found = optimize.least_squares(
-            misfit, np.append(np.zeros(len(columns)), 1.0), method="lm", max_nfev=_MOST_EVALUATIONS
+            misfit, np.append(np.zeros(len(columns)), 1.0), method="lm", ftol=_PRECISE, xtol=_PRECISE
         )
         best = values(found.x)
         strengths = np.linalg.lstsq(self.waves(best).T, self.data, rcond=None)[0]

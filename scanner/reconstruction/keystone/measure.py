@@ -16,11 +16,11 @@ from calib.refinement import Shift
 from scanner.decoding import FinestStripes, first_harmonics
 from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, Fit
 from scanner.reconstruction.keystone.planes import planes_at
-from scanner.reconstruction.keystone.starts import beats, starts, starts_leaning_twice
+from scanner.reconstruction.keystone.starts import Spectrum, starts, starts_leaning_twice
 
 # Wider stripes lose less than 2 %.
 _LONGEST_PX = 16.0
-_MOST_AT_FIRST = 2500
+_MOST_AT_FIRST = 4000
 # What has more harmonics is found better, but only from nearby.
 _ROUND, _SHARP = first_harmonics(1), first_harmonics(5)
 
@@ -45,31 +45,33 @@ def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size
     """
     if max(stripes.periods) > _LONGEST_PX or not len(stripes.log_ratio) or not len(matches):
         return None
-    where = planes_at(stripes.camera_px, matches.camera_px, plane)
-    found = _found_at_first(stripes, where, size)
     # Few pixels tell that there is something, and all of them what it is.
-    beat = None if found is None else Beat.of(stripes, where, size, _SHARP)
+    few = evenly(np.ones(len(stripes.log_ratio), np.bool_), _MOST_AT_FIRST)
+    thin = _beat(stripes.at(few), matches, plane, size)
+    found = None if thin is None else _found_at_first(thin)
+    beat = None if found is None else _beat(stripes, matches, plane, size)
     if beat is None or found is None:
         return None
-    fit = beat.refined(found.values, found.free)
+    fit = replace(beat, wave=_SHARP).refined(found.values, found.free)
     return _keystone(fit, size) if fit.is_of_a_beat and beat.leans(fit) else None
 
 
-def _found_at_first(stripes: FinestStripes, where: Ints, size: tuple[int, int]) -> Fit | None:
-    """The homography that explains how contrasts beat, at some of the pixels; None where none does."""
-    some = evenly(where >= 0, _MOST_AT_FIRST)
-    thin = Beat.of(stripes.at(some), where[some], size, _ROUND)
-    if thin is None:
-        return None
-    sharp = replace(thin, wave=_SHARP)
+def _beat(stripes: FinestStripes, matches: Matches, plane: Ints, size: tuple[int, int]) -> Beat | None:
+    where = planes_at(stripes.camera_px, matches.camera_px, plane)
+    return Beat.of(stripes, where, size, _ROUND)
+
+
+def _found_at_first(thin: Beat) -> Fit | None:
+    """The homography that explains how contrasts beat; None where none does."""
+    sharp, spectrum = replace(thin, wave=_SHARP), Spectrum.of(thin)
     for likely in (starts, starts_leaning_twice):
-        fits = [thin.refined(start.values, start.free) for start in likely(thin)]
+        fits = [thin.refined(start.values, start.free) for start in likely(thin, spectrum)]
         if fits:
             best = max(fits, key=lambda fit: fit.explained)
             fit = sharp.refined(best.values, best.free)
             fit = sharp.believable(sharp.refined(fit.values, EVERYTHING), fit)
             # A wrong one explains a part of the picture.
-            if fit.is_of_a_beat and not beats(sharp.without(fit)):
+            if fit.is_of_a_beat and not Spectrum.of(sharp.without(fit)).beats:
                 return fit
     return None
 

@@ -7,7 +7,7 @@ from calib.numerics import Bools, Floats, Ints, compiled
 from calib.refinement import monomials
 
 _NEAR_PX = 2
-_NOBODY, _SEVERAL = -2, -1
+_NOBODY, _SEVERAL, _MOST_LABELS = -2, -1, 127
 _SECOND_ORDER = 6
 _FEWEST = 100
 
@@ -19,20 +19,20 @@ def planes_at(pixels: Floats, camera_px: Floats, plane: Ints) -> Ints:
     """
     at, down = pixels.astype(np.int64).T
     width, height = (int(max(near.max(), of.max())) + 2 for near, of in zip(pixels.T, camera_px.T, strict=True))
-    labels = np.full((height + 2 * _NEAR_PX, width + 2 * _NEAR_PX), _NOBODY, np.int32)
+    labels = np.full((height + 2 * _NEAR_PX, width + 2 * _NEAR_PX), _NOBODY, np.int8)
     _note(camera_px, plane, labels)
     near = np.stack([labels[down + i, at + j] for i in range(2 * _NEAR_PX + 1) for j in range(2 * _NEAR_PX + 1)])
     greatest = near.max(axis=0)
     agree = np.all((near == greatest) | (near == _NOBODY), axis=0)
-    return np.where(agree, np.maximum(greatest, _SEVERAL), _SEVERAL)
+    return np.where(agree, np.maximum(greatest, _SEVERAL), _SEVERAL).astype(np.int32)
 
 
 @compiled
-def _note(camera_px: Floats, plane: Ints, labels: NDArray[np.int32]) -> None:
-    """Write the planes of matches (N, 2) where they are, in an image with a border."""
+def _note(camera_px: Floats, plane: Ints, labels: NDArray[np.int8]) -> None:
+    """Write the planes of matches (N, 2) where they are, in an image with a border; of those beyond a byte none."""
     for i in range(len(plane)):
         row, column = int(camera_px[i, 1] + 0.5) + _NEAR_PX, int(camera_px[i, 0] + 0.5) + _NEAR_PX
-        labels[row, column] = max(plane[i], _SEVERAL)
+        labels[row, column] = max(plane[i], _SEVERAL) if plane[i] <= _MOST_LABELS else _SEVERAL
 
 
 def smooth_over(plane: Ints, x: Floats, y: Floats, chosen: Bools) -> tuple[Floats, Bools]:

@@ -5,6 +5,7 @@ A lean makes chirps of waves. Where it is undone, each axis has one frequency le
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -16,10 +17,10 @@ from scanner.reconstruction.keystone.beat import EVERYTHING, UPRIGHT, Beat
 
 # How much narrower the far edge may be, for which is looked; more of it leaves no fine stripes.
 _MOST_NARROWER = 0.05
-_STEP_PX = 0.4  # at the picture's corners
+_STEP_PX = 0.5  # at the picture's corners
 _CELLS_ALONG = 213
 _LEAST_CELL_PX = 4.0
-_PADDED = 1.5
+_PADDED = 1.3
 _TRIED, _APART_PX = 8, 0.4
 # What no beat explains of a spectrum, relative to noise, stays below the first; below the second even with a lean that
 # is not undone there is none.
@@ -39,32 +40,21 @@ class Start:
     free: tuple[int, ...]
 
 
-def beats(beat: Beat) -> bool:
-    """Whether there is anything to be explained."""
-    return _strongest(_Spectrum.of(beat).peaks(_single_leans(beat))) >= _LEAST_POWER
+def starts(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
+    """The likeliest first of those that lean along one axis, or none; nothing where nothing beats."""
+    if spectrum.beats:
+        yield from _apart(spectrum.leaning_once, beat, _TRIED)
 
 
-def _strongest(found: Sequence[Start]) -> float:
-    return max(start.power for start in found)
-
-
-def starts(beat: Beat) -> Iterator[Start]:
-    """The likeliest first of those that lean along one axis, or none; none where nothing beats."""
-    found = _Spectrum.of(beat).peaks(_single_leans(beat))
-    if _strongest(found) >= _LEAST_POWER:
-        yield from _apart(found, beat, _TRIED)
-
-
-def starts_leaning_twice(beat: Beat) -> Iterator[Start]:
+def starts_leaning_twice(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
     """Those that lean along both axes: found in the middle, and followed as more of the picture is taken."""
-    singly = _single_leans(beat)
-    if _strongest(_Spectrum.of(beat).peaks(singly)) < _LEAST_CHIRP:
+    if spectrum.strongest < _LEAST_CHIRP:
         return
-    share = min(1.0, float(np.sqrt(_LEANS / len(singly))))
+    share = min(1.0, float(np.sqrt(_LEANS / len(spectrum.leaning_once))))
     middle = beat.within(share)
     step = _STEP_PX / (beat.half * share**2)
     leans = step * np.arange(-_LEANS, _LEANS + 1)
-    found = _Spectrum.of(middle).peaks(product(leans[leans > 0], leans[leans != 0]))
+    found = Spectrum.of(middle).peaks(product(leans[leans > 0], leans[leans != 0]))
     for start in _apart(found, middle, _TRIED_TWICE):
         values, reached = start.values, share
         while reached < 1:
@@ -73,16 +63,7 @@ def starts_leaning_twice(beat: Beat) -> Iterator[Start]:
         yield replace(start, values=values)
 
 
-def _single_leans(beat: Beat) -> list[tuple[float, float]]:
-    """Along x or along y, from none to the most, by steps that matter at the corners."""
-    tall = beat.size[1] / beat.size[0]
-    along_x, along_y = (_STEP_PX / (beat.half * furthest) for furthest in (1.0, tall))
-    many_x, many_y = (int(np.ceil(_MOST_NARROWER / (2 * step))) for step in (along_x, along_y * tall))
-    upwards = [(0.0, number * along_y) for number in range(many_y + 1)]
-    return [*upwards, *((number * along_x, 0.0) for number in range(1, many_x + 1))]
-
-
-def _apart(found: list[Start], beat: Beat, most: int) -> Iterator[Start]:
+def _apart(found: Sequence[Start], beat: Beat, most: int) -> Iterator[Start]:
     """The strongest that differ at the picture's corners; of two opposite ones, which beat alike, the smaller one."""
     corners = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * (1.0, beat.size[1] / beat.size[0])
     taken: list[Floats] = []
@@ -105,9 +86,9 @@ def _moved(values: Floats, corners: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Spectrum:
+class Spectrum:
     """The data of a beat summed in the cells (rows, columns) of a grid, at `x` (1, columns) and `y` (rows, 1). Lengths
-    are in units of `half` the picture's width in pixels; `energy`: the squares of the data.
+    are in units of `half` the picture's width in pixels, which is `tall` times as high; `energy`: of the data.
     """
 
     sums: Floats
@@ -115,10 +96,30 @@ class _Spectrum:
     y: Floats
     cell: float
     half: float
+    tall: float
     energy: float
 
+    @property
+    def beats(self) -> bool:
+        """Whether there is anything to be explained."""
+        return self.strongest >= _LEAST_POWER
+
+    @property
+    def strongest(self) -> float:
+        """The most power with a lean along one axis."""
+        return max(start.power for start in self.leaning_once)
+
+    @cached_property
+    def leaning_once(self) -> list[Start]:
+        """Along x or along y, from not at all to the most, by steps that matter at the corners."""
+        along_x, along_y = (_STEP_PX / (self.half * furthest) for furthest in (1.0, self.tall))
+        many_x, many_y = (int(np.ceil(_MOST_NARROWER / (2 * step))) for step in (along_x, along_y * self.tall))
+        upwards = [(0.0, number * along_y) for number in range(many_y + 1)]
+        return self.peaks([*upwards, *((number * along_x, 0.0) for number in range(1, many_x + 1))])
+
     @classmethod
-    def of(cls, beat: Beat) -> "_Spectrum":
+    def of(cls, beat: Beat) -> "Spectrum":
+        """Of cells that are fine enough for any keystone that is looked for."""
         width, height = beat.size
         cell = max(_LEAST_CELL_PX, width / _CELLS_ALONG)
         columns, rows = int(width / cell) + 2, int(height / cell) + 2
@@ -130,7 +131,15 @@ class _Spectrum:
         y: Floats = (((np.arange(rows) + 0.5) * cell - height / 2) / beat.half)[:, None].astype(np.float64)
         # Of the middle of a picture there is less to transform.
         at_x, at_y = (slice(of.min(), of.max() + 1) for of in (column, row))
-        return cls(sums[at_y, at_x], x[:, at_x], y[at_y], cell / beat.half, beat.half, float(np.sum(beat.data**2)))
+        return cls(
+            sums[at_y, at_x],
+            x[:, at_x],
+            y[at_y],
+            cell / beat.half,
+            beat.half,
+            height / width,
+            float(np.sum(beat.data**2)),
+        )
 
     def peaks(self, leans: Iterable[tuple[float, float]]) -> list[Start]:
         """For each lean to the side and up, the likeliest homography."""
