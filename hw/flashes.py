@@ -180,7 +180,7 @@ class Flashes:
     def _lit_pixels(self, dark: list[Image], bright: list[Image]) -> Bools:
         """Pixels that white lights well without clipping them, (H, W)."""
         contrast = grey(np.mean(bright, axis=0)) - grey(np.mean(dark, axis=0))
-        noise = np.std(grey(dark[1].astype(np.float64)) - grey(dark[0].astype(np.float64)))
+        noise = np.std(grey(dark[1]) - grey(dark[0]))
         strong = float(np.percentile(contrast, 99))
         if strong < 6 * noise or strong <= 0:
             raise DeviceError(

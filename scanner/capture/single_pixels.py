@@ -44,6 +44,7 @@ def measure_lines(rig: Rig) -> Mapping[str, object]:
     levels = []
     for frame in rig.photograph(pictures):
         refuse_another_size(frame, rig.camera.size)
+        # Of all pixels: a camera may resolve the lines, and some would beat.
         levels.append(grey(frame.image).astype(np.float32))
     black, middle, wide, *thin = levels
     light = middle - black

@@ -70,6 +70,7 @@ class Decoding:
     `motion`: of the devices while the fringes were taken; None if unknown. `only_axis`: the only one along which
     patterns varied, so that the other coordinate follows from a calibration, and `sigma_px` is along the epipolar line;
     None if both were measured. `smooth_px`: by what the coordinates err smoothly over a surface, as of `Shifts`.
+    `stripes`: what arrives of the finest ones' contrast; None where that cannot be told.
     """
 
     matches: Matches
