@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize
 
+from calib.geometry import mapped
 from calib.numerics import Floats, Ints, robust_sigma
 from scanner.decoding import FinestStripes
 from scanner.reconstruction.keystone.planes import smooth_over
@@ -26,11 +27,17 @@ _PRECISE = 1e-5
 # what they add to y, and what x and y add to the denominator.
 NUMBERS = 8
 EVERYTHING = tuple(range(NUMBERS))
+UPRIGHT = (0, 2, 4, 5)  # what neither turns nor shears
+LEANS = slice(6, 8)
 
 # Shifts in pixels (N,), and the period of stripes → the logarithm of what is left of these.
 Wave = Callable[[Floats, float], Floats]
-UPRIGHT = (0, 2, 4, 5)  # what neither turns nor shears
-LEANS = slice(6, 8)
+
+
+def homography_of(values: Floats) -> Floats:
+    """The homography (3, 3) of these numbers, in their units."""
+    xx, xy, x1, yx, yy, y1, lean_x, lean_y = values
+    return np.array([[1 + xx, xy, x1], [yx, 1 + yy, y1], [lean_x, lean_y, 1]])
 
 
 @dataclass(frozen=True)
@@ -54,12 +61,11 @@ class Fit:
 
 @dataclass(frozen=True)
 class Beat:
-    """The logarithms `data` (N,) of contrasts at `x`, `y` (N,), in units of `half` the picture's width about its
+    """The logarithms `data` (N,) of contrasts at `points` (N, 2), in units of `half` the picture's width about its
     middle, without what is in `smooth` (N, M), whose columns are orthonormal. `wave`: how they beat.
     """
 
-    x: Floats
-    y: Floats
+    points: Floats
     data: Floats
     smooth: Floats
     size: tuple[int, int]
@@ -70,15 +76,15 @@ class Beat:
     def of(cls, stripes: FinestStripes, plane: Ints, size: tuple[int, int], wave: Wave) -> "Beat | None":
         """Without what changes smoothly over each plane, and without outliers; None of too few pixels."""
         half, middle = (size[0] - 1) / 2, (np.array(size) - 1) / 2
-        x, y = ((stripes.projector_px - middle) / half).T
+        points = (stripes.projector_px - middle) / half
         found, chosen = None, plane >= 0
         for _ in range(_ROUNDS):
-            smooth, chosen = smooth_over(plane, x, y, chosen)
+            smooth, chosen = smooth_over(plane, points, chosen)
             if np.count_nonzero(chosen) < max(_FEWEST, 2 * smooth.shape[1]):
                 return None
             data = stripes.log_ratio[chosen]
             data = data - smooth @ (smooth.T @ data)
-            found = cls(x[chosen], y[chosen], data, smooth, size, stripes.periods, wave)
+            found = cls(points[chosen], data, smooth, size, stripes.periods, wave)
             chosen[np.flatnonzero(chosen)[np.abs(data) > _OUTLIER_SIGMAS * robust_sigma(data)]] = False
         return found
 
@@ -88,38 +94,34 @@ class Beat:
         return (self.size[0] - 1) / 2
 
     @property
+    def tall(self) -> float:
+        """The picture's height as a part of its width."""
+        return self.size[1] / self.size[0]
+
+    @property
     def alike(self) -> float:
         """How many pixels tell as much as one would whose residual is independent."""
         return max(_ALIKE, len(self.data) / _MOST_INDEPENDENT)
 
     def within(self, share: float) -> "Beat":
         """What is in the middle of the picture, up to so much of its width and height."""
-        tall = self.size[1] / self.size[0]
-        inside = (np.abs(self.x) < share) & (np.abs(self.y) < share * tall)
+        inside = np.all(np.abs(self.points) < (share, share * self.tall), axis=1)
         if inside.all():
             return self
         smooth = np.linalg.qr(self.smooth[inside])[0]
         data = self.data[inside]
-        return replace(self, x=self.x[inside], y=self.y[inside], data=data - smooth @ (smooth.T @ data), smooth=smooth)
+        return replace(self, points=self.points[inside], data=data - smooth @ (smooth.T @ data), smooth=smooth)
 
     def leans(self, fit: Fit) -> bool:
         """Whether the far edge is narrower than the near one, by what matters and is certain."""
         lean, sigma = np.abs(fit.values[LEANS]), np.sqrt(np.diag(fit.covariance)[LEANS])
         axis = int(np.argmax(lean))
-        at_corners_px = lean[axis] * self.half * (1.0, self.size[1] / self.size[0])[axis]
+        at_corners_px = lean[axis] * self.half * (1.0, self.tall)[axis]
         return bool(at_corners_px > _LEAST_PX and lean[axis] > _SIGNIFICANT_SIGMAS * sigma[axis])
-
-    def shifts_px(self, values: Floats) -> tuple[Floats, Floats]:
-        """Of panel against picture, (N,) along x and y."""
-        xx, xy, x1, yx, yy, y1, lean_x, lean_y = values
-        by = self.half / (1 + lean_x * self.x + lean_y * self.y)
-        there_x = ((1 + xx) * self.x + xy * self.y + x1) * by
-        there_y = (yx * self.x + (1 + yy) * self.y + y1) * by
-        return there_x - self.half * self.x, there_y - self.half * self.y
 
     def waves(self, values: Floats) -> Floats:
         """(2, N): the beats of x and of y, without what passes for smooth change."""
-        x, y = self.shifts_px(values)
+        x, y = self.half * (mapped(homography_of(values), self.points) - self.points).T
         both = np.stack([self.wave(x, self.periods[0]), -self.wave(y, self.periods[1])])
         waves: Floats = both - (both @ self.smooth) @ self.smooth.T
         return waves

@@ -14,7 +14,7 @@ from calib.geometry import Matches, mapped
 from calib.numerics import Floats, Ints, evenly
 from calib.refinement import Shift
 from scanner.decoding import FinestStripes, first_harmonics
-from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, Fit
+from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, Fit, homography_of
 from scanner.reconstruction.keystone.planes import planes_at
 from scanner.reconstruction.keystone.starts import Spectrum, starts, starts_leaning_twice
 
@@ -98,9 +98,7 @@ def _keystone(fit: Fit, size: tuple[int, int]) -> Keystone:
 
 def _between_pixels(values: Floats, size: tuple[int, int]) -> Floats:
     """The homography (3, 3) of these numbers, from pixels to pixels."""
-    xx, xy, x1, yx, yy, y1, lean_x, lean_y = values
     half, middle_y = (size[0] - 1) / 2, (size[1] - 1) / 2
     to_units = np.array([[1, 0, -half], [0, 1, -middle_y], [0, 0, half]]) / half
-    within = np.array([[1 + xx, xy, x1], [yx, 1 + yy, y1], [lean_x, lean_y, 1]])
-    homography: Floats = np.linalg.inv(to_units) @ within @ to_units
+    homography: Floats = np.linalg.inv(to_units) @ homography_of(values) @ to_units
     return homography

@@ -35,13 +35,13 @@ def _note(camera_px: Floats, plane: Ints, labels: NDArray[np.int8]) -> None:
         labels[row, column] = max(plane[i], _SEVERAL) if plane[i] <= _MOST_LABELS else _SEVERAL
 
 
-def smooth_over(plane: Ints, x: Floats, y: Floats, chosen: Bools) -> tuple[Floats, Bools]:
+def smooth_over(plane: Ints, points: Floats, chosen: Bools) -> tuple[Floats, Bools]:
     """An orthonormal basis (N, M) of what changes up to second order over each plane, for the chosen pixels that are on
     one of some size.
     """
     large = [number for number in np.unique(plane[chosen]) if np.sum(chosen & (plane == number)) >= _FEWEST]
     chosen = chosen & np.isin(plane, large)
-    here, where = np.stack([x, y], axis=1)[chosen], plane[chosen]
+    here, where = points[chosen], plane[chosen]
     columns = np.zeros((len(here), _SECOND_ORDER * len(large)))
     for number, label in enumerate(large):
         on = where == label

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from calib.geometry import mapped
 from calib.numerics import Floats, in_parallel
-from scanner.reconstruction.keystone.beat import EVERYTHING, UPRIGHT, Beat
+from scanner.reconstruction.keystone.beat import EVERYTHING, UPRIGHT, Beat, homography_of
 
 # How much narrower the far edge may be, for which is looked; more of it leaves no fine stripes.
 _MOST_NARROWER = 0.05
@@ -65,24 +66,15 @@ def starts_leaning_twice(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
 
 def _apart(found: Sequence[Start], beat: Beat, most: int) -> Iterator[Start]:
     """The strongest that differ at the picture's corners; of two opposite ones, which beat alike, the smaller one."""
-    corners = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * (1.0, beat.size[1] / beat.size[0])
+    corners = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * (1.0, beat.tall)
     taken: list[Floats] = []
     for start in sorted(found, key=lambda start: -start.power):
-        moved = _moved(start.values, corners)
+        moved = mapped(homography_of(start.values), corners) - corners
         if all(np.abs(moved - other).max() * beat.half > _APART_PX for other in taken):
             taken.append(moved)
             yield start if np.sum(moved * corners) < 0 else replace(start, values=-start.values)
         if len(taken) == most:
             return
-
-
-def _moved(values: Floats, corners: Floats) -> Floats:
-    """By how much a picture's corners (4, 2) are moved."""
-    xx, xy, x1, yx, yy, y1, lean_x, lean_y = values
-    x, y = corners.T
-    there = np.stack([(1 + xx) * x + xy * y + x1, yx * x + (1 + yy) * y + y1], axis=1)
-    moved: Floats = there / (1 + lean_x * x + lean_y * y)[:, None] - corners
-    return moved
 
 
 @dataclass(frozen=True)
@@ -123,8 +115,9 @@ class Spectrum:
         width, height = beat.size
         cell = max(_LEAST_CELL_PX, width / _CELLS_ALONG)
         columns, rows = int(width / cell) + 2, int(height / cell) + 2
-        column = ((beat.x * beat.half + width / 2) / cell).astype(np.int64).clip(0, columns - 1)
-        row = ((beat.y * beat.half + height / 2) / cell).astype(np.int64).clip(0, rows - 1)
+        at = beat.points.T
+        column = ((at[0] * beat.half + width / 2) / cell).astype(np.int64).clip(0, columns - 1)
+        row = ((at[1] * beat.half + height / 2) / cell).astype(np.int64).clip(0, rows - 1)
         sums = np.bincount(row * columns + column, beat.data, minlength=rows * columns).astype(np.float64)
         sums = sums.reshape(rows, columns)
         x: Floats = (((np.arange(columns) + 0.5) * cell - width / 2) / beat.half)[None, :].astype(np.float64)
@@ -137,7 +130,7 @@ class Spectrum:
             y[at_y],
             cell / beat.half,
             beat.half,
-            height / width,
+            beat.tall,
             float(np.sum(beat.data**2)),
         )
 
