@@ -69,8 +69,8 @@ class Appointments:
         self._planned: dict[int, float] = {}  # slots that have not been kept so far, and when they are due
         self._swaps: dict[int, Swap] = {}
         self._flip_s = 0.0
-        self._first, self._end = 0, 0  # the first slot since all was settled, and the first that nobody has
-        self._before: list[int] = []  # the last pictures on the wall before the first
+        self._end = 0  # the first slot that nobody has
+        self._before: list[int] = []  # what may be on the wall: from the last picture on of which there is a frame
         self._reference: tuple[int, float] | None = None  # a slot, and when the camera was ready for it
         self.slot = 0
 
@@ -115,17 +115,21 @@ class Appointments:
 
     def beside(self) -> list[int]:
         """The pictures whose light may be in the next one's frame: before it and, if it is on its way, after it."""
-        before = [self._order[self.slot - 1]] if self.slot > self._first else self._before
-        return [*before, *([self._order[self.slot + 1]] if self.slot + 1 in self._order else ())]
+        return [*self._before, *([self._order[self.slot + 1]] if self.slot + 1 in self._order else ())]
 
     def pass_on(self, begin_s: float | None = None) -> int:
         """Go on to the next slot; returns the picture in this one. `begin_s`: when its exposure began, if it did."""
         if begin_s is not None:
             self._reference = self.slot, begin_s
-        self._order.pop(self.slot - 1, None)
+        number = self._order.pop(self.slot)
+        self._before.append(number)
         self._swaps.pop(self.slot, None)
         self.slot += 1
-        return self._order[self.slot - 1]
+        return number
+
+    def seen(self) -> None:
+        """There is a frame of the picture that was passed on last: it was there, and none of those before is."""
+        self._before = self._before[-1:]
 
     def settle(self, *shown: int) -> list[int]:
         """Let everything that is on its way be shown; returns what was to be exposed, which has no slots any more.
@@ -136,11 +140,10 @@ class Appointments:
         while self._planned:
             self._hear(wait=True)
         left = self.outstanding
-        on_wall = (self._order[slot] for slot in range(self._first, self._end) if slot in self._order)
-        self._before = [*self._before, *on_wall, *shown][-_STILL_THERE:]
+        self._before = [*self._before, *left, *shown][-_STILL_THERE:]
         self._swaps.clear()
         self._order.clear()
-        self.slot = self._first = self._end
+        self.slot = self._end
         self._reference = None
         return left
 

@@ -14,9 +14,8 @@ longer each time. How much time there is between pictures, the last frames tell 
 
 import logging
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
-from itertools import islice
 
 from calib.numerics import Image
 from hw.appointments import Appointments, Pace
@@ -88,10 +87,14 @@ class Flight:
             self._proofs.note(number, frame.image)
             if not self._appointments.outstanding:
                 self._proofs.judge()  # else while the next picture is exposed, when it costs no time
-            for group, foreign in [*self._proofs.judged.items()]:
-                if not self._flies_again(group, foreign):
-                    self._prove(group, foreign, taken)
-                    self._proofs.settle(group)
+            while self._proofs.judged:
+                for group in [*self._proofs.judged]:
+                    foreign = self._proofs.foreign_share(group)  # by now: frames beside it may have been taken again
+                    if not self._flies_again(group, foreign):
+                        self._prove(group, foreign, taken)
+                        self._proofs.settle(group)
+                if not self._appointments.outstanding:
+                    self._proofs.judge()  # one may have waited for another
             while following in taken and not self._proofs.lacks(following):
                 proven = taken.pop(following)
                 if following not in shown.added:
@@ -157,26 +160,25 @@ class Flight:
             if not self._landed:
                 break  # others were shown meanwhile, and the picture that was on its way is not there any more
 
-    def _rest(self, numbers: Sequence[int]) -> Iterator[tuple[int, Frame]]:
-        """Frames of pictures in turns."""
-        self._proofs.stood_in_row(numbers, before=self._appointments.beside())
-        pictures = (self._pictures[number] for number in numbers)
-        self._appointments.settle(numbers[0])
-        frames = self._turns.at_rest(pictures, numbers=numbers)
-        for number, following, frame in zip(numbers, [*numbers[1:], None], frames, strict=True):
-            self._appointments.settle(*(() if following is None else (following,)))  # it has left when a frame is there
-            yield number, frame
-
-    def _retaken(self, group: Group, numbers: Sequence[int]) -> Iterator[tuple[int, Frame]]:
-        """Frames at rest of some of a group, by which the group is proven, or else the second of each: so long after
-        its picture has left, nothing of those before is on the wall.
+    def _rest(self, numbers: Sequence[int], twice: Collection[int] = ()) -> Iterator[tuple[int, Frame]]:
+        """Frames of pictures in turns; of some the second that is taken: so long after its picture has left, nothing of
+        those before is on the wall. That is asked for of `twice`, and needed by a picture that others of its own group
+        were on the wall before: where one has as much of the other as the other of it, no sum tells.
         """
-        if not self._proofs.is_even(group):
-            yield from self._rest(numbers)
-            return
-        frames = self._rest([number for number in numbers for _ in range(2)])
-        for number, frame in islice(frames, 1, None, 2):
-            self._proofs.stood_alone(number)
+        before = self._appointments.beside()
+        if self._proofs.are_together(numbers[0], before):
+            twice = {*twice, numbers[0]}
+        row = [number for number in numbers for _ in range(1 + (number in twice))]
+        self._proofs.stood_in_row(row, before)
+        pictures = (self._pictures[number] for number in row)
+        self._appointments.settle(row[0])
+        frames = self._turns.at_rest(pictures, numbers=row)
+        for number, following, frame in zip(row, [*row[1:], None], frames, strict=True):
+            self._appointments.settle(*(() if following is None else (following,)))  # it has left when a frame is there
+            if following == number:
+                continue
+            if number in twice:
+                self._proofs.stood_alone(number)
             yield number, frame
 
     def _land(self) -> None:
@@ -225,6 +227,7 @@ class Flight:
             log.info("frame %d was lost in flight (%s)", number, lost)
             self.tally.retriggered += 1
             return number, None
+        self._appointments.seen()
         return number, frame
 
     def _while_exposed(self) -> None:
@@ -302,7 +305,8 @@ class Flight:
             last = proofs.look(suspects)
             self._land()
             # The other way around, for the same picture to be late again would look the same otherwise.
-            for number, frame in self._retaken(group, suspects if attempt % 2 else suspects[::-1]):
+            order = suspects if attempt % 2 else suspects[::-1]
+            for number, frame in self._rest(order, twice=order if attempt or proofs.is_even(group) else ()):
                 taken[number] = frame
                 proofs.note(number, frame.image)
             foreign = proofs.foreign_share(group)

@@ -22,6 +22,7 @@ _ALIKE = 0.2  # differences that differ by no more, relative to the largest, do 
 # right frames, pictures that do not fit 0.5. A pair is 0.5 bright, down to 0.35 of fine stripes, and so is a fringe,
 # by the projector's response.
 _UNEVEN, _DARKEST, _BRIGHTEST = 0.35, 0.2, 0.7
+_CROSSED = 0.1  # of correlations of steps; where the camera sees but few periods, right ones may be off by 0.03
 
 
 @dataclass(frozen=True)
@@ -53,35 +54,42 @@ class LevelSums:
     ) -> float:
         """About which share of a frame is of another picture than its own, which light every place alike together.
 
-        `group`: their numbers in the series of all frames, of which `seen` has these and those that were on the wall
-        `beside` each. What of the sum, where it is not level, the differences between neighbours explain; those are
-        none where a picture stayed too long, so a sum that is far from level, or too dark, is not theirs at all. How a
-        picture looks that is black or white everywhere is known.
+        `group`: their numbers in the series of all frames, steps of a fringe in their order; `seen` has these and those
+        that were on the wall `beside` each. What of the sum, where it is not level, the differences between neighbours
+        explain; those are none where a picture stayed too long, so a sum that is far from level, or too dark, is not
+        theirs at all. How a picture looks that is black or white everywhere is known.
         """
         plain = [
             abs(float(seen[number].mean()) - picture[0, 0] / 255)
             for number, picture in zip(group, pictures, strict=True)
-            if picture.min() == picture.max()
+            if _is_plain(picture)
         ]
         total = np.sum([seen[number] for number in group], axis=0)
         if total.std() > _UNEVEN or not _DARKEST < total.mean() / len(group) < _BRIGHTEST:
             return 1.0
-        return float(max([self._share(group, seen, beside, total), *plain]))
+        crossed = _crossed_share([seen[number] for number in group])
+        return float(max([self._share(group, seen, beside, total), crossed, *plain]))
 
     def changed_share(
         self,
         group: Sequence[int],
+        pictures: Sequence[Image],
         before: Mapping[int, Floats],
         seen: Mapping[int, Floats],
         beside: Mapping[int, Collection[int]],
     ) -> float:
-        """By about which share of a frame the same sum, over frames that were taken again, is not what it was before.
+        """By about which share frames that were taken again are not what they were before.
 
         What is the scene's own does not change; another picture's light is another one's the next time. `beside`: what
-        was on the wall before and after each, either time.
+        was on the wall before and after each, either time. Between black and white there is nothing but how bright they
+        are.
         """
-        change = np.sum([seen[number] - before[number] for number in group], axis=0)
-        return self._share(group, seen, beside, change)
+        shares = []
+        for number, picture in zip(group, pictures, strict=True):
+            change = seen[number] - before[number]
+            shares += [self._share((number,), seen, beside, change)]
+            shares += [abs(float(change.mean()))] if _is_plain(picture) else []
+        return max(shares)
 
     def _share(
         self,
@@ -98,6 +106,8 @@ class LevelSums:
         """
         changes = sorted({(min(one, other), max(one, other)) for one in group for other in beside[one]})
         changes = [(of, to) for of, to in changes if of in seen and to in seen]
+        if not changes:
+            return 0.0
         steps = np.stack([seen[to] - seen[of] for of, to in changes])
         steps -= steps.mean(axis=1, keepdims=True)
         sizes = steps.std(axis=1)
@@ -108,6 +118,28 @@ class LevelSums:
         noise = self.variance * np.array([(to in group) - (of in group) for of, to in changes])
         single = np.abs(steps @ values / values.size - noise)[told] / sizes[told] ** 2
         return float(max(single.max(), _explained(steps[told], values).std() / sizes.max()))
+
+
+def _is_plain(picture: Image) -> bool:
+    """Whether it is alike everywhere."""
+    return bool(picture.min() == picture.max())
+
+
+def _crossed_share(steps: Sequence[Floats]) -> float:
+    """What the sum of a fringe's steps (N,), an even number of them, does not tell: that two are late by the same
+    share, half a period from each other, as the pictures before them are.
+
+    The difference of two such steps goes with that of others as the cosine of what lies between them; then it does not.
+    """
+    half = len(steps) // 2
+    if half < 2 or len(steps) % 2:
+        return 0.0
+    differences = np.stack(steps[:half]) - np.stack(steps[half:])
+    differences -= differences.mean(axis=1, keepdims=True)
+    found = differences @ differences.T
+    expected = np.cos(np.pi / half * np.subtract.outer(np.arange(half), np.arange(half)))
+    off = np.abs(found / found.max() - expected)[np.triu_indices(half, 1)].max()
+    return float(off) if off > _CROSSED else 0.0
 
 
 def _explained(terms: Floats, values: Floats) -> Floats:

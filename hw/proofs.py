@@ -24,8 +24,7 @@ class Look:
 
 class Proofs:
     """Of the frames of some pictures; groups are of numbers: `level` ones light every place alike together, `even` ones
-    an even number of times (`hw/parity.py`). `judged`: which share of a frame is of another picture, of groups that are
-    not proven yet.
+    an even number of times (`hw/parity.py`). `judged`: groups that can be judged and are not proven yet.
     """
 
     def __init__(
@@ -41,8 +40,7 @@ class Proofs:
         self._unproven = {number: tuple(group) for group in [*level, *self._even] for number in group}
         self._seen: dict[int, Floats] = {}
         self._beside: dict[int, set[int]] = {}
-        self._at_rest: set[int] = set()
-        self.judged: dict[Group, float] = {}
+        self.judged: list[Group] = []
 
     @property
     def tolerance(self) -> float:
@@ -53,10 +51,14 @@ class Proofs:
         """Whether a picture's group is not proven yet."""
         return number in self._unproven
 
+    def are_together(self, number: int, others: Iterable[int]) -> bool:
+        """Whether one of the others is in the group of a picture."""
+        group = self._unproven.get(number, ())
+        return any(other in group for other in others)
+
     def stood_beside(self, number: int, others: Iterable[int]) -> None:
         """These pictures were on the wall before and after that one, when it was last taken, in flight."""
         self._beside[number] = {*others} - {number}
-        self._at_rest.discard(number)
 
     def stood_in_row(self, numbers: Sequence[int], before: Collection[int]) -> None:
         """These pictures followed each other, each at rest when it was taken."""
@@ -66,7 +68,6 @@ class Proofs:
         for one, other in pairwise(numbers):
             self._beside[one] |= {other} - {one}
             self._beside[other] |= {one} - {other}
-        self._at_rest.update(numbers)
 
     def stood_alone(self, number: int) -> None:
         """Nothing else was on the wall, even if the picture came later than any."""
@@ -79,8 +80,8 @@ class Proofs:
     def judge(self) -> None:
         """All groups that can be."""
         for group in dict.fromkeys(self._unproven.values()):
-            if group not in self.judged and all(self._is_told(number) for number in group):
-                self.judged[group] = self.foreign_share(group)
+            if group not in self.judged and self._can_be_judged(group):
+                self.judged.append(group)
 
     def foreign_share(self, group: Group) -> float:
         """Of a group, as it is now."""
@@ -108,29 +109,46 @@ class Proofs:
     def is_as_before(self, look: Look) -> bool:
         """Whether the sum of frames does not depend on what was on the wall beside their pictures."""
         group = tuple(look.frames)
+        pictures = [self._pictures[number] for number in group]
         either = {number: self._beside[number] | look.beside[number] for number in group}
-        return self._sums.changed_share(group, look.frames, self._seen, either) <= self.tolerance
+        return self._sums.changed_share(group, pictures, look.frames, self._seen, either) <= self.tolerance
 
     def reopen(self, group: Group) -> None:
         """Forget its frames, for all of them are to be taken again, and to be judged then."""
-        self.judged.pop(group, None)
+        self.judged.remove(group)
         for number in group:
             del self._seen[number]
 
     def settle(self, group: Group) -> None:
-        """The group is proven, as far as it can be."""
-        self.judged.pop(group, None)
+        """The group is proven, as far as it can be; if nothing foreign is found but in frames beside it, when those are
+        right it is judged anew.
+        """
+        self.judged.remove(group)
+        if self.foreign_share(group) <= self.tolerance and not self._has_witnesses(group):
+            return
         self._unproven = {number: of for number, of in self._unproven.items() if of != group}
 
     def _mixed_share(self, number: int) -> float:
-        """Of a frame in an even group; where those beside it cannot tell, only one at rest counts as right."""
+        """Of a frame in an even group; where those beside it cannot tell, it counts as wrong. Rest proves nothing: a
+        picture that came a refresh late was not there yet.
+        """
         beside = sorted(self._beside[number])
         if not beside:
             return 0.0
         if not self._seen.keys() >= {*beside}:
             return 1.0
         share = mixed_share(self._seen[number], [self._seen[other] for other in beside], self.tolerance)
-        return (0.0 if number in self._at_rest else 1.0) if share is None else share
+        return 1.0 if share is None else share
 
-    def _is_told(self, number: int) -> bool:
-        return number in self._seen and self._beside[number] <= self._seen.keys()
+    def _can_be_judged(self, group: Group) -> bool:
+        return self._is_told(group) and (self.foreign_share(group) > self.tolerance or self._has_witnesses(group))
+
+    def _is_told(self, group: Group) -> bool:
+        return all(number in self._seen and self._beside[number] <= self._seen.keys() for number in group)
+
+    def _has_witnesses(self, group: Group) -> bool:
+        """Whether the frames beside those of an even group, whose edges are looked for, are right themselves."""
+        if not self.is_even(group):
+            return True
+        others = {self._unproven.get(other, group) for number in group for other in self._beside[number]} - {group}
+        return all(self._is_told(other) and self.foreign_share(other) <= self.tolerance for other in others)

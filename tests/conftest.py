@@ -13,6 +13,8 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+pytest.register_assert_rewrite("tests.support")  # what a check there found is told as in a test
+
 # As the command does (scanner/commands/main.py); with several test processes on two cores it matters even more.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

@@ -11,7 +11,8 @@ _LEAST_STEPS = 3  # of fewer, the sum depends on how light follows the picture's
 
 
 def level_groups(patterns: Sequence[Pattern]) -> tuple[tuple[int, ...], ...]:
-    """The numbers of patterns that light every place alike together; a pattern that is shown twice is in no group.
+    """The numbers of patterns that light every place alike together, steps of a fringe in the order of their shifts; a
+    pattern that is shown twice is in no group.
 
     That does not depend on how bright the projector makes a grey level: the steps of a whole cycle go through the same
     levels everywhere, but for harmonics of the order of their number, which are small for 3 and nothing for 4.
@@ -19,7 +20,8 @@ def level_groups(patterns: Sequence[Pattern]) -> tuple[tuple[int, ...], ...]:
     of: dict[Hashable, list[int]] = defaultdict(list)
     for number, pattern in enumerate(patterns):
         of[kind(pattern)].append(number)
-    return tuple(tuple(group) for group in of.values() if _is_whole([patterns[number] for number in group]))
+    groups = (sorted(group, key=lambda number: _shift(patterns[number])) for group in of.values())
+    return tuple(tuple(group) for group in groups if _is_whole([patterns[number] for number in group]))
 
 
 def kind(pattern: Pattern) -> Hashable:
@@ -34,8 +36,13 @@ def kind(pattern: Pattern) -> Hashable:
 
 
 def _is_whole(group: Sequence[Pattern]) -> bool:
-    shifts = sorted(pattern.shift % 1 for pattern in group if isinstance(pattern, Phase))
-    if not shifts:
+    shifts = [_shift(pattern) for pattern in group]
+    if not isinstance(group[0], Phase):
         return len(group) == len(set(group)) == 2
     even = all(isclose(shift - shifts[0], step / len(shifts), abs_tol=1e-6) for step, shift in enumerate(shifts))
     return even and len(shifts) >= _LEAST_STEPS
+
+
+def _shift(pattern: Pattern) -> float:
+    """Of a cycle; 0 of what has none."""
+    return pattern.shift % 1 if isinstance(pattern, Phase) else 0.0

@@ -193,13 +193,20 @@ QUICK = sequence_for(QUICK_SIZE, cell=4, inverses=False, periods=(13.0,), shifts
 
 
 def scanned_without_inverses(
-    monkeypatch: pytest.MonkeyPatch, bench: Bench, *, late_every: int = 0, noise: float = 0.0
+    monkeypatch: pytest.MonkeyPatch,
+    bench: Bench,
+    *,
+    late_every: int = 0,
+    late_share: float = 0.0,
+    noise: float = 0.0,
 ) -> SynchronisedRig:
     """A rig that has taken bits without inverses, each frame of which shows its own picture and no share of others."""
     bench.install(monkeypatch)
     rig = synchronised(bench, bench, {})
     if late_every:
         bench.delay_every(late_every)
+    if late_share:
+        bench.delay_some(late_share, busy_share=0.2)
     shown = [draw(pattern, QUICK_SIZE) for pattern in QUICK]
     frames = list(rig.photograph(shown, (), level_groups(QUICK), unpaired_bits(QUICK)))
     assert len(frames) == len(shown)
@@ -231,6 +238,16 @@ def test_bits_without_inverses_that_came_late_without_a_word_are_found_out(
     rig = scanned_without_inverses(monkeypatch, bench, late_every=late_every)
     assert rig.flight is not None
     assert 1 <= rig.flight.doubted <= 30
+
+
+@pytest.mark.parametrize("seed", [219, 366, 460, 545])
+def test_pictures_that_come_late_by_chance_on_a_busy_computer_are_found_out(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Beside black and white, which have no edges; after others of their own group; two steps of a fringe alike."""
+    bench = Bench(0.05, transfer_s=0.005, jitter_s=0.001, lag_s=0.001, noise=30.0, seed=seed, size=QUICK_SIZE)
+    rig = scanned_without_inverses(monkeypatch, bench, late_share=0.08, noise=30.0)
+    assert rig.turns.tally.retriggered > 0
 
 
 @pytest.mark.parametrize(("latency_ms", "most"), [(0, 3.3), (20, 3.3), (50, 2.5), (120, 2.5)])

@@ -78,6 +78,53 @@ def test_a_display_that_falls_behind_is_found_where_it_does(behind: int) -> None
         assert any(share > tolerance for share, tolerance in found)
 
 
+def steps(count: int, period: float = 10.0, response: float = 1.0) -> list[np.ndarray]:
+    """Of a fringe, by a projector that makes light of grey levels to that power."""
+    turns = np.arange(SIZE[1]) / period
+    waves = [0.5 + 0.5 * np.cos(2 * np.pi * (turns + step / count)) for step in range(count)]
+    return [np.broadcast_to(255 * wave**response, SIZE) for wave in waves]
+
+
+def found_in_steps(shown: list[np.ndarray]) -> tuple[float, float]:
+    """What is found, and what is tolerated, in steps that follow each other."""
+    scene = Scene(1.5)
+    sums, group = scene.sums(), range(len(shown))
+    seen = {number: sums.seen(scene.frame(each)) for number, each in enumerate(shown)}
+    beside = {number: (number - 1, number + 1) for number in group}
+    return sums.foreign_share(group, [each.astype(np.uint8) for each in shown], seen, beside), sums.tolerance
+
+
+@pytest.mark.parametrize("count", [3, 4, 6])
+@pytest.mark.parametrize("response", [1.0, 2.2])
+def test_right_steps_of_a_fringe_are_level(count: int, response: float) -> None:
+    found, tolerance = found_in_steps(steps(count, response=response))
+    assert found < tolerance
+
+
+@pytest.mark.parametrize("response", [1.0, 2.2])
+@pytest.mark.parametrize("share", [0.3, 0.45, 0.8])
+@pytest.mark.parametrize("count", [4, 6])
+def test_opposite_steps_that_are_late_alike_are_found(count: int, share: float, response: float) -> None:
+    """Their sum is as level as that of right ones."""
+    shown = right = steps(count, response=response)
+    for late in (1, 1 + count // 2):
+        shown = [*shown[:late], (1 - share) * right[late] + share * right[late - 1], *shown[late + 1 :]]
+    found, tolerance = found_in_steps(shown)
+    assert max(tolerance, 0.3 * share) < found < 1.5 * share
+
+
+def test_black_that_is_late_again_is_not_the_scene_s_own() -> None:
+    """White and black differ in nothing but their level."""
+    scene = Scene(1.5)
+    sums = scene.sums()
+    white, black = series()[:2]
+    right = {0: sums.seen(scene.frame(white)), 1: sums.seen(scene.frame(black))}
+    late = {**right, 1: sums.seen(scene.frame(0.36 * white + 0.64 * black))}
+    beside = {0: (1,), 1: (0,)}
+    assert sums.changed_share((0, 1), [white, black], right, late, beside) == pytest.approx(0.36, abs=0.02)
+    assert sums.changed_share((0, 1), [white, black], late, late, beside) == 0.0
+
+
 def test_colour_cameras_see_grey() -> None:
     image = np.arange(60 * 80 * 3, dtype=np.uint16).reshape(60, 80, 3)
     sums = level_sums([image * 0] * 3, [image * 0 + 100] * 3, np.ones(SIZE, bool), 0.005)

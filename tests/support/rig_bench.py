@@ -49,6 +49,7 @@ class Bench:
         self._sending_s = sending_s
         self._late = range(0)
         self._late_s: dict[int, float] = {}
+        self._late_share = self._busy_share = 0.0
         self._rng = np.random.default_rng(seed)
         self._prepared = np.zeros(size[::-1], np.uint8)
         self._wall: list[tuple[float, Image]] = [(-1.0, self._prepared)]
@@ -78,7 +79,7 @@ class Bench:
     def show_at(self, image: Image, when_s: float) -> None:
         """Appointments are kept however late it is: what they bring is on the wall when its time has come."""
         self._sleep(self._sending_s)
-        begun = max(when_s, self.now, self._swaps[-1].done_s if self._swaps else 0.0)
+        begun = max(when_s + self._held_up_s(), self.now, self._swaps[-1].done_s if self._swaps else 0.0)
         self._swaps.append(Swap(begun, begun + 0.002))
         self._leave(image, begun + 0.002)
 
@@ -93,6 +94,12 @@ class Bench:
         """From now on, of so many pictures one comes a refresh later than others, and nobody tells."""
         self._late = range(len(self._wall) + 4, 10**9, count)
 
+    def delay_some(self, share: float, busy_share: float) -> None:
+        """From now on, such a share of pictures come a refresh late, of which nobody tells; and such a share of swaps
+        and triggers are held up for a few milliseconds, which is told.
+        """
+        self._late_share, self._busy_share = share, busy_share
+
     def delay(self, number: int, seconds: float) -> None:
         """The light of the picture of that number from now on comes so much later than it should, or sooner."""
         self._late_s[len(self._wall) + number] = seconds
@@ -100,7 +107,7 @@ class Bench:
     def _leave(self, image: Image, moment: float) -> None:
         light = moment + self._latency_s + self._jitter_s * self._rng.random()
         light += self._late_s.get(len(self._wall), 0.0)
-        light += 1 / 60 if len(self._wall) in self._late else 0.0
+        light += 1 / 60 if len(self._wall) in self._late or self._by_chance(self._late_share) else 0.0
         self._wall.append((max(light, self._wall[-1][0]), image))
 
     def show(self, image: Image) -> None:
@@ -108,6 +115,7 @@ class Bench:
         self.flip()
 
     def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
+        self._sleep(self._held_up_s())
         triggered = self.now
         meanwhile()
         self.late_s = self._lag_s * self._rng.random()
@@ -142,6 +150,12 @@ class Bench:
             total += max(0.0, min(until, end) - max(moment, begin)) / self.exposure_s * image[row]
         lit = np.arange(self.size[0]) % 5 != 4
         return 10.0 + 12.0 * total * lit
+
+    def _by_chance(self, share: float) -> bool:
+        return bool(share and self._rng.random() < share)
+
+    def _held_up_s(self) -> float:
+        return float(self._rng.exponential(0.004)) if self._by_chance(self._busy_share) else 0.0
 
     def _sleep(self, seconds: float) -> None:
         assert seconds >= 0
