@@ -13,6 +13,9 @@ from hw.timed_devices import BufferedProjector, Swap, TriggeredCamera
 
 _STILL_THERE = 2
 SLACK_S = 0.002  # what trigger and swap may be late without a picture being missed, as long as nobody knows better
+# Of the margin before the next picture's light: a frame that ends in it is as right as any, if the picture proves it, and
+# costs less than one that is taken again.
+_GRACE_S = 0.0007
 HEADWAY_S = 0.0005  # pictures follow each other so much slower than frames: what one is late, the next ones make up for
 
 
@@ -101,7 +104,7 @@ class Appointments:
         return self._swaps[self.slot].done_s + self._rhythm.latest_s
 
     def latest_begin_s(self, exposure_s: float) -> float:
-        """When an exposure has to have begun, lest it sees the picture after the next."""
+        """When an exposure has to have begun, lest it sees the next picture."""
         while self._planned and self._hear(wait=False):
             pass
         after = self.slot + 1
@@ -111,7 +114,7 @@ class Appointments:
             next_s = self._planned[after]  # it does not leave sooner
         else:
             return float("inf")
-        return next_s + self._rhythm.soonest_s - exposure_s
+        return next_s + self._rhythm.soonest_s + _GRACE_S - exposure_s
 
     def beside(self) -> list[int]:
         """The pictures whose light may be in the next one's frame: before it and, if it is on its way, after it."""

@@ -6,7 +6,7 @@ from hw.appointments import HEADWAY_S, SLACK_S, Pace
 
 _LATELY = 16  # frames
 _SINGLE = 1  # of these: what holds up one costs that frame, and does not slow down all that follow
-_HEADROOM_S = 0.0012  # beyond what was needed
+_HEADROOM_S = 0.0008  # beyond what was needed
 _MOST_SLACK_S = 0.02
 _USUALLY = 0.75  # of the frames: what the rest take longer, a picture's slack makes up for
 _FEW, _MANY = 8, 3  # so many misses in so few frames: pictures are not caught

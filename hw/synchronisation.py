@@ -28,7 +28,7 @@ _ROUNDS = 8
 # In flight, a picture's time is short, and what it takes beside the exposure counts for every frame.
 _FLIGHT_MARGINS_S = (0.001, 0.003, 0.006, 0.012, 0.024)
 _REHEARSED_IN_FLIGHT = 8
-MOST_AHEAD = 8  # frames that wait for whoever records and decodes them
+MOST_AHEAD = 16  # frames that wait for whoever records and decodes them: eight may be proven by one, and come at once
 
 
 def _rehearsed_in_turns(
