@@ -13,8 +13,8 @@ from hw.timed_devices import BufferedProjector, Swap, TriggeredCamera
 
 _STILL_THERE = 2
 SLACK_S = 0.002  # what trigger and swap may be late without a picture being missed, as long as nobody knows better
-# Of the margin before the next picture's light: a frame that ends in it is right if the picture proves it, and costs less
-# than one that is taken again.
+# Of the margin before the next picture's light: a frame that ends in it is right if the picture proves it, and costs
+# less than one that is taken again.
 _GRACE_S = 0.0007
 HEADWAY_S = 0.0005  # pictures follow each other so much slower than frames: what one is late, the next ones make up for
 
