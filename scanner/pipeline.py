@@ -37,6 +37,7 @@ from scanner.errors import InputError
 from scanner.io import require_space, write_calibration
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.reconstruction import (
+    MatchesAhead,
     calibrate,
     guide,
     label,
@@ -173,14 +174,16 @@ def replay_calibrated(
     """
     with _saying_what_is_missing(recording):
         found = decode_recording(recording, terminal, calibration)
-    with refusal_saved([found], folder, config) as reached:
-        charuco = config.scale.charuco if config.scale and calibration.unit == UNKNOWN_UNIT else None
-        if charuco is not None:
-            given = GivenCalibration(found, *scaled_by_sheet(calibration, stated, [found], charuco))
-        else:
-            given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
-        captures = triangulate([given], reached, terminal)
-    return _finished(Scan(captures), config, folder, terminal)
+    with MatchesAhead(folder) as matches:
+        matches.begin([found])
+        with refusal_saved([found], folder, config, matches) as reached:
+            charuco = config.scale.charuco if config.scale and calibration.unit == UNKNOWN_UNIT else None
+            if charuco is not None:
+                given = GivenCalibration(found, *scaled_by_sheet(calibration, stated, [found], charuco))
+            else:
+                given = GivenCalibration(found, scaled(calibration, None, config.scale), stated)
+            captures = triangulate([given], reached, terminal)
+        return _finished(Scan(captures), config, folder, terminal, matches)
 
 
 def decode_recording(recording: Recording, terminal: Progress, calibration: Calibration | None = None) -> Decoded:
@@ -302,22 +305,31 @@ def reconstruct(
     on_cloud: OnCloud | None = None,
 ) -> Scan:
     """Matches → faces → one calibration → clouds → files; `masks` are of the newest capture. Raises RefusalError."""
-    with refusal_saved(captures, folder, config) as reached:
-        with progress.step("Calibrating"):
-            labelled = label(captures, reached, masks)
-            reached[:] = calibrated = calibrate(labelled, config)
-        reconstructed = triangulate(calibrated, reached, progress)
-        result = Scan(reconstructed)
-        if len(captures) > 1 and config.corner.same:
-            with progress.step("Merging the clouds"):
-                result = Scan(reconstructed, *merge(calibrated, [capture.cloud for capture in reconstructed]))
-    return _finished(result, config, folder, progress, on_cloud)
+    with MatchesAhead(folder) as matches:
+        with refusal_saved(captures, folder, config, matches) as reached:
+            with progress.step("Calibrating"):
+                labelled = label(captures, reached, masks)
+                matches.begin(labelled)
+                reached[:] = calibrated = calibrate(labelled, config)
+            reconstructed = triangulate(calibrated, reached, progress)
+            result = Scan(reconstructed)
+            if len(captures) > 1 and config.corner.same:
+                with progress.step("Merging the clouds"):
+                    result = Scan(reconstructed, *merge(calibrated, [capture.cloud for capture in reconstructed]))
+        return _finished(result, config, folder, progress, matches, on_cloud)
 
 
-def _finished(result: Scan, config: Config, folder: Path, progress: Progress, on_cloud: OnCloud | None = None) -> Scan:
+def _finished(
+    result: Scan,
+    config: Config,
+    folder: Path,
+    progress: Progress,
+    matches: MatchesAhead,
+    on_cloud: OnCloud | None = None,
+) -> Scan:
     with progress.step("Writing the result"), beside(on_cloud or _nobody) as tell:
         tell(result)
-        save(result, folder, config)
+        save(result, folder, config, matches)
     return result
 
 

@@ -20,7 +20,7 @@ from calib.pointcloud import Plane, by_projector_px
 from calib.refusal import NoMeasurementError
 
 _STEP_PX = 0.01  # of a projector pixel, for derivatives
-_AT_ONCE = 4096  # points, whose derivatives are large
+_AT_ONCE = 1 << 14  # points, whose derivatives are large
 _MOST_FOLLOWED = 8192  # about so many, through the errors of a calibration
 _RULER = 0.03  # half its length, as a share of its distance
 

@@ -14,7 +14,6 @@ from calib.geometry.corner import (
 )
 from calib.geometry.epipolar_line import cross_epipolar_lines
 from calib.geometry.homography import (
-    FACES,
     FaceGrams,
     TooFewMatchesError,
     dehomogenise,
@@ -24,7 +23,7 @@ from calib.geometry.homography import (
     mapped,
     normalisation,
 )
-from calib.geometry.matches import NO_FACE, Matches
+from calib.geometry.matches import FACES, NO_FACE, Matches
 from calib.geometry.radial_distortion import project, unproject
 from calib.geometry.relative_pose import Motion, cross, rotation_about, tangent_basis
 from calib.geometry.reprojection_error import before_the_matches

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry.matches import Matches
+from calib.geometry.matches import FACES, Matches
 from calib.numerics import Floats, Ints, compiled, in_pieces
 
-FACES = (0, 1, 2)
 _FACES = len(FACES)
 # Where the product x_i x_j is among x², xy, y², x, y, 1.
 _PRODUCT = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])

@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Ints, in_slices
 
+FACES = (0, 1, 2)
 NO_FACE = -1
 # Matches that are checked at a time: nothing lies between that would have to stay in the processor's cache.
 _PIECE = 1 << 19
@@ -67,6 +68,12 @@ class Matches:
         if self.face is None:
             raise ValueError("these matches have no face labels")
         return self.face
+
+    @property
+    def on_each_face(self) -> Ints:
+        """How many matches (3,) there are on each face of the corner; none where they have no labels."""
+        face = np.full(0, NO_FACE) if self.face is None else self.face
+        return np.array([np.count_nonzero(face == label) for label in FACES])
 
     def with_faces(self, face: Ints) -> "Matches":
         """The same matches with other face labels (N,)."""

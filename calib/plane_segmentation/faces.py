@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import NO_FACE, Matches
-from calib.numerics import Floats, Ints, singular_refused
+from calib.numerics import Floats, Ints, in_pieces, singular_refused
 from calib.plane_segmentation.corner_hypotheses import Triple, Triples, corner_triples, outermost
 from calib.plane_segmentation.labelling import label_matches
 from calib.plane_segmentation.plane_extraction import NO_PLANE
@@ -148,7 +148,13 @@ def _faces(matches: Matches, segments: Segments, plane: Ints, counts: Ints, corn
         listed.append(
             Plane(homography / np.linalg.norm(homography), int(counts[index]), None if face == NO_FACE else face)
         )
-    return Faces(matches.with_faces(face_of.take(plane)), tuple(listed), rank.take(plane))
+    label, number = np.empty_like(plane), np.empty_like(plane)
+
+    def fill(at: slice) -> None:
+        label[at], number[at] = face_of.take(plane[at]), rank.take(plane[at])
+
+    in_pieces(len(plane), fill)
+    return Faces(matches.with_faces(label), tuple(listed), number)
 
 
 def _pixel_scale(size_px: tuple[int, int]) -> Floats:

@@ -10,8 +10,8 @@ from calib.numerics import Floats, Ints, by_columns, compiled, in_pieces, in_sli
 from calib.pointcloud.ray_residuals import Misses, expected_misses
 
 _SAMPLE = 100_000
-_CACHED = 1 << 13  # matches for which all that lies between stays in the processor's cache
 _STRIP_ROWS = 64
+_IN_TURN = 1 << 16  # matches at a time where they must not be placed side by side
 # Places in the array of counts.
 _OUTSIDE, _BEHIND, _DISAGREEING, _SHARED, _FATES = 0, 1, 2, 3, 4
 
@@ -49,30 +49,28 @@ def organise(matches: Matches, calibration: Calibration) -> Organised:
         residual_px[rows] = np.nan
 
     def place(at: slice) -> tuple[Ints, float]:
-        fates, squared_trend = np.zeros(_FATES, np.int64), 0.0
-        for start in range(at.start, at.stop, _CACHED):
-            some = slice(start, min(start + _CACHED, at.stop))
-            camera_px = by_columns(matches.camera_px[some])
-            met = intersect_rays(camera_px, matches.projector_px[some], calibration)
-            trend_px = misses.trend_px(camera_px, met.foot_px, calibration)
-            squared_trend += _place(
-                start,
-                camera_px.T,
-                met.points.T,
-                met.residual_px,
-                trend_px,
-                misses.limit_px,
-                points,
-                residual_px,
-                match,
-                fates,
-            )
+        fates, camera_px = np.zeros(_FATES, np.int64), by_columns(matches.camera_px[at])
+        met = intersect_rays(camera_px, matches.projector_px[at], calibration)
+        trend_px = misses.trend_px(camera_px, met.foot_px, calibration)
+        squared_trend = _place(
+            at.start,
+            camera_px.T,
+            met.points.T,
+            met.residual_px,
+            trend_px,
+            misses.limit_px,
+            points,
+            residual_px,
+            match,
+            fates,
+        )
         return fates, squared_trend
 
     in_slices(shape[0], _STRIP_ROWS, clear)
     # Otherwise two threads could put two points at one pixel at the same time.
     side_by_side = _row_by_row(matches, calibration.camera.width)
-    placed = in_pieces(count, place) if side_by_side else [place(slice(0, count))]
+    in_turn = (slice(start, min(start + _IN_TURN, count)) for start in range(0, count, _IN_TURN))
+    placed = in_pieces(count, place) if side_by_side else [place(at) for at in in_turn] or [place(slice(0, 0))]
     fates = np.stack([fates for fates, _ in placed]).sum(axis=0)
     agreeing = count - int(fates[[_OUTSIDE, _BEHIND, _DISAGREEING]].sum())
     squared_trend = sum(squared for _, squared in placed)

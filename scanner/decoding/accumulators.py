@@ -127,6 +127,11 @@ class Accumulators:
                 if axis.corrects_bits and fold.code in axis.codes:
                     fold.least = fold.least[:0].copy()
 
+    def forget_peaks(self, saturation: float) -> None:
+        """Free the peaks of the fringes where none is clipped: the largest stands for all of them."""
+        if self._fringe_peak is not None and (largest := self._fringe_peak.max()) < saturation:
+            self._fringe_peak = np.broadcast_to(largest, self._fringe_peak.shape)
+
     @property
     def gains_of_pairs(self) -> dict[tuple[int, int], Gains]:
         """Of the patterns that have an inverse."""

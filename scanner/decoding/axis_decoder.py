@@ -1,8 +1,8 @@
 """One projector coordinate from what was accumulated: code words, fringe components → coordinate, variance, reason."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from math import pi, sqrt
 
 import cv2
@@ -60,15 +60,21 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Measured:
-    """What codes and fringes of an axis say at each pixel, with squared amplitudes `powers` (fringes, P), `variances`
-    (fringes, P) of the coordinates by noise, and what speaks `against` them (P,), as flags.
+    """What codes and fringes of an axis say at each pixel, with `variances` (fringes, P) of the coordinates by noise,
+    and what speaks `against` them (P,), as flags. `units_px2` (P,) for each fringe: the variance at an amplitude of 1.
     """
 
     interval: Interval
-    powers: Floats32
+    units_px2: Callable[[int], Floats32]
     variances: Floats32
     orders: Orders
     against: Reasons
+
+    def power(self, number: int) -> Floats32:
+        """The square of a fringe's amplitude, (P,): what its variance was computed from."""
+        power = self.units_px2(number)
+        power /= self.variances[number]
+        return power
 
     @property
     def well_lit(self) -> Bools:
@@ -120,22 +126,24 @@ class AxisDecoder:
         """What the fringes say at every pixel, of an axis that has fringes."""
         interval = interval_of(self.plan, signals.words, len(signals.middle))
         shape = len(self.plan.fringes), len(signals.middle)
-        powers, variances, positions = (np.empty(shape, np.float32) for _ in range(3))
+        variances, positions = (np.empty(shape, np.float32) for _ in range(2))
         for k, unit in enumerate(self._units_px2):
             cosine, sine = signals.fringe(k)
             at_black, per_level = np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)
-            _amplitude(cosine, sine, signals.middle, at_black, per_level, powers[k], variances[k])
+            _variance(cosine, sine, signals.middle, at_black, per_level, variances[k])
             self._position(k, cosine, sine, positions[k])
             del cosine, sine
         wrapped = Wrapped(positions, variances)
-        orders = unwrap(self.plan, interval, wrapped, self.tolerances)
+        orders = unwrap(self.plan, interval, wrapped, self.tolerances, in_place=not self.plan.corrects_bits)
         if self.plan.corrects_bits:
             let_fringes_decide(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
         del wrapped, positions
         against = np.empty(len(signals.middle), np.uint8)
         note_codes(interval.outside, interval.contradictory, against)
         note_orders(orders.agree, orders.unique, against)
-        direct = powers[0] * np.float32(self.blurred**2)
+        measured = Measured(interval, partial(self._unit_px2, signals.middle), variances, orders, against)
+        direct = measured.power(0)
+        direct *= np.float32(self.blurred**2)
         note_indirect(direct, signals.brightest, signals.middle, against)
         note_light(variances[0], self._darkest_px2, self._saturated(signals), against)
         if self.blurred > 1:
@@ -143,7 +151,12 @@ class AxisDecoder:
         # No second period would contradict a bit that global light has turned over.
         for least in () if self.plan.corrects_bits else signals.least:
             note_turned_over(least, direct, signals.brightest, signals.middle, against)
-        return Measured(interval, powers, variances, orders, against)
+        return measured
+
+    def _unit_px2(self, level: Floats32, number: int) -> Floats32:
+        """Of a fringe with an amplitude of 1 at each level (P,), the variance of its coordinate by noise."""
+        unit = self._units_px2[number]
+        return np.float32(unit * self.noise.at_black) + np.float32(unit * self.noise.gain) * level
 
     def positions(self, signals: Signals) -> Floats32:
         """(fringes, P): the position within the period in projector pixels."""
@@ -177,9 +190,10 @@ class AxisDecoder:
     def _from_fringes(self, signals: Signals) -> Coordinate:
         measured = self.measure(signals)
         coordinates, variances = measured.orders.coordinates, measured.variances
-        reason, brightness = reasons_of(measured.against), log_amplitude(measured.powers[self.finest])
-        usable = measured.certain
-        del measured  # a third of what decoding a tile takes in memory
+        reason, power, usable = reasons_of(measured.against), measured.power(self.finest), measured.certain
+        del measured  # a quarter of what decoding a tile takes in memory
+        brightness = log_amplitude(power)
+        del power
         if len(coordinates) > 1:
             for fringe, variance in zip(self.plan.fringes, variances, strict=True):
                 usable &= variance <= np.float32(largest_variance(fringe))
@@ -241,19 +255,18 @@ def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
 
 
 @compiled
-def _amplitude(
+def _variance(
     cosine: Floats32,
     sine: Floats32,
     level: Floats32,
     at_black: np.float32,
     per_level: np.float32,
-    power: Floats32,
     variance: Floats32,
 ) -> None:
-    """The square of a fringe's amplitude, and the variance of its coordinate by noise, which grows with the level."""
+    """Of a fringe's coordinate by noise, which grows with the level."""
     for i in range(len(cosine)):
-        power[i] = max(cosine[i] * cosine[i] + sine[i] * sine[i], _FAINTEST_POWER)
-        variance[i] = (at_black + per_level * level[i]) / power[i]
+        power = max(cosine[i] * cosine[i] + sine[i] * sine[i], _FAINTEST_POWER)
+        variance[i] = (at_black + per_level * level[i]) / power
 
 
 @compiled

@@ -91,6 +91,7 @@ def look(
         )
     levels = sample.as_taken
     saturation = saturation_level(accumulators.peak)
+    accumulators.forget_peaks(saturation)
     shown = accumulators.plan
     noise = measure_noise(shown, sample, saturation)
     unrest = _unrest(shown, sample, coarse, noise)

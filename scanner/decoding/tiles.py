@@ -7,7 +7,7 @@ from typing import TypeVar
 from calib.numerics import in_parallel, in_slices
 
 # Larger ones would cost memory, smaller ones time between the loops: the interpreter serves one thread only.
-_TILE_PX = (112, 816)
+_TILE_PX = (128, 1224)
 
 Result = TypeVar("Result")
 

@@ -60,7 +60,7 @@ def modulation(decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals
         if decoder.plan.fringes:
             measured = decoder.measure(part)
             lit = measured.well_lit
-            shares.append(np.sqrt(measured.powers[-1][lit]) / np.maximum(part.middle[lit], 1))
+            shares.append(np.sqrt(measured.power(len(decoder.plan.fringes) - 1)[lit]) / np.maximum(part.middle[lit], 1))
     return median(np.concatenate(shares)) if sum(map(len, shares)) else None
 
 
@@ -74,7 +74,7 @@ def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:
     tolerances = measured_tolerances(decoder.plan, found, variances)
     lit, finest = measured.well_lit, _finest_seen(decoder.plan, variances)
     least = signals.least[:, lit].min(axis=0) if len(signals.least) else np.empty(0, np.float32)
-    blurred = weakened(decoder.plan, least, np.sqrt(measured.powers[0][lit]))
+    blurred = weakened(decoder.plan, least, np.sqrt(measured.power(0)[lit]))
     return replace(decoder, tolerances=tolerances, finest=finest, blurred=blurred)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry import FACES, Calibration, Matches
+from calib.geometry import Calibration, Matches
 from calib.numerics import Bools, Ints
 from calib.plane_segmentation import NO_PLANE, find_faces
 from calib.refusal import RefusalError
@@ -143,11 +143,10 @@ def _planes_of(capture: Decoded) -> Ints:
 
 def refuse_few(matches: Matches, advice: str) -> None:
     """Raise RefusalError, with the advice, where a face has too few matches for a homography."""
-    face = matches.face if matches.face is not None else np.zeros(0, np.int32)
-    counts = np.bincount(face[face >= 0], minlength=len(FACES))
-    if counts.min() < _FEWEST_FOR_A_HOMOGRAPHY:
+    fewest = matches.on_each_face.min()
+    if fewest < _FEWEST_FOR_A_HOMOGRAPHY:
         raise RefusalError(
-            f"A face of the corner has {counts.min()} matches; a homography needs at least "
+            f"A face of the corner has {fewest} matches; a homography needs at least "
             f"{_FEWEST_FOR_A_HOMOGRAPHY}, and a good one thousands.",
             advice,
         )

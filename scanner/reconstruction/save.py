@@ -3,7 +3,7 @@
 import logging
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -57,8 +57,45 @@ def set_aside(captures: Sequence[Decoded], folder: Path) -> None:
     write_matches(place / MATCHES_FILE, captures[-1].matches)
 
 
+class MatchesAhead:
+    """Writes the matches of a result's only capture while it is calibrated, which changes nothing of them."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="matches")
+        self._begun: tuple[Decoded, Future[None]] | None = None
+
+    def __enter__(self) -> "MatchesAhead":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._thread.shutdown()
+
+    def begin(self, captures: Sequence[Decoded]) -> None:
+        """Write them, if it is one capture."""
+        if len(captures) == 1:
+            (alone,) = captures
+            self._begun = alone, self._thread.submit(_write_matches, self._folder, alone)
+
+    def write(self, place: Path, capture: Decoded) -> None:
+        """Return when a capture's matches are in its folder of the result. Raises OSError."""
+        if self._begun is not None and place == self._folder:
+            begun, writing = self._begun
+            writing.result()
+            if begun.matches is capture.matches and begun.plane is capture.plane:
+                return
+        _write_matches(place, capture)
+
+
+def _write_matches(place: Path, capture: Decoded) -> None:
+    place.mkdir(parents=True, exist_ok=True)
+    write_matches(place / MATCHES_FILE, capture.matches, capture.plane, capture.only_axis)
+
+
 @contextmanager
-def refusal_saved(captures: Sequence[Decoded], folder: Path, config: Config) -> Iterator[list[Stage]]:
+def refusal_saved(
+    captures: Sequence[Decoded], folder: Path, config: Config, matches: MatchesAhead | None = None
+) -> Iterator[list[Stage]]:
     """Gives a list in which the block notes the stage that each capture has reached.
 
     After a RefusalError in the block what was reached is written into a result's folder, without calibration or cloud.
@@ -69,7 +106,7 @@ def refusal_saved(captures: Sequence[Decoded], folder: Path, config: Config) -> 
     except RefusalError as refusal:
         named = _for_want_of_light(refusal, [decoded_of(stage) for stage in reached])
         _log(remarks_on(reached[-1]))
-        _save([Refused(stage, named) for stage in reached], folder, provenance(folder, config))
+        _save([Refused(stage, named) for stage in reached], folder, provenance(folder, config), matches)
         if named is refusal:
             raise
         raise named from refusal
@@ -85,10 +122,10 @@ def _for_want_of_light(refusal: RefusalError, captures: Sequence[Decoded]) -> Re
     return refusal
 
 
-def save(scan: Scan, folder: Path, config: Config) -> None:
+def save(scan: Scan, folder: Path, config: Config, matches: MatchesAhead | None = None) -> None:
     """Write every capture's files into its folder of a result. Raises OSError."""
     _log(scan.remarks)
-    _save(scan.captures, folder, provenance(folder, config), scan.merged, scan.remarks_on_merging)
+    _save(scan.captures, folder, provenance(folder, config), matches, scan.merged, scan.remarks_on_merging)
 
 
 def _log(remarks: tuple[str, ...]) -> None:
@@ -100,20 +137,19 @@ def _save(
     captures: Sequence[Reconstructed | Refused],
     folder: Path,
     made: Provenance,
+    matches: MatchesAhead | None,
     merged: MergedCloud | None = None,
     remarks: tuple[str, ...] = (),
 ) -> None:
     """Write what each capture came to; `merged` and `remarks` are on the newest one's page."""
     count, truth = len(captures), captures[-1].decoded.facts.truth
+    write = _write_matches if matches is None else matches.write
     places = [folder_of(folder, index, count) for index in range(count)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         written = []
         for place, capture in zip(places, captures, strict=True):
             place.mkdir(parents=True, exist_ok=True)
-            decoded = capture.decoded
-            written.append(
-                pool.submit(write_matches, place / MATCHES_FILE, decoded.matches, decoded.plane, decoded.only_axis)
-            )
+            written.append(pool.submit(write, place, capture.decoded))
             if isinstance(capture, Reconstructed):
                 written.append(pool.submit(write_ply, place / CLOUD_FILE, capture.cloud, match=capture.cloud.match))
         if merged is not None:
@@ -139,13 +175,13 @@ def _write_report(
     if isinstance(capture, Reconstructed):
         files |= {CALIBRATION_FILE, CLOUD_FILE, *((MERGED_FILE, POSES_FILE) if company.merged is not None else ())}
     report = ReportInput(capture, truth, tuple(sorted(files - {REPORT_FILE})), company, made)
+    write_report(folder / REPORT_FILE, report)
     entries = made.entries(capture.decoded.facts.identity)
     if isinstance(capture, Reconstructed):
         more = entries | confidence_entries(verdict(report), capture.uncertainty)
         write_calibration(folder / CALIBRATION_FILE, capture.calibration, more)
     else:
         write_refusal(folder / REFUSAL_FILE, entries | verdict_entries(verdict(report)))
-    write_report(folder / REPORT_FILE, report)
 
 
 def _rows(captures: Sequence[Reconstructed | Refused]) -> tuple[CaptureRow, ...]:

@@ -156,13 +156,12 @@ def faces(report: ReportInput) -> Faces | None:
         report.solution.corner if report.solution else None,
         found.calibration.camera if found else None,
     )
-    counts = np.bincount(face[face >= 0], minlength=len(FACE_NAMES))
     return Faces(
         photo(painted, "the camera's image with the faces of the corner in colour"),
         overlay,
         tuple(
             LegendEntry(css_colour(colour), f"face {name}", f"{count:,} matches")
-            for name, colour, count in zip(FACE_NAMES, FACE_COLOURS, counts, strict=True)
+            for name, colour, count in zip(FACE_NAMES, FACE_COLOURS, report.matches.on_each_face, strict=True)
         ),
     )
 

@@ -55,7 +55,8 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     lit = measured.well_lit & interval.possible
     if np.any(lit):
         # Gains of a lamp that are a little wrong leave a fringe where only the room's light is.
-        lit &= measured.powers[0] > _FAINT**2 * np.quantile(measured.powers[0][lit], _BRIGHT)
+        power = measured.power(0)
+        lit &= power > _FAINT**2 * np.quantile(power[lit], _BRIGHT)
     if np.count_nonzero(lit) < _FEWEST_PIXELS:
         return
     for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):

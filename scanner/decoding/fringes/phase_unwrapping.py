@@ -110,15 +110,17 @@ def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats3
     return Tolerances(interval, tuple(between))
 
 
-def unwrap(plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tolerances) -> Orders:
-    """The orders of the fringes of an axis."""
+def unwrap(
+    plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tolerances, *, in_place: bool = False
+) -> Orders:
+    """The orders of the fringes of an axis. `in_place`: positions may be used up, so that it takes less memory."""
     periods = [np.float32(fringe.period) for fringe in plan.fringes]
     positions = wrapped.positions
     reach = plan.cell / 2 + _LIMIT * tolerances.interval_px
     others = int(2 * reach / plan.fringes[0].period)
     # If no more than one order is within reach, it is the nearest.
     search = np.float32(reach if others else plan.fringes[0].period / 2)
-    coordinates = np.empty_like(positions)
+    coordinates = positions if in_place and not others else np.empty_like(positions)
     _first_order(positions[0], periods[0], search, interval.low, interval.high, coordinates[0])
     best_cost = _followed(coordinates, interval, wrapped, periods, tolerances)
     if not others:

@@ -18,7 +18,7 @@ def planes_at(pixels: Floats, camera_px: Floats, plane: Ints) -> Ints:
     `camera_px` (N, 2) are those of matches, `plane` (N,) which one each is on, negative where it is on none.
     """
     at, down = pixels.astype(np.int64).T
-    width, height = (int(max(near.max(), of.max())) + 2 for near, of in zip(pixels.T, camera_px.T, strict=True))
+    width, height = int(at.max()) + 1, int(down.max()) + 1
     labels = np.full((height + 2 * _NEAR_PX, width + 2 * _NEAR_PX), _NOBODY, np.int8)
     _note(camera_px, plane, labels)
     near = np.stack([labels[down + i, at + j] for i in range(2 * _NEAR_PX + 1) for j in range(2 * _NEAR_PX + 1)])
@@ -30,9 +30,11 @@ def planes_at(pixels: Floats, camera_px: Floats, plane: Ints) -> Ints:
 @compiled
 def _note(camera_px: Floats, plane: Ints, labels: NDArray[np.int8]) -> None:
     """Write the planes of matches (N, 2) where they are, in an image with a border; of those beyond a byte none."""
+    height, width = labels.shape
     for i in range(len(plane)):
         row, column = int(camera_px[i, 1] + 0.5) + _NEAR_PX, int(camera_px[i, 0] + 0.5) + _NEAR_PX
-        labels[row, column] = max(plane[i], _SEVERAL) if plane[i] <= _MOST_LABELS else _SEVERAL
+        if row < height and column < width:
+            labels[row, column] = max(plane[i], _SEVERAL) if plane[i] <= _MOST_LABELS else _SEVERAL
 
 
 def smooth_over(plane: Ints, points: Floats, chosen: Bools) -> tuple[Floats, Bools]:
