@@ -87,6 +87,20 @@ def test_beating_fringes_are_unwrapped_over_the_whole_axis(x: float, seed: int) 
     assert abs(orders.coordinates[-1][0] - x) < 0.4
 
 
+@given(st.integers(0, 2**32 - 1), st.sampled_from([(64.0, 16.0), (21.0, 20.0, 19.0), (16.0,)]))
+def test_positions_may_be_used_up(seed: int, periods: tuple[float, ...]) -> None:
+    plan, rng = axis(64, *periods), np.random.default_rng(seed)
+    x = rng.uniform(0, 63, 50)
+    positions = np.array([(x + rng.normal(0, 0.05, len(x))) % period for period in periods], np.float32)
+    given_as, variances = positions.copy(), np.full(positions.shape, 0.0025, np.float32)
+    tolerances, interval = Tolerances(0.2, (0.05,) * (len(periods) - 1)), interval_of(plan, [], len(x))
+    kept = unwrap(plan, interval, Wrapped(positions, variances), tolerances)
+    np.testing.assert_array_equal(positions, given_as)
+    spent = unwrap(plan, interval, Wrapped(positions, variances), tolerances, in_place=True)
+    for one, other in ((kept.coordinates, spent.coordinates), (kept.agree, spent.agree), (kept.unique, spent.unique)):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_orders_that_are_as_good_as_each_other_decide_nothing() -> None:
     plan = plan_sequence([*gray_sequence("x", 256, 16), *gray_sequence("y", 8, 1)], (256, 8)).x
     plan = replace(plan, fringes=axis(256, 8.0).fringes)

@@ -16,11 +16,26 @@ from scanner.decoding import FinestStripes
 from scanner.io import MATCHES_FILE, read_calibration, read_matches
 from scanner.reconstruction.keystone.measure import Keystone, measure_keystone
 from scanner.reconstruction.keystone.panel_pixels import beginning_as
+from scanner.reconstruction.keystone.planes import planes_at
 from scanner.results import CALIBRATION_FILE, read_verdict
 from tests.support.command_line import run
 
 SIZE = (480, 270)
 SHIFTS = 4
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_pixels_are_on_the_plane_that_all_matches_near_them_are_on(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    camera_px = np.stack(np.meshgrid(np.arange(24), np.arange(16)), axis=-1).reshape(-1, 2).astype(np.float64)
+    plane = np.where(camera_px[:, 0] < 12, 3, rng.integers(0, 2))
+    pixels = rng.integers(0, (24, 16), (5, 2)).astype(np.float64)
+    there = rng.random(len(plane)) < 0.9
+    found = planes_at(pixels, camera_px[there], plane[there])
+    for (column, row), said in zip(pixels, found, strict=True):
+        near = there & (np.abs(camera_px - (column, row)).max(axis=1) <= 2)
+        among = np.unique(plane[near])
+        assert said == (among[0] if len(among) == 1 else -1)
 
 
 def trapezoid(narrower: float, edge: str, inset: float) -> np.ndarray:

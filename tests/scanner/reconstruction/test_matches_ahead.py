@@ -1,0 +1,53 @@
+"""The matches file is written while its capture is calibrated, and is what the result is made of."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scanner.errors import InputError
+from scanner.io import MATCHES_FILE, read_matches
+from scanner.reconstruction import MatchesAhead
+from scanner.results import Decoded
+from tests.support.cloud_scene import room
+from tests.support.reports import calibrated_report
+
+
+@pytest.fixture(scope="module")
+def capture() -> Decoded:
+    return calibrated_report(room()).outcome.decoded
+
+
+def test_what_calibrating_leaves_as_it_is_is_written_once(tmp_path: Path, capture: Decoded) -> None:
+    with MatchesAhead(tmp_path) as ahead:
+        ahead.begin([capture])
+        ahead.write(tmp_path, capture)
+        first = (tmp_path / MATCHES_FILE).stat()
+        ahead.write(tmp_path, replace(capture, name="another name"))
+    assert (tmp_path / MATCHES_FILE).stat() == first
+    assert len(read_matches(tmp_path)) == len(capture.matches)
+
+
+def test_what_is_labelled_otherwise_in_the_end_is_written_again(tmp_path: Path, capture: Decoded) -> None:
+    face = np.where(capture.matches.labels == 0, 1, capture.matches.labels).astype(np.int32)
+    with MatchesAhead(tmp_path) as ahead:
+        ahead.begin([capture])
+        ahead.write(tmp_path, capture.with_matches(capture.matches.with_faces(face), capture.plane))
+    assert read_matches(tmp_path).on_each_face[0] == 0 < capture.matches.on_each_face[0]
+
+
+def test_of_several_captures_none_is_written_ahead(tmp_path: Path, capture: Decoded) -> None:
+    with MatchesAhead(tmp_path) as ahead:
+        ahead.begin([capture, capture])
+        assert not (tmp_path / MATCHES_FILE).exists()
+        ahead.write(tmp_path / "first", capture)
+    assert [path.parent.name for path in tmp_path.rglob(MATCHES_FILE)] == ["first"]
+
+
+def test_a_file_that_could_not_be_written_is_told_of_when_it_is_wanted(tmp_path: Path, capture: Decoded) -> None:
+    (tmp_path / MATCHES_FILE).mkdir()
+    with MatchesAhead(tmp_path) as ahead:
+        ahead.begin([capture])
+        with pytest.raises(InputError, match=f"{MATCHES_FILE}: is a folder"):
+            ahead.write(tmp_path, capture)
