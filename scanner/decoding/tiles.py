@@ -6,8 +6,9 @@ from typing import TypeVar
 
 from calib.numerics import in_parallel, in_slices
 
-# Larger ones would cost memory, smaller ones time between the loops: the interpreter serves one thread only.
-_TILE_PX = (128, 1224)
+# Larger ones would cost memory, smaller ones time between the loops: the interpreter serves one thread only, and the
+# other one sleeps for it.
+_TILE_PX = (120, 1224)
 
 Result = TypeVar("Result")
 

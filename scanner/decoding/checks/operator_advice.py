@@ -48,7 +48,7 @@ def warnings_of(
     """
     if darkness is not None:
         yield darkness
-    count = count_reasons(reasons, tuple(MaskReason))
+    count = count_reasons(reasons, (MaskReason.KEPT, MaskReason.DARK, MaskReason.SATURATED, MaskReason.INCONSISTENT))
     matched, dark = count[MaskReason.KEPT], count[MaskReason.DARK]
     lit = max(1, reasons.size - dark)
     if matched < _FEW_MATCHED * reasons.size:
