@@ -1,71 +1,34 @@
-"""A GenICam camera (GigE Vision, USB3 Vision), reached through Aravis; the only file that imports gi.
+"""A GenICam camera (GigE Vision, USB3 Vision), reached through Aravis: its frames, each when it is asked for.
 
-What was measured about Aravis 0.8 and is built upon here: an impossible setting is silently clipped unless ranges are
-checked; a second program opens the camera read-only without being told; a frame that lost packets arrives with a status
-instead of an error; a wait for a frame ignores Ctrl-C until it is over.
+What was measured about Aravis 0.8 and is built upon here: a second program opens the camera read-only without being
+told; a frame that lost packets arrives with a status instead of an error; a wait for a frame ignores Ctrl-C until it is
+over.
 """
 
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from statistics import median
 from typing import Any, Self
 
-import gi
+from hw.aravis_devices import Aravis, GLib, list_cameras, open_camera
+from hw.aravis_setup import configure, differs, expect, read_back, start
+from hw.errors import DeviceError, FrameLostError
+from hw.exposures import whole_periods
+from hw.frame_clock import FrameClock
+from hw.rig import Frame
+from hw.settings import AravisRigSettings
+from hw.timed_devices import ATTEMPTS, TRIGGER_LAG_S, nothing
 
-gi.require_version("Aravis", "0.8")
-from gi.repository import Aravis, GLib  # noqa: E402  # only after the version is chosen
+__all__ = ["AravisCamera", "list_cameras"]
 
-from hw.cameras import CameraInfo, not_found  # noqa: E402
-from hw.errors import DeviceError, FrameLostError  # noqa: E402
-from hw.exposures import whole_periods  # noqa: E402
-from hw.frame_clock import FrameClock  # noqa: E402
-from hw.pixel_formats import PixelFormat, pixel_format  # noqa: E402
-from hw.receive_buffer import receive_buffer  # noqa: E402
-from hw.rig import Frame  # noqa: E402
-from hw.settings import AravisRigSettings  # noqa: E402
-from hw.timed_devices import ATTEMPTS, TRIGGER_LAG_S, nothing  # noqa: E402
-
-_BUFFERS = 4
 _SLICE_S = 0.1  # Ctrl-C waits at most so long
 _LATEST_FRAME_S = 1.0  # a frame takes at most so long from the end of its exposure
 _QUIET_S = 0.5  # after a disturbance, the camera is given so long to deliver what is left of it
 _SLOW_TRIGGER_S = 0.2  # an unanswered command is repeated after 0.5 s, and the camera may have heard both
 _STALE_S = 0.005  # before the end of an exposure, what has arrived is looked through
 _IN_FLIGHT = 2  # frames of a free-running camera that may have begun before they were asked for: one exposed, one read
-_SETTING_TOLERANCE = 0.01
-_AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
-
-
-def list_cameras() -> list[CameraInfo]:
-    """All cameras that answer, with sensor size and formats of those that nobody else uses. Takes seconds."""
-    return [_with_abilities(info) for info in _discover()]
-
-
-def _discover() -> list[CameraInfo]:
-    Aravis.update_device_list()
-    return [
-        CameraInfo(
-            Aravis.get_device_id(index),
-            Aravis.get_device_vendor(index) or "",
-            Aravis.get_device_model(index) or "",
-            Aravis.get_device_serial_nbr(index) or "",
-            Aravis.get_device_address(index) or "",
-        )
-        for index in range(Aravis.get_n_devices())
-    ]
-
-
-def _with_abilities(info: CameraInfo) -> CameraInfo:
-    try:
-        camera = Aravis.Camera.new(info.device_id)
-        size = camera.get_sensor_size()
-        formats = tuple(camera.dup_available_pixel_formats_as_strings())
-    except GLib.Error:
-        return info  # it is there, but someone else uses it or the network does not let us in
-    return replace(info, sensor_size=(size.width, size.height), pixel_formats=formats)
 
 
 class AravisCamera:
@@ -92,17 +55,17 @@ class AravisCamera:
         self._discarded = _IN_FLIGHT
         self._clock = FrameClock()
         self._arrived: Any | None = None
-        self._camera = _open(settings.camera)
+        self._camera = open_camera(settings.camera)
         with self._errors("cannot be set up"):
             self.name = " ".join([self._camera.get_vendor_name(), self._camera.get_model_name(), _serial(self._camera)])
             self._check_control()
-            self._format = self._configure(settings, exposure_us)
+            self._format = configure(self._camera, self.name, settings, size, exposure_us)
             self.exposure_s = self._camera.get_exposure_time() / 1e6
             limits = self._camera.get_exposure_time_bounds()
             self.exposure_limits_us = (float(limits.min), float(limits.max))
             self.highest_level = (1 << self._format.bits) - 1
-            self._stream = self._start(settings)
-            self.identity = self._read_back()
+            self._stream = start(self._camera, self.name, settings)
+            self.identity = read_back(self._camera, self.name)
 
     def __enter__(self) -> Self:
         return self
@@ -133,12 +96,12 @@ class AravisCamera:
                 f"camera {self.name}: an exposure of {exposure_us:.0f} µs is wanted, but it can make {shortest:.0f} to "
                 f"{longest:.0f} µs. Ask for an exposure_us, or exposures_us, that the camera can do."
             )
-        if abs(exposure_us - self.exposure_us) <= _SETTING_TOLERANCE * exposure_us:
+        if not differs(exposure_us, self.exposure_us):
             return self.exposure_us
         with self._errors("does not change its exposure"):
             self._camera.set_exposure_time(exposure_us)
             found_us = self._camera.get_exposure_time()
-        self._expect("exposure in µs", exposure_us, found_us)
+        expect(self.name, "exposure in µs", exposure_us, found_us)
         self.exposure_s = found_us / 1e6
         self._discarded = _IN_FLIGHT + 1  # one more may have begun with the exposure before
         self._clock = FrameClock()
@@ -231,100 +194,6 @@ class AravisCamera:
                 "program, check cable and power, then rerun."
             )
 
-    def _configure(self, settings: AravisRigSettings, exposure_us: float) -> PixelFormat:
-        camera = self._camera
-        camera.set_range_check_policy(Aravis.RangeCheckPolicy.ENABLE)
-        camera.set_acquisition_mode(Aravis.AcquisitionMode.CONTINUOUS)
-        if settings.binning > 1 or camera.is_binning_available():
-            camera.set_binning(settings.binning, settings.binning)
-        camera.set_pixel_format_from_string(settings.pixel_format)
-        self._set_region(settings.offset_px)
-        for feature in _AUTOMATICS:
-            if camera.is_feature_available(feature):
-                camera.set_string(feature, "Off")
-        if camera.is_feature_available("GammaEnable"):
-            camera.set_boolean("GammaEnable", False)
-        camera.set_exposure_time(exposure_us)
-        self._expect("exposure in µs", exposure_us, camera.get_exposure_time())
-        if settings.gain is not None:
-            camera.set_gain(settings.gain)
-            self._expect("gain", settings.gain, camera.get_gain())
-        if settings.trigger == "free-run":
-            camera.clear_triggers()
-        else:
-            camera.set_trigger("Software" if settings.trigger == "software" else settings.trigger_line)
-        return pixel_format(camera.get_pixel_format_as_string())
-
-    def _set_region(self, offset_px: tuple[int, int] | None) -> None:
-        camera, (width, height) = self._camera, self.size
-        camera.set_region(0, 0, width, height)
-        if offset_px is None:
-            room = (camera.get_width_bounds().max - width, camera.get_height_bounds().max - height)
-            steps = (camera.get_x_offset_increment(), camera.get_y_offset_increment())
-            offset_px = (_centred(room[0], steps[0]), _centred(room[1], steps[1]))
-        if offset_px != (0, 0):
-            camera.set_region(*offset_px, width, height)
-        region = camera.get_region()
-        self._expect("width in pixels", width, region.width)
-        self._expect("height in pixels", height, region.height)
-
-    def _expect(self, what: str, wanted: float, found: float) -> None:
-        if abs(found - wanted) > _SETTING_TOLERANCE * abs(wanted):
-            raise DeviceError(
-                f"camera {self.name}: wanted {wanted:g} as {what}, but the camera made it {found:g}. "
-                "Change the configuration to what the camera can do."
-            )
-
-    def _start(self, settings: AravisRigSettings) -> Any:
-        camera = self._camera
-        if camera.is_gv_device():
-            if settings.packet_size is None:
-                camera.gv_auto_packet_size()
-            else:
-                camera.gv_set_packet_size(settings.packet_size)
-                self._expect("packet size", settings.packet_size, camera.gv_get_packet_size())
-            stream = self._network_stream()
-        else:
-            stream = camera.create_stream(None, None)
-        for _ in range(_BUFFERS):
-            stream.push_buffer(Aravis.Buffer.new_allocate(camera.get_payload()))
-        camera.start_acquisition()
-        return stream
-
-    def _network_stream(self) -> Any:
-        """Through a plain socket, where that keeps whole frames. What Aravis takes otherwise, if it may (as root), is a
-        ring of large blocks, which hands over the end of a frame when the block is full, or 5 ms are over
-        (`tp_retire_blk_tov` in arvgvstream.c of Aravis 0.8).
-        """
-        kept = receive_buffer(self._camera.get_payload())
-        if kept is not None:
-            self._camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
-        stream = self._camera.create_stream(None, None)
-        if kept is None:
-            stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.AUTO)
-        else:
-            stream.set_property("socket-buffer-size", kept)
-            stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
-        return stream
-
-    def _read_back(self) -> dict[str, str]:
-        camera, region = self._camera, self._camera.get_region()
-        facts = {
-            "camera": self.name,
-            "pixel format": str(self._format),
-            "region": f"{region.width} × {region.height} at ({region.x}, {region.y})",
-            "exposure": f"{1e3 * self.exposure_s:.4g} ms",
-        }
-        if camera.is_gain_available():
-            facts["gain"] = f"{camera.get_gain():g}"
-        if camera.is_binning_available():
-            binning = camera.get_binning()
-            facts["binning"] = f"{binning.dx} × {binning.dy}"
-        if camera.is_gv_device():
-            facts["address"] = camera.get_device().get_device_address().get_address().to_string()
-            facts["packet size"] = f"{camera.gv_get_packet_size()} bytes"
-        return facts
-
     def _frame(self, buffer: Any) -> Frame:
         status = buffer.get_status()
         if status != Aravis.BufferStatus.SUCCESS:
@@ -391,22 +260,5 @@ def _came_s(buffer: Any) -> float:
     return float(buffer.get_system_timestamp() / 1e9 - time.time() + time.monotonic())
 
 
-def _centred(room: int, step: int) -> int:
-    return room // 2 // step * step
-
-
 def _serial(camera: Any) -> str:
     return str(camera.get_device_serial_number())
-
-
-def _open(wanted: str | None) -> Any:
-    """The camera of that id, serial number or address; without any, the only one."""
-    if wanted is None:
-        found = _discover()
-        if len(found) != 1:
-            raise DeviceError(not_found("expected one camera, as the rig names none", found))
-        wanted = found[0].device_id
-    try:
-        return Aravis.Camera.new(wanted)
-    except GLib.Error as error:
-        raise DeviceError(not_found(f"no camera answers to {wanted!r} ({error.message})", _discover())) from error

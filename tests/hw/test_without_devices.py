@@ -21,8 +21,9 @@ from tests.support.places import ROOT
 @pytest.fixture
 def no_aravis(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gi", None)
-    monkeypatch.delitem(sys.modules, "hw.aravis_camera", raising=False)
-    monkeypatch.delattr("hw.aravis_camera", raising=False)
+    for module in ("hw.aravis_camera", "hw.aravis_setup", "hw.aravis_devices"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+        monkeypatch.delattr(module, raising=False)
 
 
 @pytest.fixture

@@ -1,0 +1,132 @@
+"""A GenICam camera's settings, made through Aravis and read back: what the camera makes otherwise is an error.
+
+What was measured about Aravis 0.8 and is built upon here: an impossible setting is silently clipped unless ranges are
+checked. `camera` is an Aravis.Camera throughout, `name` what errors call it; GLib.Error is raised where it does not
+answer.
+"""
+
+from typing import Any
+
+from hw.aravis_devices import Aravis
+from hw.errors import DeviceError
+from hw.pixel_formats import PixelFormat, pixel_format
+from hw.receive_buffer import receive_buffer
+from hw.settings import AravisRigSettings
+
+_BUFFERS = 4
+_TOLERANCE = 0.01
+_AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
+
+
+def configure(
+    camera: Any, name: str, settings: AravisRigSettings, size: tuple[int, int], exposure_us: float
+) -> PixelFormat:
+    """Make all settings, with nothing left to automatics; frames are of `size`, (width, height). Raises DeviceError."""
+    camera.set_range_check_policy(Aravis.RangeCheckPolicy.ENABLE)
+    camera.set_acquisition_mode(Aravis.AcquisitionMode.CONTINUOUS)
+    if settings.binning > 1 or camera.is_binning_available():
+        camera.set_binning(settings.binning, settings.binning)
+    camera.set_pixel_format_from_string(settings.pixel_format)
+    _set_region(camera, name, size, settings.offset_px)
+    for feature in _AUTOMATICS:
+        if camera.is_feature_available(feature):
+            camera.set_string(feature, "Off")
+    if camera.is_feature_available("GammaEnable"):
+        camera.set_boolean("GammaEnable", False)
+    camera.set_exposure_time(exposure_us)
+    expect(name, "exposure in µs", exposure_us, camera.get_exposure_time())
+    if settings.gain is not None:
+        camera.set_gain(settings.gain)
+        expect(name, "gain", settings.gain, camera.get_gain())
+    if settings.trigger == "free-run":
+        camera.clear_triggers()
+    else:
+        camera.set_trigger("Software" if settings.trigger == "software" else settings.trigger_line)
+    return pixel_format(camera.get_pixel_format_as_string())
+
+
+def _set_region(camera: Any, name: str, size: tuple[int, int], offset_px: tuple[int, int] | None) -> None:
+    """In the middle of the sensor, if nothing else is asked for."""
+    width, height = size
+    camera.set_region(0, 0, width, height)
+    if offset_px is None:
+        room = (camera.get_width_bounds().max - width, camera.get_height_bounds().max - height)
+        steps = (camera.get_x_offset_increment(), camera.get_y_offset_increment())
+        offset_px = (_centred(room[0], steps[0]), _centred(room[1], steps[1]))
+    if offset_px != (0, 0):
+        camera.set_region(*offset_px, width, height)
+    region = camera.get_region()
+    expect(name, "width in pixels", width, region.width)
+    expect(name, "height in pixels", height, region.height)
+
+
+def differs(wanted: float, found: float) -> bool:
+    """Whether a setting is another one, beyond the camera's steps."""
+    return abs(found - wanted) > _TOLERANCE * abs(wanted)
+
+
+def expect(name: str, what: str, wanted: float, found: float) -> None:
+    """Raise DeviceError if the camera made something else of a setting."""
+    if differs(wanted, found):
+        raise DeviceError(
+            f"camera {name}: wanted {wanted:g} as {what}, but the camera made it {found:g}. "
+            "Change the configuration to what the camera can do."
+        )
+
+
+def start(camera: Any, name: str, settings: AravisRigSettings) -> Any:
+    """The stream of its frames, for which it waits from now on. Raises DeviceError."""
+    if camera.is_gv_device():
+        if settings.packet_size is None:
+            camera.gv_auto_packet_size()
+        else:
+            camera.gv_set_packet_size(settings.packet_size)
+            expect(name, "packet size", settings.packet_size, camera.gv_get_packet_size())
+        stream = _network_stream(camera)
+    else:
+        stream = camera.create_stream(None, None)
+    for _ in range(_BUFFERS):
+        stream.push_buffer(Aravis.Buffer.new_allocate(camera.get_payload()))
+    camera.start_acquisition()
+    return stream
+
+
+def _network_stream(camera: Any) -> Any:
+    """Through a plain socket, where that keeps whole frames. What Aravis takes otherwise, if it may (as root), is a
+    ring of large blocks, which hands over the end of a frame when the block is full, or 5 ms are over
+    (`tp_retire_blk_tov` in arvgvstream.c of Aravis 0.8).
+    """
+    kept = receive_buffer(camera.get_payload())
+    if kept is not None:
+        camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+    stream = camera.create_stream(None, None)
+    if kept is None:
+        stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.AUTO)
+    else:
+        stream.set_property("socket-buffer-size", kept)
+        stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
+    return stream
+
+
+def read_back(camera: Any, name: str) -> dict[str, str]:
+    """What the camera says of its settings."""
+    region = camera.get_region()
+    facts = {
+        "camera": name,
+        "pixel format": camera.get_pixel_format_as_string(),
+        "region": f"{region.width} × {region.height} at ({region.x}, {region.y})",
+        "exposure": f"{1e-3 * camera.get_exposure_time():.4g} ms",
+    }
+    if camera.is_gain_available():
+        facts["gain"] = f"{camera.get_gain():g}"
+    if camera.is_binning_available():
+        binning = camera.get_binning()
+        facts["binning"] = f"{binning.dx} × {binning.dy}"
+    if camera.is_gv_device():
+        facts["address"] = camera.get_device().get_device_address().get_address().to_string()
+        facts["packet size"] = f"{camera.gv_get_packet_size()} bytes"
+    return facts
+
+
+def _centred(room: int, step: int) -> int:
+    return room // 2 // step * step
