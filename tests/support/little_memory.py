@@ -1,0 +1,20 @@
+"""A process that may take only a little more memory than it has."""
+
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+_ROOM_BYTES = 200_000_000
+
+
+@contextmanager
+def little_memory() -> Iterator[None]:
+    """No more address space than there is in use, and a little."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + _ROOM_BYTES, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
