@@ -9,11 +9,11 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from calib.geometry import mapped
 from calib.numerics import Floats, in_parallel
+from scanner.decoding import Floats32
 from scanner.reconstruction.keystone.beat import EVERYTHING, UPRIGHT, Beat, homography_of
 
 # How much narrower the far edge may be, for which is looked; more of it leaves no fine stripes.
@@ -83,7 +83,7 @@ class Spectrum:
     are in units of `half` the picture's width in pixels, which is `tall` times as high; `energy`: of the data.
     """
 
-    sums: Floats
+    sums: Floats32
     x: Floats
     y: Floats
     cell: float
@@ -118,7 +118,7 @@ class Spectrum:
         at = beat.points.T
         column = ((at[0] * beat.half + width / 2) / cell).astype(np.int64).clip(0, columns - 1)
         row = ((at[1] * beat.half + height / 2) / cell).astype(np.int64).clip(0, rows - 1)
-        sums = np.bincount(row * columns + column, beat.data, minlength=rows * columns).astype(np.float64)
+        sums = np.bincount(row * columns + column, beat.data, minlength=rows * columns).astype(np.float32)
         sums = sums.reshape(rows, columns)
         x: Floats = (((np.arange(columns) + 0.5) * cell - width / 2) / beat.half)[None, :].astype(np.float64)
         y: Floats = (((np.arange(rows) + 0.5) * cell - height / 2) / beat.half)[:, None].astype(np.float64)
@@ -139,7 +139,9 @@ class Spectrum:
         return in_parallel(lambda lean: self._peak(*lean), leans)
 
     def _peak(self, lean_x: float, lean_y: float) -> Start:
-        lean = lean_x * self.x + lean_y * self.y
+        # Along one axis alone, it and what it does to that axis are a row or a column.
+        leans = [by * along for by, along in ((lean_x, self.x), (lean_y, self.y)) if by]
+        lean = sum(leans, np.zeros((1, 1)))
         (power_x, xx, xy, x1), (power_y, yx, yy, y1) = (self._strongest(lean * along) for along in (self.x, self.y))
         power = (power_x + power_y) / self.energy
         # Beats along y lower the ratio.
@@ -153,7 +155,10 @@ class Spectrum:
     def _strongest(self, chirp: Floats) -> tuple[float, float, float, float]:
         """The power of the strongest wave, its frequencies along x and y, and its phase in the middle in cycles."""
         padded = tuple(fft.next_fast_len(int(_PADDED * count)) for count in self.sums.shape)
-        turned: NDArray[np.complex64] = (self.sums * np.exp(2j * np.pi * self.half * chirp)).astype(np.complex64)
+        angle = (2 * np.pi * self.half * chirp).astype(np.float32)
+        turned = np.empty(self.sums.shape, np.complex64)
+        np.multiply(self.sums, np.cos(angle), out=turned.real)
+        np.multiply(self.sums, np.sin(angle), out=turned.imag)
         wave = fft.fft2(turned, s=padded)
         row, column = np.unravel_index(int(np.argmax(np.abs(wave))), padded)
         frequencies = [fft.fftfreq(count, self.cell) for count in padded]
