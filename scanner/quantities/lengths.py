@@ -19,11 +19,15 @@ class ShownUnit:
 
     def length(self, value: float, sigma: float | None = None) -> str:
         """'50.812 ± 0.013 mm'; five significant digits where no sigma is known."""
+        return f"{self.measured(value, sigma)} {self.name}"
+
+    def measured(self, value: float, sigma: float | None = None) -> str:
+        """The same without the unit."""
         value *= self.factor
         if not sigma:
-            return f"{plain(value, _decimals(value, 5))} {self.name}"
+            return plain(value, _decimals(value, 5))
         decimals = _decimals(sigma * self.factor, 2)
-        return f"{plain(value, decimals)} ± {plain(sigma * self.factor, decimals)} {self.name}"
+        return f"{plain(value, decimals)} ± {plain(sigma * self.factor, decimals)}"
 
     def error(self, value: float, *, signed: bool = False) -> str:
         """'0.0123 mm'."""

@@ -27,9 +27,12 @@ class FlatnessRow:
 
 @dataclass(frozen=True)
 class Flatness:
-    """`map`: distances from the faces' planes over the camera's image; `angles`: pairs and degrees as text."""
+    """`map`: distances from the faces' planes over the camera's image; `unit`: of the rows; `angles`: pairs and degrees
+    as text.
+    """
 
     map: ScaledMap
+    unit: str
     rows: tuple[FlatnessRow, ...]
     angles: tuple[tuple[str, str], ...]
 
@@ -41,11 +44,11 @@ def flatness(report: ReportInput) -> Flatness | None:
         return None
     unit = shown_unit(found.calibration.unit)
     rows = tuple(
-        FlatnessRow(face.name, (unit.length(face.deviation, face.budget.sigma), unit.error(face.errors.form)))
+        FlatnessRow(face.name, (unit.measured(face.deviation, face.budget.sigma), unit.number(face.errors.form)))
         for face in scene.faces
     )
     painted = _map(scene.faces, report.facts.camera_size, report.cell_px, unit.factor, unit.name)
-    return Flatness(painted, rows, tuple(map(_shown, scene.angles)))
+    return Flatness(painted, unit.name, rows, tuple(map(_shown, scene.angles)))
 
 
 def _map(faces: tuple[FaceMeasurement, ...], size: Size, step: int, factor: float, unit: str) -> ScaledMap:

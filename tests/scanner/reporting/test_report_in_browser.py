@@ -38,6 +38,10 @@ SMALLEST_TEXT = """() => {
   }
   return Math.min(...sizes);
 }"""
+# Tables and plots that have to be scrolled to be seen as a whole.
+CUT_OFF = """() => [...document.querySelectorAll(".wide")]
+  .filter(element => element.scrollWidth > element.clientWidth + 1)
+  .map(element => element.innerText.slice(0, 60))"""
 # The lowest contrast of text with the page behind it (WCAG 2.2, 1.4.3), over pictures left out.
 LOWEST_CONTRAST = """() => {
   const numbers = colour => colour.match(/[\\d.]+/g).map(Number);
@@ -111,6 +115,7 @@ def test_it_can_be_read_in_light_and_in_dark(pages: Any, reports: dict[str, Path
     assert page.evaluate(SMALLEST_TEXT) >= 12
     assert page.evaluate(LOWEST_CONTRAST) >= 4.5
     assert page.evaluate("document.documentElement.scrollWidth") <= 1000
+    assert page.evaluate(CUT_OFF) == []
 
 
 def test_the_cloud_is_drawn_and_turns_with_the_keys(pages: Any, reports: dict[str, Path]) -> None:

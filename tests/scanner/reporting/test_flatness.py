@@ -1,0 +1,28 @@
+"""The report's table of the faces: numbers that fit beside the map, in a unit that stands above them."""
+
+import re
+
+import pytest
+
+from scanner.reporting.flatness import flatness
+from tests.support.cloud_scene import room
+from tests.support.reports import calibrated_report
+
+NUMBER = r"\d+(\.\d+)?"
+
+
+def test_the_faces_are_measured_in_the_unit_above_them() -> None:
+    report = calibrated_report(room())  # in metres
+    found, scene = flatness(report), report.scene
+    assert found is not None
+    assert scene is not None
+    assert found.unit == "mm"
+    assert [row.name for row in found.rows] == [face.name for face in scene.faces] == ["A", "B", "C"]
+    for row, face in zip(found.rows, scene.faces, strict=True):
+        deviation, band = row.cells
+        assert re.fullmatch(f"{NUMBER} ± {NUMBER}", deviation)
+        assert re.fullmatch(NUMBER, band)
+        shown, sigma = (float(number) for number in deviation.split(" ± "))
+        assert float(band) == pytest.approx(1e3 * face.errors.form, rel=0.01)
+        assert shown == pytest.approx(1e3 * face.deviation, abs=100 * face.budget.sigma)
+        assert sigma == pytest.approx(1e3 * face.budget.sigma, rel=0.06)
