@@ -106,9 +106,14 @@ def _design(of_fringe: Ints, angles: Floats, fringes: int) -> Floats:
 def _filtered(images: Floats32, down: Floats, across: Floats) -> Floats32:
     """Taps along the columns and the rows of tiles (N, T, tile, tile), where they are all inside; (N, P)."""
     size = images.shape[-1] - len(down) + 1
-    rows = np.stack([images[:, :, k : k + size] for k in range(len(down))], axis=-1) @ down.astype(np.float32)
-    both = np.stack([rows[..., k : k + size] for k in range(len(across))], axis=-1) @ across.astype(np.float32)
-    return np.asarray(both, np.float32).reshape(len(images), -1)
+    # No matrix product: of a few taps, OpenBLAS has complained of invalid values where there are none.
+    rows = np.zeros((*images.shape[:2], size, images.shape[3]), np.float32)
+    for k, tap in enumerate(down.astype(np.float32)):
+        rows += tap * images[:, :, k : k + size]
+    both = np.zeros((*rows.shape[:3], size), np.float32)
+    for k, tap in enumerate(across.astype(np.float32)):
+        both += tap * rows[..., k : k + size]
+    return both.reshape(len(images), -1)
 
 
 def _pixels(fringes: tuple[Fringe, ...], levels: Floats32, design: Floats, noise: NoiseModel, resting: Bools) -> Ints:
