@@ -6,7 +6,7 @@ from calib.numerics.grey_levels import grey
 from calib.numerics.jit import compiled
 from calib.numerics.levenberg_marquardt import NIELSEN, Damping, Quadratic, descend, minimise, newton
 from calib.numerics.morans_i import SpatialCorrelation, spatial_correlation
-from calib.numerics.parallel import in_parallel, in_slices, processors, use_processors
+from calib.numerics.parallel import in_parallel, in_slices, processors, slices_of, use_processors
 from calib.numerics.reweighted import reweighted
 from calib.numerics.robust_statistics import (
     MEDIAN_LENGTH,

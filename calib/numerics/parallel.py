@@ -30,5 +30,10 @@ def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> li
 
 def in_slices(count: int, size: int, work: Callable[[slice], Result]) -> list[Result]:
     """What `work` returns for slices of `size` that make up `count` elements, in order; at least one slice."""
-    slices = [slice(start, min(start + size, count)) for start in range(0, max(1, count), size)]
+    slices = slices_of(count, size)
     return [work(slices[0])] if len(slices) == 1 else in_parallel(work, slices)
+
+
+def slices_of(count: int, size: int) -> list[slice]:
+    """Slices of `size` that make up `count` elements, in order; at least one."""
+    return [slice(start, min(start + size, count)) for start in range(0, max(1, count), size)]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Calibration, Matches, intersect_rays
-from calib.numerics import Floats, Ints, by_columns, compiled, in_pieces, in_slices
+from calib.numerics import Floats, Ints, by_columns, compiled, in_pieces, in_slices, slices_of
 from calib.pointcloud.ray_residuals import Misses, expected_misses
 
 _SAMPLE = 100_000
@@ -69,8 +69,7 @@ def organise(matches: Matches, calibration: Calibration) -> Organised:
     in_slices(shape[0], _STRIP_ROWS, clear)
     # Otherwise two threads could put two points at one pixel at the same time.
     side_by_side = _row_by_row(matches, calibration.camera.width)
-    in_turn = (slice(start, min(start + _IN_TURN, count)) for start in range(0, count, _IN_TURN))
-    placed = in_pieces(count, place) if side_by_side else [place(at) for at in in_turn] or [place(slice(0, 0))]
+    placed = in_pieces(count, place) if side_by_side else [place(at) for at in slices_of(count, _IN_TURN)]
     fates = np.stack([fates for fates, _ in placed]).sum(axis=0)
     agreeing = count - int(fates[[_OUTSIDE, _BEHIND, _DISAGREEING]].sum())
     squared_trend = sum(squared for _, squared in placed)

@@ -86,13 +86,14 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
     for name, extent in zip(labels, reach, strict=True):
         if extent.count < 4:
             raise TooFewMatchesError(f"face {name} has {extent.count} matches; a homography needs at least four")
-    typical = _typical_sigma(matches, np.logical_or.reduce([label == name for name in labels]))
+    chosen = [label == name for name in labels]
+    typical = _typical_sigma(matches, np.logical_or.reduce(chosen))
 
-    def sampled(name: int) -> tuple[Matches, Reference]:
-        sample = matches[evenly(label == name, _SAMPLE)]
+    def sampled(own: Bools) -> tuple[Matches, Reference]:
+        sample = matches[evenly(own, _SAMPLE)]
         return sample, _reference(sample, typical)
 
-    samples, references = zip(*in_parallel(sampled, labels), strict=True)
+    samples, references = zip(*in_parallel(sampled, chosen), strict=True)
     rasters = [_raster(extent) for extent in reach]
     limits = [(_OUTLIER_SIGMAS * reference.sigma) ** 2 for reference in references]
     sums = sums_over_cells(matches, label, slot, references, rasters, limits, typical)

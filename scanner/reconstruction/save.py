@@ -88,7 +88,6 @@ class MatchesAhead:
 
 
 def _write_matches(place: Path, capture: Decoded) -> None:
-    place.mkdir(parents=True, exist_ok=True)
     write_matches(place / MATCHES_FILE, capture.matches, capture.plane, capture.only_axis)
 
 
