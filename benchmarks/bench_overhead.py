@@ -1,13 +1,13 @@
-"""What a frame costs beside its exposure, for every pattern, with pictures in flight and in turns.
+"""What a frame costs beside its exposure, for every pattern, pipelined and sequential.
 
     python benchmarks/bench_overhead.py
 
 On the loopback rig, with a whole sequence (the standard one unless told otherwise), recorded and decoded as in a scan.
 Of `quick` and `concave` each frame bears its share of the pictures that prove bits without inverses. Both ways take
 turns on the same rig, so that other load on the machine is the same for both; "of limit" is the ratio to the limit,
-1.3 exposures. In turns comes first: the simulated light of a picture that was never shown takes a processor 25 ms, and
-the loopback camera keeps it; nothing of a real rig competes with the scan so. Also: how soon Ctrl-C answers, and what
-a scan leaves behind in memory. Needs what `make rig` installs, and a machine with nothing else to do.
+1.3 exposures. Sequential comes first: the simulated light of a picture that was never shown takes a processor 25 ms,
+and the loopback camera keeps it; nothing of a real rig competes with the scan so. Also: how soon Ctrl-C answers, and
+what a scan leaves behind in memory. Needs what `make rig` installs, and a machine with nothing else to do.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from hw.errors import DeviceError
 from hw.loopback.launcher import loopback_rig
 from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.open_rig import open_rig
-from hw.synchronisation import SynchronisedRig
+from hw.timing.synchronisation import SynchronisedRig
 from scanner.capture import capture, record
 from scanner.configuration import Config, load_config
 from scanner.decoding import Decoder
@@ -46,8 +46,8 @@ def one_capture(rig: SynchronisedRig, config: Config, folder: Path) -> tuple[flo
         for _, frame in stream.frames:
             add(frame.image)
     found = cast(dict[str, float], rig.account()["synchronisation"])
-    exposures = found["ms_per_frame"] / 1e3 / rig.turns.exposure_s
-    apart = "" if rig.flight is None else f" (at last {1e3 * rig.flight.period_s:.1f} ms apart)"
+    exposures = found["ms_per_frame"] / 1e3 / rig.sequential.exposure_s
+    apart = "" if rig.pipelined is None else f" (at last {1e3 * rig.pipelined.period_s:.1f} ms apart)"
     return exposures, (
         f"{found['ms_per_frame']:6.1f} ms a frame{apart}, {exposures:.2f} exposures, {exposures / LIMIT:.2f} of limit; "
         f"{found['retriggered_frames']} retaken, {found.get('missed_in_flight', 0)} missed, "
@@ -88,12 +88,12 @@ def measure(config: Config, latencies_ms: list[float], scans: int) -> None:
     for number, latency_ms in enumerate(latencies_ms):
         settings = LoopbackSettings(camera_size=config.camera_size, conditions=Conditions(latency_ms=latency_ms))
         with loopback_rig(settings, config.projector_size), tempfile.TemporaryDirectory() as folder:
-            found: dict[str, list[float]] = {"in turns": [], "in flight": []}
+            found: dict[str, list[float]] = {"sequential": [], "pipelined": []}
             for scan in range(scans):
                 with open_rig(config.required_rig, config.camera_size, config.projector_size) as opened:
                     rig = cast(SynchronisedRig, opened.rig)
-                    flying = "not at all" if rig.flight is None else f"{rig.flight.rhythm.in_flight} at once"
-                    for way, used in (("in turns", replace(rig, flight=None)), ("in flight", rig)):
+                    flying = "not at all" if rig.pipelined is None else f"{rig.pipelined.rhythm.outstanding} at once"
+                    for way, used in (("sequential", replace(rig, pipelined=None)), ("pipelined", rig)):
                         exposures, line = one_capture(used, config, Path(folder) / f"{way} {scan}")
                         found[way].append(exposures)
                         print(f"latency {latency_ms:3.0f} ms, {way} ({flying}): {line}", flush=True)

@@ -16,7 +16,7 @@ _ROOT = Path(__file__).parents[1]
 _TARGET = Path(__file__).parent / "images" / "architecture.png"
 # The way of a frame, as in architecture.md.
 _WAY = {
-    "hw/synchronisation": 1,
+    "hw/timing": 1,
     "scanner/capture": 2,
     "scanner/decoding": 3,
     "calib/plane_segmentation": 4,

@@ -7,13 +7,13 @@ from types import ModuleType
 
 from calib.geometry import Calibration, Motion
 from hw.errors import DeviceError
-from hw.exposures import whole_periods
-from hw.projector_process import ScreenProjector
+from hw.projector.process import ScreenProjector
 from hw.rig import Rig
 from hw.settings import AravisRigSettings, RigSettings, SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
-from hw.synchronisation import synchronised
+from hw.timing.exposures import whole_periods
+from hw.timing.synchronisation import synchronised
 
 MISSING_ARAVIS = (
     "cameras need Aravis and PyGObject, which are not installed: apt-get install gir1.2-aravis-0.8 "
@@ -81,9 +81,9 @@ def _real(
 
 
 def import_aravis() -> ModuleType:
-    """The module `hw.aravis_camera`. Raises DeviceError, naming what to install, if what it needs is not there."""
+    """The module `hw.aravis.camera`. Raises DeviceError, naming what to install, if what it needs is not there."""
     try:
-        from hw import aravis_camera  # only now, for most users have no Aravis
+        from hw.aravis import camera  # only now, for most users have no Aravis
     except (ImportError, ValueError) as error:  # ValueError: gi is there, Aravis is not
         raise DeviceError(MISSING_ARAVIS) from error
-    return aravis_camera
+    return camera

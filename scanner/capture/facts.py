@@ -59,7 +59,7 @@ def _line(value: object) -> str:
 
 
 def _synchronisation(measured: object) -> dict[str, str]:
-    """What a rig of real devices has written down about taking turns, as far as it did."""
+    """What a rig of real devices has written down about its acquisition, as far as it did."""
     if not isinstance(measured, Mapping):
         return {}
     rows = {

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from hw.errors import OverexposedError
-from hw.flashes import LOST_ADVICE
 from hw.open_rig import open_rig
 from hw.rig import Rig
 from hw.settings import AravisRigSettings
-from hw.synchronisation import SynchronisedRig
+from hw.timing.latency import LOST_ADVICE
+from hw.timing.synchronisation import SynchronisedRig
 from scanner.checking.report import CheckRow, State
 from scanner.configuration import Config
 
@@ -63,8 +63,8 @@ def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
     """Whether the frames of the last capture came at the first attempt; nothing for rigs that lose none."""
     if not isinstance(rig, SynchronisedRig):
         return
-    taken, again = rig.turns.tally.taken, rig.turns.tally.retriggered
-    per_frame = f"{1e3 * rig.turns.tally.seconds_per_frame:.0f} ms per frame"
+    taken, again = rig.sequential.tally.taken, rig.sequential.tally.retriggered
+    per_frame = f"{1e3 * rig.sequential.tally.seconds_per_frame:.0f} ms per frame"
     if again <= _MANY_RETAKEN * taken:
         yield CheckRow("transfer", State.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
     else:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from hw.cameras import CameraInfo
 from hw.errors import DeviceError
 from hw.open_rig import import_aravis
-from hw.projector_process import list_screens
-from hw.screens import Screen
+from hw.projector.process import list_screens
+from hw.projector.screens import Screen
 from scanner.ui import Terminal
 
 _PREFERRED_FORMATS = ("Mono8", "BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8")

@@ -9,8 +9,8 @@ from hw.errors import DeviceError
 from hw.rig import Rig, exposure_control
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera
-from hw.synchronisation import synchronised
-from hw.turns import Timing, Turns
+from hw.timing.sequential import SequentialAcquisition, Timing
+from hw.timing.synchronisation import synchronised
 from scanner.capture.stream import capture
 from scanner.patterns.pattern import Black, White, draw, sequence_for
 from tests.support.rig_bench import SIZE, Bench
@@ -35,7 +35,11 @@ class AdjustableBench(Bench):
 def test_the_exposure_changes_when_the_frame_before_has_arrived(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = AdjustableBench().install(monkeypatch)
     picture = np.full(SIZE[::-1], 200, np.uint8)
-    list(Turns(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames([picture] * 3, (10_000.0, 20_000.0)))
+    list(
+        SequentialAcquisition(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames(
+            [picture] * 3, (10_000.0, 20_000.0)
+        )
+    )
     assert [event for event in bench.log if event not in ("prepare", "flip")] == [
         *("expose for 10000", "expose", "collect"),
         *("expose for 20000", "expose", "collect"),
@@ -72,7 +76,7 @@ def test_the_latency_of_a_picture_is_waited_for_once(monkeypatch: pytest.MonkeyP
         expected = share * (10 + 12 * np.where(lit, draw(pattern, SIZE).astype(int), 0))
         np.testing.assert_allclose(frame.image, expected, atol=1)
     assert bench.log.count("flip") == len(patterns)
-    per_picture_s = rig.turns.tally.elapsed_s / len(patterns)
+    per_picture_s = rig.sequential.tally.elapsed_s / len(patterns)
     assert 0 < per_picture_s - (latency_ms / 1e3 + 0.06) < 0.025  # three transfers, and a margin
 
 

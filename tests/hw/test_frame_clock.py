@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hw.frame_clock import FrameClock
+from hw.aravis.frame_clock import FrameClock
 
 EXPOSURE_S, INTERVAL_S, OFFSET_S, READOUT_S = 0.03, 0.04, 1.7e9, 0.012
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hw.synchronisation import synchronised
+from hw.timing.synchronisation import synchronised
 from scanner.patterns import draw, level_groups, sequence_for
 from tests.support.rig_bench import Bench
 
@@ -44,6 +44,6 @@ def test_more_than_two_per_cent_of_a_neighbour_are_found(
         bench.delay(number + (late_ms < 0), (late_ms - np.sign(late_ms) * less_ms) / 1e3)
         frames = list(rig.photograph(shown, level=level_groups(PATTERNS)))
         most.append(max(held(shown, frame.image, index) for index, frame in enumerate(frames)))
-        assert rig.flight is not None
-        assert (rig.flight.doubted > 0) == (less_ms == 0)
+        assert rig.pipelined is not None
+        assert (rig.pipelined.doubted > 0) == (less_ms == 0)
     assert 0 < most[0] < 0.002 < most[1] < 0.01

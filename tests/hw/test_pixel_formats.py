@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import DTypeLike
 
-from hw.pixel_formats import pixel_format
+from hw.aravis.pixel_formats import pixel_format
 
 
 def packed_bits(numbers: np.ndarray, bits: int) -> bytes:

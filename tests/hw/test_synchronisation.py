@@ -1,4 +1,4 @@
-"""Taking turns, on a bench whose clock stands still while nothing happens."""
+"""Sequential acquisition, on a bench whose clock stands still while nothing happens."""
 
 from typing import cast
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
-from hw.synchronisation import synchronised
-from hw.turns import Timing, Turns
+from hw.timing.sequential import SequentialAcquisition, Timing
+from hw.timing.synchronisation import synchronised
 from tests.support.rig_bench import SIZE, Bench
 
 
@@ -61,8 +61,8 @@ def test_retriggered_frames_are_counted(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_the_next_picture_goes_up_while_the_last_frame_is_transferred(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
-    turns = Turns(bench, bench, Timing(0.05, 0.054, overlaps=True))
-    list(turns.frames(pictures(3)))
+    sequential = SequentialAcquisition(bench, bench, Timing(0.05, 0.054, overlaps=True))
+    list(sequential.frames(pictures(3)))
     assert bench.log == [
         *("prepare", "flip", "prepare", "expose", "flip", "collect"),
         *("prepare", "expose", "flip", "collect", "expose", "collect"),
@@ -71,13 +71,13 @@ def test_the_next_picture_goes_up_while_the_last_frame_is_transferred(monkeypatc
 
 def test_without_overlap_a_picture_waits_for_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
-    list(Turns(bench, bench, Timing(0.0, 0.004, overlaps=False)).frames(pictures(2)))
+    list(SequentialAcquisition(bench, bench, Timing(0.0, 0.004, overlaps=False)).frames(pictures(2)))
     assert bench.log == ["prepare", "flip", "prepare", "expose", "collect", "flip", "expose", "collect"]
 
 
 def test_a_frame_is_taken_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
-    frames = Turns(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames(pictures(3))
+    frames = SequentialAcquisition(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames(pictures(3))
     assert bench.exposures == 0
     next(frames)
     assert bench.exposures == 1
@@ -106,7 +106,7 @@ def test_a_rolling_shutter_lets_no_pictures_overlap(monkeypatch: pytest.MonkeyPa
 
 def test_no_pictures_no_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
-    assert list(Turns(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames([])) == []
+    assert list(SequentialAcquisition(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames([])) == []
 
 
 @pytest.mark.parametrize(

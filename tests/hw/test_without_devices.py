@@ -9,7 +9,7 @@ import pytest
 
 from hw.errors import DeviceError
 from hw.open_rig import import_aravis, open_rig
-from hw.projector_process import ScreenProjector, list_screens
+from hw.projector.process import ScreenProjector, list_screens
 from hw.settings import AravisRigSettings
 from scanner.commands import devices
 from scanner.commands.main import main
@@ -21,7 +21,7 @@ from tests.support.places import ROOT
 @pytest.fixture
 def no_aravis(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gi", None)
-    for module in ("hw.aravis_camera", "hw.aravis_setup", "hw.aravis_devices"):
+    for module in ("hw.aravis.camera", "hw.aravis.setup", "hw.aravis.devices"):
         monkeypatch.delitem(sys.modules, module, raising=False)
         monkeypatch.delattr(module, raising=False)
 

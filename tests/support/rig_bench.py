@@ -10,7 +10,7 @@ import pytest
 from calib.numerics.array_types import Image
 from hw.errors import FrameLostError
 from hw.rig import Frame
-from hw.timed_devices import Swap, nothing
+from hw.timing.devices import Swap, nothing
 
 SIZE = (8, 6)
 
@@ -60,7 +60,12 @@ class Bench:
 
     def install(self, monkeypatch: pytest.MonkeyPatch) -> "Bench":
         clock = SimpleNamespace(monotonic=lambda: self.now, sleep=self._sleep)
-        for module in ("hw.flashes", "hw.turns", "hw.flight", "hw.appointments"):
+        for module in (
+            "hw.timing.latency",
+            "hw.timing.sequential",
+            "hw.timing.pipelined",
+            "hw.timing.trigger_schedule",
+        ):
             monkeypatch.setattr(f"{module}.time", clock)
         return self
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hw.open_rig import import_aravis, open_rig
-from hw.projector_process import list_screens
-from hw.synchronisation import SynchronisedRig
+from hw.projector.process import list_screens
+from hw.timing.synchronisation import SynchronisedRig
 from scanner.capture.stream import capture
 from scanner.configuration.schema import Config, load_config
 from scanner.patterns.pattern import Axis, Black, Gray, Pattern, White
@@ -73,7 +73,7 @@ def test_each_frame_shows_its_own_pattern(rig: SynchronisedRig) -> None:
 
 def test_a_scan_costs_little_more_than_its_light(rig: SynchronisedRig) -> None:
     list(capture(rig, (White(), Black()) * 10).frames)
-    assert rig.turns.tally.retriggered <= 2
+    assert rig.sequential.tally.retriggered <= 2
     assert rig.overhead < 1.0
 
 

@@ -30,7 +30,7 @@ def nothing() -> None:
 
 
 class BufferedProjector(Projector, Protocol):
-    """A projector whose next picture can be drawn before it is shown, and that keeps appointments."""
+    """A projector whose next picture can be drawn before it is shown, and that keeps a schedule."""
 
     def prepare(self, image: Image) -> None:
         """Draw an (H, W) 8-bit image where nobody sees it yet. Raises DeviceError."""

@@ -26,7 +26,7 @@ _CROSSED = 0.1  # of correlations of steps; where the camera sees but few period
 
 
 @dataclass(frozen=True)
-class LevelSums:
+class ComplementarySums:
     """Judges frames at pixels (N,) that the projector lights: `dark` (N,) and `contrast` (N,) are of black and white.
 
     The second half of all pixels are each near their counterpart in the first.
@@ -153,7 +153,9 @@ def _explained(terms: Floats, values: Floats) -> Floats:
     return found
 
 
-def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float) -> LevelSums:
+def complementary_sums(
+    dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float
+) -> ComplementarySums:
     """From frames of black and of white at rest, and the pixels (H, W) that tell them apart."""
     pixels = _pairs(lit)
     levels = [np.stack([_grey(image[pixels]) for image in images]) for images in (dark, bright)]
@@ -162,7 +164,7 @@ def level_sums(dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, 
     variances = [float(np.mean(np.diff(frames, axis=0) ** 2 / 2 / contrast**2)) for frames in levels]
     by_chance = 6 * np.sqrt(_MOST_TERMS * variances[1] / len(pixels[0]))
     tolerance = max(_LEAST_TOLERANCE, tolerance) + float(4 * variances[1] + by_chance)
-    return LevelSums(pixels, levels[0].mean(axis=0), contrast, tolerance, float(np.mean(variances)))
+    return ComplementarySums(pixels, levels[0].mean(axis=0), contrast, tolerance, float(np.mean(variances)))
 
 
 def _pairs(lit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Latency of a projector, measured with flashes: black and white pictures that tell how late its light follows."""
+"""Latency of a projector, calibrated with flashes: black and white pictures that tell how late its light follows."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -11,9 +11,9 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Image, grey
 from hw.errors import DeviceError, FrameLostError, OverexposedError
-from hw.level_sums import LevelSums, level_sums
 from hw.rig import Frame
-from hw.timed_devices import ATTEMPTS, BufferedProjector, TriggeredCamera
+from hw.timing.complementary_sums import ComplementarySums, complementary_sums
+from hw.timing.devices import ATTEMPTS, BufferedProjector, TriggeredCamera
 
 _LONGEST_LATENCY_S = 0.3
 _RESTING_FRAMES = 3
@@ -60,7 +60,7 @@ class Latency:
     cycle_s: float
 
 
-class Flashes:
+class LatencyCalibration:
     """Measures, with frames of black and white pictures, what share of the light of a new picture an exposure missed.
 
     Construction learns what the camera sees of resting pictures. Raises DeviceError if it sees no difference.
@@ -79,7 +79,7 @@ class Flashes:
         self._dark, self._bright = levels.mean(axis=1)
         noise = np.max(np.ptp(levels, axis=1) / (self._bright - self._dark))
         self.tolerance = max(_LEAST_TOLERANCE, 3.0 * float(noise))
-        self.sums: LevelSums = level_sums(dark, bright, self._lit, self.tolerance)
+        self.sums: ComplementarySums = complementary_sums(dark, bright, self._lit, self.tolerance)
 
     def latency(self) -> Latency:
         """How late light follows a swap, the soonest and the latest of several flashes.
@@ -119,7 +119,7 @@ class Flashes:
     def largest_missing_share(
         self, frames: Callable[[Iterable[Image]], Iterator[Frame]], count: int = _REHEARSED
     ) -> float:
-        """Take frames of black and white in turns by `frames`; the largest share by which a part of one differs
+        """Take frames of black and white alternately by `frames`; the largest share by which a part of one differs
         from rest."""
         targets = list(islice(cycle((1 - self._shown, self._shown)), count))
         taken = frames(self._pictures[target] for target in targets)

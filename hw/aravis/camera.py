@@ -12,14 +12,14 @@ from contextlib import contextmanager, suppress
 from statistics import median
 from typing import Any, Self
 
-from hw.aravis_devices import Aravis, GLib, list_cameras, open_camera
-from hw.aravis_setup import configure, differs, expect, read_back, start
+from hw.aravis.devices import Aravis, GLib, list_cameras, open_camera
+from hw.aravis.frame_clock import FrameClock
+from hw.aravis.setup import configure, differs, expect, read_back, start
 from hw.errors import DeviceError, FrameLostError
-from hw.exposures import whole_periods
-from hw.frame_clock import FrameClock
 from hw.rig import Frame
 from hw.settings import AravisRigSettings
-from hw.timed_devices import ATTEMPTS, TRIGGER_LAG_S, nothing
+from hw.timing.devices import ATTEMPTS, TRIGGER_LAG_S, nothing
+from hw.timing.exposures import whole_periods
 
 __all__ = ["AravisCamera", "list_cameras"]
 

@@ -1,8 +1,8 @@
-"""How much time there is between pictures in flight: what the last frames needed."""
+"""How much time there is between pictures in pipelined acquisition: what the last frames needed."""
 
 from collections import deque
 
-from hw.appointments import HEADWAY_S, SLACK_S, Pace
+from hw.timing.trigger_schedule import HEADWAY_S, SLACK_S, Pace
 
 _LATELY = 16  # frames
 _SINGLE = 1  # of these: what holds up one costs that frame, and does not slow down all that follow
@@ -12,7 +12,7 @@ _USUALLY = 0.75  # of the frames: what the rest take longer, a picture's slack m
 _FEW, _MANY = 8, 3  # so many misses in so few frames: pictures are not caught
 
 
-class Punctuality:
+class TriggerJitter:
     """Learns from every frame how late its exposure began, and how long it was until the camera was ready again."""
 
     def __init__(self, rhythm: Pace) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hw.level_sums import LevelSums, level_sums
+from hw.timing.complementary_sums import ComplementarySums, complementary_sums
 
 SIZE = (60, 80)
 STRIPES = [16, 8, 4, 32]
@@ -32,9 +32,9 @@ class Scene:
         light = self._reflects * (0.9 * shown / 255 + 0.1 * shown.mean() / 255) + 8
         return (light + self._noise * self._rng.standard_normal(SIZE)).clip(0, 255).astype(np.uint8)
 
-    def sums(self) -> LevelSums:
+    def sums(self) -> ComplementarySums:
         dark, bright = ([self.frame(np.full(SIZE, level, np.uint8)) for _ in range(3)] for level in (0, 255))
-        return level_sums(dark, bright, np.ones(SIZE, bool), 0.005)
+        return complementary_sums(dark, bright, np.ones(SIZE, bool), 0.005)
 
 
 def foreign(shown: list[np.ndarray], group: tuple[int, int], noise: float = 1.5) -> tuple[float, float]:
@@ -127,5 +127,5 @@ def test_black_that_is_late_again_is_not_the_scene_s_own() -> None:
 
 def test_colour_cameras_see_grey() -> None:
     image = np.arange(60 * 80 * 3, dtype=np.uint16).reshape(60, 80, 3)
-    sums = level_sums([image * 0] * 3, [image * 0 + 100] * 3, np.ones(SIZE, bool), 0.005)
+    sums = complementary_sums([image * 0] * 3, [image * 0 + 100] * 3, np.ones(SIZE, bool), 0.005)
     np.testing.assert_allclose(sums.seen(image), image.mean(axis=2)[sums.pixels] / 100)

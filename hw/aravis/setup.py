@@ -7,10 +7,10 @@ answer.
 
 from typing import Any
 
-from hw.aravis_devices import Aravis
+from hw.aravis.devices import Aravis
+from hw.aravis.pixel_formats import PixelFormat, pixel_format
+from hw.aravis.receive_buffer import receive_buffer
 from hw.errors import DeviceError
-from hw.pixel_formats import PixelFormat, pixel_format
-from hw.receive_buffer import receive_buffer
 from hw.settings import AravisRigSettings
 
 _BUFFERS = 4

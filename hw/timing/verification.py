@@ -1,4 +1,4 @@
-"""What proves frames: groups of them that light every place alike together, or an even number of times, judged when all
+"""Frame verification: groups of them that light every place alike together, or an even number of times, judged when all
 that may show in them is known: the frames themselves, and those of the pictures that were on the wall beside them.
 """
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from calib.numerics import Floats, Image
-from hw.level_sums import LevelSums
-from hw.numbered_pictures import NumberedPictures
-from hw.parity import mixed_share, odd_share
+from hw.timing.complementary_sums import ComplementarySums
+from hw.timing.numbered_pictures import NumberedPictures
+from hw.timing.parity_check import mixed_share, odd_share
 
 Group = tuple[int, ...]
 
@@ -22,14 +22,14 @@ class Look:
     beside: dict[int, set[int]]
 
 
-class Proofs:
+class FrameVerification:
     """Of the frames of some pictures; groups are of numbers: `level` ones light every place alike together, `even` ones
-    an even number of times (`hw/parity.py`). `judged`: groups that can be judged and are not proven yet.
+    an even number of times (`hw/timing/parity_check.py`). `judged`: groups that can be judged and are not proven yet.
     """
 
     def __init__(
         self,
-        sums: LevelSums,
+        sums: ComplementarySums,
         pictures: NumberedPictures,
         level: Iterable[Sequence[int]],
         even: Iterable[Sequence[int]] = (),
@@ -57,7 +57,7 @@ class Proofs:
         return any(other in group for other in others)
 
     def stood_beside(self, number: int, others: Iterable[int]) -> None:
-        """These pictures were on the wall before and after that one, when it was last taken, in flight."""
+        """These pictures were on the wall before and after that one, when it was last taken, pipelined."""
         self._beside[number] = {*others} - {number}
 
     def stood_in_row(self, numbers: Sequence[int], before: Collection[int]) -> None:

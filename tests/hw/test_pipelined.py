@@ -1,4 +1,4 @@
-"""Pictures in flight, on a bench whose clock stands still while nothing happens."""
+"""Pipelined acquisition, on a bench whose clock stands still while nothing happens."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
-from hw.synchronisation import SynchronisedRig, synchronised
-from hw.timed_devices import nothing
+from hw.timing.devices import nothing
+from hw.timing.synchronisation import SynchronisedRig, synchronised
 from scanner.patterns import draw, level_groups, sequence_for, unpaired_bits
 from tests.support.rig_bench import SIZE, Bench
 
@@ -56,33 +56,33 @@ def test_a_frame_takes_its_exposure_and_a_margin_whatever_the_latency(
 ) -> None:
     bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001, lag_s=0.001)
     rig = scanned(monkeypatch, bench)
-    assert rig.flight is not None
-    assert (rig.flight.missed, rig.flight.doubted) == (0, 0)
+    assert rig.pipelined is not None
+    assert (rig.pipelined.missed, rig.pipelined.doubted) == (0, 0)
     beside = latency_ms / 1e3 / COUNT  # the first picture's light is waited for
-    assert 1.1 < (rig.turns.tally.seconds_per_frame - beside) / bench.exposure_s < 1.23
-    assert rig.flight.rhythm.in_flight == pytest.approx(latency_ms / 40, abs=1.1)
+    assert 1.1 < (rig.sequential.tally.seconds_per_frame - beside) / bench.exposure_s < 1.23
+    assert rig.pipelined.rhythm.outstanding == pytest.approx(latency_ms / 40, abs=1.1)
 
 
 def test_pictures_are_sent_on_their_way_during_exposures(monkeypatch: pytest.MonkeyPatch) -> None:
     """What that takes is no part of a frame's time."""
     rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.002, sending_s=0.008))
-    assert rig.flight is not None
-    assert rig.flight.missed == 0
-    assert 1.1 < (rig.turns.tally.seconds_per_frame - 0.05 / COUNT) / (1 / 30) < 1.23
+    assert rig.pipelined is not None
+    assert rig.pipelined.missed == 0
+    assert 1.1 < (rig.sequential.tally.seconds_per_frame - 0.05 / COUNT) / (1 / 30) < 1.23
 
 
 def test_a_slow_transfer_sets_the_pace(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = scanned(monkeypatch, Bench(0.12, transfer_s=0.045))
-    assert rig.flight is not None
-    assert rig.flight.missed <= 1
-    assert rig.turns.tally.seconds_per_frame == pytest.approx(1 / 30 + 0.045, rel=0.1)
+    assert rig.pipelined is not None
+    assert rig.pipelined.missed <= 1
+    assert rig.sequential.tally.seconds_per_frame == pytest.approx(1 / 30 + 0.045, rel=0.1)
 
 
 @pytest.mark.parametrize("lost", [frozenset({40, 41, 60}), frozenset(range(40, 200, 3))])
 @pytest.mark.parametrize("latency_ms", [0, 50, 120])
 def test_lost_frames_are_taken_again(monkeypatch: pytest.MonkeyPatch, latency_ms: float, lost: frozenset[int]) -> None:
     rig = scanned(monkeypatch, Bench(latency_ms / 1e3, transfer_s=0.005, lost=lost))
-    assert rig.turns.tally.retriggered >= 2
+    assert rig.sequential.tally.retriggered >= 2
 
 
 @pytest.mark.parametrize("latency_ms", [5, 50, 120])
@@ -90,8 +90,8 @@ def test_pictures_that_came_late_without_a_word_are_found_out(
     monkeypatch: pytest.MonkeyPatch, latency_ms: float
 ) -> None:
     rig = scanned(monkeypatch, Bench(latency_ms / 1e3, transfer_s=0.005), late_every=9)
-    assert rig.flight is not None
-    assert 4 <= rig.flight.doubted <= 20
+    assert rig.pipelined is not None
+    assert 4 <= rig.pipelined.doubted <= 20
 
 
 @pytest.mark.parametrize("seed", [1, 14])
@@ -101,7 +101,7 @@ def test_a_picture_that_is_late_again_when_it_is_taken_again_is_found_out(
     """The same one, of a group whose frames follow each other as before: twice the same is not the scene's own."""
     bench = Bench(0.12, transfer_s=0.005, jitter_s=0.008, lag_s=0.001, seed=seed)
     rig = scanned(monkeypatch, bench, late_every=9, foreign=_UNTOLD)
-    assert rig.turns.tally.retriggered > 6
+    assert rig.sequential.tally.retriggered > 6
 
 
 @pytest.mark.parametrize("latency_ms", [20, 50, 120])
@@ -115,8 +115,8 @@ def test_a_lost_frame_costs_the_time_of_one(monkeypatch: pytest.MonkeyPatch, lat
         shown = pictures()
         for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
             np.testing.assert_allclose(frame.image, expected(picture), atol=7)
-        lost[loses] = rig.turns.tally.elapsed_s / bench.exposure_s
-        assert rig.turns.tally.retriggered == loses
+        lost[loses] = rig.sequential.tally.elapsed_s / bench.exposure_s
+        assert rig.sequential.tally.retriggered == loses
     assert 1 < lost[True] - lost[False] < 2  # the slack that it asks for fades
 
 
@@ -132,16 +132,16 @@ def test_a_single_late_picture_costs_no_landing(monkeypatch: pytest.MonkeyPatch,
         shown = pictures()
         for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
             np.testing.assert_allclose(frame.image, expected(picture), atol=0.0023 * _WHITE)
-        assert rig.flight is not None
-        assert rig.flight.doubted == 2 * late
-        elapsed.append(rig.turns.tally.elapsed_s / bench.exposure_s)
+        assert rig.pipelined is not None
+        assert rig.pipelined.doubted == 2 * late
+        elapsed.append(rig.sequential.tally.elapsed_s / bench.exposure_s)
     assert 2 < elapsed[1] - elapsed[0] < 4
 
 
 def test_jitter_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """A picture that is a little later than any flash was leaves no more of the last one than cannot be told."""
     rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, jitter_s=0.015), foreign=_UNTOLD)
-    assert 1.3 < rig.turns.tally.seconds_per_frame * 30 < 3
+    assert 1.3 < rig.sequential.tally.seconds_per_frame * 30 < 3
 
 
 def test_how_late_exposures_begin_is_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,16 +154,16 @@ def test_how_late_exposures_begin_is_learnt(monkeypatch: pytest.MonkeyPatch) -> 
         shown = pictures()
         for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
             np.testing.assert_allclose(frame.image, expected(picture), atol=0.0023 * _WHITE)
-        assert rig.flight is not None
-        missed.append(rig.flight.missed)
+        assert rig.pipelined is not None
+        missed.append(rig.pipelined.missed)
     assert missed[0] <= 1 < missed[1] < COUNT / 4
 
 
 def test_a_rolling_shutter_is_read_out_before_the_next_light(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = scanned(monkeypatch, Bench(0.02, readout_s=0.06, transfer_s=0.08))
-    assert 1 / 30 + 0.08 < rig.turns.tally.seconds_per_frame < 1.1 * (1 / 30 + 0.08)
+    assert 1 / 30 + 0.08 < rig.sequential.tally.seconds_per_frame < 1.1 * (1 / 30 + 0.08)
     rig = scanned(monkeypatch, Bench(0.05, readout_s=0.01, transfer_s=0.01))
-    assert 1 / 30 + 0.01 < rig.turns.tally.seconds_per_frame < 1.6 / 30
+    assert 1 / 30 + 0.01 < rig.sequential.tally.seconds_per_frame < 1.6 / 30
 
 
 def test_noise_casts_no_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,8 +172,8 @@ def test_noise_casts_no_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = pictures()
     for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
         np.testing.assert_allclose(frame.image, expected(picture), atol=300)
-    assert rig.flight is not None
-    assert rig.flight.doubted <= 2
+    assert rig.pipelined is not None
+    assert rig.pipelined.doubted <= 2
 
 
 def test_pictures_that_nothing_proves_are_taken_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,7 +185,7 @@ def test_pictures_that_nothing_proves_are_taken_at_rest(monkeypatch: pytest.Monk
         np.testing.assert_allclose(frame.image, expected(picture), atol=2)
     begun = bench.log[-bench.log[::-1].index("prepare") :]
     assert begun  # the pictures in turns are flipped one by one
-    assert rig.turns.tally.seconds_per_frame > 0.06
+    assert rig.sequential.tally.seconds_per_frame > 0.06
 
 
 QUICK_SIZE = (96, 64)
@@ -221,10 +221,10 @@ def test_bits_without_inverses_fly_too(monkeypatch: pytest.MonkeyPatch, latency_
     """One more picture for each axis, that nobody sees, is what this costs."""
     bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001, noise=30.0, size=QUICK_SIZE)
     rig = scanned_without_inverses(monkeypatch, bench, noise=30.0)
-    assert rig.flight is not None
-    assert (rig.flight.missed, rig.flight.doubted) == (0, 0)
+    assert rig.pipelined is not None
+    assert (rig.pipelined.missed, rig.pipelined.doubted) == (0, 0)
     count = len(QUICK)
-    exposures = (rig.turns.tally.elapsed_s - latency_ms / 1e3) / bench.exposure_s
+    exposures = (rig.sequential.tally.elapsed_s - latency_ms / 1e3) / bench.exposure_s
     assert 1.1 * (count + 2) < exposures < 1.3 * (count + 2)
 
 
@@ -236,8 +236,8 @@ def test_bits_without_inverses_that_came_late_without_a_word_are_found_out(
     """By half an exposure, or by a whole one: then a frame shows the picture before its own, and nothing else."""
     bench = Bench(0.05, exposure_s=exposure_s, transfer_s=0.003, size=QUICK_SIZE)
     rig = scanned_without_inverses(monkeypatch, bench, late_every=late_every)
-    assert rig.flight is not None
-    assert 1 <= rig.flight.doubted <= 30
+    assert rig.pipelined is not None
+    assert 1 <= rig.pipelined.doubted <= 30
 
 
 @pytest.mark.parametrize("seed", [219, 366, 460, 545])
@@ -247,23 +247,23 @@ def test_pictures_that_come_late_by_chance_on_a_busy_computer_are_found_out(
     """Beside black and white, which have no edges; after others of their own group; two steps of a fringe alike."""
     bench = Bench(0.05, transfer_s=0.005, jitter_s=0.001, lag_s=0.001, noise=30.0, seed=seed, size=QUICK_SIZE)
     rig = scanned_without_inverses(monkeypatch, bench, late_share=0.08, noise=30.0)
-    assert rig.turns.tally.retriggered > 0
+    assert rig.sequential.tally.retriggered > 0
 
 
 @pytest.mark.parametrize(("latency_ms", "most"), [(0, 3.3), (20, 3.3), (50, 2.5), (120, 2.5)])
 def test_a_free_running_camera_has_one_frame_between_two_pictures(
     monkeypatch: pytest.MonkeyPatch, latency_ms: float, most: float
 ) -> None:
-    """Light that is there before its next frame begins is hard to time: pictures take turns then."""
+    """Light that is there before its next frame begins is hard to time: pictures are taken sequentially then."""
     bench = Bench(latency_ms / 1e3, transfer_s=0.005)
     bench.wait_s = 1 / 29
     rig = scanned(monkeypatch, bench)
     beside = latency_ms / 1e3 / COUNT
-    assert 1.9 < (rig.turns.tally.seconds_per_frame - beside) / bench.exposure_s < most
-    assert (rig.flight is not None) == (latency_ms >= 50)
+    assert 1.9 < (rig.sequential.tally.seconds_per_frame - beside) / bench.exposure_s < most
+    assert (rig.pipelined is not None) == (latency_ms >= 50)
 
 
-def test_a_camera_of_which_nobody_knows_when_it_exposes_takes_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_of_which_nobody_knows_when_it_exposes_is_not_pipelined(monkeypatch: pytest.MonkeyPatch) -> None:
     class Untold(Bench):
         """It exposes when it is told, and does not say that it will."""
 
@@ -280,7 +280,7 @@ def test_a_camera_of_which_nobody_knows_when_it_exposes_takes_turns(monkeypatch:
             return moment
 
     bench = Untold(0.05).install(monkeypatch)
-    assert synchronised(bench, bench, {}).flight is None
+    assert synchronised(bench, bench, {}).pipelined is None
 
 
 def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -301,8 +301,8 @@ def test_what_proves_a_picture_may_come_much_later(monkeypatch: pytest.MonkeyPat
     around = [(number, 23 - number) for number in range(12)]
     for picture, frame in zip(shown, rig.photograph(shown, level=around), strict=True):
         np.testing.assert_allclose(frame.image, expected(picture), atol=7)
-    assert rig.flight is not None
-    assert rig.flight.doubted >= 2
+    assert rig.pipelined is not None
+    assert rig.pipelined.doubted >= 2
 
 
 def test_a_scan_that_is_given_up_leaves_no_picture_on_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -316,7 +316,7 @@ def test_a_scan_that_is_given_up_leaves_no_picture_on_its_way(monkeypatch: pytes
     np.testing.assert_allclose(frame.image, expected(pictures()[0]), atol=1)
 
 
-def test_in_a_scene_that_proves_nothing_pictures_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_in_a_scene_that_verifies_nothing_acquisition_is_sequential(monkeypatch: pytest.MonkeyPatch) -> None:
     """A picture's inverse is dark in this scene, where neighbouring pictures differ."""
     bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
@@ -325,9 +325,9 @@ def test_in_a_scene_that_proves_nothing_pictures_take_turns(monkeypatch: pytest.
         shown[number] = np.where(shown[number - 2] == 255, 0, shown[number]).astype(np.uint8)
     for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
         np.testing.assert_allclose(frame.image, expected(picture), atol=2)
-    assert rig.flight is not None
-    assert 6 <= rig.flight.doubted <= 10
-    assert rig.turns.tally.retriggered <= 10
+    assert rig.pipelined is not None
+    assert 6 <= rig.pipelined.doubted <= 10
+    assert rig.sequential.tally.retriggered <= 10
 
 
 def test_neighbours_are_never_alike() -> None:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hw.level_sums import level_sums
-from hw.parity import mixed_share, odd_share, with_parity
+from hw.timing.complementary_sums import complementary_sums
+from hw.timing.parity_check import mixed_share, odd_share, with_parity
 from scanner.patterns import draw, gray_sequence
 
 SIZE = (160, 120)
@@ -23,7 +23,7 @@ class Scene:
     def seen(self, shown: list[np.ndarray]) -> dict[int, np.ndarray]:
         black, white = (np.full(SIZE[::-1], level, np.uint8) for level in (0, 255))
         dark, bright = ([self._frame(each) for _ in range(3)] for each in (black, white))
-        sums = level_sums(dark, bright, _LIT, 0.005)
+        sums = complementary_sums(dark, bright, _LIT, 0.005)
         return {number: sums.seen(self._frame(picture)) for number, picture in enumerate(shown)}
 
     def _frame(self, shown: np.ndarray) -> np.ndarray:

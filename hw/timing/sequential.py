@@ -1,4 +1,4 @@
-"""A camera and a projector that take turns: flip, wait for the light, expose, flip to the next picture, which starts on
+"""Sequential acquisition: flip, wait for the light, expose, flip to the next picture, which starts on
 its way while the frame of the last one is still being transferred.
 
     screen      ▏picture 1                    ▏picture 2                      ▏
@@ -16,9 +16,9 @@ from itertools import chain, count, cycle
 
 from calib.numerics import Image
 from hw.errors import DeviceError, FrameLostError
-from hw.flashes import LOST_ADVICE
 from hw.rig import Frame, exposure_control
-from hw.timed_devices import ATTEMPTS, BufferedProjector, TriggeredCamera
+from hw.timing.devices import ATTEMPTS, BufferedProjector, TriggeredCamera
+from hw.timing.latency import LOST_ADVICE
 
 log = logging.getLogger(__name__)
 
@@ -60,8 +60,8 @@ class Tally:
         return self.elapsed_s / max(1, self.taken)
 
 
-class Turns:
-    """Frames of images, taken in turns by a projector and a camera; `tally` is what that cost."""
+class SequentialAcquisition:
+    """Frames of images, taken one after the other by a projector and a camera; `tally` is what that cost."""
 
     def __init__(self, projector: BufferedProjector, camera: TriggeredCamera, timing: Timing) -> None:
         self._projector = projector

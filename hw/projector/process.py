@@ -1,4 +1,4 @@
-"""The projector as the scanner sees it: a screen that a child process (`hw/pyglet_projector.py`) draws on."""
+"""The projector as the scanner sees it: a screen that a child process (`hw/projector/pyglet_window.py`) draws on."""
 
 import importlib.util
 import os
@@ -14,8 +14,8 @@ import numpy as np
 
 from calib.numerics import Image
 from hw.errors import DeviceError
-from hw.screens import Screen, choose_screen
-from hw.timed_devices import Swap
+from hw.projector.screens import Screen, choose_screen
+from hw.timing.devices import Swap
 
 # Waits that end in an error; the first start after an installation compiles shaders and byte code.
 _START_TIMEOUT_S = 60.0
@@ -38,7 +38,7 @@ class _WindowProcess:
         self._log = tempfile.TemporaryFile()  # a pipe would fill up and stop the child  # noqa: SIM115
         descriptor = theirs.fileno()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "hw.pyglet_projector", str(descriptor)],
+            [sys.executable, "-m", "hw.projector.pyglet_window", str(descriptor)],
             pass_fds=[descriptor],
             stdin=subprocess.DEVNULL,
             stdout=self._log,

@@ -1,4 +1,4 @@
-"""Pictures in flight through the real path; benchmarks/bench_wrong_frames.py has the long form."""
+"""Pipelined acquisition through the real path; benchmarks/bench_wrong_frames.py has the long form."""
 
 import subprocess
 import sys

@@ -1,8 +1,8 @@
 """The window on the projector's screen, in a process of its own; the only file that imports pyglet.
 
-`python -m hw.pyglet_projector FD` is started by `hw/projector_process.py`, which sends commands through the connection
-FD. The process is what makes the end of an X server survivable: Xlib ends the process that it is in. It also leaves
-the caller's main thread alone, on which some systems insist for windows.
+`python -m hw.projector.pyglet_window FD` is started by `hw/projector/process.py`, which sends commands through the
+connection FD. The process is what makes the end of an X server survivable: Xlib ends the process that it is in. It also
+leaves the caller's main thread alone, on which some systems insist for windows.
 """
 
 import signal
@@ -18,7 +18,7 @@ import pyglet
 from pyglet import gl
 
 from calib.numerics import Image
-from hw.screens import Screen
+from hw.projector.screens import Screen
 
 _IDLE_S = 0.05  # how often a window without orders looks after its events
 _PROBE_SEED = 1

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from math import ceil
 
 from calib.numerics import Image
-from hw.flashes import Latency
-from hw.timed_devices import BufferedProjector, Swap, TriggeredCamera
+from hw.timing.devices import BufferedProjector, Swap, TriggeredCamera
+from hw.timing.latency import Latency
 
 _STILL_THERE = 2
 SLACK_S = 0.002  # what trigger and swap may be late without a picture being missed, as long as nobody knows better
@@ -40,7 +40,7 @@ class Pace:
         return max(self.least_s + SLACK_S, self.cycle_s + HEADWAY_S)
 
     @property
-    def in_flight(self) -> int:
+    def outstanding(self) -> int:
         """How many pictures are on their way to the wall at most."""
         return ceil(self.lead_s / self.period_s)
 
@@ -62,7 +62,7 @@ def pace(measured: Latency, camera: TriggeredCamera, margin_s: float) -> Pace:
     return Pace(soonest_s, latest_s, measured.swapping_s, least_s, measured.cycle_s + wait_s, wait_s)
 
 
-class Appointments:
+class TriggerSchedule:
     """Slots of pictures, which have numbers; `slot` is the one whose picture is to be exposed next."""
 
     def __init__(self, projector: BufferedProjector, rhythm: Pace) -> None:
@@ -137,7 +137,7 @@ class Appointments:
     def settle(self, *shown: int) -> list[int]:
         """Let everything that is on its way be shown; returns what was to be exposed, which has no slots any more.
 
-        `shown`: pictures that have left since, otherwise than by appointment. Between those and the next there may be
+        `shown`: pictures that have left since, otherwise than by this schedule. Between those and the next there may be
         less than a period, so that the last but one may still be on the wall.
         """
         while self._planned:
