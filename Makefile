@@ -81,28 +81,39 @@ fuzz: $(VENV)/.dev
 $(BIN)/pip:
 	tools/make-venv $(PYTHON) $(VENV)
 
-$(VENV)/.runtime: pyproject.toml | $(BIN)/pip
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+# The program runs from this folder. A copy of it in $(VENV), as `pip install .` makes, or what is left of one, would be
+# found first: it goes, and the program is installed anew.
+PACKAGES := calib hw scanner
+COPIES   := $(wildcard $(addprefix $(VENV)/lib/python*/site-packages/,$(PACKAGES)))
+install   = $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.$(1)' && rm -rf $(COPIES)
+
+.PHONY: a-copy
+a-copy:
+
+$(VENV)/.runtime: pyproject.toml $(if $(COPIES),a-copy) | $(BIN)/pip
+	$(call install,)
 	@tools/system-packages --open3d || echo "Everything but scan room works without them."
 	@touch $@
 
-# Machine code is kept for each file, so a change costs only what it touches.
+# Machine code is kept for each file, in the user's cache folder, so a change costs only what it touches. Earlier versions
+# kept it beside the sources.
 $(VENV)/.compiled: $(shell grep -rl '^@compiled' calib hw scanner --include=*.py) | $(VENV)/.runtime
+	@find $(PACKAGES) -name '*.nb[ic]' -delete
 	$(BIN)/python tools/compile_ahead.py
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(BIN)/pip
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(call install,[dev])
 	@tools/system-packages --open3d || echo "Everything but scan room works without them; its tests will be SKIPPED."
 	@touch $@ $(VENV)/.runtime
 
 $(VENV)/.console: pyproject.toml | $(VENV)/.runtime
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[console]'
+	$(call install,[console])
 	@touch $@
 
 $(VENV)/.rig: pyproject.toml tools/system-packages | $(VENV)/.runtime
 	@tools/system-packages $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[rig]'
+	$(call install,[rig])
 	@touch $@
 
 clean:

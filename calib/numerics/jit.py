@@ -3,23 +3,24 @@
 NumPy passes over memory once for every operation. Where dozens of operations make up the answer for one pixel or one
 match, a compiled loop does all of them at once, many times as fast.
 
-The machine code is kept beside the source (in `__pycache__`, or in the user's cache folder where that cannot be
-written), so only the first run after a change waits for the compiler. It is renewed when the file with the function
-changes, and only then: a compiled function therefore uses functions and constants of its own file only, and gets
-everything else as arguments (a test sees to it).
+The machine code is kept in the user's cache folder (`code_cache.py`), so only the first run after a change waits for
+the compiler. It is made anew when the file with the function changes, and only then: a compiled function therefore uses
+functions and constants of its own file only, and gets everything else as arguments (a test sees to it).
 """
 
 from collections.abc import Callable
-from functools import partial
+from contextlib import suppress
 from typing import TypeVar, cast
 
 from numba import njit
-from numba.core import event
+from numba.core import config, event
+
+from calib.numerics.code_cache import MachineCode
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 # Sums may be reordered, and a product and a sum be one instruction; infinities and NaN keep their meaning.
-_ARITHMETIC = {"reassoc", "contract", "nsz"}
+_ARITHMETIC = ("contract", "nsz", "reassoc")
 
 
 def compiled(function: Function) -> Function:
@@ -27,11 +28,11 @@ def compiled(function: Function) -> Function:
 
     Threads run it side by side (`calib.numerics.chunks.in_pieces`); a division by zero gives infinity, as in NumPy.
     """
-    with_options = partial(njit, nogil=True, fastmath=_ARITHMETIC, error_model="numpy")
-    try:
-        return cast(Function, with_options(cache=True)(function))
-    except RuntimeError:  # no folder to keep machine code in
-        return cast(Function, with_options()(function))
+    fast = njit(nogil=True, fastmath=set(_ARITHMETIC), error_model="numpy")(function)
+    if not config.DISABLE_JIT:
+        with suppress(OSError):  # no source, or no folder to keep machine code in
+            setattr(fast, "_cache", MachineCode(function, f"{_ARITHMETIC} numpy"))  # noqa: B010, the type has none
+    return cast(Function, fast)
 
 
 def when_compiling(tell: Callable[[], None]) -> None:

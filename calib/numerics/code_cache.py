@@ -1,0 +1,129 @@
+"""Where the machine code of compiled functions is kept: in the user's cache folder, by what it was made from.
+
+Never beside the sources: a package may be installed where nobody can write, and a copy of it that is removed would
+leave folders with nothing but machine code behind, which Python takes for packages.
+
+The folder's name is a digest of all that the machine code depends on and Numba does not look at itself: the source
+file, its module's name, the options of compilation, the versions of Numba and NumPy, the processor. Copies of the
+same source share it; another version has a folder of its own, so several on one machine do not overwrite each other's.
+"""
+
+import hashlib
+import inspect
+import logging
+import os
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding
+import numba
+import numpy as np
+import platformdirs
+from numba.core import caching, config, sigutils
+
+log = logging.getLogger(__name__)
+
+# Machine code that nobody has used for so long will not be missed; use is written down by the day.
+_KEPT_S, _DAY_S = 60 * 86400.0, 86400.0
+
+
+class MachineCode(caching.FunctionCache):  # type: ignore[misc]
+    """Numba's cache of one function, compiled with `options`; what is damaged or cannot be written is done without.
+
+    Raises OSError if there is no source or no folder to keep anything in.
+    """
+
+    def __init__(self, function: Callable[..., object], options: str) -> None:
+        self._impl_class = partial(_Files, locator=_Locator(function, options))
+        super().__init__(function)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """What was compiled for these types, or None."""
+        try:
+            found = super().load_overload(sig, target_context)
+        except Exception as error:  # unpickling damaged files may raise anything
+            log.debug("%s: machine code is damaged and compiled anew: %r", self.cache_path, error)
+            with suppress(OSError):
+                self.flush()
+            return None
+        # Two processes that write at the same time may have put one's code under the other's name.
+        fits = found is not None and tuple(found.signature.args) == tuple(sigutils.normalize_signature(sig)[0])
+        return found if fits else None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:  # a disk that is full or cannot be written: the next start takes longer, that is all
+            log.debug("%s: machine code is not kept: %s", self.cache_path, error)
+        _forget_unused(Path(self.cache_path).parent)
+
+
+class _Files(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    def __init__(self, function: Callable[..., object], locator: "_Locator") -> None:
+        self._locator_classes = (locator,)
+        super().__init__(function)
+
+
+class _Locator(caching._CacheLocator):  # type: ignore[misc]
+    """Says where, to Numba, which asks an instance what it asks its own classes."""
+
+    def __init__(self, function: Callable[..., object], options: str) -> None:
+        self._line = function.__code__.co_firstlineno
+        self._py_file = inspect.getfile(function)  # Numba's warnings name it
+        self._digest = _digest(Path(self._py_file), function.__module__, options)
+        self._folder = root() / self._digest
+        _note_use(self._folder)
+
+    def from_function(self, *_: object) -> "_Locator":
+        return self
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        return self._digest
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+def root() -> Path:
+    """The folder of all machine code, below NUMBA_CACHE_DIR if that is set. Raises OSError for a user without home."""
+    asked = config.CACHE_DIR
+    folder = Path(asked, "roomscan").absolute() if asked else platformdirs.user_cache_path("roomscan", appauthor=False)
+    if not folder.is_absolute():
+        raise FileNotFoundError(f"{folder}: no folder for caches")
+    return folder / "machine-code"
+
+
+@cache
+def _digest(source: Path, module: str, options: str) -> str:
+    parts = (source.read_bytes(), module.encode(), options.encode(), _machine().encode())
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()[:24]
+
+
+@cache
+def _machine() -> str:
+    features = llvmlite.binding.get_host_cpu_features().flatten()
+    return f"{numba.__version__} {np.__version__} {llvmlite.binding.get_host_cpu_name()} {features}"
+
+
+@cache
+def _note_use(folder: Path) -> None:
+    with suppress(OSError):
+        if time.time() - folder.stat().st_mtime > _DAY_S:
+            os.utime(folder)
+
+
+@cache
+def _forget_unused(everything: Path) -> None:
+    with suppress(OSError):
+        for folder in everything.iterdir():
+            if time.time() - folder.stat().st_mtime > _KEPT_S:
+                shutil.rmtree(folder, ignore_errors=True)
