@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Floats
+from calib.numerics import Bools, Floats, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.halves.tile_moments import TILE_PX, centres_of_tiles, moments_of_tiles
+from scanner.decoding.halves.registration import TILE_PX, centres_of_tiles, moments_of_tiles
 
 # Decoded pixels so near to the border, in projector px, tell that it passes, within so many camera px.
 _NEAR_PX = 6.0
@@ -38,8 +38,19 @@ def seen_border(projector_px: Floats32, size: tuple[int, int], step_px: float) -
 
     These come in steps of `step_px`.
     """
-    inside = np.minimum(projector_px, np.array(size, np.float32) - 1 - projector_px)
-    return _around(inside.min(axis=2) < _NEAR_PX + step_px / 2)  # NaN is not
+    near = np.empty(projector_px.shape[:2], np.bool_)
+    _note_inside(projector_px, np.array(size, np.float32) - 1, np.float32(_NEAR_PX + step_px / 2), near)
+    return _around(near)
+
+
+@compiled
+def _note_inside(projector_px: Floats32, last_px: Floats32, near_px: np.float32, near: Bools) -> None:
+    """Where known coordinates are less than so many px from the border of the picture, or beyond it."""
+    for y in range(projector_px.shape[0]):
+        for x in range(projector_px.shape[1]):
+            across, down = projector_px[y, x, 0], projector_px[y, x, 1]
+            least = min(min(across, last_px[0] - across), min(down, last_px[1] - down))
+            near[y, x] = np.isfinite(across) and np.isfinite(down) and least < near_px
 
 
 def near_border(
@@ -49,22 +60,59 @@ def near_border(
 
     By the coordinates (H, W, 2) without the `moved_px` (T, 2) of their tile; where unknown, by the planes of the tiles.
     """
-    height, width, _ = projector_px.shape
-    columns = width // TILE_PX
-    found = np.zeros((height, width), np.bool_)
-    last = np.array(size, np.float64) - 1
+    found = np.zeros(projector_px.shape[:2], np.bool_)
     steep = np.maximum(np.linalg.norm(places.gradient, axis=2), _FLAT)
-    offset = np.stack(np.meshgrid(*[np.arange(TILE_PX) - (TILE_PX - 1) / 2] * 2), axis=-1)
-    for row in range(height // TILE_PX):
-        tiles = slice(row * columns, (row + 1) * columns)
-        part = slice(row * TILE_PX, (row + 1) * TILE_PX), slice(0, columns * TILE_PX)
-        seen = projector_px[part].reshape(TILE_PX, columns, TILE_PX, 2).transpose(1, 0, 2, 3)
-        at_centre, beside, slopes = (of_tiles[tiles, None, None] for of_tiles in (places.projector_px, moved_px, steep))
-        of_planes = at_centre + np.einsum("tac,yxc->tyxa", places.gradient[tiles], offset)
-        place = np.where(np.isfinite(seen).all(axis=3, keepdims=True), seen, of_planes) - beside
-        inside_px = (np.minimum(place, last - place) / slopes).min(axis=3)
-        found[part] = (np.abs(inside_px) < reach_px).transpose(1, 0, 2).reshape(TILE_PX, -1)  # NaN is not
+    last_px = np.array(size) - 1.0
+    _note_near(projector_px, places.projector_px, places.gradient, moved_px, steep, last_px, reach_px, TILE_PX, found)
     return found
+
+
+@compiled
+def _note_near(
+    projector_px: Floats32,
+    at_centre: Floats,
+    gradient: Floats,
+    moved_px: Floats,
+    steep: Floats,
+    last_px: Floats,
+    reach_px: float,
+    tile_px: int,
+    found: Bools,
+) -> None:
+    """Of T tiles, `at_centre` (T, 2) is the place of their middles, and `steep` (T, 2) the size of their gradients."""
+    columns = found.shape[1] // tile_px
+    for tile in range(found.shape[0] // tile_px * columns):
+        if not (np.isfinite(at_centre[tile]).all() and np.isfinite(gradient[tile]).all()):
+            continue
+        top, left = tile // columns * tile_px, tile % columns * tile_px
+        for y in range(tile_px):
+            for x in range(tile_px):
+                seen = projector_px[top + y, left + x]
+                known = np.isfinite(seen[0]) and np.isfinite(seen[1])
+                inside_px = np.inf
+                for a in range(2):
+                    place = np.float64(seen[a])
+                    if not known:
+                        right, down = x - (tile_px - 1) / 2, y - (tile_px - 1) / 2
+                        place = at_centre[tile, a] + gradient[tile, a, 0] * right + gradient[tile, a, 1] * down
+                    place -= moved_px[tile, a]
+                    inside_px = min(inside_px, min(place, last_px[a] - place) / steep[tile, a])
+                found[top + y, left + x] = abs(inside_px) < reach_px
+
+
+def part_around(projector_px: Floats32) -> tuple[slice, slice]:
+    """Rows and columns of whole tiles, as far around the coordinates (H, W, 2) that are known as anything may be seen
+    of the border; all of them where none is known.
+    """
+    known = _known(projector_px)
+    margin = (_BEYOND_TILES + _AROUND_TILES) * TILE_PX
+    parts = []
+    for size, across in zip(known.shape, (1, 0), strict=True):
+        found = np.flatnonzero(known.any(axis=across)) if known.any() else np.arange(size)
+        first = max(0, int(found[0]) - margin) // TILE_PX
+        last = min(size // TILE_PX, (int(found[-1]) + margin) // TILE_PX + 1)
+        parts.append(slice(first * TILE_PX, last * TILE_PX))
+    return parts[0], parts[1]
 
 
 def lit_in(projector_px: Floats32) -> Bools:

@@ -5,13 +5,12 @@ projector's picture with the projector as well.
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 
 from calib.numerics import Bools, Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.halves.borders import Places, going_on, lit_in, near_border, seen_border
-from scanner.decoding.halves.tile_moments import TILE_PX, centres_of_tiles
+from scanner.decoding.halves.registration import Warp, centres_of_tiles
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 
 # Where a camera pixel covers less of the projector's picture, in its pixels, its coordinates stand still.
@@ -32,8 +31,8 @@ class Shown:
 @dataclass(frozen=True)
 class Edges:
     """Of a capture: `projector_px` (H, W, 2) in steps of `step_px`, NaN where unknown, by frames of which those along
-    the axes of which `later` (2,) is 1 were taken after a motion; `places` of its tiles. `size` (width, height) of the
-    projector.
+    the axes of which `later` (2,) is 1 were taken after a motion; `places` of its tiles. `size` and `camera_size`
+    (width, height) of the devices, whose pixel (x, y) at `origin` is the first of these.
     """
 
     projector_px: Floats32
@@ -41,6 +40,8 @@ class Edges:
     places: Places
     later: Floats
     size: tuple[int, int]
+    camera_size: tuple[int, int]
+    origin: tuple[int, int]
 
     @cached_property
     def of_scene(self) -> Floats:
@@ -71,47 +72,30 @@ class Edges:
     def beside(self, motion: Floats, reach_px: float) -> Shown:
         """Within so many px of where the border was before a motion (8,), by the planes around it."""
         places = self._around
-        by_motion = shifts_by_motion(self._centre, places.projector_px, places.gradient, self._camera_size, self.size)
+        by_motion = shifts_by_motion(self.centre, places.projector_px, places.gradient, self.camera_size, self.size)
         border = near_border(self.projector_px, places, by_motion @ motion * self.later, self.size, reach_px)
         return Shown(self._lit & ~border, border, self._of_border)
 
-    def taken_back(self, picture: Floats32, motion: Floats) -> tuple[Floats32, Floats32]:
-        """A picture (H, W) of the scene, and one of the border of the projector's picture, as before a motion (8,)."""
-        width, height = self._camera_size
+    def warps(self, motion: Floats) -> tuple[Warp, Warp]:
+        """Where the scene is, and where the border of the projector's picture is, after a motion (8,)."""
         right, down, roll, zoom = motion[PER_DEVICE:]
-        middle = (np.array([width, height]) - 1) / 2
-        turn = np.eye(2) + np.array([[zoom, -roll], [roll, zoom]]) / (width / 2)
-        to = np.column_stack([turn, middle + np.array([right, down]) - turn @ middle])
-        of_column, of_row = np.outer(np.arange(width), to[:, 0]), np.outer(np.arange(height), to[:, 1]) + to[:, 2]
-        scene_px = (of_row[:, None] + of_column).astype(np.float32)
+        half = self.camera_size[0] / 2
+        turned = np.eye(2) + np.array([[zoom, -roll], [roll, zoom]]) / half
+        from_middle = self.centre - (np.array(self.camera_size) - 1) / 2
+        scene = self.centre + np.array([right, down]) + from_middle @ (turned - np.eye(2)).T - np.array(self.origin)
         by_projector = np.nan_to_num(self._of_border[:, :, :PER_DEVICE] @ motion[:PER_DEVICE])
-        grid = by_projector.reshape(height // TILE_PX, width // TILE_PX, 2).astype(np.float32)
-        covered = np.zeros((height, width, 2), np.float32)
-        if grid.size:
-            rows, columns = TILE_PX * grid.shape[0], TILE_PX * grid.shape[1]
-            covered[:rows, :columns] = cv2.resize(grid, (columns, rows), interpolation=cv2.INTER_LINEAR)
-        # Linear: OpenCV's cubic one does not keep ramps in their places, by up to 0.05 px.
-        scene, border = (
-            cv2.remap(
-                picture, places[..., 0], places[..., 1], interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-            )
-            for places in (scene_px, scene_px + covered)
-        )
-        return np.asarray(scene, np.float32), np.asarray(border, np.float32)
+        return Warp(scene, turned), Warp(scene + by_projector, turned)
 
     @cached_property
     def _lit(self) -> Bools:
         # In the dark a camera's fixed pattern, which rests, is much of what is seen.
         return lit_in(self.projector_px)
 
-    @property
-    def _camera_size(self) -> tuple[int, int]:
-        height, width, _ = self.projector_px.shape
-        return width, height
-
     @cached_property
-    def _centre(self) -> Floats:
-        return centres_of_tiles(self.projector_px.shape[:2]).reshape(-1, 2)
+    def centre(self) -> Floats:
+        """Of each of T tiles, (T, 2), in the camera's picture."""
+        centre: Floats = centres_of_tiles(self.projector_px.shape[:2]).reshape(-1, 2) + np.array(self.origin)
+        return centre
 
     @cached_property
     def _around(self) -> Places:
@@ -122,5 +106,5 @@ class Edges:
     def _of_devices(self) -> Floats:
         """What the devices' own pictures do, (T, 2, 8): the projector's in its px."""
         # With this gradient; the sign is that of coordinates in the projector's.
-        flat = np.broadcast_to(-np.eye(2), (len(self._centre), 2, 2))
-        return shifts_by_motion(self._centre, self._around.projector_px, flat, self._camera_size, self.size)
+        flat = np.broadcast_to(-np.eye(2), (len(self.centre), 2, 2))
+        return shifts_by_motion(self.centre, self._around.projector_px, flat, self.camera_size, self.size)

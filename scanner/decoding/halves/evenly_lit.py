@@ -6,6 +6,7 @@ of one axis is shown before all of the other, and nothing else tells of a motion
 """
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import cast
 
@@ -88,6 +89,14 @@ class EvenlyLit:
         if (pair := self._pairs.get(number)) is not None:
             other = self.of_pairs.get(pair)
             self.of_pairs[pair] = grey if other is None else cast(Image, cv2.addWeighted(other, 0.5, grey, 0.5, 0))
+
+    def within(self, part: tuple[slice, slice]) -> "EvenlyLit":
+        """The same of a part of the camera's picture (rows, columns)."""
+        found = copy(self)
+        before, after = self.pictures
+        found.pictures = np.ascontiguousarray(before[part]), np.ascontiguousarray(after[part])
+        found.of_pairs = {pair: picture[part] for pair, picture in self.of_pairs.items()}
+        return found
 
     def pictures_of(self, before: Sequence[int], after: Sequence[int]) -> tuple[Floats32, Floats32]:
         """The means (H, W) of two groups of the pairs, by number."""

@@ -5,53 +5,229 @@ and an offset o of its own (Lucas and Kanade, IJCAI 1981). M is the mean of both
 say ripple of its fringes, then moves nothing.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from calib.numerics import Bools, Floats
+from calib.numerics import Bools, Floats, Ints, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.halves.tile_moments import centres_of_tiles, moments_of_tiles
 from scanner.decoding.slopes import LEVEL, SLOPE
 
+TILE_PX = 16
 _FEWEST_PX = 24
 _OF_LIGHT, _OF_SHIFT = 2, 2
 _SINGULAR = 1e-6
+_REACH = 2  # taps to either side
+_WINDOW = TILE_PX + 2 * _REACH
+_TAPS = np.stack([LEVEL, SLOPE]).astype(np.float32)
+_HALF = np.float32(0.5)
+
+
+@dataclass(frozen=True)
+class Warp:
+    """Where things are in the later of two pictures: the middles of T tiles at `place` (T, 2), and what is around these
+    `turned` (2, 2) about them.
+    """
+
+    place: Floats
+    turned: Floats
 
 
 @dataclass(frozen=True)
 class TileShifts:
-    """What T tiles say of their shift d: it minimises dᵀ N d − 2 bᵀ d, in units of the variance of what is left.
+    """What K of the tiles, by number (K,), say of their shift d: it minimises dᵀ N d − 2 bᵀ d.
 
-    `centre_px` (T, 2), `normal` N (T, 2, 2), `pull` b (T, 2). Of tiles that say nothing, both are 0.
+    `normal` N (K, 2, 2) and `pull` b (K, 2) are in units of the variance of what is left.
     """
 
-    centre_px: Floats
+    tiles: Ints
     normal: Floats
     pull: Floats
 
 
 def shifts_of_tiles(
-    before: Floats32, after: Floats32, chosen: Bools, blur_px: float, *, own_light: bool = True
+    pictures: tuple[Floats32, Floats32], chosen: Bools, warp: Warp, *, own_light: bool = True
 ) -> TileShifts:
-    """From the `chosen` pixels (H, W) of two pictures (H, W), of which `after` is the later one, blurred beforehand.
+    """From the `chosen` pixels (H, W) of two pictures (H, W), the later one taken back by `warp`.
 
     Without g and o (`own_light`): these take an edge that is blurred more widely than a tile for light.
     """
-    if blur_px:
-        before, after = (np.asarray(cv2.GaussianBlur(one, (0, 0), blur_px), np.float32) for one in (before, after))
-    mean = before + after
-    mean *= np.float32(0.5)
-    mean -= np.float32(mean.mean())
-    level, by_x, by_y = (_filtered(mean, *taps) for taps in ((LEVEL, LEVEL), (SLOPE, LEVEL), (LEVEL, SLOPE)))
-    difference = _filtered(after - before, LEVEL, LEVEL)
-    moments = moments_of_tiles([np.ones_like(level), level, -by_x, -by_y, difference], chosen).reshape(-1, 5, 5)
-    return TileShifts(centres_of_tiles(mean.shape).reshape(-1, 2), *_of_moments(moments, own_light=own_light))
+    rows, columns = (size // TILE_PX for size in chosen.shape)
+    in_tiles = chosen[: rows * TILE_PX, : columns * TILE_PX].reshape(rows, TILE_PX, columns, TILE_PX)
+    tiles = np.flatnonzero(in_tiles.sum(axis=(1, 3)) >= _FEWEST_PX)
+    moments = np.zeros((len(tiles), 5, 5))
+    _sum_moments(*pictures, chosen, tiles, warp.place, warp.turned, _TAPS, moments)
+    normal, pull = _of_moments(moments, own_light=own_light)
+    tells = normal.trace(axis1=1, axis2=2) > 0
+    return TileShifts(tiles[tells], normal[tells], pull[tells])
 
 
-def _filtered(picture: Floats32, across: Floats, down: Floats) -> Floats32:
-    return np.asarray(cv2.sepFilter2D(picture, cv2.CV_32F, across, down), np.float32)
+def differences(pictures: tuple[Floats32, Floats32], chosen: Bools, warp: Warp) -> float:
+    """By what the `chosen` pixels (H, W) of two pictures differ, in squares, weighed by those of their slopes."""
+    return _sum_differences(*pictures, chosen, warp.place, warp.turned)
+
+
+def moments_of_tiles(pictures: Sequence[Floats32], chosen: Bools) -> Floats:
+    """Sums (rows, columns, N, N) of the products of each two of N pictures (H, W) over the `chosen` pixels (H, W)."""
+    rows, columns = (size // TILE_PX for size in chosen.shape)
+    moments = np.zeros((rows, columns, len(pictures), len(pictures)))
+    _sum_moments_of(tuple(np.ascontiguousarray(picture) for picture in pictures), chosen, moments)
+    return moments
+
+
+def centres_of_tiles(shape: tuple[int, ...]) -> Floats:
+    """The middles (rows, columns, 2), x and y, of the tiles of an image of `shape` (H, W)."""
+    rows, columns = (np.arange(size // TILE_PX, dtype=np.float64) for size in shape)
+    centres: Floats = np.stack(np.meshgrid(columns, rows), axis=-1) * TILE_PX + (TILE_PX - 1) / 2
+    return centres
+
+
+@compiled
+def _sum_moments_of(pictures: tuple[Floats32, ...], chosen: Bools, moments: Floats) -> None:
+    rows, columns, count, _ = moments.shape
+    values = np.empty((count, TILE_PX * TILE_PX))
+    for row in range(rows):
+        for column in range(columns):
+            found = 0
+            for y in range(row * TILE_PX, (row + 1) * TILE_PX):
+                for x in range(column * TILE_PX, (column + 1) * TILE_PX):
+                    if chosen[y, x]:
+                        for a in range(count):
+                            values[a, found] = pictures[a][y, x]
+                        found += 1
+            if found:
+                _sum_products(values, found, moments[row, column])
+
+
+@compiled
+def _sum_products(values: Floats, found: int, sums: Floats) -> None:
+    """Of each two of N lists (N, K), of which the first `found` count, (N, N)."""
+    for a in range(len(values)):
+        for b in range(a + 1):
+            total = 0.0
+            for k in range(found):
+                total += values[a, k] * values[b, k]
+            sums[a, b] = sums[b, a] = total
+
+
+@compiled
+def _sum_moments(
+    before: Floats32,
+    after: Floats32,
+    chosen: Bools,
+    tiles: Ints,
+    place: Floats,
+    turned: Floats,
+    taps: Floats32,
+    moments: Floats,
+) -> None:
+    """Of 1, M, −∇M and D over the chosen pixels of each of these tiles, (K, 5, 5)."""
+    columns = before.shape[1] // TILE_PX
+    mean, difference = np.empty((_WINDOW, _WINDOW), np.float32), np.empty((_WINDOW, _WINDOW), np.float32)
+    across = np.empty((3, _WINDOW, TILE_PX), np.float32)
+    filtered = np.empty((4, TILE_PX, TILE_PX), np.float32)
+    values = np.empty((5, TILE_PX * TILE_PX))
+    for number, tile in enumerate(tiles):
+        top, left = tile // columns * TILE_PX, tile % columns * TILE_PX
+        _sample(before, after, top, left, place[tile], turned, mean, difference)
+        _filter(mean, difference, taps, across, filtered)
+        found = 0
+        for y in range(TILE_PX):
+            for x in range(TILE_PX):
+                if chosen[top + y, left + x]:
+                    values[0, found] = 1.0
+                    for a in range(4):
+                        values[1 + a, found] = filtered[a, y, x]
+                    found += 1
+        _sum_products(values, found, moments[number])
+
+
+@compiled
+def _sample(
+    before: Floats32,
+    after: Floats32,
+    top: int,
+    left: int,
+    place: Floats,
+    turned: Floats,
+    mean: Floats32,
+    difference: Floats32,
+) -> None:
+    """Mean and difference of the pictures in a tile and around it."""
+    height, width = before.shape
+    for y in range(_WINDOW):
+        v = min(max(top + y - _REACH, 0), height - 1)
+        down = v - top - (TILE_PX - 1) / 2
+        for x in range(_WINDOW):
+            u = min(max(left + x - _REACH, 0), width - 1)
+            right = u - left - (TILE_PX - 1) / 2
+            later = _between_pixels(
+                after,
+                place[0] + turned[0, 0] * right + turned[0, 1] * down,
+                place[1] + turned[1, 0] * right + turned[1, 1] * down,
+            )
+            mean[y, x] = _HALF * (before[v, u] + later)
+            difference[y, x] = later - before[v, u]
+
+
+@compiled
+def _between_pixels(picture: Floats32, x: float, y: float) -> np.float32:
+    """Linear: a cubic one does not keep ramps in their places, by up to 0.05 px. Beyond its border as at it."""
+    height, width = picture.shape
+    x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
+    u, v = min(int(x), width - 2), min(int(y), height - 2)
+    right, down = np.float32(x - u), np.float32(y - v)
+    upper = picture[v, u] + right * (picture[v, u + 1] - picture[v, u])
+    lower = picture[v + 1, u] + right * (picture[v + 1, u + 1] - picture[v + 1, u])
+    return np.float32(upper + down * (lower - upper))
+
+
+@compiled
+def _filter(mean: Floats32, difference: Floats32, taps: Floats32, across: Floats32, filtered: Floats32) -> None:
+    """Level and −∇ of the mean relative to its first pixel, for the sake of rounding; level of the difference."""
+    offset = mean[0, 0]
+    for y in range(_WINDOW):
+        for x in range(TILE_PX):
+            level, slope, change = np.float32(0), np.float32(0), np.float32(0)
+            for k in range(2 * _REACH + 1):
+                level += taps[0, k] * (mean[y, x + k] - offset)
+                slope += taps[1, k] * mean[y, x + k]
+                change += taps[0, k] * difference[y, x + k]
+            across[0, y, x], across[1, y, x], across[2, y, x] = level, slope, change
+    for y in range(TILE_PX):
+        for x in range(TILE_PX):
+            level, by_x, by_y, change = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+            for k in range(2 * _REACH + 1):
+                level += taps[0, k] * across[0, y + k, x]
+                by_x += taps[0, k] * across[1, y + k, x]
+                by_y += taps[1, k] * across[0, y + k, x]
+                change += taps[0, k] * across[2, y + k, x]
+            filtered[0, y, x], filtered[1, y, x] = level, -by_x
+            filtered[2, y, x], filtered[3, y, x] = -by_y, change
+
+
+@compiled
+def _sum_differences(before: Floats32, after: Floats32, chosen: Bools, place: Floats, turned: Floats) -> float:
+    height, width = before.shape
+    columns = width // TILE_PX
+    total = 0.0
+    for tile in range(len(place)):
+        top, left = tile // columns * TILE_PX, tile % columns * TILE_PX
+        for v in range(max(top, 1), min(top + TILE_PX, height - 1)):
+            for u in range(max(left, 1), min(left + TILE_PX, width - 1)):
+                if not chosen[v, u]:
+                    continue
+                right, down = u - left - (TILE_PX - 1) / 2, v - top - (TILE_PX - 1) / 2
+                later = _between_pixels(
+                    after,
+                    place[tile, 0] + turned[0, 0] * right + turned[0, 1] * down,
+                    place[tile, 1] + turned[1, 0] * right + turned[1, 1] * down,
+                )
+                by_x = before[v, u + 1] - before[v, u - 1]
+                by_y = before[v + 1, u] - before[v - 1, u]
+                total += (by_x * by_x + by_y * by_y) * (later - before[v, u]) ** 2
+    return total
 
 
 def _of_moments(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:
@@ -63,12 +239,10 @@ def _of_moments(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:
         rest = rest - moments[:, 2:, :2] @ _solved(moments[:, :2, :2], moments[:, :2, 2:])
     normal, pull = rest[:, :2, :2], rest[:, :2, 2]
     left = rest[:, 2, 2] - np.einsum("ta,ta->t", pull, _solved(normal, pull[..., None])[..., 0])
-    enough = count >= _FEWEST_PX
-    variance = np.maximum(left, 0.0) / np.maximum(count - parameters, 1)
+    variance = np.maximum(left, 0.0) / (count - parameters)
     # What is left of a tile by chance is not less than what is left of most.
-    variance = np.maximum(variance, max(float(np.median(variance[enough])) if enough.any() else 0.0, 1e-9))
-    precision = enough / variance
-    return normal * precision[:, None, None], pull * precision[:, None]
+    variance = np.maximum(variance, max(float(np.median(variance)) if len(variance) else 0.0, 1e-9))
+    return normal / variance[:, None, None], pull / variance[:, None]
 
 
 def _solved(matrices: Floats, right: Floats) -> Floats:

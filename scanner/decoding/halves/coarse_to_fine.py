@@ -1,0 +1,183 @@
+"""The motion of the devices between two pictures of the evenly lit scene: registration from coarse to fine."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from calib.numerics import Floats
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.halves.edges import Edges, Shown
+from scanner.decoding.halves.registration import differences, shifts_of_tiles
+from scanner.decoding.motion.found import SUSPECTED_PX
+from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
+
+# From so many standard deviations on it is more than ripple and noise make at rest.
+SIGNIFICANT = 5.0
+# What ripple of fringes and fixed patterns do to what is measured, in captures of real devices at rest.
+_SYSTEMATIC_PX = 0.01
+# Of what nothing is seen: a knock turns a device; it hardly rolls it, and changes no zoom.
+_EXPECTED_PX = SUSPECTED_PX * np.tile([1.0, 1.0, 0.3, 0.3], 2)
+_NONE_PX = 1e-6
+# A motion that is not small against the blur of edges is found from coarse to fine.
+_COARSE_TO_FINE_PX = (6.0, 3.0, 1.5, 0.0, 0.0)
+_SMALL_PX = 0.2
+# Such a fit is believed if its last step is this small, and it explains this share of what the pictures differ by where
+# they have edges: without texture it finds what is not there.
+_CONVERGED_PX, _EXPLAINED = 0.1, 0.5
+# The border is looked for within so many camera px of where it should be: what is beside it rests. Where it may be
+# elsewhere, within more, and so many times the blur.
+_REACH_PX, COARSE_REACH_PX, _REACH_OF_BLUR = 4.0, 10.0, 2.0
+_ROUNDS = 8
+_HUBER = 2.0
+# The median of the root of what two shifts leave, in standard deviations.
+_MEDIAN_CHI = 1.18
+# Tiles that are neighbours may have in common what is no motion.
+_GROUP_PX = 64
+_SINGULAR = 1e-9
+_AT_REST = np.zeros(COLUMNS)
+
+_Pictures = tuple[Floats32, Floats32]
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What tiles show beside a motion: the `design` (T, 2, 8) of their shifts, which minimise dᵀ N d − 2 bᵀ d.
+
+    `centre_px` (T, 2), `normal` N (T, 2, 2), `pull` b (T, 2). From `huber` standard deviations on, tiles count less.
+    """
+
+    centre_px: Floats
+    design: Floats
+    normal: Floats
+    pull: Floats
+    huber: float
+
+
+@dataclass(frozen=True)
+class _Scales:
+    """The earlier and the later picture (H, W) at every blur, and what they show if nothing has moved: `at_rest` as
+    they are, and `coarsely`.
+    """
+
+    blurred: Mapping[float, _Pictures]
+    at_rest: _Seen
+    coarsely: _Seen
+
+
+def motion_of(pictures: _Pictures, edges: Edges) -> Fit:
+    """The motion from the earlier picture to the later one; of one device where the other has hardly moved."""
+    blurred = {blur_px: _blurred(pictures, blur_px) for blur_px in set(_COARSE_TO_FINE_PX)}
+    coarsely = _seen_beside(blurred, edges, _AT_REST, _COARSE_TO_FINE_PX[0])
+    scales = _Scales(blurred, _seen(pictures, edges, edges.decoded, _AT_REST), coarsely)
+    fit = _measured(scales, edges, _EXPECTED_PX)
+    devices = np.split(np.arange(COLUMNS), [PER_DEVICE])
+    sure = [replace(fit, motion=fit.motion[one], covariance=fit.covariance[np.ix_(one, one)]) for one in devices]
+    less, more = sorted((0, 1), key=lambda device: sure[device].significance)
+    if not sure[less].significance < SIGNIFICANT < sure[more].significance:
+        return fit
+    expected_px = _EXPECTED_PX.copy()
+    expected_px[devices[less]] = _NONE_PX
+    return replace(fit, motion=_measured(scales, edges, expected_px).motion)
+
+
+def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
+    """Where it is not small, from coarse to fine: of both devices if that can be believed, or of the camera alone."""
+    fit = _least_squares(scales.at_rest, expected_px)
+    step = _least_squares(scales.coarsely, expected_px)
+    largest_px = float(np.abs(fit.motion).max())
+    if max(largest_px, float(np.abs(step.motion).max())) < _SMALL_PX:
+        return fit
+    motion = step.motion
+    for blur_px in _COARSE_TO_FINE_PX[1:]:
+        step = _least_squares(_seen_beside(scales.blurred, edges, motion, blur_px), expected_px)
+        motion = motion + step.motion
+    if np.abs(step.motion).max() < _CONVERGED_PX and _explained(scales.blurred[0.0], edges, motion) > _EXPLAINED:
+        return replace(step, motion=motion)
+    if largest_px < _SMALL_PX:
+        return fit
+    camera = _AT_REST.copy()
+    for blur_px in _COARSE_TO_FINE_PX:
+        fit = _least_squares(_seen(scales.blurred[blur_px], edges, edges.decoded, camera), expected_px)
+        camera[PER_DEVICE:] += fit.motion[PER_DEVICE:]
+    return replace(fit, motion=np.concatenate([fit.motion[:PER_DEVICE], camera[PER_DEVICE:]]))
+
+
+def _blurred(pictures: _Pictures, blur_px: float) -> _Pictures:
+    if not blur_px:
+        return pictures
+    before, after = (np.asarray(cv2.GaussianBlur(one, (0, 0), blur_px), np.float32) for one in pictures)
+    return before, after
+
+
+def _seen_beside(blurred: Mapping[float, _Pictures], edges: Edges, motion: Floats, blur_px: float) -> _Seen:
+    """A step from coarse to fine: what there is beside a motion (8,), with the border where the planes put it.
+
+    While the border may be anywhere, all tiles are believed alike: most of it may run along the motion.
+    """
+    reach_px = COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX
+    return _seen(blurred[blur_px], edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
+
+
+def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
+    """The share, in squares, of what the pictures (H, W) differ by at their edges that a motion (8,) explains."""
+    shown = edges.beside(motion, _REACH_PX)
+    left, differ = (
+        sum(
+            differences(pictures, chosen, warp)
+            for chosen, warp in zip((shown.scene, shown.border), edges.warps(of), strict=True)
+        )
+        for of in (motion, _AT_REST)
+    )
+    return 1 - left / max(differ, 1e-12)
+
+
+def _seen(pictures: _Pictures, edges: Edges, shown: Shown, motion: Floats, *, anywhere: bool = False) -> _Seen:
+    """What there is beside a motion (8,); a border that may be `anywhere` has no light of its own, and no outliers."""
+    of_scene, of_border = edges.warps(motion)
+    scene = shifts_of_tiles(pictures, shown.scene, of_scene)
+    border = shifts_of_tiles(pictures, shown.border, of_border, own_light=not anywhere)
+    known = np.isfinite(shown.of_border[border.tiles]).all(axis=(1, 2))
+    at_border = border.tiles[known]
+    return _Seen(
+        edges.centre[np.concatenate([scene.tiles, at_border])],
+        np.concatenate([edges.of_scene[scene.tiles], shown.of_border[at_border]]),
+        np.concatenate([scene.normal, border.normal[known]]),
+        np.concatenate([scene.pull, border.pull[known]]),
+        np.inf if anywhere else _HUBER,
+    )
+
+
+def _least_squares(seen: _Seen, expected_px: Floats) -> Fit:
+    """Robust least squares of the motion (8,), with what is expected where nothing is seen."""
+    design = seen.design
+    expected = np.diag(1 / expected_px**2)
+    by_motion = seen.normal @ design
+    weight = np.ones(len(design))
+    for _ in range(_ROUNDS):
+        weighted = (weight[:, None, None] * design).reshape(-1, COLUMNS).T
+        information = weighted @ by_motion.reshape(-1, COLUMNS)
+        motion = np.linalg.solve(information + expected, weighted @ seen.pull.reshape(-1)).astype(np.float64)
+        left = seen.pull - by_motion @ motion
+        chi = np.sqrt(np.maximum(_squares(seen.normal, left), 0.0))
+        scale = max(float(np.median(chi)) / _MEDIAN_CHI, 1.0) if len(chi) else 1.0
+        weight = np.minimum(1.0, seen.huber * scale / np.maximum(chi, 1e-9))
+    _, group = np.unique(seen.centre_px // _GROUP_PX, axis=0, return_inverse=True)
+    scores = (weight[:, None, None] * design * left[:, :, None]).sum(axis=1)
+    sums = np.stack([np.bincount(group.reshape(-1), column) for column in scores.T], axis=1)
+    inverse = np.linalg.inv(information + expected)
+    covariance = inverse @ (sums.T @ sums + scale**2 * information + expected) @ inverse
+    covariance += _SYSTEMATIC_PX**2 * np.eye(COLUMNS)
+    gained = float(np.sum(weight * (_squares(seen.normal, seen.pull) - chi**2))) / scale**2
+    return Fit(motion, covariance, gained)
+
+
+def _squares(normal: Floats, pull: Floats) -> Floats:
+    """bᵀ N⁻¹ b of T tiles."""
+    across, both, down = normal[:, 0, 0], normal[:, 0, 1], normal[:, 1, 1]
+    little = _SINGULAR * (across + down)
+    across, down = across + little, down + little
+    x, y = pull.T
+    squares: Floats = (down * x * x - 2 * both * x * y + across * y * y) / (across * down - both * both)
+    return squares
