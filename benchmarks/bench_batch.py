@@ -1,10 +1,10 @@
-"""What a batch costs beside the work itself: throughput on one and two workers, Dask's share, and a second run.
+"""What a batch costs beside the work itself: throughput on one and two processes, on a scheduler, and a second run.
 
     python benchmarks/bench_batch.py --captures 1000
 
-The captures are copies of one of a simulated room, of half a second of work each. 'alone': the same work in a loop,
-without Dask. The scheduler's overhead is what a capture takes longer on one worker than alone. 'apart': a
-scheduler and two workers as processes of their own, over TCP. Keep the machine idle.
+The captures are copies of one of a simulated room, of half a second of work each. 'alone': the same work in a loop.
+The overhead is what a capture takes longer on one worker than alone. 'apart': a Dask scheduler and two workers, over
+TCP. Keep the machine idle.
 """
 
 import argparse
@@ -19,8 +19,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from scanner.batch import Asked, ClusterOptions, client_of, list_jobs, run_batch
+from scanner.batch import Asked, Processes, list_jobs, run_batch
+from scanner.batch.cluster import DaskWorkers
 from scanner.batch.listing import Job
+from scanner.batch.running import Workers
 from scanner.batch.work import Delivery, work
 from scanner.configuration import load_config
 from scanner.jobs import scan
@@ -56,19 +58,19 @@ def _measure(folder: Path, recording: Path, count: int) -> None:
     jobs = list_jobs([str(folder / "captures")], Asked(overrides=_ROOM[1:4]))
     print(f"\n{count} captures, found in {time.perf_counter() - began_s:.2f} s")
     alone = _seconds_each_alone(jobs[:_ALONE], folder / "alone")
-    print(f"alone, without Dask: {1000 * alone:.0f} ms a capture")
+    print(f"alone, in a loop: {1000 * alone:.0f} ms a capture")
     rates = {}
     for workers in (1, 2):
-        with client_of(ClusterOptions(workers=workers)) as client:
-            _warm(client, jobs[0], folder / "warm", workers)
-            rates[workers] = _rate(jobs, folder / f"on-{workers}", client)
+        with Processes(workers) as processes:
+            run_batch(jobs[:workers], str(folder / f"warm-{workers}"), lambda: processes, Terminal(quiet=True))
+            rates[workers] = _rate(jobs, folder / f"on-{workers}", processes)
         print(f"{workers} worker{'s' * (workers > 1)}: {rates[workers]:.2f} captures a second")
     print(f"two workers against one: {rates[2] / rates[1]:.2f} (limit: at least 1.8)")
-    print(f"Dask's overhead on one worker: {1000 * (1 / rates[1] - alone):.0f} ms a capture (limit: 20)")
+    print(f"overhead of one worker: {1000 * (1 / rates[1] - alone):.0f} ms a capture (limit: 20)")
     with _apart() as client:
         _warm(client, jobs[0], folder / "warm", 2)
-        rate = _rate(jobs, folder / "apart", client)
-        print(f"scheduler and two workers apart: {rate:.2f} captures a second, {rate / rates[2]:.2f} of the same here")
+        rate = _rate(jobs, folder / "apart", DaskWorkers(client))
+        print(f"scheduler and two workers apart: {rate:.2f} a second, {rate / rates[2]:.2f} of two processes here")
     command = [
         sys.executable,
         "-m",
@@ -109,9 +111,9 @@ def _warm(client: Any, job: Job, out: Path, workers: int) -> None:
     )
 
 
-def _rate(jobs: tuple[Job, ...], out: Path, client: Any) -> float:
+def _rate(jobs: tuple[Job, ...], out: Path, workers: Workers) -> float:
     began_s = time.perf_counter()
-    found = run_batch(jobs, str(out), lambda: client, Terminal(quiet=True))
+    found = run_batch(jobs, str(out), lambda: workers, Terminal(quiet=True))
     seconds = time.perf_counter() - began_s
     assert found.counts == {0: len(jobs)}, found.counts
     return len(jobs) / seconds

@@ -7,6 +7,7 @@ from types import ModuleType
 
 from calib.geometry import Calibration, Motion
 from hw.errors import DeviceError
+from hw.optional_parts import RIG
 from hw.projector.process import ScreenProjector
 from hw.rig import Rig
 from hw.settings import AravisRigSettings, RigSettings, SimulatedRigSettings
@@ -15,11 +16,6 @@ from hw.simulated.simulation import SimulatedRoom
 from hw.timing.exposures import whole_periods
 from hw.timing.synchronisation import synchronised
 
-MISSING_ARAVIS = (
-    "cameras need Aravis and PyGObject, which are not installed: apt-get install gir1.2-aravis-0.8 "
-    "libgirepository1.0-dev libcairo2-dev pkg-config gcc python3-dev, then pip install '.[rig]' in the program's "
-    "folder (see docs/rig.md)"
-)
 # Where a screen does not know its rate, and nobody has said it.
 _USUAL_REFRESH_HZ = 60.0
 
@@ -85,5 +81,5 @@ def import_aravis() -> ModuleType:
     try:
         from hw.aravis import camera  # only now, for most users have no Aravis
     except (ImportError, ValueError) as error:  # ValueError: gi is there, Aravis is not
-        raise DeviceError(MISSING_ARAVIS) from error
+        raise DeviceError(RIG.missing("a GenICam camera", "Aravis with PyGObject")) from error
     return camera

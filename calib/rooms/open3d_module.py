@@ -14,8 +14,7 @@ def open3d() -> Any:
     except (ImportError, OSError) as error:
         raise ImportError(
             f"Open3D cannot be loaded ({error}). It needs libraries of the system: apt-get install "
-            f"{' '.join(DEBIAN_PACKAGES)}, or their like; make setup tries to install them. If the package itself is "
-            "missing, install roomscan again with pip"
+            f"{' '.join(DEBIAN_PACKAGES)}, or their like"
         ) from error
     module.utility.set_verbosity_level(module.utility.VerbosityLevel.Error)
     return module

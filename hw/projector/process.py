@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.numerics import Image
 from hw.errors import DeviceError
+from hw.optional_parts import RIG
 from hw.projector.screens import Screen, choose_screen
 from hw.timing.devices import Swap
 
@@ -21,18 +22,13 @@ from hw.timing.devices import Swap
 _START_TIMEOUT_S = 60.0
 _SHOW_TIMEOUT_S = 10.0
 
-MISSING_PYGLET = (
-    "the projector needs the package pyglet, which is not installed: pip install '.[rig]' in the program's folder, "
-    "or 'make rig' there (see docs/rig.md)"
-)
-
 
 class _WindowProcess:
     """The child process and the connection to it."""
 
     def __init__(self) -> None:
         if importlib.util.find_spec("pyglet") is None:
-            raise DeviceError(MISSING_PYGLET)
+            raise DeviceError(RIG.missing("the projector", "pyglet"))
         self._unanswered = False
         self._connection, theirs = Pipe()
         self._log = tempfile.TemporaryFile()  # a pipe would fill up and stop the child  # noqa: SIM115

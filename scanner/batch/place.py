@@ -1,17 +1,20 @@
-"""A folder that may be far away: whatever fsspec reads and writes, such as s3://bucket/folder."""
+"""A folder of this machine, or one that is far away: whatever fsspec reads and writes, such as s3://bucket/folder."""
 
+import glob
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-import fsspec
-from fsspec.implementations.local import LocalFileSystem
-
+from hw.optional_parts import BATCH
 from scanner.errors import InputError
 from scanner.io import new_file, read_bytes
+
+if TYPE_CHECKING:
+    import fsspec
 
 _MOST_BYTES = 200_000_000  # a list of a million captures
 
@@ -28,28 +31,39 @@ class Place:
     @property
     def local(self) -> Path | None:
         """Its path on this machine; None if it is not on it."""
-        system, path = self._resolved()
-        return Path(path) if isinstance(system, LocalFileSystem) else None
+        scheme, separator, path = self.url.rpartition("://")
+        if separator and scheme != "file":
+            return None
+        return Path(os.path.abspath(path))  # noqa: PTH100 (links stay what they are)
 
     @property
     def parts(self) -> tuple[str, ...]:
         """The folders on the way, however the URL writes them, and its own name."""
-        return tuple(self._resolved()[1].strip("/").split("/"))
+        path = str(self.local) if self.local else self._resolved()[1]
+        return tuple(path.strip("/").split("/"))
 
     def walk(self) -> Iterator[tuple["Place", list[str], list[str]]]:
         """As `os.walk`, from the top: folders that are taken out of the list are not gone into."""
+        if self.local:
+            for folder, folders, files in os.walk(self.local):
+                yield Place(folder), folders, files
+            return
         system, path = self._resolved()
         for folder, folders, files in cast(Any, system).walk(path, topdown=True):
-            yield Place(_shown(system, folder)), folders, files
+            yield Place(str(system.unstrip_protocol(folder))), folders, files
 
     def glob(self) -> list["Place"]:
         """What a URL with * in it means, sorted."""
+        if self.local:
+            return [Place(found) for found in sorted(glob.glob(str(self.local), recursive=True))]  # noqa: PTH207
         system, path = self._resolved()
-        return [Place(_shown(system, found)) for found in sorted(system.glob(path))]
+        return [Place(str(system.unstrip_protocol(found))) for found in sorted(system.glob(path))]
 
     @property
     def exists(self) -> bool:
         """Whether there is something."""
+        if self.local:
+            return self.local.exists()
         system, path = self._resolved()
         return bool(system.exists(path))
 
@@ -65,6 +79,12 @@ class Place:
 
     def read_all(self, ending: str) -> Mapping[str, bytes]:
         """All files below a folder whose names end so: their content by their path in it, without the ending."""
+        if local := self.local:
+            return {
+                str(file.relative_to(local))[: -len(ending)]: Place(str(file)).read()
+                for file in local.rglob(f"*{ending}")
+                if file.is_file()
+            }
         system, path = self._resolved()
         if not system.exists(path):
             return {}
@@ -114,18 +134,18 @@ class Place:
                     system.put(f"{made}/", path.rstrip("/") + "/", recursive=True)
 
     def remove(self) -> None:
-        """Take away a folder with what is in it. Raises OSError."""
+        """Take away a folder, far away, with what is in it. Raises OSError."""
         system, path = self._resolved()
         system.rm(path, recursive=True)
 
-    def _resolved(self) -> tuple[fsspec.AbstractFileSystem, str]:
+    def _resolved(self) -> "tuple[fsspec.AbstractFileSystem, str]":
+        """The file system and the path in it, of a place that is not on this machine. Raises InputError."""
+        try:
+            import fsspec
+        except ImportError as error:
+            raise InputError(BATCH.missing(f"{self.url}: what is not a folder of this machine", "fsspec")) from error
         try:
             system, path = fsspec.url_to_fs(self.url)
         except (ImportError, ValueError, OSError) as error:
             raise InputError(f"{self.url}: cannot be reached: {error}") from error
         return system, str(path)
-
-
-def _shown(system: fsspec.AbstractFileSystem, path: str) -> str:
-    """A path as a URL, but of this machine as it is."""
-    return path if isinstance(system, LocalFileSystem) else str(system.unstrip_protocol(path))

@@ -2,6 +2,7 @@
 
 import socket
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -44,6 +45,9 @@ class Delivery:
     def thumbnail(self, name: str) -> Place:
         """A small picture of what the camera saw; not there if nothing can be read."""
         return Place(self.out) / THUMBNAILS / f"{name}.jpg"
+
+
+Work = Callable[[Job, Delivery], Row]
 
 
 def work(job: Job, delivery: Delivery) -> Row:

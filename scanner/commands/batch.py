@@ -1,5 +1,6 @@
 """Reconstruct many captures side by side, and tell of all in one table."""
 
+import re
 from argparse import Namespace
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
@@ -9,30 +10,25 @@ from scanner.shown_text import harmless, shown
 from scanner.ui import Terminal
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from scanner.batch import Processes
+    from scanner.batch.cluster import DaskWorkers
+
+_SIZE = re.compile(r"(\d{1,6}(?:\.\d{1,3})?) ?([MGT])(i?)B?", re.ASCII | re.IGNORECASE)
+# With less, a process is ended over the smallest capture.
+_LEAST_BYTES = 400_000_000
 
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
-    from scanner.batch import (
-        Asked,
-        Batch,
-        ClusterOptions,
-        client_of,
-        described,
-        list_jobs,
-        refuse_no_memory,
-        require_dask,
-        run_batch,
-    )
+    from scanner.batch import Asked, Batch, Processes, dask_workers, list_jobs, refuse_without_dask, run_batch
 
-    require_dask()
-    if args.scheduler and (args.workers or args.memory):
-        raise InputError("--workers and --memory are for this machine; a scheduler has its workers: give one of them")
+    if args.scheduler:
+        refuse_without_dask()
+        if args.workers or args.memory:
+            raise InputError("--workers and --memory are for this machine; a scheduler has its own: give one of them")
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers: expected 1 or more, found {args.workers}")
-    if args.memory is not None:
-        refuse_no_memory(args.memory)
+    memory_bytes = None if args.memory is None else _bytes(args.memory)
     terminal = Terminal(quiet=args.quiet)
     if harmless(args.out) != args.out:
         raise InputError(f"--out: expected a name of characters that can be shown, in UTF-8, found {shown(args.out)}")
@@ -42,11 +38,14 @@ def run(args: Namespace) -> None:
         jobs = list_jobs(args.sources, asked)
     with ExitStack() as opened:
 
-        def start() -> "Client":
-            with terminal.step("Starting the workers"):
-                client = opened.enter_context(client_of(ClusterOptions(args.scheduler, args.workers, args.memory)))
-            terminal.show(described(client))
-            return client
+        def start() -> "Processes | DaskWorkers":
+            workers: Processes | DaskWorkers
+            if args.scheduler:
+                workers = opened.enter_context(dask_workers(args.scheduler))
+            else:
+                workers = opened.enter_context(Processes(args.workers, memory_bytes))
+            terminal.show(str(workers))
+            return workers
 
         found: Batch = run_batch(jobs, args.out, start, terminal, retry=args.retry)
     told = ", ".join(f"{count:,} with exit code {code}" for code, count in sorted(found.counts.items()))
@@ -55,5 +54,17 @@ def run(args: Namespace) -> None:
     terminal.show(
         f"{len(found.rows):,} captures ({found.kept:,} of them done before): {told}",
         f"{found.seconds:.1f} s{rate}",
-        f"Result: {args.out} (index.html, batch.parquet, batch.csv)",
+        f"Result: {args.out} ({', '.join(found.files)})",
+        f"→ Open {args.out.rstrip('/')}/{found.files[0]} in a browser: a line for each capture, with its report.",
     )
+
+
+def _bytes(size: str) -> float:
+    match = _SIZE.fullmatch(size.strip())
+    if match:
+        number, unit, binary = match.groups()
+        found: float = float(number) * (1024 if binary else 1000) ** (" KMGT".index(unit.upper()))
+        if found >= _LEAST_BYTES:
+            return found
+    least = f"{_LEAST_BYTES / 1e6:.0f}MB"
+    raise InputError(f"--memory: expected a size of {least} or more, as in 4GB, found {shown(size)}")

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Motion
 from calib.numerics import Floats
+from hw.optional_parts import E57
 from scanner.errors import InputError
 from scanner.exporting.formats import Request
 from scanner.exporting.units import in_metres
@@ -44,10 +45,7 @@ def refuse_without_pye57() -> None:
     try:
         import pye57  # noqa: F401
     except ImportError as error:
-        raise InputError(
-            f"E57 needs the package pye57 ({error}): install roomscan with its extra 'e57', as in "
-            "pip install --editable '.[e57]'"
-        ) from error
+        raise InputError(E57.missing("E57", "pye57")) from error
 
 
 def write_e57(path: Path, placed: Sequence[PlacedScan], metres_per_unit: float) -> int:

@@ -5,15 +5,11 @@ import socket
 from argparse import ArgumentParser
 from ipaddress import ip_address
 
+from hw.optional_parts import CONSOLE
 from scanner.errors import InputError
 
 LOCAL = "127.0.0.1"
 DEFAULT_PORT = 8080
-
-MISSING_VISER = (
-    "the page in the browser needs viser, which is not installed: .venv/bin/pip install '.[console]' in the program's "
-    "folder, or 'make console' there"
-)
 
 
 def require_viser() -> None:
@@ -21,7 +17,7 @@ def require_viser() -> None:
     try:
         import viser  # noqa: F401  # only now, for most commands do without
     except ImportError as error:
-        raise InputError(MISSING_VISER) from error
+        raise InputError(CONSOLE.missing("the page in the browser", "viser")) from error
 
 
 def add_address(parser: ArgumentParser) -> None:

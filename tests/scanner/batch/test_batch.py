@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import pyarrow.parquet
 import pytest
-from distributed import Client
 
+from hw.optional_parts import BATCH
 from scanner.batch import running as running_module
-from scanner.batch.cluster import ClusterOptions, client_of, described, require_dask
+from scanner.batch.cluster import dask_workers
 from scanner.batch.listing import Asked, list_jobs
+from scanner.batch.processes import Processes
 from scanner.batch.rows import OF_THE_RUN
 from scanner.batch.running import CSV, PAGE, TABLE, run_batch
 from scanner.commands.main import main
@@ -72,7 +72,8 @@ def rows_of(out: Path) -> dict[str, dict[str, str]]:
 
 
 def timeless(out: Path) -> list[tuple[object, ...]]:
-    table = pyarrow.parquet.read_table(out / TABLE).drop_columns([*OF_THE_RUN, "result"])
+    parquet = pytest.importorskip("pyarrow.parquet", reason="tables as Parquet need the extra 'batch'")
+    table = parquet.read_table(out / TABLE).drop_columns([*OF_THE_RUN, "result"])
     return [tuple(row.items()) for row in table.to_pylist()]
 
 
@@ -81,11 +82,7 @@ def test_a_batch_from_the_command_line(museum: Path, tmp_path: Path, capsys: pyt
     command = ["batch", captures, "--config", str(museum / "room.yaml"), "--out", str(out), "--workers", "2"]
     assert main(command) == 0
     said = capsys.readouterr().out
-    for words in (
-        "2 workers of ",
-        "GiB each; Dask's dashboard: http://127.0.0.1:",
-        "4 captures (0 of them done before)",
-    ):
+    for words in ("2 processes of ", " GiB each", "4 captures (0 of them done before)", f"→ Open {out}/index.html"):
         assert words in said
     assert "2 with exit code 0, 1 with exit code 2, 1 with exit code 4" in said
     rows = rows_of(out)
@@ -118,8 +115,8 @@ def test_what_ends_its_worker_fails_alone(museum: Path, tmp_path: Path, monkeypa
     out.mkdir()
     jobs = list_jobs([str(captures)], Asked(museum / "room.yaml"))
     monkeypatch.setattr(running_module, "work", deadly_work)
-    with client_of(ClusterOptions(workers=2)) as client:
-        found = run_batch(jobs, str(out), lambda: client, QUIET)
+    with Processes(2) as processes:
+        found = run_batch(jobs, str(out), lambda: processes, QUIET)
         assert [(row.name, row.exit_code) for row in found.rows] == [
             ("a", 0),
             ("b-poison", 70),
@@ -133,22 +130,22 @@ def test_what_ends_its_worker_fails_alone(museum: Path, tmp_path: Path, monkeypa
         # It is not tried again, unless that is asked for.
         assert run_batch(jobs, str(out), None, QUIET).kept == 4
         monkeypatch.undo()
-        again = run_batch(jobs, str(out), lambda: client, QUIET, retry=True)
+        again = run_batch(jobs, str(out), lambda: processes, QUIET, retry=True)
     assert (again.kept, [row.exit_code for row in again.rows]) == (3, [0, 0, 0, 0])
 
 
 def test_a_disk_that_takes_no_more_ends_the_batch_and_is_no_row(museum: Path, tmp_path: Path) -> None:
     jobs = list_jobs([str(museum / "captures" / "dark")], Asked(museum / "room.yaml"))
-    require_dask()
-    with Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None) as client:
+    with Processes(1) as processes:
         with no_file_larger_than(500), pytest.raises(StorageError) as caught:
-            run_batch(jobs, str(tmp_path), lambda: client, QUIET)
+            run_batch(jobs, str(tmp_path), lambda: processes, QUIET)
         failure = failure_of(caught.value)
         assert failure.exit_code == 3
         assert f"{tmp_path}/thumbnails/dark.jpg: cannot be written: File too large" in failure.message
         assert "the same command goes on from there" in failure.message
         assert not [path for path in tmp_path.rglob("*") if path.is_file()]
-        again = run_batch(jobs, str(tmp_path), lambda: client, QUIET)
+    with Processes(1) as processes:
+        again = run_batch(jobs, str(tmp_path), lambda: processes, QUIET)
     assert (again.kept, [row.exit_code for row in again.rows]) == (0, [4])
 
 
@@ -163,9 +160,10 @@ def started(*command: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def test_another_scheduler_comes_to_the_same_table(museum: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="a scheduler needs the extra 'batch'")
     jobs = list_jobs([str(museum / "captures")], Asked(museum / "room.yaml"))
-    with client_of(ClusterOptions(workers=1)) as client:
-        run_batch(jobs, str(tmp_path / "here"), lambda: client, QUIET)
+    with Processes(1) as processes:
+        run_batch(jobs, str(tmp_path / "here"), lambda: processes, QUIET)
     file = tmp_path / "scheduler.json"
     scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
     with started(*scheduler, "--no-dashboard"):
@@ -176,9 +174,9 @@ def test_another_scheduler_comes_to_the_same_table(museum: Path, tmp_path: Path)
             with Client(scheduler_file=str(file), timeout=60) as known:
                 known.wait_for_workers(2, timeout=120)
                 address = known.scheduler.address
-            with client_of(ClusterOptions(address)) as client:
-                assert described(client).startswith("2 workers of ")
-                run_batch(jobs, str(tmp_path / "there"), lambda: client, QUIET)
+            with dask_workers(address) as workers:
+                assert str(workers).startswith("2 workers of ")
+                run_batch(jobs, str(tmp_path / "there"), lambda: workers, QUIET)
             assert first.poll() is second.poll() is None
     assert timeless(tmp_path / "here") == timeless(tmp_path / "there")
 
@@ -212,9 +210,25 @@ def test_mistakes_are_messages(
     assert not (tmp_path / "out").exists()
 
 
-def test_without_dask_it_says_what_to_install(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_a_process_that_takes_more_than_its_share_is_ended(museum: Path, tmp_path: Path) -> None:
+    jobs = list_jobs([str(museum / "captures" / "dark")], Asked(museum / "room.yaml"))
+    with Processes(1, memory_bytes=50e6) as processes:  # less than the libraries alone
+        found = run_batch(jobs, str(tmp_path), lambda: processes, QUIET)
+    assert [(row.exit_code, row.reason) for row in found.rows] == [
+        (70, "the processes that worked on it were killed: out of memory, or a crash in a library")
+    ]
+
+
+def test_without_the_extra_one_machine_works_and_the_rest_says_what_to_install(
+    museum: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    assert main(["batch", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
-    assert "pip install '.[batch]'" in capsys.readouterr().err
+    for package in ("distributed", "fsspec", "pyarrow"):
+        monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setattr(running_module, "find_spec", lambda _name: None)
+    out = str(tmp_path / "out")
+    dark = str(museum / "captures" / "dark")
+    assert main(["batch", dark, "--config", str(museum / "room.yaml"), "--out", out, "--workers", "1"]) == 0
+    assert sorted(path.name for path in Path(out).iterdir()) == [CSV, PAGE, "results", "rows", "thumbnails"]
+    for arguments, words in ((("--scheduler", "tcp://127.0.0.1:9"), "Dask"), (("--calibration", "s3://a/b"), "fsspec")):
+        assert main(["batch", dark, "--out", out, *arguments]) == 2
+        assert f"needs {words}, which is not installed; type: {BATCH.install_command()}" in capsys.readouterr().err

@@ -4,16 +4,19 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-import fsspec
 import pytest
 
 from calib.numerics.parallel import use_processors
+from scanner.batch.cluster import DaskWorkers
 from scanner.batch.listing import Asked, list_jobs
 from scanner.batch.place import Place
 from scanner.batch.running import run_batch
 from scanner.commands.main import main
 from scanner.ui.terminal import Terminal
 from tests.scanner.batch.test_batch import CONFIG
+
+fsspec = pytest.importorskip("fsspec", reason="stores that are far away need the extra 'batch'")
+pytest.importorskip("distributed")
 
 pytestmark = pytest.mark.xdist_group("batch")
 
@@ -66,7 +69,7 @@ def test_captures_and_results_elsewhere(where: str, result: Path, request: pytes
     ]
     # Threads of this process: what is in its memory is in no other.
     with Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None) as client:
-        found = run_batch(jobs, f"{root}/out", lambda: client, QUIET)
+        found = run_batch(jobs, f"{root}/out", lambda: DaskWorkers(client), QUIET)
     use_processors(os.cpu_count() or 1)
     assert [(row.name, row.exit_code) for row in found.rows] == [("broken", 2), ("hall/one", 0)]
     for name in ("index.html", "batch.csv", "batch.parquet", "rows/hall/one.json", "thumbnails/hall/one.jpg"):

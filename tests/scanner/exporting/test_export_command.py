@@ -159,5 +159,5 @@ def test_without_pye57_the_extra_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pye57", None)
     assert run("export", result, "--to", "e57") == 2
-    assert "extra 'e57'" in capsys.readouterr().err
+    assert "E57 needs pye57, which is not installed; type: " in capsys.readouterr().err
     assert {path.name for path in result.parent.iterdir()} == {"room"}

@@ -1,11 +1,13 @@
 """Where the page is served, and the verdict that it shows."""
 
+import re
 import socket
 import sys
 from pathlib import Path
 
 import pytest
 
+from hw.optional_parts import CONSOLE
 from scanner.commands.main import main
 from scanner.errors import InputError
 from scanner.results.verdict import Verdict
@@ -17,11 +19,11 @@ def test_without_viser_it_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(InputError, match=r"pip install '\.\[console\]'"):
+    with pytest.raises(InputError, match=re.escape(CONSOLE.install_command())):
         require_viser()
     for command in (["view", str(tmp_path)], ["console", "--config", "room.yaml"]):
         assert main(command) == 2
-        assert "pip install '.[console]'" in capsys.readouterr().err
+        assert CONSOLE.install_command() in capsys.readouterr().err
 
 
 def test_a_port_that_is_taken() -> None:

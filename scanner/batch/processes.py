@@ -1,0 +1,149 @@
+"""The processors of this machine: a process each, which is started again if it dies or takes more than its share."""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import Self
+
+from scanner.batch.listing import Job
+from scanner.batch.rows import Row
+from scanner.batch.work import Delivery, Work
+
+# A capture that was there when so many processes died is what ends them.
+DEATHS = 3
+# How often memory is looked at, and how much of its share a process may take.
+_LOOK_S, _ALLOWED = 0.5, 0.95
+# Threads of libraries would be in each other's way.
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class WorkerDiedError(Exception):
+    """The processes that worked on a capture were killed, each time that it was tried."""
+
+    def __str__(self) -> str:
+        return "the processes that worked on it were killed: out of memory, or a crash in a library"
+
+
+@dataclass
+class _Worker:
+    process: SpawnProcess
+    connection: Connection
+    job: Job | None = None
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
+
+
+class Processes:
+    """`count` of them (None: one for each processor), of `memory_bytes` each (None: an equal share of what there is),
+    for as long as the context lasts.
+    """
+
+    def __init__(self, count: int | None = None, memory_bytes: float | None = None) -> None:
+        self._count = count or os.cpu_count() or 1
+        self._memory_bytes = memory_bytes or _all_memory() / self._count
+        self._workers: list[_Worker] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        while self._workers:
+            self._workers.pop().end()
+
+    def __str__(self) -> str:
+        many = f"{self._count} process{'' if self._count == 1 else 'es'}"
+        return f"{many} of {self._memory_bytes / 2**30:.1f} GiB each"
+
+    def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, Row | Exception]]:
+        """What came of each job, in the order in which they are finished."""
+        waiting, deaths = list(jobs)[::-1], dict[str, int]()
+        while waiting or any(worker.job for worker in self._workers):
+            self._hand_out(work, waiting, delivery)
+            self._end_the_largest()
+            for ready in wait([worker.connection for worker in self._workers if worker.job], _LOOK_S):
+                worker = next(worker for worker in self._workers if worker.connection is ready)
+                job, worker.job = worker.job, None
+                assert job is not None
+                try:
+                    outcome = worker.connection.recv()
+                except (EOFError, ConnectionError):
+                    self._workers.remove(worker)
+                    worker.end()
+                    deaths[job.name] = deaths.get(job.name, 0) + 1
+                    if deaths[job.name] < DEATHS:
+                        waiting.append(job)
+                        continue
+                    outcome = WorkerDiedError()
+                yield job, outcome
+
+    def _hand_out(self, work: Work, waiting: list[Job], delivery: Delivery) -> None:
+        while len(self._workers) < min(self._count, len(waiting) + len(self._workers)):
+            self._workers.append(_started())
+        for worker in self._workers:
+            if waiting and worker.job is None:
+                worker.job = waiting.pop()
+                with contextlib.suppress(ConnectionError):  # it has died, which reading tells
+                    worker.connection.send((work, worker.job, delivery))
+
+    def _end_the_largest(self) -> None:
+        for worker in self._workers:
+            if _memory_of(worker.process.pid) > _ALLOWED * self._memory_bytes:
+                worker.process.kill()
+
+
+def _started() -> _Worker:
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        process.start()
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+    theirs.close()
+    return _Worker(process, ours)
+
+
+def _serve(connection: Connection) -> None:
+    """What a process does: one job after the other, until its connection ends."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # of the terminal; the batch ends its processes itself
+    while True:
+        try:
+            work, job, delivery = connection.recv()
+        except EOFError:
+            return
+        outcome: Row | Exception
+        try:
+            outcome = work(job, delivery)
+        except Exception as error:
+            outcome = error
+        connection.send(outcome)
+
+
+def _all_memory() -> float:
+    """Bytes of this machine, of which the system may leave a program less (a container)."""
+    limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
+    with contextlib.suppress(OSError, ValueError):  # no such limit, or "max"
+        limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
+    return min(limits)
+
+
+def _memory_of(pid: int | None) -> float:
+    """Bytes that a process has in memory now; none where the system does not tell as Linux does."""
+    try:
+        pages = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]
+    except (OSError, IndexError):
+        return 0.0
+    return float(int(pages) * os.sysconf("SC_PAGE_SIZE"))
