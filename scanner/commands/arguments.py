@@ -3,6 +3,7 @@
 from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
+from scanner.commands.rigs import RIGS
 from scanner.commands.shared_arguments import (
     add_calibration,
     add_config,
@@ -104,6 +105,16 @@ def of_calibrate(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     add_out(parser)
     add_overwrite(parser)
+    add_quiet(parser)
+
+
+def of_new(parser: ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE", help="configuration to write, as in my-rig.yaml")
+    rigs = "; ".join(f"{name}: {rig.about}" for name, rig in RIGS.items())
+    parser.add_argument(
+        "--rig", choices=list(RIGS), default="simulated", metavar="NAME", help=f"{rigs} (default: simulated)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier file of that name")
     add_quiet(parser)
 
 

@@ -46,6 +46,11 @@ arguments, a batch does what is left. Sources and --out may be far away, as in s
         arguments.of_patterns,
         "patterns",
     ),
+    "new": Command(
+        "Write a configuration that explains itself, with the devices that are found filled in.",
+        arguments.of_new,
+        "new",
+    ),
     "devices": Command("List cameras and screens, with the lines to paste into a configuration.", add_quiet, "devices"),
     "check": Command(
         "Look at the rig before a scan: devices, exposure, light, focus, and how well this view will calibrate.",

@@ -24,27 +24,53 @@ class _Device:
     size: str
 
 
+@dataclass(frozen=True)
+class Found:
+    """What is `told` of cameras and of screens, the `lines` of a configuration that choose the first of each, and the
+    `problems` of looking for them.
+    """
+
+    told: dict[str, list[str]]
+    lines: list[str]
+    problems: list[str]
+
+    def paragraphs(self) -> Iterator[str]:
+        """For a person: what there is of each."""
+        for heading, told in self.told.items():
+            yield "\n  ".join([heading, *(told or ["none found"])])
+
+
 def run(args: Namespace) -> None:
     """Show what is there. Raises DeviceError if neither cameras nor screens can be looked for."""
     terminal = Terminal(quiet=args.quiet)
+    found = find_devices(terminal)
+    terminal.show(*found.paragraphs())
+    if len(found.problems) == len(found.told):
+        raise DeviceError("neither cameras nor screens can be listed: " + "; ".join(dict.fromkeys(found.problems)))
+    if found.lines:
+        terminal.show("\nTo paste into a configuration:\n", "\n".join(found.lines))
+        terminal.show("\n→ scan new my-rig.yaml --rig aravis writes a whole configuration with these lines in it.")
+    else:
+        terminal.show("→ Connect and switch on a camera and a projector, then run scan devices again.")
+
+
+def find_devices(terminal: Terminal) -> Found:
+    """Look for cameras and screens."""
     problems: list[str] = []
+    told: dict[str, list[str]] = {}
     found: dict[str, Sequence[_Device]] = {}
     look_for: dict[str, Callable[[], Sequence[_Device]]] = {"Cameras": _cameras, "Screens": _screens}
     for heading, look in look_for.items():
         try:
             with terminal.step(f"Looking for {heading.lower()}"):
                 found[heading] = look()
-            lines = [line for device in found[heading] for line in (device.name, device.abilities) if line]
+            told[heading] = [line for device in found[heading] for line in (device.name, device.abilities) if line]
         except DeviceError as error:
             problems.append(str(error))
-            lines = [str(error)]
-        terminal.show("\n  ".join([heading, *(lines or ["none found"])]))
-    if len(problems) == 2:
-        raise DeviceError("neither cameras nor screens can be listed: " + "; ".join(problems))
+            told[heading] = [str(error)]
     cameras = [camera for camera in found.get("Cameras", ()) if camera.rig]
     # The desktop begins on the first screen; a projector is mostly the last.
-    if lines := list(_to_paste(cameras, found.get("Screens", ())[::-1])):
-        terminal.show("\nTo paste into a configuration:\n", "\n".join(lines))
+    return Found(told, list(_to_paste(cameras, found.get("Screens", ())[::-1])), problems)
 
 
 def _to_paste(cameras: Sequence[_Device], screens: Sequence[_Device]) -> Iterator[str]:

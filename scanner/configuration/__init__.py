@@ -1,6 +1,7 @@
 """Configuration files: their schema, and changes to them that keep comments."""
 
-from scanner.configuration.edit import check_text, set_keys, write_text
+from scanner.configuration.edit import check_text, set_keys, with_key, write_text
+from scanner.configuration.example_files import example
 from scanner.configuration.schema import (
     CONFIGURATION_KEY,
     CharucoSettings,

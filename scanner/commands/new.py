@@ -1,0 +1,68 @@
+"""Write a configuration that explains itself, with the devices that are found filled in."""
+
+import re
+from argparse import Namespace
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from scanner.commands.devices import find_devices
+from scanner.commands.rigs import RIGS
+from scanner.configuration import check_text, example, with_key
+from scanner.errors import InputError
+from scanner.io import flow_yaml, new_file, parse_yaml
+from scanner.results import default_out
+from scanner.ui import Terminal
+
+
+def run(args: Namespace) -> None:
+    """Do the work. Raises InputError."""
+    rig, path, terminal = RIGS[args.rig], args.file, Terminal(quiet=args.quiet)
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{path}: expected a name that ends with .yaml")
+    text = _renamed(example(rig.example), rig.example, path)
+    if rig.devices:
+        found = find_devices(terminal)
+        terminal.show(*found.paragraphs())
+        if found.lines:
+            text = filled_in(text, parse_yaml("\n".join(found.lines), "what was found"), str(path))
+    check_text(text, path)
+    with new_file(path, overwrite=args.overwrite) as partial:
+        partial.write_text(text, encoding="utf-8")
+    terminal.show(f"Written: {path}, {rig.about}. Every key in it is explained.", f"→ {_next(args.rig, path)}")
+
+
+def _next(name: str, path: Path) -> str:
+    if RIGS[name].devices:
+        return f"scan check --config {path} looks at both devices, and says what to set."
+    stations = " --stations 6" if name == "whole-room" else ""
+    return f"scan --config {path}{stations} scans; the result goes to {default_out(path.stem, overwrite=True)}/"
+
+
+def _renamed(text: str, example_name: str, path: Path) -> str:
+    """The text, whose comments speak of the file by its own name."""
+    return text.replace(f"configs/{example_name}", str(path)).replace(
+        f"scans/{Path(example_name).stem}/", f"scans/{path.stem}/"
+    )
+
+
+def filled_in(text: str, found: dict[str, dict[str, Any]], where: str) -> str:
+    """A configuration's text with keys such as rig.camera set; one that is there as a comment is put in its place.
+
+    Raises InputError if that cannot be done.
+    """
+    for section, name, value in _keys(found):
+        commented = re.compile(rf"^  # {name}: .*$", re.MULTILINE)
+        place = commented.search(text) if section == "rig" else None
+        if place:
+            text = f"{text[: place.start()]}  {name}: {flow_yaml(value)}{text[place.end() :]}"
+        else:
+            text = with_key(text, f"{section}.{name}", value, where)
+    return text
+
+
+def _keys(found: dict[str, dict[str, Any]]) -> Iterator[tuple[str, str, Any]]:
+    for section, keys in found.items():
+        for name, value in keys.items():
+            if name != "backend":
+                yield section, name, value

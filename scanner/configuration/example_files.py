@@ -1,0 +1,8 @@
+"""The configurations that explain themselves: those of configs/, to which a link in this folder leads."""
+
+from importlib.resources import files
+
+
+def example(name: str) -> str:
+    """The text of one, by the name of its file."""
+    return (files("scanner.configuration") / "examples" / name).read_text(encoding="utf-8")

@@ -1,0 +1,87 @@
+"""`scan new`: configurations that explain themselves, for every rig, with what was found filled in."""
+
+from pathlib import Path
+
+import pytest
+
+from hw.cameras import CameraInfo
+from hw.errors import DeviceError
+from hw.screens import Screen
+from hw.settings import AravisRigSettings, SimulatedRigSettings
+from scanner.commands import devices
+from scanner.commands.main import main
+from scanner.commands.new import filled_in
+from scanner.commands.rigs import RIGS
+from scanner.configuration import load_config
+from tests.support.places import ROOT
+
+EXAMPLES = ROOT / "scanner/configuration/examples"
+
+
+@pytest.fixture
+def no_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing() -> list[devices._Device]:
+        raise DeviceError("nothing can be looked for")
+
+    for look in ("_cameras", "_screens"):
+        monkeypatch.setattr(devices, look, missing)
+
+
+@pytest.mark.usefixtures("no_devices")
+@pytest.mark.parametrize("rig", RIGS)
+def test_it_can_be_used_as_it_is(
+    rig: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "mine.yaml", "--rig", rig]) == 0
+    said = capsys.readouterr().out
+    assert ("nothing can be looked for" in said) == RIGS[rig].devices
+    assert said.splitlines()[-1].startswith("→ scan ")
+    assert "--config mine.yaml" in said.splitlines()[-1]
+    text = Path("mine.yaml").read_text(encoding="utf-8")
+    assert "configs/" not in text
+    assert text.count("#") > 5
+    config = load_config(Path("mine.yaml"))
+    assert config == load_config(ROOT / "configs" / RIGS[rig].example)
+    assert isinstance(config.required_rig, AravisRigSettings if RIGS[rig].devices else SimulatedRigSettings)
+
+
+def test_what_was_found_is_filled_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = CameraInfo("Maker-22345678", "Maker", "Model", "22345678", "10.0.0.2", (1936, 1216), ("Mono8", "Mono12"))
+    screens = [Screen(0, "DP-1", 0, 0, 2560, 1440, 60.0), Screen(1, "HDMI-1", 2560, 0, 1280, 800, 60.0)]
+    monkeypatch.setattr(devices, "_cameras", lambda: [devices._camera(camera)])
+    monkeypatch.setattr(devices, "_screens", lambda: [devices._screen(screen) for screen in screens])
+    path = tmp_path / "mine.yaml"
+    assert main(["new", str(path), "--rig", "aravis"]) == 0
+    assert "Maker Model 22345678" in capsys.readouterr().out
+    config = load_config(path)
+    rig = config.required_rig
+    assert isinstance(rig, AravisRigSettings)
+    assert (rig.camera, rig.screen) == ("Maker-22345678", "1280x800+2560+0")
+    assert (config.camera_size, config.projector_size) == ((1936, 1216), (1280, 800))
+    before, after = (text.read_text(encoding="utf-8").splitlines() for text in (ROOT / "configs" / "room.yaml", path))
+    assert len(before) == len(after)  # each in the place of the line that explains it
+    assert sum(old != new for old, new in zip(before, after, strict=True)) <= 8
+
+
+def test_a_key_without_a_commented_example_is_added() -> None:
+    text = filled_in("rig:\n  # gain: 3\n  backend: aravis\n", {"rig": {"trigger": "line"}}, "here")
+    assert text == "rig:\n  # gain: 3\n  trigger: line\n  backend: aravis\n"
+
+
+def test_an_earlier_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("rig: {}\n")
+    assert main(["new", str(path)]) == 2
+    assert "already exists" in capsys.readouterr().err
+    assert path.read_text() == "rig: {}\n"
+    assert main(["new", str(path), "--overwrite"]) == 0
+    assert main(["new", str(tmp_path / "mine")]) == 2
+    assert "expected a name that ends with .yaml" in capsys.readouterr().err
+
+
+def test_what_is_shipped_is_what_is_in_the_checkout() -> None:
+    for rig in RIGS.values():
+        assert (EXAMPLES / rig.example).samefile(ROOT / "configs" / rig.example)
