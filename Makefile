@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 .PHONY: help setup scan room console scan-loopback rig try-rig try-browser test lint check-types unit benchmark paper fuzz clean
 
 help:
-	@echo "make scan           set up, then scan a simulated room into scans/room-sim/"
+	@echo "make scan           set up, then scan a simulated room from three places into scans/room-sim/"
 	@echo "make room           scan a whole simulated room from six stations into scans/room-whole-sim/"
 	@echo "make console        the same, and more, on a page in the browser"
 	@echo "make test           set up, then run every check and every test"
@@ -21,7 +21,7 @@ help:
 setup: $(VENV)/.compiled
 
 scan: setup
-	$(BIN)/scan --config configs/room-sim.yaml --out scans/room-sim --overwrite
+	$(BIN)/scan --config configs/room-sim.yaml --captures 3 --out scans/room-sim --overwrite
 
 room: setup
 	$(BIN)/scan --config configs/room-whole-sim.yaml --stations 6 --out scans/room-whole-sim --overwrite

@@ -27,6 +27,9 @@ def run(seed: int, diameter_mm: float, folder: Path) -> tuple[float, float] | No
     room = draw_room(SimulatedRigSettings(seed=seed, sphere_radius_m=radius_m))
     settings = {
         "rig.seed": seed,
+        "rig.walls_off_deg": 0,
+        "corner.squareness_deg": 0,
+        "camera.principal_point": "{known: [628.15, 527.15]}",
         "rig.sphere_radius_m": radius_m,
         "scale.baseline_m": true_calibration(room).baseline,
     }

@@ -28,6 +28,8 @@ _SMALL = (
     "camera={width: 408, height: 342, principal_point: {known: [209.0, 175.3]}}",
     "projector={width: 427, height: 240}",
     "sequence.preset=quick",
+    "rig.walls_off_deg=0",
+    "corner.squareness_deg=0",
 )
 
 

@@ -35,7 +35,10 @@ def run(args: Namespace) -> None:
     terminal.show(*dict.fromkeys(acceptance.sentences), summary_table(acceptance))
     for remark in remarks(acceptance):
         terminal.show(f"Note: {remark}")
-    terminal.show(f"Written: {out} ({ACCEPTANCE_PAGE}, {ACCEPTANCE_FILE})")
+    terminal.show(
+        f"Written: {out} ({ACCEPTANCE_PAGE}, {ACCEPTANCE_FILE})",
+        f"→ Open {out / ACCEPTANCE_PAGE} in a browser: the errors of each place, to be printed.",
+    )
 
 
 def _accept(results: list[Path], ball_bar: str, terminal: Terminal) -> Acceptance:

@@ -56,8 +56,9 @@ def _print(args: Namespace, terminal: Terminal) -> None:
     with new_file(out, overwrite=args.overwrite) as path:
         write_pdf(path, target, sheet)
     terminal.show(
-        f"Written: {out}. Print it at 100 %, measure the ruler, glue it to something flat and firm, and calibrate with "
-        f"--board {target} --square {target.square:g}mm."
+        f"Written: {out}",
+        "→ Print it at 100 %, measure the ruler, glue it to something flat and firm, and calibrate with "
+        f"--board {target} --square {target.square:g}mm.",
     )
 
 

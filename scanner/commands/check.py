@@ -33,6 +33,8 @@ def run(args: Namespace) -> None:
         terminal.show(_write(args.config, report))
     if report.failure:
         raise report.failure
+    first = "first do what the arrows say, then " if any(row.advice for row in report.rows) else ""
+    terminal.show(f"→ {first}scan --config {args.config}")
 
 
 def _write(path: Path, report: CheckReport) -> str:

@@ -32,4 +32,9 @@ def run(args: Namespace) -> None:
         with new_files(args.out, (COMPARE_FILE, COMPARE_PAGE), overwrite=args.overwrite) as (document, page):
             write_compare(document, found)
             write_compare_page(page, found)
-        terminal.show(f"Written: {args.out} ({COMPARE_PAGE}, {COMPARE_FILE})")
+        terminal.show(
+            f"Written: {args.out} ({COMPARE_PAGE}, {COMPARE_FILE})",
+            f"→ Open {args.out / COMPARE_PAGE} in a browser: where in the picture they differ.",
+        )
+    else:
+        terminal.show("→ The same command with --out DIR draws where in the picture they differ.")

@@ -20,4 +20,4 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     with terminal.step("Exporting"):
         told = target.write(Request(args.result, out, args.overwrite, args.points or DEFAULT_POINTS))
-    terminal.show(*told, f"Written: {out}")
+    terminal.show(*told, f"Written: {out}", f"→ {target.opened_by}")

@@ -50,10 +50,13 @@ def run(args: Namespace) -> None:
     left_out = f"; left out: {', '.join(path.name for path in unused)}" if unused else ""
     terminal.show(f"{files}: {chosen.layout.title}, {_shown(chosen.projector_size)} ({chosen.how}){left_out}")
     if output is None:
+        terminal.show("→ The same command with --out CAPTURE makes a capture of them.")
         return
     with output:
         write_capture(output.folder, chosen, look().camera_size)
-    terminal.show(f"{len(chosen.files)} frames and capture.yaml are in {args.out}")
+    terminal.show(
+        f"{len(chosen.files)} frames and capture.yaml are in {args.out}", f"→ scan replay {args.out} reconstructs it."
+    )
 
 
 def _layout(name: str) -> Layout:

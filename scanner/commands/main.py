@@ -21,6 +21,8 @@ _OTHER_COMMANDS = "other commands:\n" + "\n".join(
     f"  scan {name:<10} {command.about}" for name, command in NAMED.items()
 )
 
+_FIRST_STEP = "→ scan new my-room.yaml writes a configuration to begin with."
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line (default: the process's own) and return its exit code; errors are one message on stderr."""
@@ -92,7 +94,7 @@ def _command(name: str) -> Command:
 def _choose(arguments: list[str]) -> tuple[str, list[str]]:
     """The command's name, '' for the main job, and its arguments."""
     if not arguments:
-        raise InputError(f"nothing to do\n\n{parser_of('').format_help().rstrip()}")
+        raise InputError(f"nothing to do\n\n{parser_of('').format_help().rstrip()}\n\n{_FIRST_STEP}")
     first, *rest = arguments
     if first in NAMED:
         return first, rest

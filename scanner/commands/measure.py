@@ -53,3 +53,7 @@ def run(args: Namespace) -> None:
     if measured.angles:
         terminal.show(_ASSUMED_ANGLES)
     terminal.show(f"Written: {out} ({MEASURE_FILE}{f', {FIGURE_FILE}' if measured.pictured else ''})")
+    if not args.shares:
+        terminal.show("→ The same command with --shares --overwrite tells where each sigma comes from.")
+    else:
+        terminal.show(f"→ scan view {args.result} measures between points that are clicked on.")

@@ -16,4 +16,8 @@ def run(args: Namespace) -> None:
     with OutputFolder(args.out) as output, terminal.step("Drawing the patterns"):
         write_sequence(output.folder, patterns, config.projector_size)
     width, height = config.projector_size
-    terminal.show(f"{len(patterns)} patterns of {width} × {height} pixels, and sequence.yaml, are in {args.out}")
+    terminal.show(
+        f"{len(patterns)} patterns of {width} × {height} pixels, and sequence.yaml, are in {args.out}",
+        "→ Project each and photograph it. With a capture.yaml beside the photographs, which is sequence.yaml with the "
+        "camera's size and their names, scan replay FOLDER reconstructs.",
+    )

@@ -50,5 +50,4 @@ def _resume(args: Namespace, terminal: Terminal) -> None:
         overwrite=args.overwrite,
         terminal=terminal,
     )
-    show_outcome(found, out, terminal)
-    terminal.show(f"The frames that {args.resume} holds are in this result, too.")
+    show_outcome(found, out, terminal, [f"The frames that {args.resume} holds are in this result, too."])

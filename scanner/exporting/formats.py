@@ -23,13 +23,14 @@ class Request:
 class Format:
     """A target: `suffixes` its files may have (none: a folder), the default first, and `ending`, for a default name.
 
-    `module` of this package has `export(request)`.
+    `module` of this package has `export(request)`; `opened_by`: which program reads it, as a sentence.
     """
 
     about: str
     ending: str
     suffixes: tuple[str, ...]
     module: str
+    opened_by: str
 
     def check_name(self, out: Path) -> None:
         """Raise InputError if a file of this format is not called like that."""
@@ -43,9 +44,25 @@ class Format:
 
 
 FORMATS: dict[str, Format] = {
-    "opencv": Format("calibration as OpenCV's FileStorage", "-opencv.yaml", (".yaml", ".yml"), "opencv"),
-    "colmap": Format("text model with some of the points", "-colmap", (), "colmap"),
-    "ply": Format("the cloud", "-cloud.ply", (".ply",), "cloud"),
-    "e57": Format("the cloud, upright and in metres (needs pye57)", ".e57", (".e57",), "e57"),
-    "mesh": Format("triangles, by the name's ending GLB, PLY or OBJ", "-mesh.glb", (".glb", ".ply", ".obj"), "mesh"),
+    "opencv": Format(
+        "calibration as OpenCV's FileStorage", "-opencv.yaml", (".yaml", ".yml"), "opencv", "cv2.FileStorage reads it."
+    ),
+    "colmap": Format(
+        "text model with some of the points", "-colmap", (), "colmap", "COLMAP reads it: File, Import model."
+    ),
+    "ply": Format("the cloud", "-cloud.ply", (".ply",), "cloud", "MeshLab, CloudCompare and Open3D read it."),
+    "e57": Format(
+        "the cloud, upright and in metres (needs pye57)",
+        ".e57",
+        (".e57",),
+        "e57",
+        "CloudCompare and CAD programs read it.",
+    ),
+    "mesh": Format(
+        "triangles, by the name's ending GLB, PLY or OBJ",
+        "-mesh.glb",
+        (".glb", ".ply", ".obj"),
+        "mesh",
+        "Blender and MeshLab read it.",
+    ),
 }

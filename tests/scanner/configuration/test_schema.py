@@ -30,8 +30,8 @@ def test_the_default_room_is_the_rig_of_the_paper_at_half_resolution() -> None:
     assert config.required_rig.backend == "simulated"
     assert config.camera_size == (1224, 1024)
     assert config.projector_size == (854, 480)
-    assert config.principal_point(config.camera_size).px == (628.15, 527.15)
-    assert config.principal_point(config.camera_size).sigma_px == 0
+    assert config.principal_point(config.camera_size).px == (611.5, 511.5)
+    assert config.principal_point(config.camera_size).sigma_px == 35
     assert config.sequence.patterns((854, 480)) == sequence_for((854, 480))
 
 
