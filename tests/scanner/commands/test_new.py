@@ -6,7 +6,7 @@ import pytest
 
 from hw.cameras import CameraInfo
 from hw.errors import DeviceError
-from hw.screens import Screen
+from hw.projector.screens import Screen
 from hw.settings import AravisRigSettings, SimulatedRigSettings
 from scanner.commands import devices
 from scanner.commands.main import main
