@@ -103,7 +103,7 @@ def _of_axis(axis: AxisPlan, levels: NDArray[Any], coordinate: Floats32) -> tupl
         return np.hypot(cosine, sine), fringe.period
     for code in axis.codes:
         bit = max(code.pairs, default=-1)
-        if bit == code.bits - 1 and code.base in (None, bit):
+        if bit == code.bits - 1 and bit not in code.relative:
             normal, inverse = code.pairs[bit]
             # Of words 0, 1, 2, 3 the finest bit is set in 1 and 2.
             period = 4.0 * code.cell

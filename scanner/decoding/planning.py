@@ -5,6 +5,7 @@ Everything that can be known before the first frame is worked out, or refused, h
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import ceil, inf
 
 import numpy as np
@@ -56,18 +57,20 @@ def _gray_codes(axis: Axis, length: int, index: Mapping[Pattern, int]) -> list[G
             group = relative[numbering, pattern.base] if isinstance(pattern, Xor) else plain[numbering]
             group[pattern.inverted][pattern.bit] = frame
     codes = []
+    of_xor: set[tuple[_Numbering, int]] = set()
     for (numbering, base), shown in relative.items():
-        for inverted in (False, True):
-            if base in plain[numbering][inverted]:
-                shown[inverted][base] = plain[numbering][inverted][base]
+        bits = frozenset({*shown[False], *shown[True]})
+        # The base and what else is not relative to it, mostly finer bits, are shown plainly.
+        for inverted, frames in plain[numbering].items():
+            shown[inverted] |= {bit: frame for bit, frame in frames.items() if bit not in bits}
         if not any(base in frames for frames in shown.values()):
             raise InputError(f"an XOR code along {axis} needs its base as well, the Gray code's bit {base}")
-        codes.append(_code(axis, length, numbering, shown, base))
-    # A bit that is shown as the base of an XOR code only is no Gray code.
-    bases = {(numbering, base) for numbering, base in relative}
+        codes.append(replace(_code(axis, length, numbering, shown), base=base, relative=bits))
+        of_xor |= {(numbering, bit) for bit in {*shown[False], *shown[True]} - bits}
+    # Bits that are shown as a part of an XOR code only are no Gray code.
     for numbering, shown in plain.items():
-        if {(numbering, bit) for bit in {*shown[False], *shown[True]}} - bases:
-            codes.append(_code(axis, length, numbering, shown, None))
+        if {(numbering, bit) for bit in {*shown[False], *shown[True]}} - of_xor:
+            codes.append(_code(axis, length, numbering, shown))
     return codes
 
 
@@ -75,9 +78,9 @@ def _nothing() -> _Shown:
     return {False: {}, True: {}}
 
 
-def _code(axis: Axis, length: int, numbering: _Numbering, shown: _Shown, base: int | None) -> GrayCode:
+def _code(axis: Axis, length: int, numbering: _Numbering, shown: _Shown) -> GrayCode:
     constant = constant_bits(axis, length, numbering, {*shown[False], *shown[True]})
-    return GrayCode(axis, *numbering, shown[False], shown[True], constant, base)
+    return GrayCode(axis, *numbering, shown[False], shown[True], constant)
 
 
 def constant_bits(axis: Axis, length: int, key: tuple[int, int, int], shown: set[int]) -> int:

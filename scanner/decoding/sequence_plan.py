@@ -20,7 +20,7 @@ class GrayCode:
     """The bits of one Gray code. `normal` and `inverse` map a bit to the index of its frame.
 
     `constant` is the part of the code word that never changes on this projector and was not shown. `base`: the bit
-    that all others are shown relative to, by exclusive or (an XOR code); None for a plain Gray code.
+    that the `relative` ones are shown relative to, by exclusive or (an XOR code); None for a plain Gray code.
     """
 
     axis: Axis
@@ -31,12 +31,13 @@ class GrayCode:
     inverse: Mapping[int, int]
     constant: int = 0
     base: int | None = None
+    relative: frozenset[int] = frozenset()
 
     def relative_to_base(self, words: Words) -> Words:
         """The words of the plain code from those that an XOR code shows, and the other way round; any shape."""
         if self.base is None:
             return words
-        shown = sum(1 << self.bits - 1 - bit for bit in {*self.normal, *self.inverse} - {self.base})
+        shown = sum(1 << self.bits - 1 - bit for bit in self.relative)
         base = words >> words.dtype.type(self.bits - 1 - self.base) & words.dtype.type(1)
         return words ^ base * words.dtype.type(shown)
 

@@ -112,9 +112,11 @@ def _decodable(axis: Axis, length: int, once: Sequence[Pattern], wanted: Sequenc
                 found |= {pattern: replace(pattern, bits=code[0], cell=code[1]) for pattern in kept}
                 break
     for (bits, cell, offset, base), others in relative.items():
-        bases = [pattern for pattern in codes[bits, cell, offset] if pattern.bit == base]
-        if bases and _complete(axis, length, (bits, cell, offset), {base, *(pattern.bit for pattern in others)}):
-            whole: list[Pattern] = [*bases, *others]
+        relative_bits = {pattern.bit for pattern in others}
+        plain = [pattern for pattern in codes[bits, cell, offset] if pattern.bit not in relative_bits]
+        plain_bits = {pattern.bit for pattern in plain}
+        if base in plain_bits and _complete(axis, length, (bits, cell, offset), plain_bits | relative_bits):
+            whole: list[Pattern] = [*plain, *others]
             found |= {pattern: pattern for pattern in whole}
     return found | {pattern: pattern for pattern in _whole_fringes(axis, once, wanted)}
 

@@ -15,6 +15,7 @@ from scanner.patterns.pattern import (
     gray_sequence,
     phase_sequence,
     sequence_for,
+    xor_sequence,
 )
 from scanner.patterns.presets import PRESETS, Preset, PresetName
 from scanner.patterns.projector_response import ProjectorResponse

@@ -114,14 +114,17 @@ def gray_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) 
             yield Gray(axis, bit, bits, cell, inverted=inverted)
 
 
-def xor_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) -> Iterator[Gray | Xor]:
-    """The same cells by stripes that are nearly all two cells wide: the finest bit, and the others relative to it."""
+def xor_sequence(
+    axis: Axis, length: int, cell: int, *, inverses: bool = True, above_finest: int = 0
+) -> Iterator[Gray | Xor]:
+    """The same cells by stripes that are nearly all two cells wide: the finest bit, and the others relative to it.
+
+    With a base so many bits above the finest, the bits above it are relative to it, and those below are shown plainly.
+    """
     for shown in gray_sequence(axis, length, cell, inverses=inverses):
-        base = shown.bits - 1
-        if shown.bit == base:
-            yield shown
-        else:
-            yield Xor(axis, shown.bit, shown.bits, base, cell, inverted=shown.inverted)
+        base = shown.bits - 1 - above_finest
+        relative = Xor(axis, shown.bit, shown.bits, base, cell, inverted=shown.inverted)
+        yield relative if shown.bit < base else shown
 
 
 def phase_sequence(axis: Axis, period: float, shifts: int) -> Iterator[Phase]:

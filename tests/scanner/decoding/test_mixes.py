@@ -6,11 +6,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scanner.patterns.pattern import Black, Gray, Pattern, Phase, White, gray_sequence, phase_sequence, sequence_for
+from scanner.patterns.pattern import (
+    Axis,
+    Black,
+    Gray,
+    Pattern,
+    Phase,
+    White,
+    gray_sequence,
+    phase_sequence,
+    sequence_for,
+    xor_sequence,
+)
 from scanner.patterns.presets import PRESETS
 from tests.support.synthetic_capture import Scene, fringes
 
 SCENE = Scene()
+LENGTHS: tuple[tuple[Axis, int], ...] = (("x", 300), ("y", 200))
 
 
 def without_white_and_black(patterns: tuple[Pattern, ...]) -> tuple[Pattern, ...]:
@@ -23,6 +35,11 @@ def standard(**options: Any) -> tuple[Pattern, ...]:
 
 def codes(cell: int) -> tuple[Pattern, ...]:
     return (*gray_sequence("x", 300, cell), *gray_sequence("y", 200, cell))
+
+
+def on_base(cell: int, above_finest: int) -> tuple[Pattern, ...]:
+    x, y = (xor_sequence(axis, n, cell, above_finest=above_finest) for axis, n in LENGTHS)
+    return (*x, *y)
 
 
 def shifted(patterns: tuple[Pattern, ...], offset: int, bits: int) -> tuple[Pattern, ...]:
@@ -67,6 +84,7 @@ CASES = [
     Case("concave", PRESETS["concave"].patterns(SCENE.projector), (0.005, 0.03), 0.6, 0.998),
     Case("XOR code", standard(code="xor"), (0.005, 0.03), 0.6, 0.97),
     Case("XOR code without inverses", standard(code="xor", inverses=False), (0.005, 0.03), 0.6, 0.97),
+    Case("XOR code on a coarser base", (*on_base(8, 2), *fringes([16], 8)), (0.005, 0.03), 0.6, 0.97),
     Case("both codes", standard(code="both"), (0.005, 0.03), 0.6, 0.998),
     Case("three shifts", standard(shifts=3), (0.01, 0.06), 0.7, 0.998),
     Case("five shifts", standard(shifts=5), (0.005, 0.03), 0.6, 0.999),
@@ -80,6 +98,7 @@ CASES = [
     Case("fringes only, beating", fringes([21, 19, 17], 8), (0.005, 0.03), 0.7, 0.999),
     Case("a long fringe", fringes([400], 16), (0.1, 0.8), 20.0, 0.99, replace(SCENE, indirect=0.0)),
     Case("code, cell 1", standard(shifts=0, cell=1), (0.004, 0.02), 0.8, 0.999),
+    Case("XOR code on a coarser base, cell 4", (White(), Black(), *on_base(4, 2)), (0.02, 0.15), 1.0, 0.4),
     Case("XOR code, cell 4", standard(shifts=0, cell=4, code="xor"), (0.02, 0.15), 1.0, 0.4),
     Case("code, cell 4", standard(shifts=0, cell=4), (0.004, 0.02), 1.0, 0.97),
     Case("bare code", without_white_and_black(standard(shifts=0, cell=4, inverses=False)), (0.008, 0.03), 1.0, 0.97),

@@ -67,6 +67,8 @@ def test_an_undetermined_mix_is_refused(patterns: tuple[Pattern, ...], said: str
         (*X[::2], *Y[1::2]),
         (*xor_sequence("x", 300, 4), *xor_sequence("y", 200, 4)),
         (*X, *(p for p in xor_sequence("x", 300, 4) if isinstance(p, Xor)), *xor_sequence("y", 200, 8, inverses=False)),
+        (*xor_sequence("x", 300, 4, above_finest=3), *xor_sequence("y", 200, 4, inverses=False, above_finest=1)),
+        (*X, *xor_sequence("x", 300, 4, above_finest=3), *Y),
         (*X, *Y, Black()),
         (*X, *Y, *X[:2], White(), White()),
         fringes([300, 30], 3),
