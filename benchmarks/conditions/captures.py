@@ -13,7 +13,21 @@ from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture import CAPTURE_FILE
 from scanner.io import flow_yaml
-from scanner.patterns import FORMAT, PRESETS, Gray, Pattern, PresetName, draw, frame_line, sequence_for, size_to_dict
+from scanner.patterns import (
+    FORMAT,
+    PRESETS,
+    Black,
+    Gray,
+    Pattern,
+    PresetName,
+    White,
+    draw,
+    frame_line,
+    phase_sequence,
+    sequence_for,
+    size_to_dict,
+    xor_sequence,
+)
 
 SEQUENCES = (*PRESETS, "gray")
 
@@ -39,18 +53,24 @@ class Capture:
 
     def write(self, folder: Path) -> None:
         """A capture folder as `scan replay` takes it."""
-        (folder / "frames").mkdir(parents=True)
+        folder.mkdir(parents=True)
+        files = self.write_frames(folder / "frames")
         height, width = self.frames[0].shape
         sizes = {"projector": size_to_dict(self.projector_size), "camera": size_to_dict((width, height))}
         lines = [f"{key}: {flow_yaml(value)}\n" for key, value in {"format": FORMAT, **sizes}.items()]
         lines.append("frames:\n")
-        for number, (pattern, frame) in enumerate(zip(self.patterns, self.frames, strict=True)):
-            file = f"frames/{number:03d}.{'png' if self.jpeg is None else 'jpg'}"
-            quality = [cv2.IMWRITE_JPEG_QUALITY, self.jpeg] if self.jpeg is not None else []
+        lines += [frame_line(f"frames/{file}", p) for file, p in zip(files, self.patterns, strict=True)]
+        (folder / CAPTURE_FILE).write_text("".join(lines), encoding="utf-8")
+
+    def write_frames(self, folder: Path) -> list[str]:
+        """The images alone, in a new folder; their names."""
+        folder.mkdir()
+        quality = [cv2.IMWRITE_JPEG_QUALITY, self.jpeg] if self.jpeg is not None else []
+        files = [f"{number:03d}.{'png' if self.jpeg is None else 'jpg'}" for number in range(len(self.frames))]
+        for file, frame in zip(files, self.frames, strict=True):
             image = frame if self.tint is None else _tinted(frame, self.tint)
             cv2.imwrite(str(folder / file), image, quality)
-            lines.append(frame_line(file, pattern))
-        (folder / CAPTURE_FILE).write_text("".join(lines), encoding="utf-8")
+        return files
 
 
 def _tinted(frame: Image, tint: tuple[float, float, float]) -> Image:
@@ -62,6 +82,24 @@ def patterns_of(sequence: str, projector_size: tuple[int, int]) -> tuple[Pattern
     if sequence == "gray":
         return sequence_for(projector_size, cell=1, shifts=0)
     return PRESETS[cast(PresetName, sequence)].patterns(projector_size)
+
+
+def long_fringe(projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
+    """A fringe along x that spans the projector, in three steps, and nothing else."""
+    return (*phase_sequence("x", float(projector_size[0]), 3),)
+
+
+def long_fringes(projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
+    """White, black, and along each axis a fringe that spans it, in three steps."""
+    width, height = projector_size
+    return (White(), Black(), *phase_sequence("x", float(width), 3), *phase_sequence("y", float(height), 3))
+
+
+def xor_code(projector_size: tuple[int, int], *, above_finest: int) -> tuple[Pattern, ...]:
+    """White, black, and of each axis an XOR code down to a pixel, whose base is so many bits above the finest."""
+    width, height = projector_size
+    of_x = xor_sequence("x", width, 1, above_finest=above_finest)
+    return (White(), Black(), *of_x, *xor_sequence("y", height, 1, above_finest=above_finest))
 
 
 def take(room: SimulatedRoom, patterns: tuple[Pattern, ...], exposure: float) -> Capture:

@@ -2,10 +2,12 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from conditions.captures import long_fringe, long_fringes, xor_code
 from conditions.changes import (
     OfFrames,
     Random,
@@ -38,6 +40,8 @@ class Condition:
     """`rig`: settings of the simulated rig, or how to draw them for a sequence; `exposure`: relative to the one that
     suits the room; `frames`: what becomes of the frames. `moves`: devices move, which one of the axes sees and the
     other does not. `fault`: nothing that a device does, but a mistake; refusing it is right whatever could be decoded.
+    `shown`: of a projector of (width, height), patterns in place of the sequence's; along one axis only, the rig is
+    calibrated. `imported`: the capture goes through `scan import` with these options, as frames without a list.
     """
 
     name: str
@@ -47,6 +51,8 @@ class Condition:
     frames: OfFrames | None = None
     moves: bool = False
     fault: bool = False
+    shown: Callable[[tuple[int, int]], tuple[Pattern, ...]] | None = None
+    imported: tuple[str, ...] | None = None
 
     def exposed(self, room: SimulatedRoom) -> float:
         """The exposure relative to the one that suits the room."""
@@ -67,6 +73,7 @@ def conditions() -> Iterator[Condition]:
     yield from _motion()
     yield from _picture()
     yield from _frames()
+    yield from _sequences()
 
 
 def _light() -> Iterator[Condition]:
@@ -158,6 +165,14 @@ def _frames() -> Iterator[Condition]:
     yield Condition("two frames exchanged", frames=exchanged, fault=True)
     yield Condition("one frame repeated", frames=repeated, fault=True)
     yield Condition("a bit and its inverse exchanged", frames=inverted, fault=True)
+
+
+def _sequences() -> Iterator[Condition]:
+    for gamma in (1.0, 1.8, 2.6, 3.0):
+        yield Condition("one long fringe, calibrated rig", f"gamma {gamma}", {"gamma": gamma}, shown=long_fringe)
+        yield Condition("one long fringe along each axis", f"gamma {gamma}", {"gamma": gamma}, shown=long_fringes)
+    for above in (0, 1, 2, 4):
+        yield Condition("XOR code", f"base {above} above the finest", shown=partial(xor_code, above_finest=above))
 
 
 def _saturating(share: float) -> Callable[[SimulatedRoom], float]:

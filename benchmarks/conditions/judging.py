@@ -17,6 +17,8 @@ from scanner.quantities import intrinsic_errors_percent
 MOST_SIGMAS = 4.0
 MOST_PERCENT = 2.0
 MOST_MATCH_ERROR_PX = 0.5  # median
+# Median of those of a capture that is not calibrated; of normal errors it is 0.67 along a line, 1.2 in the plane.
+MOST_MATCH_SIGMAS = 2.0
 DISTURBED_PX = 2.0
 _NUMBERS = 4
 
@@ -87,12 +89,16 @@ def calibration_error(found: Calibration, truth: Truth) -> CalibrationError:
     return CalibrationError(percent, sigmas)
 
 
-def match_errors(matches: Matches, truth: Truth) -> Floats:
-    """Distances (k,) in projector px from what the camera pixels see; where they see an edge or nothing is left out."""
+def match_errors(matches: Matches, truth: Truth, *, in_sigmas: bool = False) -> Floats:
+    """Distances (k,) in projector px, or in sigmas of the matches, from what the camera pixels see; where they see an
+    edge or nothing is left out.
+    """
     expected = _expected_px(matches, truth)
     seen = np.isfinite(expected[:, 0])
     expected, found = expected[seen], np.asarray(matches.projector_px, np.float64)[seen]
     errors: Floats = np.linalg.norm(found - expected, axis=1)
+    if in_sigmas and matches.sigma_px is not None:
+        return errors / np.asarray(matches.sigma_px, np.float64)[seen]
     if truth.panel is None or not len(errors):
         return errors
     off = found - mapped(truth.panel, expected)
@@ -117,12 +123,13 @@ def matched_share(matches: Matches, truth: Truth) -> float:
     return float(near[truth.lit].mean())
 
 
-def could_be_decoded(candidates: Sequence[Matches], truth: Truth) -> bool:
-    """Whether any of some plain decodings is right, and the calibration that follows from it useful.
+def could_be_decoded(candidates: Sequence[Matches], truth: Truth, *, calibrated: bool = False) -> bool:
+    """Whether any of some plain decodings is right, and the calibration useful that follows from it, if one does.
 
     Where most of the matches are right, the others may be left out: what goes past a person would mask.
     """
-    return any(_is_right(some, truth) for matches in candidates for some in (matches, _undisturbed(matches, truth)))
+    possible = [some for matches in candidates for some in (matches, _undisturbed(matches, truth))]
+    return any(_is_right(some, truth) and (calibrated or _calibrates(some, truth)) for some in possible)
 
 
 def _undisturbed(matches: Matches, truth: Truth) -> Matches:
@@ -135,8 +142,10 @@ def _undisturbed(matches: Matches, truth: Truth) -> Matches:
 
 def _is_right(matches: Matches, truth: Truth) -> bool:
     errors = match_errors(matches, truth)
-    if not errors.size or np.median(errors) > MOST_MATCH_ERROR_PX:
-        return False
+    return bool(errors.size) and float(np.median(errors)) <= MOST_MATCH_ERROR_PX
+
+
+def _calibrates(matches: Matches, truth: Truth) -> bool:
     camera, projector = truth.calibration.camera, truth.calibration.projector
     sizes = (camera.width, camera.height), (projector.width, projector.height)
     known = PrincipalPoint(camera.principal_point_px, 0.0)

@@ -4,7 +4,7 @@ import contextlib
 import io
 import tempfile
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -15,13 +15,20 @@ import yaml
 from calib.geometry import Matches, Size
 from conditions.captures import Capture, patterns_of, take
 from conditions.catalogue import AMBIENT, Condition, conditions
-from conditions.judging import Truth, calibration_error, could_be_decoded, match_errors, matched_share
+from conditions.judging import (
+    MOST_MATCH_SIGMAS,
+    Truth,
+    calibration_error,
+    could_be_decoded,
+    match_errors,
+    matched_share,
+)
 from conditions.plain_decoder import plain_matches
 from hw.settings import PanelSettings, SimulatedRigSettings
 from hw.simulated.picture import panel_shape
 from hw.simulated.simulation import SimulatedRoom
 from scanner.commands.main import main as scan
-from scanner.io import MATCHES_FILE, read_calibration, read_matches
+from scanner.io import MATCHES_FILE, read_calibration, read_matches, write_calibration
 from scanner.patterns import Phase
 from scanner.results import CALIBRATION_FILE, read_verdict
 
@@ -42,7 +49,8 @@ class Setup:
 class Outcome:
     """Of a trial. Shares and errors are None where the program gave no matches or no calibration.
 
-    `decodable`: whether a refused capture could have been decoded; None for one that was not refused.
+    `decodable`: whether a refused capture could have been decoded; None for one that was not refused. `match_sigmas`:
+    errors of matches in their sigmas, the median and 90 %.
     """
 
     name: str
@@ -59,6 +67,7 @@ class Outcome:
     sigmas: tuple[float, ...] | None = None
     wrong: bool = False
     decodable: bool | None = None
+    match_sigmas: tuple[float, float] | None = None
 
 
 def run(condition: Condition, setup: Setup, keep: Path | None = None) -> Outcome:
@@ -72,10 +81,17 @@ def run(condition: Condition, setup: Setup, keep: Path | None = None) -> Outcome
             place = Path(temporary.enter_context(tempfile.TemporaryDirectory(prefix="conditions-")))
         else:
             place = keep / f"{condition.name} {condition.strength} {setup.sequence} {setup.seed}".replace("/", "-")
-        capture.write(place / "capture")
-        code, message = _replayed(place, truth)
-        figures = _figures(place / "result", truth)
-    decodable = None if code == 0 else could_be_decoded(plain_decodings(capture), truth)
+        calibrated = len({pattern.axis for pattern in capture.patterns if hasattr(pattern, "axis")}) == 1
+        if condition.imported is None:
+            capture.write(place / "capture")
+            code, message = 0, ""
+        else:
+            capture.write_frames(place / "frames")
+            code, message = _scan("import", place, "frames", "--out", place / "capture", *condition.imported)
+        if code == 0:
+            code, message = _replayed(place, truth, calibrated=calibrated)
+        figures = _figures(place / "result", truth, calibrated=calibrated)
+    decodable = None if code == 0 else could_be_decoded(plain_decodings(capture, truth), truth, calibrated=calibrated)
     wrong = figures.pop("wrong", False) and code == 0
     about = (condition.name, condition.strength, setup.seed, setup.sequence)
     return Outcome(*about, code, message, wrong=wrong, decodable=decodable, **figures)
@@ -83,7 +99,8 @@ def run(condition: Condition, setup: Setup, keep: Path | None = None) -> Outcome
 
 def captured(condition: Condition, setup: Setup) -> tuple[Capture, Truth]:
     """The capture of a condition, the same whenever it is asked for, and what is true of its first frame."""
-    patterns = patterns_of(setup.sequence, setup.projector_size)
+    shown = condition.shown or partial(patterns_of, setup.sequence)
+    patterns = shown(setup.projector_size)
     rng = np.random.default_rng([setup.seed, crc32(f"{condition.name} {condition.strength} {setup.sequence}".encode())])
     settings = condition.settings(patterns, rng)
     seen = setup.seed, Size(*setup.camera_size), Size(*setup.projector_size), settings.pop("furniture_askew_deg", 0.0)
@@ -121,26 +138,35 @@ def _truth(
     return Truth(projector_px, true)
 
 
-def plain_decodings(capture: Capture) -> list[Matches]:
+def plain_decodings(capture: Capture, truth: Truth) -> list[Matches]:
     """What a page of plain code makes of it; of a Gray code alone also without its finest bits."""
     alone = not any(isinstance(pattern, Phase) for pattern in capture.patterns)
     unresolved = range(_UNRESOLVED_BITS + 1 if alone else 1)
-    return [plain_matches(capture.patterns, capture.frames, without_bits=bits) for bits in unresolved]
+    plain = partial(plain_matches, capture.patterns, capture.frames, calibration=truth.calibration)
+    return [plain(without_bits=bits) for bits in unresolved]
 
 
-def _replayed(place: Path, truth: Truth) -> tuple[int, str]:
-    """The exit code of `scan replay`, and what it said on stderr."""
+def _replayed(place: Path, truth: Truth, *, calibrated: bool) -> tuple[int, str]:
+    """The exit code of `scan replay`, and what it said on stderr; of one axis with the rig's true calibration."""
     known = {"known": [float(value) for value in truth.calibration.camera.principal_point_px]}
     configuration = {"camera": {"principal_point": known}, "corner": {"squareness_deg": 0}}
     (place / "rig.yaml").write_text(yaml.safe_dump(configuration), encoding="utf-8")
+    options: list[str | Path] = ["--config", place / "rig.yaml", "--out", place / "result"]
+    if calibrated:
+        write_calibration(place / "known.yaml", truth.calibration)
+        options += ["--calibration", place / "known.yaml"]
+    return _scan("replay", place, "capture", *options)
+
+
+def _scan(command: str, place: Path, folder: str, *options: str | Path) -> tuple[int, str]:
+    """The exit code of a command on a folder, and what it said on stderr."""
     said = io.StringIO()
-    arguments = ["--config", place / "rig.yaml", "--out", place / "result", "--quiet"]
     with contextlib.redirect_stderr(said):
-        code = scan(["replay", str(place / "capture"), *map(str, arguments)])
+        code = scan([command, str(place / folder), *map(str, options), "--quiet"])
     return code, said.getvalue().replace(str(place), "").strip()
 
 
-def _figures(result: Path, truth: Truth) -> dict[str, Any]:
+def _figures(result: Path, truth: Truth, *, calibrated: bool) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     if (result / MATCHES_FILE).exists():
         matches = read_matches(result / MATCHES_FILE)
@@ -149,7 +175,12 @@ def _figures(result: Path, truth: Truth) -> dict[str, Any]:
         if errors.size:
             figures["match_median_px"] = float(np.median(errors))
             figures["match_99_px"] = float(np.percentile(errors, 99))
-    if (result / CALIBRATION_FILE).exists():
+        if errors.size and matches.sigma_px is not None:
+            relative = match_errors(matches, truth, in_sigmas=True)
+            figures["match_sigmas"] = tuple(float(np.percentile(relative, share)) for share in (50, 90))
+    if calibrated and "match_sigmas" in figures:
+        figures["wrong"] = figures["match_sigmas"][0] > MOST_MATCH_SIGMAS
+    if not calibrated and (result / CALIBRATION_FILE).exists():
         error = calibration_error(read_calibration(result / CALIBRATION_FILE), truth)
         verdict = read_verdict(result / CALIBRATION_FILE)
         figures["grade"] = verdict.grade if verdict else None

@@ -17,6 +17,7 @@ from scanner.decoding.fringes.code_voting import let_fringes_decide
 from scanner.decoding.fringes.edge_shift_correction import log_amplitude
 from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
 from scanner.decoding.fringes.systematic_error import correct_systematic
+from scanner.decoding.fringes.unchecked import Unchecked
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import (
     NOT_LIT,
@@ -95,6 +96,7 @@ class AxisDecoder:
 
     `ripple`: per fringe, what to add to its phase (a table over a cycle), or None. `finest`: the number of the shortest
     fringe that is seen where there is light. `blurred`: how many times weaker lenses make the longest fringe.
+    `unchecked`: what an only fringe errs by that is no noise, and that nothing shows.
     """
 
     plan: AxisPlan
@@ -104,6 +106,7 @@ class AxisDecoder:
     tolerances: Tolerances
     finest: int = 0
     blurred: float = 1.0
+    unchecked: Unchecked | None = None
 
     @cached_property
     def _units_px2(self) -> list[float]:
@@ -199,6 +202,8 @@ class AxisDecoder:
                 usable &= variance <= np.float32(largest_variance(fringe))
             periods = [fringe.period for fringe in self.plan.fringes]
             correct_systematic(periods, coordinates, variances, usable, signals.shape)
+        elif self.unchecked is not None:
+            self.unchecked.add_to(variances[0], coordinates[0])
         value, variance = coordinates[0].copy(), variances[0].copy()
         for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
             _average_in(of_fringe, own_variance, value, variance)

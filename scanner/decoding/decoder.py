@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import Calibration, Matches
 from calib.numerics import Image
+from calib.refinement import Shift
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.checked_maps import checked_maps
 from scanner.decoding.checks.consequences import judge, suspecting
@@ -23,6 +24,7 @@ from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
 from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
+from scanner.decoding.fringes.unchecked import remark_on, shift_of
 from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
@@ -70,7 +72,8 @@ class Decoding:
     `motion`: of the devices while the fringes were taken; None if unknown. `only_axis`: the only one along which
     patterns varied, so that the other coordinate follows from a calibration, and `sigma_px` is along the epipolar line;
     None if both were measured. `smooth_px`: by what the coordinates err smoothly over a surface, as of `Shifts`.
-    `stripes`: what arrives of the finest ones' contrast; None where that cannot be told.
+    `shifts`: what else they err by, as of `Shifts.decoding`. `stripes`: what arrives of the finest ones' contrast; None
+    where that cannot be told.
     """
 
     matches: Matches
@@ -85,6 +88,7 @@ class Decoding:
     darkness: str | None = None
     footprint_px2: float = 0.0
     smooth_px: float = SMOOTH_PX
+    shifts: tuple[Shift, ...] = ()
     stripes: FinestStripes | None = None
 
 
@@ -220,19 +224,22 @@ class Decoder:
                     refuse_untold(plan, {frame for oddity in oddities for frame in oddity.frames}, seen.motion)
         darkness = too_dark(seen.levels, seen.noise)
         told = warnings_of(reasons, learnt.modulation, seen.flicker, darkness)
+        unchecked = [decoder.unchecked for decoder in learnt.decoders if decoder.unchecked]
+        told_alone = (remark_on(unchecked),) if unchecked else ()
         return Decoding(
             matches,
             self._texture if self._merger is None else self._merger.alike(self._texture),
             reasons,
             seen.noise,
             learnt.modulation,
-            (*odd, *self._said_of_mending(), *seen.notes, *told, *remarks_on(motion)),
+            (*odd, *self._said_of_mending(), *seen.notes, *told_alone, *told, *remarks_on(motion)),
             flicker=seen.flicker,
             motion=motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,
             footprint_px2=maps.footprint_px2,
             smooth_px=hypot(smooth_error_px(plan.fringes), between_periods_px(plan, motion)),
+            shifts=(shift_of(unchecked),) if unchecked else (),
             stripes=stripes,
         )
 

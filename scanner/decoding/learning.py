@@ -212,7 +212,7 @@ def learn(
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
-        calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin)
+        calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin, sample.levels)
         odd, switch = check_frames(plan, seen.levels.astype(np.float32), levels, seen.noise, seen.saturation)
         if once_more and switch is not None and switch.is_harmful:
             raise LightSwitchedError(switch)

@@ -13,20 +13,20 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder, Measured, largest_variance
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.fringes.blur import weakened
-from scanner.decoding.fringes.gamma_ripple import can_ripple, straightening
+from scanner.decoding.fringes.gamma_ripple import ENOUGH_CYCLES, can_ripple, straightening
 from scanner.decoding.fringes.phase_unwrapping import disagreements, measured_tolerances, widest_tolerances
+from scanner.decoding.fringes.unchecked import SeenFringe, Unchecked, is_unchecked, response_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
 
-# Over fewer cycles the phases of a scene need not be evenly spread.
-_ENOUGH_CYCLES = 8.0
 _NEARLY_ALL = 0.9
+_DARKEST = 1e-3
 
 
 def calibrated_decoders(
-    plan: SequencePlan, noise: NoiseModel, saturation: float, signals: tuple[Signals, Signals]
+    plan: SequencePlan, noise: NoiseModel, saturation: float, signals: tuple[Signals, Signals], levels: Floats32
 ) -> tuple[AxisDecoder, AxisDecoder]:
-    """Decoders for x and y from a sample of the signals of each."""
+    """Decoders for x and y from a sample of the signals of each, and of the `levels` (frames, P) at the same pixels."""
     raw = [
         AxisDecoder(axis, noise, saturation, (None,) * len(axis.fringes), widest_tolerances(axis)) for axis in plan.axes
     ]
@@ -41,7 +41,7 @@ def calibrated_decoders(
         sum(new.tolerances.fringe_px) > sum(old.tolerances.fringe_px)
         for new, old in zip(straightened, plain, strict=True)
     )
-    x, y = plain if worse else straightened
+    x, y = _with_response(plain if worse else straightened, signals, levels)
     return x, y
 
 
@@ -78,6 +78,32 @@ def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:
     return replace(decoder, tolerances=tolerances, finest=finest, blurred=blurred)
 
 
+def _with_response(
+    decoders: list[AxisDecoder], signals: tuple[Signals, Signals], levels: Floats32
+) -> list[AxisDecoder]:
+    """The same with what amplitudes tell of a response that phases alone do not."""
+    alone = [(decoder, part) for decoder, part in zip(decoders, signals, strict=True) if is_unchecked(decoder.plan)]
+    if not alone:
+        return decoders
+    lit: Bools = np.logical_and.reduce(
+        [d.measure(part).well_lit & (part.brightest < d.saturation) for d, part in alone]
+    )
+    seen = []
+    for decoder, part in alone:
+        (fringe,) = decoder.plan.fringes
+        cosine, sine = (component.astype(np.float64)[lit] for component in part.fringe(0))
+        mean = levels[list(fringe.frames)].mean(axis=0, dtype=np.float64)
+        amplitude, level = (np.log(np.maximum(each, _DARKEST)) for each in (np.hypot(cosine, sine), mean[lit]))
+        seen.append(SeenFringe(fringe, np.arctan2(sine, cosine), amplitude, level))
+    response = response_of(seen)
+
+    def knowing(decoder: AxisDecoder) -> AxisDecoder:
+        ripple = response.straightening(decoder.plan.fringes[0])
+        return replace(decoder, ripple=(ripple,), unchecked=Unchecked(decoder.plan, response))
+
+    return [knowing(decoder) if is_unchecked(decoder.plan) else decoder for decoder in decoders]
+
+
 def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:
     """The number of the shortest fringe that is seen at nearly all pixels of a sample where the longest is."""
     seen = 0
@@ -112,7 +138,7 @@ def _ripples(decoders: list[AxisDecoder], signals: tuple[Signals, Signals]) -> d
         table = None
         for period in sorted({seen.fringe.period for seen in group}):
             alike = [seen for seen in group if seen.fringe.period == period]
-            if sum(seen.cycles for seen in alike) >= _ENOUGH_CYCLES:
+            if sum(seen.cycles for seen in alike) >= ENOUGH_CYCLES:
                 own = straightening(alike[0].fringe, [seen.phases for seen in alike])
                 table = table if own is None else own
             if table is not None:

@@ -32,7 +32,8 @@ def shifts_of(capture: Decoded) -> Shifts:
     motion = capture.decoding.motion if capture.decoding else None
     of_motion = Shifts() if motion is None else motion.shifts
     of_panel = capture.panel.shifts if capture.panel else ()
-    return replace(of_motion, decoding=of_panel, smooth_px=capture.origin.smooth_px)
+    of_decoding = capture.decoding.shifts if capture.decoding else ()
+    return replace(of_motion, decoding=(*of_panel, *of_decoding), smooth_px=capture.origin.smooth_px)
 
 
 def with_doubt(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:

@@ -16,6 +16,8 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.sequence_plan import Fringe
 
 TABLE_LENGTH = 4096
+# Over fewer cycles the phases of a scene need not be evenly spread.
+ENOUGH_CYCLES = 8.0
 _FINE = 1 << 14
 # From five equal shifts on, a gamma of 2.2 ripples the phase by less than 0.0003 cycle; with three it is 0.05.
 _MANY_SHIFTS = 5

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Image, compiled
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.fringes.unchecked import is_unchecked
 from scanner.decoding.light.balanced_stripes import gains_of_stripes
 from scanner.decoding.light.brightness import (
     BANDS,
@@ -183,7 +184,7 @@ def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Frin
 
     `levels` (frames, P): of lit pixels. What a single fringe swings around, no other tells: then there are none.
     """
-    even = [fringe for fringe in plan.fringes if fringe.equal_steps]
+    even = [fringe for axis in plan.axes for fringe in axis.fringes if fringe.equal_steps and not is_unchecked(axis)]
     if len(even) < 2:
         return {}
     found: dict[Fringe, tuple[Gains, Floats32]] = {}

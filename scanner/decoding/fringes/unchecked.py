@@ -1,0 +1,219 @@
+"""What nothing in a capture checks: the phase of a fringe that is an axis's only one, over few cycles.
+
+Shorter fringes would disagree with it, and many cycles would show the unevenness of a rippled phase (`gamma_ripple`).
+Of a single long fringe two things stay unseen. A bent brightness curve ripples the phase of N steps N times a cycle, by
+the harmonic of N − 1 cycles: by up to a twentieth of a cycle in three steps. Light from other surfaces shifts it.
+
+The same harmonic ripples the fringe's amplitude, where no scene has reason to: with I_n = Σ b_k cos k(θ + 2πn/N), the
+measured phasor is b₁ e^{iθ} (1 + (b_{N−1}/b₁) e^{−iNθ} + …), so its logarithm's real part tells the imaginary one.
+Curves are taken as powers, of an exponent between what is left by a camera's tone curve and what projectors have; how
+likely each is, amplitudes say as far as the scene's own unevenness allows.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from math import hypot, pi, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Floats, biweight, reweighted
+from calib.refinement import Shift
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.fringes.gamma_ripple import ENOUGH_CYCLES, TABLE_LENGTH
+from scanner.decoding.sequence_plan import AxisPlan, Fringe
+
+# Of projector and camera together, all equally likely beforehand.
+_EXPONENTS = np.linspace(0.4, 3.2, 57)
+_FEWEST_PIXELS = 500
+_ROUNDS = 10
+# What the ripple of an amplitude may have of other things at least: harmonics that no power has, light that is clipped.
+_LEAST_RIPPLE = 0.01
+# Light from other surfaces shifts a fringe that spans an axis by this share of its period, and shorter ones by one that
+# falls with the root of the period. In four simulated corners 0.0083 by the median, 0.0127 by the root mean square.
+_INDIRECT_CYCLES = 0.0105
+
+
+@dataclass(frozen=True)
+class SeenFringe:
+    """A fringe at P pixels: `phases` as measured, in radians, and the logarithms of its amplitude and of its mean."""
+
+    fringe: Fringe
+    phases: Floats
+    log_amplitude: Floats
+    log_mean: Floats
+
+
+@dataclass(frozen=True)
+class Response:
+    """A brightness curve as far as it is known: the `probability` of each exponent that is possible."""
+
+    probability: Floats
+
+    @property
+    def exponent(self) -> float:
+        """The mean."""
+        return float(self.probability @ _EXPONENTS)
+
+    @property
+    def sigma(self) -> float:
+        """The standard deviation."""
+        return sqrt(float(self.probability @ (_EXPONENTS - self.exponent) ** 2))
+
+    def straightening(self, fringe: Fringe) -> Floats32:
+        """What to add to a measured phase, as a table over one cycle, both in radians."""
+        table: Floats32 = (self.probability @ _bent(fringe).ripples).astype(np.float32)
+        return table
+
+    def left(self, fringe: Fringe) -> Floats:
+        """What a straightened phase is off by where the exponent is larger by a standard deviation, as such a table."""
+        relative = (_EXPONENTS - self.exponent) / self.sigma
+        left: Floats = -(self.probability * relative) @ _bent(fringe).ripples
+        return left
+
+
+def response_of(seen: Sequence[SeenFringe]) -> Response:
+    """The response that the ripples of amplitudes speak for, of fringes of one or of both axes at the same pixels.
+
+    Of both axes the amplitudes are compared with each other, whatever paint and light; of one, with the mean of frames.
+    """
+    first = seen[0].fringe
+    steps = len(first.shifts)
+    likelihood = np.ones(len(_EXPONENTS))
+    if all(each.fringe.equal_steps for each in seen) and len(seen[0].phases) >= _FEWEST_PIXELS:
+        pair = seen if len({len(each.fringe.shifts) for each in seen}) < len(seen) else seen[:1]
+        found, sigma = _ripple([each.phases + 2 * pi * each.fringe.shifts[0] for each in pair], _relative(pair), steps)
+        bent = _bent(first)
+        curves = bent.log_amplitudes - (bent.log_means if len(pair) == 1 else 0)
+        expected = 2 * np.mean(curves * np.cos(steps * (_CYCLE + 2 * pi * first.shifts[0])), axis=1)
+        likelihood = np.exp(-(((expected - found) / sigma) ** 2) / 2) + np.finfo(float).tiny
+    return Response(likelihood / likelihood.sum())
+
+
+@dataclass(frozen=True)
+class Unchecked:
+    """An axis whose only fringe is too long to be checked by itself, and how bent it was found to be."""
+
+    axis: AxisPlan
+    response: Response
+
+    @property
+    def fringe(self) -> Fringe:
+        """The only one."""
+        return self.axis.fringes[0]
+
+    @cached_property
+    def stretch(self) -> Floats32:
+        """By how much more than its measured phase a coordinate changes, as a table over one cycle."""
+        slope: Floats = np.gradient(self.response.straightening(self.fringe).astype(np.float64), _CYCLE[1])
+        return self._by_true_phase(1 + slope)
+
+    @cached_property
+    def left_px(self) -> Floats32:
+        """What a coordinate is off by for the response, one standard deviation of it, as a table over one cycle."""
+        return self._by_true_phase(self.fringe.period / (2 * pi) * self.response.left(self.fringe))
+
+    def add_to(self, variance: Floats32, coordinate: Floats32) -> None:
+        """Add to the variance (P,) of coordinates by noise what else they err by; in place."""
+        place = _place(coordinate, self.fringe.period)
+        indirect_px = _INDIRECT_CYCLES * self.fringe.period * sqrt(self.fringe.period / self.axis.length)
+        variance += np.float32(indirect_px**2)
+        variance *= self.stretch[place] ** 2
+        variance += self.left_px[place] ** 2
+
+    def _by_true_phase(self, of_measured: Floats) -> Floats32:
+        true = _CYCLE + self.response.straightening(self.fringe)
+        table: Floats32 = np.interp(_CYCLE, true, of_measured, period=2 * pi).astype(np.float32)
+        return table
+
+
+def is_unchecked(axis: AxisPlan) -> bool:
+    """Whether nothing checks what bends the fringes of an axis."""
+    return len(axis.fringes) == 1 and axis.length < ENOUGH_CYCLES * axis.fringes[0].period
+
+
+def shift_of(unchecked: Sequence[Unchecked]) -> Shift:
+    """By what all matches are off if the response is off by a standard deviation: the same one on both axes."""
+
+    def shift(camera_px: Floats, projector_px: Floats, gradient: Floats) -> Floats:
+        del camera_px, gradient
+        shifts = np.zeros_like(projector_px)
+        for each in unchecked:
+            axis = 0 if each.axis.axis == "x" else 1
+            shifts[:, axis] = each.left_px[_place(projector_px[:, axis], each.fringe.period)]
+        return shifts
+
+    return shift
+
+
+def _place(coordinate: NDArray[np.floating[Any]], period: float) -> NDArray[np.int64]:
+    """Of coordinates (P,), in a table over one cycle."""
+    place: NDArray[np.int64] = np.floor(coordinate * (TABLE_LENGTH / period)).astype(np.int64) % TABLE_LENGTH
+    return place
+
+
+def remark_on(unchecked: Sequence[Unchecked]) -> str:
+    """What a person should know."""
+    axes = " and ".join(each.axis.axis for each in unchecked)
+    fringe, response = max((each.fringe for each in unchecked), key=lambda each: each.period), unchecked[0].response
+    return (
+        f"Along {axes} nothing as fine checks a single fringe of {fringe.period:g} px in {len(fringe.shifts)} steps. "
+        f"Its amplitude tells of a brightness curve of exponent {response.exponent:.2g} ± {response.sigma:.1g}, which "
+        "was taken out. What is not known of it, and what light from other surfaces may do, is part of each match's "
+        "sigma. Better: add a shorter fringe."
+    )
+
+
+_CYCLE = 2 * pi * np.arange(TABLE_LENGTH) / TABLE_LENGTH
+
+
+@dataclass(frozen=True)
+class _Bent:
+    """What each exponent does to a fringe, by measured phase, (exponents, TABLE_LENGTH): `ripples` as `straightening`
+    takes them out, and the logarithms of amplitude and mean.
+    """
+
+    ripples: Floats
+    log_amplitudes: Floats
+    log_means: Floats
+
+
+@lru_cache(maxsize=4)
+def _bent(fringe: Fringe) -> _Bent:
+    shown = (1 + np.cos(_CYCLE + 2 * pi * np.array(fringe.shifts)[:, None])) / 2
+    parts = []
+    for exponent in _EXPONENTS:
+        levels = shown**exponent
+        cosine, sine = fringe.weights[1:] @ levels
+        off = np.angle((cosine + 1j * sine) * np.exp(-1j * _CYCLE))
+        # From true phases, which are even, to measured ones, which are.
+        measured = _CYCLE + off
+        curves = (-off, np.log(np.hypot(cosine, sine)), np.log(levels.mean(axis=0)))
+        parts.append([np.interp(_CYCLE, measured, curve, period=2 * pi) for curve in curves])
+    return _Bent(*np.moveaxis(np.array(parts), 1, 0))
+
+
+def _relative(seen: Sequence[SeenFringe]) -> Floats:
+    """The logarithm (P,) of an amplitude relative to that of the other axis, or else to the mean."""
+    return seen[0].log_amplitude - (seen[1].log_amplitude if len(seen) > 1 else seen[0].log_mean)
+
+
+def _ripple(angles: Sequence[Floats], relative: Floats, steps: int) -> tuple[float, float]:
+    """The coefficient of the cosine of `steps` cycles, and its standard deviation: what scenes have of such a ripple
+    they have of neighbouring frequencies and of the sine, too, which no response explains.
+
+    `angles` (P,) for each axis: what goes with the second of two axes does so with the opposite sign.
+    """
+
+    def of_both(wave: Callable[[Floats], Floats], cycles: int) -> Floats:
+        first, *second = (wave(cycles * angle) for angle in angles)
+        return first - second[0] if second else first
+
+    telling = [of_both(wave, k) for k in (steps, steps - 1, steps + 1) for wave in (np.cos, np.sin)]
+    others = [of_both(np.cos, 2 * steps), np.ones_like(relative)]
+    others += [wave(k * angle) for angle in angles for k in range(1, steps - 1) for wave in (np.cos, np.sin)]
+    terms = np.stack([*telling, *others])
+    found, *chance = reweighted(terms, relative, biweight, np.ones_like(relative), _ROUNDS)[: len(telling)]
+    return float(found), hypot(_LEAST_RIPPLE, float(np.sqrt(np.mean(np.square(chance)))))

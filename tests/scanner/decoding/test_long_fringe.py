@@ -1,0 +1,72 @@
+"""A single fringe over the whole picture: nothing disagrees with it, and its sigma says so, whatever the response."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scanner.decoding.fringes.unchecked import Response, SeenFringe, response_of
+from scanner.decoding.sequence_plan import Fringe
+from scanner.patterns import Pattern, phase_sequence
+from tests.support.synthetic_capture import Scene
+
+SCENE = Scene(electrons_per_level=300.0, read_noise=0.3)
+STEPS = (0.0, 1 / 3, 2 / 3)
+
+
+def long_fringes(steps: int) -> tuple[Pattern, ...]:
+    width, height = SCENE.projector
+    return (*phase_sequence("x", float(width), steps), *phase_sequence("y", float(height), steps))
+
+
+@pytest.mark.parametrize(("gamma", "steps"), [(1.0, 3), (1.8, 3), (3.0, 3), (1.8, 4)])
+def test_errors_are_as_large_as_their_sigmas_whatever_the_gamma(gamma: float, steps: int) -> None:
+    scene = replace(SCENE, gamma=gamma)
+    decoding = scene.decode(long_fringes(steps))
+    assert decoding.matches.sigma_px is not None
+    relative = np.abs(scene.errors(decoding)) / np.asarray(decoding.matches.sigma_px)[:, None]
+    assert 0.05 < np.median(relative) < 1.2
+    assert np.percentile(relative, 90) < 3
+    assert 0.5 < np.median(decoding.matches.sigma_px) < 8
+    (told,) = [warning for warning in decoding.warnings if "single fringe" in warning]
+    assert f"{steps} steps" in told
+    assert not any("brightness of the frames varies" in warning for warning in decoding.warnings)
+
+
+def test_all_matches_may_be_off_together_by_what_is_not_known_of_the_response() -> None:
+    decoding = SCENE.decode(long_fringes(3))
+    (shift,) = decoding.shifts
+    projector_px = np.asarray(decoding.matches.projector_px, np.float64)
+    shifts = shift(projector_px, projector_px, np.empty((len(projector_px), 2, 2)))
+    assert shifts.shape == projector_px.shape
+    assert 0.01 < np.abs(shifts).max() < 5
+    third = projector_px + np.array([SCENE.projector[0] / 3, 0.0])
+    np.testing.assert_allclose(shift(third, third, np.empty((len(third), 2, 2))), shifts, atol=0.05)
+
+
+@given(exponent=st.floats(0.5, 3.0), ambient=st.floats(0, 0.1), shades=st.floats(0.2, 1.0), seed=st.integers(0, 99))
+@settings(max_examples=30, deadline=None)
+def test_the_response_is_read_from_amplitudes(exponent: float, ambient: float, shades: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    fringe, truth = Fringe("x", 300.0, STEPS, (0, 1, 2)), rng.uniform(0, 2 * np.pi, 4000)
+    paint = rng.uniform(shades, 1, len(truth))
+    shown = (1 + np.cos(truth + 2 * np.pi * np.array(STEPS)[:, None])) / 2
+    levels = paint * shown**exponent + ambient
+    phasor = np.array([1, 1j]) @ (fringe.weights[1:] @ levels)
+    phases = np.angle(phasor)
+    found = response_of([SeenFringe(fringe, phases, np.log(np.abs(phasor)), np.log(levels.mean(axis=0)))])
+    assert 0 < abs(found.exponent - exponent) / found.sigma < 5
+    off = np.angle(np.exp(1j * (phases - truth)))
+    table = found.straightening(fringe)
+    straightened = off + table[np.floor(np.mod(phases, 2 * np.pi) / (2 * np.pi) * len(table)).astype(int)]
+    assert np.abs(straightened).mean() < 0.05
+
+
+def test_of_too_few_pixels_nothing_is_known_but_what_projectors_do() -> None:
+    fringe, few = Fringe("x", 300.0, STEPS, (0, 1, 2)), np.linspace(0, 6, 50)
+    found: Response = response_of([SeenFringe(fringe, few, few * 0, few * 0)])
+    assert 1.5 < found.exponent < 2.0
+    assert 0.7 < found.sigma < 0.9
+    assert 0.1 < np.abs(found.left(fringe)).max() < 0.3
