@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from scanner.io import flow_yaml
 from scanner.patterns import (
     FORMAT,
     PRESETS,
+    Axis,
     Black,
     Gray,
     Pattern,
@@ -23,6 +24,7 @@ from scanner.patterns import (
     White,
     draw,
     frame_line,
+    gray_sequence,
     phase_sequence,
     sequence_for,
     size_to_dict,
@@ -30,6 +32,7 @@ from scanner.patterns import (
 )
 
 SEQUENCES = (*PRESETS, "gray")
+Inverses = Literal["after each bit", "last", "none"]
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,23 @@ def xor_code(projector_size: tuple[int, int], *, above_finest: int) -> tuple[Pat
     width, height = projector_size
     of_x = xor_sequence("x", width, 1, above_finest=above_finest)
     return (White(), Black(), *of_x, *xor_sequence("y", height, 1, above_finest=above_finest))
+
+
+def bits_in_order(
+    projector_size: tuple[int, int], *, axis: Axis, finest_first: bool, inverses: Inverses
+) -> tuple[Pattern, ...]:
+    """Gray code along one axis down to a pixel; white and black come first, or not at all where bits have inverses."""
+    bits = [*gray_sequence(axis, projector_size[0 if axis == "x" else 1], 1, inverses=False)]
+    bits = bits[::-1] if finest_first else bits
+    inverted = [replace(bit, inverted=True) for bit in bits]
+    if inverses == "after each bit":
+        return tuple(shown for pair in zip(bits, inverted, strict=True) for shown in pair)
+    return (White(), Black(), *bits, *(inverted if inverses == "last" else ()))
+
+
+def xor_along_x(projector_size: tuple[int, int], *, above_finest: int) -> tuple[Pattern, ...]:
+    """White, black, and an XOR code along x."""
+    return (White(), Black(), *xor_sequence("x", projector_size[0], 1, above_finest=above_finest))
 
 
 def take(room: SimulatedRoom, patterns: tuple[Pattern, ...], exposure: float) -> Capture:

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from itertools import product
+from typing import Any, get_args
 
 import numpy as np
 
-from conditions.captures import long_fringe, long_fringes, xor_code
+from conditions.captures import Inverses, bits_in_order, long_fringe, long_fringes, xor_along_x, xor_code
 from conditions.changes import (
     OfFrames,
     Random,
@@ -28,7 +29,7 @@ from conditions.changes import (
     tone_mapped,
 )
 from hw.simulated.simulation import SimulatedRoom
-from scanner.patterns import Pattern
+from scanner.patterns import Axis, Pattern
 
 # The room of all conditions has 0.05; white in the camera's range reaches 0.85.
 AMBIENT = 0.05
@@ -41,7 +42,7 @@ class Condition:
     suits the room; `frames`: what becomes of the frames. `moves`: devices move, which one of the axes sees and the
     other does not. `fault`: nothing that a device does, but a mistake; refusing it is right whatever could be decoded.
     `shown`: of a projector of (width, height), patterns in place of the sequence's; along one axis only, the rig is
-    calibrated. `imported`: the capture goes through `scan import` with these options, as frames without a list.
+    calibrated. `imported`: the capture goes through `scan import`, as frames without a list.
     """
 
     name: str
@@ -52,7 +53,7 @@ class Condition:
     moves: bool = False
     fault: bool = False
     shown: Callable[[tuple[int, int]], tuple[Pattern, ...]] | None = None
-    imported: tuple[str, ...] | None = None
+    imported: bool = False
 
     def exposed(self, room: SimulatedRoom) -> float:
         """The exposure relative to the one that suits the room."""
@@ -171,6 +172,15 @@ def _sequences() -> Iterator[Condition]:
     for gamma in (1.0, 1.8, 2.6, 3.0):
         yield Condition("one long fringe, calibrated rig", f"gamma {gamma}", {"gamma": gamma}, shown=long_fringe)
         yield Condition("one long fringe along each axis", f"gamma {gamma}", {"gamma": gamma}, shown=long_fringes)
+    axes: tuple[Axis, ...] = ("x", "y")
+    for axis, finest_first, inverses in product(axes, (False, True), get_args(Inverses)):
+        shown = partial(bits_in_order, axis=axis, finest_first=finest_first, inverses=inverses)
+        order = f"{'finest' if finest_first else 'coarsest'} bit first, inverses {inverses}"
+        yield Condition(f"imported, {axis} only", order, shown=shown, imported=True)
+    for above in (0, 2):
+        xor = partial(xor_along_x, above_finest=above)
+        name = f"base {above} above the finest"
+        yield Condition("imported, an XOR code along x", name, shown=xor, imported=True, fault=True)
     for above in (0, 1, 2, 4):
         yield Condition("XOR code", f"base {above} above the finest", shown=partial(xor_code, above_finest=above))
 

@@ -82,12 +82,13 @@ def run(condition: Condition, setup: Setup, keep: Path | None = None) -> Outcome
         else:
             place = keep / f"{condition.name} {condition.strength} {setup.sequence} {setup.seed}".replace("/", "-")
         calibrated = len({pattern.axis for pattern in capture.patterns if hasattr(pattern, "axis")}) == 1
-        if condition.imported is None:
+        if not condition.imported:
             capture.write(place / "capture")
             code, message = 0, ""
         else:
             capture.write_frames(place / "frames")
-            code, message = _scan("import", place, "frames", "--out", place / "capture", *condition.imported)
+            size = "{}x{}".format(*capture.projector_size)
+            code, message = _scan("import", place, "frames", "--out", place / "capture", "--projector", size)
         if code == 0:
             code, message = _replayed(place, truth, calibrated=calibrated)
         figures = _figures(place / "result", truth, calibrated=calibrated)

@@ -17,6 +17,7 @@ from scanner.importing import (
     Recognised,
     Rejected,
     Samples,
+    described,
     find_frames,
     recognise,
     take_samples,
@@ -26,13 +27,14 @@ from scanner.results import OutputFolder
 from scanner.shown_text import harmless
 from scanner.ui import Terminal
 
+_MOST_CELL_PX, _MOST_ORDERS = 4096, 99
 _NAMED = {layout.name: layout for layout in LAYOUTS}
 
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
     layouts = LAYOUTS if args.layout is None else (_layout(args.layout),)
-    given = Given(_size(args.projector), _cell(args.cell))
+    given = Given(_size(args.projector), _number(args.cell, "--cell", "a number of pixels", _MOST_CELL_PX))
     terminal = Terminal(quiet=args.quiet)
     output = OutputFolder(args.out) if args.out else None
     files = find_frames(args.folder, args.frames)
@@ -43,7 +45,7 @@ def run(args: Namespace) -> None:
             return take_samples([*files.numbered, *(path for path in (files.white, files.black) if path)])
 
     found, rejected = recognise(files, layouts, given, look, terminal)
-    chosen = _only_one(files, found, rejected)
+    chosen = _only_one(files, found, rejected, _number(args.order, "--order", "a number of the list", _MOST_ORDERS))
     if args.layout is None:
         terminal.show(_table(chosen, found, rejected))
     unused = [*files.left_out, *(path for path in files.numbered if path not in chosen.files)]
@@ -65,17 +67,29 @@ def _layout(name: str) -> Layout:
     return _NAMED[name]
 
 
-def _only_one(files: FrameFiles, found: Sequence[Recognised], rejected: Sequence[Rejected]) -> Recognised:
-    """What fits; layouts that mean the same are one. Raises InputError if none fits, or several that differ."""
+def _only_one(
+    files: FrameFiles, found: Sequence[Recognised], rejected: Sequence[Rejected], order: int | None
+) -> Recognised:
+    """What fits, or of several orders the one of a number; layouts that mean the same are one.
+
+    Raises InputError if none fits, or several that differ, or not as many.
+    """
     if not found:
-        told = [each for each in rejected if each.lacking] or rejected
+        told = [each for each in rejected if each.certain] or [each for each in rejected if each.lacking] or rejected
         reasons = "".join(f"\n  {each.layout.name}: {each.why}" for each in told)
         raise InputError(f"{files.folder}: {files}; in no order that is known they are a capture:{reasons}")
     likely = [each for each in found if each.likely == max(other.likely for other in found)]
-    if len({(each.patterns, each.projector_size) for each in likely}) > 1:
-        names = "".join(f"\n  {each.layout.name}: {_shown(each.projector_size)}, {each.how}" for each in likely)
-        raise InputError(f"{files.folder}: {files}; several orders fit, say which with --from or --projector:{names}")
-    return likely[0]
+    differ = [*{(each.patterns, each.projector_size): each for each in likely[::-1]}.values()][::-1]
+    if len(differ) == 1 or (order is not None and order <= len(differ)):
+        return differ[0 if len(differ) == 1 or order is None else order - 1]
+    names = "".join(
+        f"\n  {number}. {each.layout.name}: {_shown(each.projector_size)}; {described(each.patterns)} ({each.how})"
+        for number, each in enumerate(differ, 1)
+    )
+    raise InputError(
+        f"{files.folder}: {files}; {len(differ)} orders fit, say which with --order and its number, or with --from or "
+        f"--projector:{names}"
+    )
 
 
 def _shown(size: tuple[int, int]) -> str:
@@ -106,9 +120,9 @@ def _size(text: str | None) -> tuple[int, int] | None:
     return int(width), int(height)
 
 
-def _cell(text: str | None) -> int | None:
+def _number(text: str | None, option: str, what: str, most: int) -> int | None:
     if text is None:
         return None
-    if not (text.isdecimal() and 1 <= int(text) <= 4096):
-        raise InputError(f"--cell {text}: expected a number of pixels from 1 to 4096")
+    if not (text.isdecimal() and 1 <= int(text) <= most):
+        raise InputError(f"{option} {text}: expected {what} from 1 to {most}")
     return int(text)

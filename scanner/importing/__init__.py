@@ -1,6 +1,7 @@
 """Other people's recordings → capture folders: whose order of frames it is, and what the projector was."""
 
 from scanner.importing.capture_folder import write_capture
+from scanner.importing.described import described
 from scanner.importing.frame_files import FrameFiles, find_frames
 from scanner.importing.layout import Given, Layout
 from scanner.importing.layouts import LAYOUTS

@@ -8,14 +8,15 @@ from pathlib import Path
 from calib.geometry import Matches
 from scanner.decoding import Decoder
 from scanner.errors import InputError
+from scanner.importing.continuity import broken_order
 from scanner.importing.frame_files import FrameFiles
 from scanner.importing.glance import objection, share_on_epipolar_lines
 from scanner.importing.incomplete import MISSING_ENDS, without_doubles
 from scanner.importing.layout import MOST_FRAMES, Candidate, Given, Layout, Size, candidates
 from scanner.importing.projector_size import extents_of, find_sizes
-from scanner.importing.samples import Samples
+from scanner.importing.samples import Samples, take_lines
 from scanner.io import read_image
-from scanner.patterns import Pattern
+from scanner.patterns import Axis, Gray, Pattern, Phase
 from scanner.ui import Progress
 
 # Fringes of few steps may err by more than a line is wide; in a wrong order a few hundredths are on lines by chance.
@@ -40,11 +41,12 @@ class Recognised:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A layout that does not fit, and why not; `lacking`: it would, if what it says were given."""
+    """A layout that does not fit, and why not; `lacking`: it may, if what it says were given; `certain`: it would."""
 
     layout: Layout
     why: str
     lacking: bool = False
+    certain: bool = False
 
 
 def recognise(
@@ -61,9 +63,12 @@ def recognise(
     if found or any(each.lacking for each in rejected):
         return found, rejected
     for less_usual in _less_usual(files, layouts, look):
-        found, _ = _tried(less_usual.files, less_usual.layouts, given, less_usual.look, judge, less_usual.missing)
+        found, others = _tried(less_usual.files, less_usual.layouts, given, less_usual.look, judge, less_usual.missing)
         if found:
             return found, [each for each in rejected if each.layout not in {one.layout for one in found}]
+        # Why the order that is tried last does not fit; and what of the others would, with what they lack.
+        told = [each for each in others if each.lacking or each.layout.last]
+        rejected = [each for each in rejected if each.layout not in {one.layout for one in told}] + told
     return [], rejected
 
 
@@ -114,7 +119,7 @@ def _tried(
         if good:
             found += good
         elif bad:
-            rejected.append(max(bad, key=lambda each: each.lacking))
+            rejected.append(max(bad, key=lambda each: (each.certain, each.lacking)))
         elif possible:
             # Of several variants that one came nearest which met the last of the objections.
             nearest = max((against for against in objections if against), key=lambda against: against.stage)
@@ -132,16 +137,16 @@ class _Judge:
         self._progress = progress
         self._lenient = lenient
         self._found: dict[tuple[tuple[Pattern, ...], Size], Matches | str] = {}
+        self._lines: dict[tuple[tuple[Path, ...], Axis], Samples] = {}
 
     def judge(self, layout: Layout, candidate: Candidate, given: Given, camera_size: Size) -> Recognised | Rejected:
         """Whether the frames decode in this order, and of which projector they are."""
         if layout.lacks(given):
             options = " and ".join(_OPTIONS[name] for name in layout.needs)
             return Rejected(layout, f"may be, but its frames do not tell the projector: give {options}", lacking=True)
-        if len({p.axis for p in candidate.patterns if hasattr(p, "axis")}) < 2:
-            if not candidate.size_known:
-                return Rejected(layout, "one axis does not tell the projector's size: give --projector", lacking=True)
-            return _recognised(layout, candidate, candidate.projector_size, "one axis, no second one to check it by")
+        axes = {p.axis for p in candidate.patterns if isinstance(p, Gray | Phase)}
+        if len(axes) < 2:
+            return self._by_one_axis(layout, candidate, *axes)
         decoded = self._decoded(candidate)
         if isinstance(decoded, str):
             if self._lenient and candidate.size_known:
@@ -161,6 +166,19 @@ class _Judge:
             return Rejected(layout, why, lacking=True)
         found = _recognised(layout, candidate, sizes[0].size, f"{how}; {seen}")
         return replace(found, likely=(sizes[0].usual, sizes[0].total))
+
+    def _by_one_axis(self, layout: Layout, candidate: Candidate, axis: Axis) -> Recognised | Rejected:
+        if (candidate.files, axis) not in self._lines:
+            self._lines[candidate.files, axis] = take_lines(candidate.files, axis)
+        broken = broken_order(self._lines[candidate.files, axis], candidate.patterns, axis)
+        if broken:
+            return Rejected(layout, broken)
+        if not candidate.size_known:
+            why = f"looks right along {axis}, but one axis does not tell the projector's size: give --projector"
+            return Rejected(layout, why, lacking=True, certain=True)
+        coded = any(isinstance(pattern, Gray) for pattern in candidate.patterns)
+        how = "neighbouring cells are beside each other" if coded else "no second axis to check it by"
+        return _recognised(layout, candidate, candidate.projector_size, f"one axis, {how}")
 
     def _decoded(self, candidate: Candidate) -> Matches | str:
         """The matches, or why there are none that make sense."""

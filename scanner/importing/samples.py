@@ -8,15 +8,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Floats, Image
+from calib.numerics import Bools, Floats, Image, Ints
 from scanner.errors import InputError
 from scanner.importing.layout import Size
 from scanner.io import read_image
+from scanner.patterns import Axis
 
 _ACROSS = 160
 # Of the swing of well lit pixels, a percentile: less is not lit.
 _LIT, _WELL_LIT = 0.2, 99.0
 _SEED = 1
+_LINES = 96
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,23 @@ def take_samples(files: Sequence[Path]) -> Samples:
         np.arange(0, size - step + 1, step) + rng.integers(0, step, (size - step) // step + 1)
         for size in (height, width)
     )
+    return _sampled(files, first, rows, columns)
+
+
+def take_lines(files: Sequence[Path], axis: Axis) -> Samples:
+    """Some rows of every frame with all of their pixels, or some columns: along which the coordinate of an axis grows.
+
+    Raises InputError as `take_samples`.
+    """
+    first = read_image(files[0])
+    height, width = first.shape[:2]
+    across = np.linspace(0, (height if axis == "x" else width) - 1, _LINES + 2).astype(np.int64)[1:-1]
+    rows, columns = (across, np.arange(width)) if axis == "x" else (np.arange(height), across)
+    return _sampled(files, first, rows, columns)
+
+
+def _sampled(files: Sequence[Path], first: Image, rows: Ints, columns: Ints) -> Samples:
+    height, width = first.shape[:2]
     levels = []
     for path in files:
         image = read_image(path)

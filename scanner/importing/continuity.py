@@ -1,0 +1,46 @@
+"""Does a Gray code along one axis make sense in an order? No second axis is there to check it by, but its own pixels.
+
+Cells that are next to each other on the projector are so on a surface. In another order, or of another code, pixels
+beside each other still differ in one bit, but that bit takes them to cells far apart.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from scanner.importing.coarse_coordinates import coordinates
+from scanner.importing.samples import Samples
+from scanner.patterns import Axis, Gray, Pattern
+
+# Pixels at the very edge of a stripe are not decided; so far apart are those on either side of it.
+_MOST_APART_PX = 8
+_FEWEST_CHANGES = 30
+# In cells, or in parts of all of them: what the finest bits may be wrong by, and what pixels larger than cells skip.
+_NEAR_CELLS, _NEAR_SHARE = 4, 1 / 64
+
+
+def broken_order(lines: Samples, patterns: Sequence[Pattern], axis: Axis) -> str | None:
+    """What speaks against patterns along one axis, by rows or columns that cross their stripes; None if nothing does.
+
+    Of fringes nothing can be told.
+    """
+    bits = max((p.bits for p in patterns if isinstance(p, Gray) and p.axis == axis), default=0)
+    if not bits:
+        return None
+    seen = coordinates(lines, patterns, axis)
+    if isinstance(seen, str) or seen is None:
+        return seen
+    number, certain = ((part if axis == "x" else part.T) for part in (seen.values.astype(np.int64), seen.certain))
+    place = np.flatnonzero(certain)
+    row, column = np.divmod(place, certain.shape[1])
+    beside = (np.diff(row) == 0) & (np.diff(column) <= _MOST_APART_PX)
+    number = number.ravel()[place]
+    word = number ^ number >> 1
+    cells, changed = np.abs(np.diff(number))[beside], (word[1:] ^ word[:-1])[beside]
+    near = max(_NEAR_CELLS, _NEAR_SHARE * (1 << bits))
+    for bit in range(bits):
+        of_bit = cells[changed >> bits - 1 - bit & 1 == 1]
+        if len(of_bit) >= _FEWEST_CHANGES and np.median(of_bit) > near:
+            apart = f"bit {bit} of {axis} are {np.median(of_bit):.0f} cells apart"
+            return f"no Gray code in an order that is known: pixels beside each other that differ in {apart}"
+    return None
