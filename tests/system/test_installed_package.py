@@ -1,0 +1,152 @@
+"""The built package in an environment with nothing but its dependencies, and with one extra: every command answers."""
+
+import json
+import subprocess
+import tarfile
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+
+from scanner.commands.catalogue import NAMED
+from tests.support.bare_environment import built, environment, installed
+from tests.support.places import ROOT
+
+pytestmark = pytest.mark.xdist_group("installed package")
+
+CONFIG = """
+rig: {backend: simulated, seed: 0, furniture: false, interreflection: false, ambient: 0}
+camera: {width: 306, height: 256, principal_point: {known: [157.04, 131.79]}}
+projector: {width: 214, height: 120}
+sequence: {preset: quick}
+corner: {squareness_deg: 0}
+"""
+# Arguments come from stdin, and for each the exit code and what was said go to stdout.
+DRIVER = """
+import contextlib, io, json, sys
+if __name__ == "__main__":
+    from scanner.commands.main import main
+    answers = []
+    for arguments in json.load(sys.stdin):
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            try:
+                code = main(arguments)
+            except SystemExit as end:
+                code = end.code or 0
+        answers.append([code, out.getvalue(), err.getvalue()])
+    json.dump(answers, sys.stdout)
+"""
+# What each is asked with what a first scan left, the exit code, and words that it says; other commands show their help.
+SCAN = ("--config", "room.yaml", "--out", "one")
+ASKED: dict[str, list[tuple[tuple[str, ...], int, str]]] = {
+    "new": [(("mine.yaml",), 0, "→ scan --config mine.yaml"), (("rig.yaml", "--rig", "aravis"), 0, "type: ")],
+    "replay": [(("one/capture", "--out", "again"), 0, "→ ")],
+    "calibrate": [(("one", "--config", "room.yaml", "--out", "from-matches"), 0, "→ ")],
+    "batch": [(("one", "--config", "room.yaml", "--out", "many", "--workers", "1"), 0, "batch.csv")],
+    "patterns": [(("--config", "room.yaml", "--out", "patterns"), 0, "→ ")],
+    "devices": [((), 3, "type: ")],
+    "export": [
+        (("one", "--to", "opencv"), 0, "→ "),
+        (("one", "--to", "mesh"), 0, "→ "),
+        (("one", "--to", "e57"), 2, "E57 needs pye57, which is not installed; type: "),
+    ],
+    "measure": [(("one",), 0, "→ ")],
+    "accept": [(("one", "--ball-bar", "50mm,50mm,200mm"), 2, "scale.baseline_m")],
+    "view": [(("one",), 2, "needs viser, which is not installed; type: ")],
+    "console": [(("--config", "room.yaml"), 2, "needs viser, which is not installed; type: ")],
+    "photos": [(("room.yaml", "rig.yaml", "--out", "photos"), 2, "room.yaml")],
+    "board": [(("--print", "charuco:A4"), 0, "→ Print it")],
+    "room": [(("one", "one", "--config", "room.yaml", "--out", "whole"), 2, "one")],
+    "compare": [(("one", "again"), 0, "→ ")],
+    "import": [(("patterns", "--from", "opencv"), 2, "patterns")],
+}
+WITH_EXTRA = {
+    "batch": (("batch", "one", "--config", "room.yaml", "--out", "table", "--workers", "1"), 0, "batch.parquet"),
+    "console": (("view", "nothing"), 2, "nothing"),
+    "e57": (("export", "one", "--to", "e57"), 0, "→ "),
+    "rig": (("devices",), None, ""),
+}
+
+
+@dataclass(frozen=True)
+class Installed:
+    wheel: Path
+    folder: Path
+
+    def answers(self, python: Path, *commands: tuple[str, ...]) -> list[tuple[int, str]]:
+        """Exit code, and all that was said, of commands in one process."""
+        command = [str(python), str(self.folder / "driver.py")]
+        done = subprocess.run(
+            command,
+            input=json.dumps(commands),
+            env=environment(),
+            cwd=self.folder,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return [(code, out + err) for code, out, err in json.loads(done.stdout)]
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    folder = tmp_path_factory.mktemp("elsewhere")
+    (folder / "room.yaml").write_text(CONFIG)
+    (folder / "driver.py").write_text(DRIVER)
+    return Installed(built(tmp_path_factory.mktemp("wheel")), folder)
+
+
+@pytest.fixture(scope="module")
+def bare(package: Installed, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], tuple[int, str]]:
+    """What every command answers without any extra, by its words."""
+    python = installed(package.wheel, tmp_path_factory.mktemp("bare"))
+    asked = [SCAN, *((name, *words) for name in NAMED for words, *_ in ASKED.get(name, [(("--help",), 0, "")]))]
+    return dict(zip(asked, package.answers(python, *asked), strict=True))
+
+
+def test_a_scan_works(bare: dict[tuple[str, ...], tuple[int, str]]) -> None:
+    code, said = bare[SCAN]
+    assert code == 0, said
+    assert "→ " in said
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_every_command_works_or_says_what_to_type(name: str, bare: dict[tuple[str, ...], tuple[int, str]]) -> None:
+    for words, expected, part in ASKED.get(name, [(("--help",), 0, "usage: scan")]):
+        code, said = bare[name, *words]
+        assert (code, part in said) == (expected, True), said
+        if "type: " in said:
+            assert " -m pip install 'roomscan[" in said  # this is no checkout
+
+
+@pytest.mark.usefixtures("bare")
+@pytest.mark.parametrize("extra", WITH_EXTRA)
+def test_an_extra_brings_what_it_is_for(extra: str, package: Installed, tmp_path: Path) -> None:
+    python = installed(package.wheel, tmp_path / "with-extra", [extra])
+    words, expected, part = WITH_EXTRA[extra]
+    ((code, said),) = package.answers(python, words)
+    assert code == expected or (expected is None and code in (0, 3)), said
+    assert part in said
+    assert f"'roomscan[{extra}]'" not in said or extra == "rig"  # which needs packages of the system, too
+
+
+def test_the_wheel_has_what_the_sources_have(package: Installed) -> None:
+    found = set(ZipFile(package.wheel).namelist())
+    for packages, ending in ((("calib", "hw", "scanner"), "*.py"), (("scanner/templates",), "*.*")):
+        for name in packages:
+            for path in (ROOT / name).rglob(ending):
+                assert path.relative_to(ROOT).as_posix() in found
+    configurations = {path.name for path in (ROOT / "configs").glob("*.yaml")}
+    assert {Path(name).name for name in found if "examples/" in name} == configurations
+    assert {name.split("/")[0] for name in found if "dist-info" not in name} == {"calib", "hw", "scanner"}
+
+
+def test_the_sdist_has_the_wheel_s_sources(package: Installed, tmp_path: Path) -> None:
+    sdist = built(tmp_path, "sdist")
+    with tarfile.open(sdist) as file:
+        found = {name.partition("/")[2] for name in file.getnames() if file.getmember(name).isfile()}
+    wanted = {name for name in ZipFile(package.wheel).namelist() if "dist-info" not in name}
+    assert wanted <= found
