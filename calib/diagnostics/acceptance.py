@@ -52,8 +52,7 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
             raise RefusalError(
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
                 + _because(_reasons(refinement, words)),
-                " ".join([*on_repeats(refinement), _where_to_go(refinement, knowledge)])
-                + " A principal point that is known, or a corner that is known to be square, also helps.",
+                " ".join([*on_repeats(refinement), _where_to_go(refinement, knowledge)]) + what_else_helps(knowledge),
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
     _refuse_ambiguous(fit, refinement.others, np.array([*relative.values(), *centre]), words)
@@ -70,6 +69,22 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
             )
     _refuse_misfit(refinement, words)
     _refuse_skew(refinement, knowledge)
+
+
+def what_else_helps(knowledge: Knowledge) -> str:
+    """Of what a person may know and has not said."""
+    unsaid = [
+        what
+        for what, sigma in (
+            ("a principal point that is known", knowledge.principal_point_sigma_px),
+            ("a corner that is known to be square", knowledge.squareness_deg),
+        )
+        if sigma
+    ]
+    if not unsaid:
+        return ""
+    sentence = ", or ".join(unsaid)
+    return f" {sentence[0].upper()}{sentence[1:]}{',' if len(unsaid) > 1 else ''} also helps."
 
 
 def on_repeats(refinement: Refinement) -> list[str]:

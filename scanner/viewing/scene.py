@@ -251,7 +251,9 @@ class Scene:
         self._lines(f"{FACES}/ruler", lines, _INK)
         step = nice_step(reach)
         text = f"{shown.factor * step:g} {shown.name}"
-        self._label(f"{LABELS}/ruler", text, vertex + step * edge, "top-center")
+        # Beside one of its divisions about the edge's middle: the vertex has a name, and the end an angle.
+        place = (max(0, round(reach / (2 * step) - 0.5)) + 0.5) * step
+        self._label(f"{LABELS}/ruler", text, vertex + place * edge, "top-center")
 
     def _lines(self, name: str, segments: Floats, colour: tuple[int, int, int]) -> None:
         points = self._drawn(segments)

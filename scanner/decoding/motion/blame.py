@@ -86,7 +86,10 @@ def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
     axes = (shift.axis,) if shift.sure else plan.axes
     codes = [frame for axis in axes for code in axis.codes for frame in code.frames]
     fringes = [frame for axis in axes for fringe in axis.fringes for frame in fringe.frames]
-    how_far = f": along {shift.axis.axis} by about {abs(shift.px):.2g} projector pixels or more," if shift.sure else ""
+    # Small bumps, the usual ones, may look like the same and a whole period.
+    less = f", or whole periods of the fringes ({shift.axis.fringes[0].period:.3g} px) less" if shift.by_periods else ""
+    size = f"about {abs(shift.px):.2g} projector pixels{less or ' or more'}"
+    how_far = f": along {shift.axis.axis} by {size}," if shift.sure else ""
     return RefusalError(
         f"Camera or projector moved{how_far} between {plan.name(min(codes))} and {plan.name(max(fringes))}, from the "
         "codes to the fringes.",

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnostics.acceptance import no_corner, refuse_degenerate, refuse_untrustworthy
+from calib.diagnostics.acceptance import no_corner, refuse_degenerate, refuse_untrustworthy, what_else_helps
 from calib.refinement.distortion_from_planes import straighten
 from calib.refinement.focal_sweep import at_focal, family_of
 from calib.refinement.likelihood import Knowledge
@@ -57,8 +57,22 @@ def test_a_focal_is_refused_beyond_the_useful_sigma_only(good: Refinement, devic
     refuse_untrustworthy(with_sigma(good, device, 0.149), KNOWLEDGE)
     refusal = refusal_of(with_sigma(good, device, 0.171))
     assert f"hardly determines the {name}'s focal length: its sigma is 17 %" in refusal.reason
-    assert "principal point that is known" in refusal.advice
+    assert "also helps" not in refusal.advice  # both are known
     refusal_of(with_sigma(good, device, np.nan))
+
+
+@pytest.mark.parametrize(
+    ("centre_px", "squareness_deg", "offered"),
+    [
+        (30.0, 0.0, "A principal point that is known also helps."),
+        (0.0, 0.3, "A corner that is known to be square also helps."),
+        (0.0, 0.0, ""),
+        (30.0, 0.3, "A principal point that is known, or a corner that is known to be square, also helps."),
+    ],
+)
+def test_what_was_not_said_is_what_else_helps(centre_px: float, squareness_deg: float, offered: str) -> None:
+    knowledge = replace(KNOWLEDGE, principal_point_sigma_px=centre_px, squareness_deg=squareness_deg)
+    assert what_else_helps(knowledge).strip() == offered
 
 
 def with_other(refinement: Refinement, focal_factor: float, extra_cost: float) -> Refinement:

@@ -165,9 +165,18 @@ def test_a_knock_of_a_whole_period_between_code_and_fringes(
         (after if isinstance(pattern, Phase) else SCENE).frame(pattern, number)
         for number, pattern in enumerate(patterns)
     ]
-    with pytest.raises(
-        RefusalError, match=f"moved: along {said} projector pixels or more, .* from the codes to the fringes"
-    ):
+    expected = (
+        rf"moved: along {said} projector pixels, or whole periods of .* \(1\d(\.\d)? px\) less, .* from the codes to"
+    )
+    with pytest.raises(RefusalError, match=expected):
+        decode(patterns, frames, SCENE.projector)
+
+
+def test_a_small_bump_among_the_codes_is_not_said_to_be_large() -> None:
+    patterns = PRESETS["quick"].patterns(SCENE.projector)
+    after = Panned(SCENE.camera, SCENE.projector, right_px=1.5, down_px=0.3)
+    frames = [(after if number >= 6 else SCENE).frame(pattern, number) for number, pattern in enumerate(patterns)]
+    with pytest.raises(RefusalError, match=r"or whole periods of the fringes \(12\.3 px\) less"):
         decode(patterns, frames, SCENE.projector)
 
 
