@@ -181,10 +181,12 @@ def _figures(result: Path, truth: Truth, *, calibrated: bool) -> dict[str, Any]:
             figures["match_sigmas"] = tuple(float(np.percentile(relative, share)) for share in (50, 90))
     if calibrated and "match_sigmas" in figures:
         figures["wrong"] = figures["match_sigmas"][0] > MOST_MATCH_SIGMAS
-    if not calibrated and (result / CALIBRATION_FILE).exists():
+    if not (result / CALIBRATION_FILE).exists():
+        return figures
+    verdict = read_verdict(result / CALIBRATION_FILE)
+    figures["grade"] = verdict.grade if verdict else None
+    if not calibrated:
         error = calibration_error(read_calibration(result / CALIBRATION_FILE), truth)
-        verdict = read_verdict(result / CALIBRATION_FILE)
-        figures["grade"] = verdict.grade if verdict else None
         figures["percent"], figures["sigmas"] = tuple(error.percent.tolist()), tuple(error.sigmas.tolist())
         figures["wrong"] = error.is_wrong
     return figures

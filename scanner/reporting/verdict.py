@@ -9,7 +9,7 @@ from calib.diagnostics import FROM_ONE_PLACE
 from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
 from scanner.capture import CHANGED_SHAPE
-from scanner.decoding import UNSEEN_MOTION
+from scanner.decoding import UNCHECKED, UNSEEN_MOTION
 from scanner.patterns import Axis
 from scanner.quantities import intrinsic_errors_percent, percent, relative_focal_sigmas
 from scanner.reporting.contents import ReportInput
@@ -38,6 +38,7 @@ _LOOK_AT_THE_MISSES = (
     "distortion, or capture the corner again from another place."
 )
 _BOTH_AXES = "To see whether the calibration still fits, project patterns along the other axis as well."
+_SHORTER_FRINGES = "Project a shorter fringe along each axis as well, or the patterns of 'scan patterns'."
 # What a calibration from boards leaves of the principal point.
 _CALIBRATED_CENTRE_PX = 1.5
 _MOST_BY_CENTRE = 0.01
@@ -75,8 +76,11 @@ def _of_outcome(report: ReportInput) -> Verdict:
             return Verdict("refused", "Not calibrated", (refusal.reason, matched), refusal.advice)
         case Reconstructed(SelfCalibrated() as calibrated, cloud):
             return _of_self_calibration(report, calibrated, cloud.statistics)
+        case Reconstructed(cloud=cloud) if unchecked := [w for w in report.warnings if w.startswith(UNCHECKED)]:
+            reasons = (*unchecked, *_about_matches(report))
+            return Verdict("fair", "Reconstructed from fringes that nothing checks", reasons, _SHORTER_FRINGES)
         case Reconstructed(calibrated, cloud) if axis := calibrated.decoded.only_axis:
-            return _of_one_axis(cloud.statistics, axis)
+            return _of_one_axis(report, cloud.statistics, axis)
         case Reconstructed(cloud=cloud):
             return _of_given(cloud.statistics, report.facts.pixels)
 
@@ -92,15 +96,24 @@ def _of_given(statistics: CloudStatistics, pixels: str) -> Verdict:
     return Verdict("good", "Reconstructed with the calibration that was given", reasons)
 
 
-def _of_one_axis(statistics: CloudStatistics, axis: Axis) -> Verdict:
+def _about_matches(report: ReportInput) -> Iterator[str]:
+    sigma_px = report.matches.sigma_px
+    if sigma_px is not None and len(sigma_px):
+        yield f"The matches state a sigma of {np.median(sigma_px):.2g} {report.facts.pixels} in the median."
+
+
+def _of_one_axis(report: ReportInput, statistics: CloudStatistics, axis: Axis) -> Verdict:
     other = "y" if axis == "x" else "x"
     reasons = [
+        f"Where there is a match, all that was projected along {axis} agrees.",
+        *_about_matches(report),
         f"Only {axis} was measured. {other} is where the calibration's epipolar line crosses the stripe that a pixel "
-        "sees, so that the rays of every match meet: that says nothing about the calibration, which was taken as it is."
+        "sees, so that all rays meet: that says nothing about the calibration, which was taken as it is.",
     ]
     if statistics.matched:
         reasons.append(_about_points(statistics))
-    return Verdict("fair", "Reconstructed with a calibration that nothing checks", tuple(reasons), _BOTH_AXES)
+    headline = "Reconstructed with the calibration that was given, which one axis cannot check"
+    return Verdict("good", headline, tuple(reasons), _BOTH_AXES)
 
 
 def _misses_systematically(statistics: CloudStatistics) -> bool:

@@ -140,7 +140,7 @@ def test_one_axis_is_enough_for_a_known_calibration(
     apart = np.linalg.norm(of_one.points - of_both.points[number], axis=1)[number != NONE]
     assert 1e-5 < np.median(apart) < 1e-3  # metres, two metres away
     report = (out / "report.html").read_text()
-    assert "with a calibration that nothing checks" in report
+    assert "with the calibration that was given, which one axis cannot check" in report
     assert "miss each other by" not in report
 
 

@@ -25,6 +25,8 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.fringes.gamma_ripple import ENOUGH_CYCLES, TABLE_LENGTH
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
 
+# How the remark begins, by which others know it.
+UNCHECKED = "Nothing as fine checks"
 # Of projector and camera together, all equally likely beforehand.
 _EXPONENTS = np.linspace(0.4, 3.2, 57)
 _FEWEST_PIXELS = 500
@@ -159,7 +161,7 @@ def remark_on(unchecked: Sequence[Unchecked]) -> str:
     axes = " and ".join(each.axis.axis for each in unchecked)
     fringe, response = max((each.fringe for each in unchecked), key=lambda each: each.period), unchecked[0].response
     return (
-        f"Along {axes} nothing as fine checks a single fringe of {fringe.period:g} px in {len(fringe.shifts)} steps. "
+        f"{UNCHECKED} the single fringe of {fringe.period:g} px in {len(fringe.shifts)} steps along {axes}. "
         f"Its amplitude tells of a brightness curve of exponent {response.exponent:.2g} ± {response.sigma:.1g}, which "
         "was taken out. What is not known of it, and what light from other surfaces may do, is part of each match's "
         "sigma. Better: add a shorter fringe."

@@ -12,6 +12,7 @@ import pytest
 from calib.geometry.calibration import DeviceSigmas, Sigmas
 from calib.pointcloud.organised_cloud import Cloud
 from scanner.capture.facts import CaptureFacts
+from scanner.decoding.fringes.unchecked import UNCHECKED
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns.pattern import sequence_for
 from scanner.quantities.calibration_numbers import Quantity, device_quantities
@@ -342,6 +343,26 @@ def test_a_misfit_beyond_the_noise_is_no_good_result(calibrated: ReportInput) ->
         statistics = replace(cloud.statistics, decoder_px=0.1, calibration_px=smooth_px)
         found = verdict(ReportInput(Reconstructed(given, replace(cloud, statistics=statistics))))
         assert found.grade == grade
+
+
+@pytest.mark.parametrize(
+    ("warnings", "grade", "said"),
+    [((), "good", "all that was projected along x agrees"), ((f"{UNCHECKED} it.",), "fair", f"{UNCHECKED} it.")],
+)
+def test_what_matches_say_of_themselves_grades_one_axis(
+    calibrated: ReportInput, warnings: tuple[str, ...], grade: str, said: str
+) -> None:
+    """The rays meet whatever the calibration; a fringe that nothing checks is no more than fair."""
+    decoded, cloud = _parts(calibrated)
+    assert decoded.decoding is not None
+    matches = replace(decoded.matches, sigma_px=np.full(len(decoded.matches), 0.05))
+    origin = replace(decoded.decoding, only_axis="x", warnings=warnings)
+    of_one = replace(decoded, matches=matches, origin=origin)
+    given = GivenCalibration(of_one, _calibrated(calibrated).calibration)
+    found = verdict(ReportInput(Reconstructed(given, cloud)))
+    assert found.grade == grade
+    assert any(said in reason for reason in found.reasons)
+    assert any("state a sigma of 0.05 projector px" in reason for reason in found.reasons)
 
 
 @pytest.mark.parametrize(("x", "doubtful"), [(203.0, False), (-3.0, True), (409.0, True)])
