@@ -7,7 +7,7 @@ frames before.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import cv2
@@ -21,6 +21,8 @@ from scanner.decoding.sequence_plan import SequencePlan
 _MOST_OF_OTHER_SIGN = 0.1
 # Switched at the right frame, it explains most contradictions; within one group of frames, any moment looks alike.
 _MOST_LEFT, _AS_GOOD = 0.5, 0.8
+# What two moments may leave, one of the other, if the frames do not tell them apart; of a clear one it is a fifteenth.
+_ALIKE = 2.0
 _NOTHING = 1e-9
 
 
@@ -41,12 +43,14 @@ class LightSwitchedError(Exception):
 @dataclass(frozen=True)
 class LightSwitch:
     """From `frame` on there is more light, as much as all frames make with these `weights` (frames,); the median pixel
-    has this `share` of the patterns' more, or less.
+    has this `share` of the patterns' more, or less. `beside`: the frame next to it that explains the frames as well, as
+    where the light came up while one was exposed; None if there is none.
     """
 
     frame: int
     weights: Floats32
     share: float = 0.0
+    beside: int | None = None
 
     @property
     def is_harmful(self) -> bool:
@@ -66,7 +70,8 @@ class LightSwitch:
     def said(self, plan: SequencePlan) -> str:
         """For the operator."""
         went = "on" if self.share > 0 else "off"
-        return f"light of {abs(self.share):.0%} of the pattern's was switched {went} before {plan.name(self.frame)}"
+        when = plan.name(self.frame) if self.beside is None else f"{plan.name(self.frame)} or {plan.name(self.beside)}"
+        return f"light of {abs(self.share):.0%} of the pattern's was switched {went} before {when}"
 
 
 class LightRemover:
@@ -130,6 +135,8 @@ def light_switch(
     least, best, before = min(left), candidates[int(np.argmin(left))], contradiction(levels)
     # Steps half of which are in either light contradict each other little, but differ from their mean.
     is_even = _spread_of_steps(plan, best.undone(levels)) <= _MOST_LEFT * _spread_of_steps(plan, levels)
+    near = [c.frame for c, rest in zip(candidates, left, strict=True) if rest <= _ALIKE * least]
+    best = replace(best, beside=next((frame for frame in near if abs(frame - best.frame) == 1), None))
     return best if least <= _MOST_LEFT * before or (least < before and is_even) else None
 
 

@@ -43,6 +43,21 @@ def decode_once_more(patterns: Sequence[Pattern], frames: Sequence[Image]) -> De
     return decoder.finish()
 
 
+@pytest.mark.parametrize("number", [9, 10])
+def test_light_that_comes_up_while_a_frame_is_exposed_is_told_before_either(number: int) -> None:
+    """Half of it is in the frame: nothing tells whether it came before it or after it, and both are named."""
+    frames = SCENE.frames(GRAY)
+    after = switched(frames, number, 0.3)
+    half = np.rint((frames[number].astype(np.float64) + after[number]) / 2).astype(np.uint8)
+    decoding = decode_once_more(GRAY, [*after[:number], half, *after[number + 1 :]])
+    (said,) = [warning for warning in decoding.warnings if "was switched on before" in warning]
+    assert f"frame {number} (" in said
+    assert f"frame {number + 1} (" in said
+    clear = decode_once_more(GRAY, after)
+    (said,) = [warning for warning in clear.warnings if "was switched on before" in warning]
+    assert " or frame" not in said
+
+
 @pytest.mark.parametrize(
     ("patterns", "number", "share"),
     [
