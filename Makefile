@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: help setup scan room console scan-loopback rig try-rig try-browser test lint check-types unit benchmark paper fuzz clean
+.PHONY: help setup scan room console scan-loopback scan-loopback-stream rig try-rig try-browser test lint check-types unit benchmark paper fuzz clean
 
 help:
 	@echo "make scan           set up, then scan a simulated room from three places into scans/room-sim/"
@@ -13,6 +13,7 @@ help:
 	@echo "make setup          only make $(VENV)/, with the command $(BIN)/scan"
 	@echo "make rig            set up for real devices: system packages (apt-get), PyGObject, pyglet"
 	@echo "make scan-loopback  the same, then scan through a real window and a real camera protocol into scans/room-loopback/"
+	@echo "make scan-loopback-stream  the same with a webcam, as a stream of JPEGs, into scans/room-loopback-stream/"
 	@echo "make benchmark      measure accuracy and speed (minutes)"
 	@echo "make paper          rebuild the paper's tables and figures into docs/results.md (an hour or two)"
 	@echo "make fuzz           damage files at random for hours, and watch every reader (SEED=, INPUTS=, SECONDS=)"
@@ -31,6 +32,10 @@ console: setup $(VENV)/.console
 
 scan-loopback: rig
 	$(BIN)/python tools/on_loopback.py scan --config configs/room-loopback.yaml --out scans/room-loopback --overwrite
+
+scan-loopback-stream: rig
+	$(BIN)/python tools/on_loopback.py --sending-jitter-ms 8 scan --config configs/room-loopback-stream.yaml \
+		--out scans/room-loopback-stream --overwrite
 
 rig: setup $(VENV)/.rig
 

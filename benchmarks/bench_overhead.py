@@ -1,13 +1,16 @@
 """What a frame costs beside its exposure, for every pattern, pipelined and sequential.
 
     python benchmarks/bench_overhead.py
+    python benchmarks/bench_overhead.py --camera stream
 
 On the loopback rig, with a whole sequence (the standard one unless told otherwise), recorded and decoded as in a scan.
 Of `quick` and `concave` each frame bears its share of the pictures that prove bits without inverses. Both ways take
 turns on the same rig, so that other load on the machine is the same for both; "of limit" is the ratio to the limit,
 1.3 exposures. Sequential comes first: the simulated light of a picture that was never shown takes a processor 25 ms,
 and the loopback camera keeps it; nothing of a real rig competes with the scan so. Also: how soon Ctrl-C answers, and
-what a scan leaves behind in memory. Needs what `make rig` installs, and a machine with nothing else to do.
+what a scan leaves behind in memory. Of a camera that streams the limit is its latency (from a swap until a frame may
+show the picture) and two frame periods, with the mean of 2 frames a picture and of 4. Needs what `make rig` installs,
+and a machine with nothing else to do.
 """
 
 import argparse
@@ -21,12 +24,16 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import cast
+from urllib.parse import urlsplit
 
 from hw.ahead import beside
 from hw.errors import DeviceError
 from hw.loopback.launcher import loopback_rig
-from hw.loopback.settings import Conditions, LoopbackSettings
+from hw.loopback.settings import Conditions, LoopbackSettings, WebcamSettings
 from hw.open_rig import open_rig
+from hw.opencv import OpenCVRigSettings
+from hw.rig import Rig
+from hw.timing.streamed_rig import StreamedRig
 from hw.timing.synchronisation import SynchronisedRig
 from scanner.capture import capture, record
 from scanner.configuration import Config, load_config
@@ -34,17 +41,23 @@ from scanner.decoding import Decoder
 from scanner.patterns import PRESETS
 
 CONFIG = Path("configs/room-loopback.yaml")
+STREAM_CONFIG = Path("configs/room-loopback-stream.yaml")
 LIMIT = 1.3  # exposures
 
 
-def one_capture(rig: SynchronisedRig, config: Config, folder: Path) -> tuple[float, str]:
-    """Milliseconds per frame, and a line on them."""
+def decode(rig: Rig, config: Config, folder: Path) -> None:
+    """A capture that is recorded and decoded as in a scan."""
     patterns = config.sequence.patterns(config.projector_size)
     stream = record(capture(rig, patterns), folder)
     decoder = Decoder(patterns, config.projector_size)
     with beside(decoder.add) as add:
         for _, frame in stream.frames:
             add(frame.image)
+
+
+def one_capture(rig: SynchronisedRig, config: Config, folder: Path) -> tuple[float, str]:
+    """Milliseconds per frame, and a line on them."""
+    decode(rig, config, folder)
     found = cast(dict[str, float], rig.account()["synchronisation"])
     exposures = found["ms_per_frame"] / 1e3 / rig.sequential.exposure_s
     apart = "" if rig.pipelined is None else f" (at last {1e3 * rig.pipelined.period_s:.1f} ms apart)"
@@ -76,10 +89,14 @@ def main() -> None:
     parser.add_argument("--latencies-ms", type=float, nargs="+", default=[20.0, 50.0, 120.0])
     parser.add_argument("--scans", type=int, default=3, help="captures at each latency, each both ways")
     parser.add_argument("--preset", choices=sorted(PRESETS), default="standard")
+    parser.add_argument("--camera", choices=["gige", "stream"], default="gige")
     options = parser.parse_args()
-    config = load_config(CONFIG, [f"sequence.preset={options.preset}"])
+    overrides = [f"sequence.preset={options.preset}"]
     try:
-        measure(config, options.latencies_ms, options.scans)
+        if options.camera == "stream":
+            measure_stream(load_config(STREAM_CONFIG, overrides), options.latencies_ms, options.scans)
+        else:
+            measure(load_config(CONFIG, overrides), options.latencies_ms, options.scans)
     except DeviceError as error:
         print(f"not measured: {error}")
 
@@ -102,6 +119,34 @@ def measure(config: Config, latencies_ms: list[float], scans: int) -> None:
             print(f"load {os.getloadavg()[0]:.1f}, memory {memory_mb():.0f} MB")
             if number == 0:
                 print(f"Ctrl-C: the process has ended after {interruption(Path(folder)):.2f} s", flush=True)
+
+
+def measure_stream(config: Config, latencies_ms: list[float], scans: int) -> None:
+    settings = cast(OpenCVRigSettings, config.required_rig)
+    webcam = WebcamSettings(port=urlsplit(str(settings.camera)).port or 80)
+    for latency_ms in latencies_ms:
+        conditions = Conditions(latency_ms=latency_ms, sending_jitter_ms=8)
+        loopback = LoopbackSettings(camera_size=config.camera_size, conditions=conditions, webcam=webcam)
+        with loopback_rig(loopback, config.projector_size), tempfile.TemporaryDirectory() as folder:
+            for scan in range(scans):
+                for average in (2, 4):
+                    averaging = settings.model_copy(update={"average": average})
+                    with open_rig(averaging, config.camera_size, config.projector_size) as opened:
+                        line = one_stream(cast(StreamedRig, opened.rig), config, Path(folder) / f"{average} {scan}")
+                    print(f"latency {latency_ms:3.0f} ms, mean of {average}: {line}", flush=True)
+        print(f"load {os.getloadavg()[0]:.1f}, memory {memory_mb():.0f} MB")
+
+
+def one_stream(rig: StreamedRig, config: Config, folder: Path) -> str:
+    """A capture, and a line on what its pictures cost."""
+    decode(rig, config, folder)
+    timing, seconds = rig.timing, rig.tally.seconds_per_frame
+    limit_s = timing.soonest_s + 2 * timing.period_s
+    found = cast(dict[str, float], rig.account()["synchronisation"])
+    return (
+        f"{seconds:.3f} s a picture, {seconds / limit_s:.2f} of the limit of {limit_s:.3f} s; frames every "
+        f"{1e3 * timing.period_s:.1f} ms, {found['dropped_frames']} dropped, {found['retriggered_frames']} retaken"
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Rigs that can move: the simulated one steps aside by itself, any other is moved by a person."""
 
+from hw.backends import RigSettings
 from hw.errors import DeviceError
-from hw.settings import RigSettings, SimulatedRigSettings
+from hw.settings import SimulatedRigSettings
 
 
 def moves_by_itself(settings: RigSettings) -> bool:

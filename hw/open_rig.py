@@ -3,18 +3,18 @@
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from types import ModuleType
+from typing import Any, cast
 
 from calib.geometry import Calibration, Motion
-from hw.errors import DeviceError
-from hw.optional_parts import RIG
+from hw.backends import RigSettings, backend_of
 from hw.projector.process import ScreenProjector
 from hw.rig import Rig
-from hw.settings import AravisRigSettings, RigSettings, SimulatedRigSettings
+from hw.settings import CameraRigSettings, SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
-from hw.timing.exposures import whole_periods
+from hw.timing.streamed_rig import streamed
 from hw.timing.synchronisation import synchronised
+from hw.timing.timed_rig import TimedRig
 
 # Where a screen does not know its rate, and nobody has said it.
 _USUAL_REFRESH_HZ = 60.0
@@ -39,7 +39,7 @@ def open_rig(
     match settings:
         case SimulatedRigSettings():
             yield _simulated(settings, camera_size, projector_size)
-        case AravisRigSettings():
+        case CameraRigSettings():
             with ExitStack() as devices:
                 yield OpenedRig(_real(settings, camera_size, projector_size, devices), None)
 
@@ -55,31 +55,21 @@ def _simulated(
 
 
 def _real(
-    settings: AravisRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int], devices: ExitStack
+    settings: CameraRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int], devices: ExitStack
 ) -> Rig:
-    aravis = import_aravis()
+    driver = backend_of(settings).load()  # what is missing is said before anything is shown
     projector = devices.enter_context(ScreenProjector(settings.screen, projector_size))
-    refresh_hz = settings.refresh_hz or projector.screen.refresh_hz or _USUAL_REFRESH_HZ
-    exposure_us, periods = whole_periods(settings.exposure_us, refresh_hz)
-    camera = devices.enter_context(aravis.AravisCamera(settings, camera_size, exposure_us, refresh_hz))
-    known = settings.refresh_hz or projector.screen.refresh_hz
+    known_hz = settings.refresh_hz or projector.screen.refresh_hz
+    refresh_hz = known_hz or _USUAL_REFRESH_HZ
+    camera = devices.enter_context(driver.connect(settings, camera_size, refresh_hz))
     identity = {
-        "backend": "aravis",
+        "backend": settings.backend,
         **camera.identity,
         "projector": str(projector.screen),
         "renderer": projector.renderer,
-        "refresh": f"{refresh_hz:.5g} Hz{'' if known else ' (assumed: neither screen nor configuration says)'}",
-        "exposure in refresh periods": str(periods),
+        "refresh": f"{refresh_hz:.5g} Hz{'' if known_hz else ' (assumed: neither screen nor configuration says)'}",
     }
-    rig = synchronised(projector, camera, identity, refresh_hz)
+    timed = streamed if camera.capabilities.streaming else synchronised
+    rig: TimedRig = timed(projector, cast(Any, camera), identity, refresh_hz)
     devices.callback(rig.stop)
     return rig
-
-
-def import_aravis() -> ModuleType:
-    """The module `hw.aravis.camera`. Raises DeviceError, naming what to install, if what it needs is not there."""
-    try:
-        from hw.aravis import camera  # only now, for most users have no Aravis
-    except (ImportError, ValueError) as error:  # ValueError: gi is there, Aravis is not
-        raise DeviceError(RIG.missing("a GenICam camera", "Aravis with PyGObject")) from error
-    return camera

@@ -57,4 +57,5 @@ RIG = Part(
     system=("gir1.2-aravis-0.8", "libgirepository1.0-dev", "libcairo2-dev", "pkg-config", "gcc", "python3-dev"),
     target="rig",
 )
-PARTS = (CONSOLE, BATCH, E57, RIG)
+GPHOTO2 = Part("gphoto2")
+PARTS = (CONSOLE, BATCH, E57, GPHOTO2, RIG)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import cycle
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, cast
 
 from calib.numerics import Image
 from hw.errors import DeviceError
@@ -32,8 +32,26 @@ class Projector(Protocol):
         """
 
 
+@dataclass(frozen=True)
+class Capabilities:
+    """What a camera can do, by which everything above it is chosen.
+
+    `streaming`: frames come by themselves, one after the other; else each is taken when it is asked for. `exposure`:
+    whether it can be set while the camera is open, can only be read, or is not known at all. `clock`: whether it is
+    known when an exposure began, by time stamps or because the camera obeys at once.
+    """
+
+    streaming: bool = False
+    exposure: Literal["settable", "readable", "unknown"] = "unknown"
+    clock: bool = False
+
+
 class Camera(Protocol):
     """Something that takes images of the scene."""
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What it can do; the same as long as it is open."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -47,9 +65,8 @@ class Camera(Protocol):
         """Expose and return one frame of what the projector shows now. Raises DeviceError if the device fails."""
 
 
-@runtime_checkable
 class ExposureControl(Protocol):
-    """What a camera also has if its exposure can be changed between frames."""
+    """What a camera also has if its exposure is settable."""
 
     @property
     def exposure_us(self) -> float:
@@ -107,10 +124,16 @@ class Rig:
         return {}
 
 
-def exposure_control(camera: object) -> ExposureControl:
+def settable_exposure(camera: Camera) -> ExposureControl | None:
+    """The camera, if its exposure can be changed."""
+    return cast(ExposureControl, camera) if camera.capabilities.exposure == "settable" else None
+
+
+def exposure_control(camera: Camera) -> ExposureControl:
     """The camera, whose exposure can be changed. Raises DeviceError if it cannot."""
-    if not isinstance(camera, ExposureControl):
+    control = settable_exposure(camera)
+    if control is None:
         raise DeviceError(
             "this camera's exposure cannot be changed during a capture; take every pattern with one exposure"
         )
-    return camera
+    return control

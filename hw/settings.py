@@ -1,8 +1,8 @@
 """What can be configured about a rig. The field descriptions become the configuration reference."""
 
-from typing import Annotated, Any, Literal
+from typing import ClassVar, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 _PLACES_BEFORE_A_CORNER = 8
 
@@ -272,36 +272,17 @@ class SimulatedRigSettings(BaseModel):
         return 1 if self.bit_depth == 8 else 2
 
 
-class AravisRigSettings(BaseModel):
-    """A GenICam camera (GigE Vision, USB3 Vision) reached through Aravis, and a projector that is a screen."""
+class CameraRigSettings(BaseModel):
+    """What all rigs of real devices have: a projector that is a screen, and a camera that a backend reaches."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    backend: Literal["aravis"]
-    camera: str | None = Field(
-        None, min_length=1, description="Id, serial number or IP address; left out, the only camera there is."
-    )
-    exposure_us: float = Field(
-        100_000 / 3,
-        gt=0.0,
-        le=10_000_000.0,
-        description="Exposure in microseconds, rounded to a whole number of the projector's refresh periods.",
-    )
-    gain: float | None = Field(
-        None, description="Gain in the camera's own unit (most use dB); left out, the camera's is kept."
-    )
-    pixel_format: str = Field("Mono8", description="Mono or Bayer format of 8 to 16 bits, by its GenICam name.")
-    offset_px: tuple[int, int] | None = Field(
-        None, description="(x, y) of the image on the sensor, in pixels after binning; left out, it is centred."
-    )
-    binning: int = Field(1, ge=1, le=8, description="Sensor pixels that are combined to one, in either direction.")
-    trigger: Literal["software", "line", "free-run"] = Field(
-        "software", description="What starts an exposure; free-running cameras have frames discarded."
-    )
-    trigger_line: str = Field("Line1", min_length=1, description="Input that triggers, for trigger: line.")
-    packet_size: int | None = Field(
-        None, ge=576, le=16_000, description="Bytes in a GigE Vision packet; left out, it is negotiated."
-    )
+    has_gain: ClassVar[bool] = True
+    slow: ClassVar[bool] = False  # it takes a second a frame, or longer
+
+    backend: str
+    exposure_us: float | None = None
+    gain: float | None = None
     screen: int | str | None = Field(
         None,
         description="Number, name or geometry (as in 1920x1080+1920+0) of the projector's screen; left out, the only "
@@ -313,25 +294,5 @@ class AravisRigSettings(BaseModel):
 
     @property
     def bytes_per_pixel(self) -> int:
-        """Of a frame; those of colour cameras have three channels."""
-        channels = 1 if self.pixel_format.startswith("Mono") else 3
-        return channels * (1 if self.pixel_format.endswith("8") else 2)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _camera_by_number(cls, data: Any) -> Any:
-        """Serial numbers look like numbers in YAML."""
-        if isinstance(data, dict) and type(data.get("camera")) is int:
-            return data | {"camera": str(data["camera"])}
-        return data
-
-
-def _with_backend(data: Any) -> Any:
-    """A rig of which nothing is said but its seed is simulated."""
-    return {"backend": "simulated"} | data if isinstance(data, dict) else data
-
-
-# What `rig:` in a configuration may be.
-RigSettings = Annotated[
-    SimulatedRigSettings | AravisRigSettings, Field(discriminator="backend"), BeforeValidator(_with_backend)
-]
+        """Of a frame."""
+        return 3

@@ -15,8 +15,8 @@ from calib.geometry import Calibration
 from calib.numerics import Bools
 from calib.refusal import RefusalError
 from hw.ahead import beside
+from hw.backends import RigSettings
 from hw.open_rig import open_rig
-from hw.settings import RigSettings
 from scanner.capture import (
     CaptureFacts,
     Recording,
@@ -28,6 +28,7 @@ from scanner.capture import (
     next_place,
     open_capture,
     record,
+    remarks_on_camera,
     remarks_on_lines,
     take_up,
 )
@@ -141,7 +142,7 @@ def take(
             return open_capture(recorded).stream()
 
         found = decode(record(live, recorded), progress, "Capturing and decoding", name, again=again)
-        found = found.noting(*remarks_on_lines(lines))
+        found = found.noting(*remarks_on_lines(lines), *remarks_on_camera(live.account()))
     return replace(found, facts=replace(found.facts, truth=opened.truth))
 
 
@@ -196,7 +197,8 @@ def decode_recording(recording: Recording, terminal: Progress, calibration: Cali
         return recording.stream().shown_as(sequence.patterns)
 
     found = decode(stream(), terminal, "Decoding", str(recording.folder), calibration, again=stream)
-    said = filter(None, [sequence.words, _resumption(recording), *remarks_on_lines(recording.metadata)])
+    remarks = [*remarks_on_lines(recording.metadata), *remarks_on_camera(recording.metadata)]
+    said = filter(None, [sequence.words, _resumption(recording), *remarks])
     return found.noting(*recording.notes, *said)
 
 

@@ -3,8 +3,10 @@
     python tools/on_loopback.py scan --config configs/room-loopback.yaml --out scans/room-loopback --overwrite
     python tools/on_loopback.py scan check --config configs/room-loopback.yaml
     python tools/on_loopback.py --latency-ms 120 scan console --config configs/room-loopback.yaml
+    python tools/on_loopback.py scan --config configs/room-loopback-stream.yaml --out scans/room-loopback-stream
 
-The command is the one that a real rig is used with. After a scan the truth is written into its result.
+The command is the one that a real rig is used with; a configuration with `backend: opencv` gets a webcam at the address
+that it names. After a scan the truth is written into its result.
 """
 
 import os
@@ -12,10 +14,13 @@ import subprocess
 import sys
 from argparse import REMAINDER, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from pathlib import Path
+from urllib.parse import urlsplit
 
+from hw.backends import RigSettings
 from hw.errors import DeviceError
 from hw.loopback.launcher import loopback_rig
-from hw.loopback.settings import Conditions, LoopbackSettings
+from hw.loopback.settings import Conditions, LoopbackSettings, WebcamSettings
+from hw.opencv import OpenCVRigSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import place_room
 from hw.simulated.truth import true_calibration
@@ -40,6 +45,7 @@ def main() -> int:
         camera_size=config.camera_size,
         room=SimulatedRigSettings(seed=options.seed),
         conditions=Conditions(**{name: getattr(options, name) for name in Conditions.model_fields}),
+        webcam=_webcam(config.required_rig),
     )
     try:
         with loopback_rig(settings, config.projector_size):
@@ -61,10 +67,18 @@ def _parser() -> ArgumentParser:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter, allow_abbrev=False)
     parser.add_argument("--seed", type=int, default=0, help="of the room (default: 0)")
     for name, field in Conditions.model_fields.items():
-        text = f"{field.description} (default: {field.default:g})".replace("%", "%%")
-        parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=field.default, help=text)
+        text = f"{field.description} (default: {field.default!r})".replace("%", "%%")
+        kind = str if name == "fault" else float  # pydantic makes of a number what the field is, and refuses others
+        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, default=field.default, help=text)
     parser.add_argument("command", nargs=REMAINDER, metavar="scan ...", help="any command with --config FILE")
     return parser
+
+
+def _webcam(rig: RigSettings) -> WebcamSettings | None:
+    """The one at the address of the configuration, if that has one."""
+    if not isinstance(rig, OpenCVRigSettings):
+        return None
+    return WebcamSettings(port=urlsplit(str(rig.camera)).port or 80)
 
 
 def _options_of(command: list[str]) -> Namespace:

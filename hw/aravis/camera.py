@@ -14,14 +14,14 @@ from typing import Any, Self
 
 from hw.aravis.devices import Aravis, GLib, list_cameras, open_camera
 from hw.aravis.frame_clock import FrameClock
+from hw.aravis.settings import AravisRigSettings
 from hw.aravis.setup import configure, differs, expect, read_back, start
 from hw.errors import DeviceError, FrameLostError
-from hw.rig import Frame
-from hw.settings import AravisRigSettings
+from hw.rig import Capabilities, Frame
 from hw.timing.devices import ATTEMPTS, TRIGGER_LAG_S, nothing
 from hw.timing.exposures import whole_periods
 
-__all__ = ["AravisCamera", "list_cameras"]
+__all__ = ["AravisCamera", "connect", "list_cameras"]
 
 _SLICE_S = 0.1  # Ctrl-C waits at most so long
 _LATEST_FRAME_S = 1.0  # a frame takes at most so long from the end of its exposure
@@ -29,6 +29,14 @@ _QUIET_S = 0.5  # after a disturbance, the camera is given so long to deliver wh
 _SLOW_TRIGGER_S = 0.2  # an unanswered command is repeated after 0.5 s, and the camera may have heard both
 _STALE_S = 0.005  # before the end of an exposure, what has arrived is looked through
 _IN_FLIGHT = 2  # frames of a free-running camera that may have begun before they were asked for: one exposed, one read
+
+
+def connect(settings: AravisRigSettings, size: tuple[int, int], refresh_hz: float) -> "AravisCamera":
+    """Open the camera of these settings. Raises DeviceError."""
+    exposure_us, periods = whole_periods(settings.exposure_us, refresh_hz)
+    camera = AravisCamera(settings, size, exposure_us, refresh_hz)
+    camera.identity["exposure in refresh periods"] = str(periods)
+    return camera
 
 
 class AravisCamera:
@@ -72,6 +80,11 @@ class AravisCamera:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Whoever waits for a camera that runs freely learns from its time stamps when its exposures begin."""
+        return Capabilities(exposure="settable", clock=True)
 
     @property
     def exposure_us(self) -> float:

@@ -1,6 +1,6 @@
 """What cameras Aravis finds on the network and at USB, and opening one; the only file that imports gi."""
 
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import Any
 
 import gi
@@ -13,16 +13,32 @@ from hw.errors import DeviceError  # noqa: E402
 
 __all__ = ["Aravis", "GLib", "list_cameras", "open_camera"]
 
+_PREFERRED_FORMATS = ("Mono8", "BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8")
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A camera that answers."""
+
+    device_id: str
+    vendor: str
+    model: str
+    serial: str
+    address: str
+
+    def __str__(self) -> str:
+        return f"{self.vendor} {self.model} {self.serial} at {self.address}"
+
 
 def list_cameras() -> list[CameraInfo]:
     """All cameras that answer, with sensor size and formats of those that nobody else uses. Takes seconds."""
-    return [_with_abilities(info) for info in _discover()]
+    return [_with_abilities(found) for found in _discover()]
 
 
-def _discover() -> list[CameraInfo]:
+def _discover() -> list[_Found]:
     Aravis.update_device_list()
     return [
-        CameraInfo(
+        _Found(
             Aravis.get_device_id(index),
             Aravis.get_device_vendor(index) or "",
             Aravis.get_device_model(index) or "",
@@ -33,14 +49,20 @@ def _discover() -> list[CameraInfo]:
     ]
 
 
-def _with_abilities(info: CameraInfo) -> CameraInfo:
+def _with_abilities(found: _Found) -> CameraInfo:
     try:
-        camera = Aravis.Camera.new(info.device_id)
+        camera = Aravis.Camera.new(found.device_id)
         size = camera.get_sensor_size()
         formats = tuple(camera.dup_available_pixel_formats_as_strings())
-    except GLib.Error:
-        return info  # it is there, but someone else uses it or the network does not let us in
-    return replace(info, sensor_size=(size.width, size.height), pixel_formats=formats)
+    except GLib.Error:  # it is there, but someone else uses it or the network does not let us in
+        return CameraInfo(str(found), "in use by another program, or out of reach: its abilities are not known")
+    pixel_format = next((name for name in (*_PREFERRED_FORMATS, *formats) if name in formats), "Mono8")
+    return CameraInfo(
+        str(found),
+        f"sensor {size.width} × {size.height}, formats {', '.join(formats)}",
+        ("backend: aravis", f'camera: "{found.device_id}"', f"pixel_format: {pixel_format}"),
+        (size.width, size.height),
+    )
 
 
 def open_camera(wanted: str | None) -> Any:
@@ -48,9 +70,10 @@ def open_camera(wanted: str | None) -> Any:
     if wanted is None:
         found = _discover()
         if len(found) != 1:
-            raise DeviceError(not_found("expected one camera, as the rig names none", found))
+            raise DeviceError(not_found("expected one camera, as the rig names none", [*map(str, found)]))
         wanted = found[0].device_id
     try:
         return Aravis.Camera.new(wanted)
     except GLib.Error as error:
-        raise DeviceError(not_found(f"no camera answers to {wanted!r} ({error.message})", _discover())) from error
+        there = [*map(str, _discover())]
+        raise DeviceError(not_found(f"no camera answers to {wanted!r} ({error.message})", there)) from error

@@ -10,8 +10,8 @@ from typing import Any
 from hw.aravis.devices import Aravis
 from hw.aravis.pixel_formats import PixelFormat, pixel_format
 from hw.aravis.receive_buffer import receive_buffer
+from hw.aravis.settings import AravisRigSettings
 from hw.errors import DeviceError
-from hw.settings import AravisRigSettings
 
 _BUFFERS = 4
 _TOLERANCE = 0.01

@@ -6,14 +6,18 @@ Started by `hw/loopback/launcher.py`. Prints 'ready' when it can be found, and a
 
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
+from functools import partial
 from math import prod
 from pathlib import Path
 
 from hw.errors import DeviceError
 from hw.loopback.camera import LoopbackCamera
 from hw.loopback.exposure import RoomSensor
+from hw.loopback.mjpeg_server import MjpegServer
 from hw.loopback.screen import ScreenHistory, XwdScreen
 from hw.loopback.settings import Conditions, LoopbackSettings
+from hw.loopback.webcam import Webcam
 from hw.simulated.simulation import SimulatedRoom
 
 _ALBUM_BYTES = 1e8
@@ -38,17 +42,28 @@ def _serve(screen_file: Path, settings: LoopbackSettings) -> None:
     room = SimulatedRoom(settings.room, settings.camera_size, screen.size)
     album = max(4, int(_ALBUM_BYTES / (4 * prod(settings.camera_size))))
     with ScreenHistory(screen, room.electrons, settings.room.seed, album) as history:
-        sensor = RoomSensor(room, history, settings.white_exposure_us)
-        with LoopbackCamera(settings.address, settings.serial, settings.camera_size, sensor.expose) as camera:
-            conditions = settings.conditions
-            while True:
-                history.wall.conditions = conditions
-                camera.lose(conditions.lost_packets)
-                print("ready", flush=True)
-                line = sys.stdin.readline()
-                if not line:
-                    return  # whoever started us holds the other end, and its end is ours
-                conditions = Conditions.model_validate_json(line)
+        if settings.webcam is None:
+            sensor = RoomSensor(room, history, settings.white_exposure_us)
+            with LoopbackCamera(settings.address, settings.serial, settings.camera_size, sensor.expose) as camera:
+                _obey(settings.conditions, history, lambda conditions: camera.lose(conditions.lost_packets))
+        else:
+            with (
+                MjpegServer(settings.address, settings.webcam.port, settings.webcam.queue) as server,
+                Webcam(room, history, settings.webcam, settings.white_exposure_us, server.send) as webcam,
+            ):
+                _obey(settings.conditions, history, partial(setattr, webcam, "conditions"))
+
+
+def _obey(conditions: Conditions, history: ScreenHistory, change: Callable[[Conditions], object]) -> None:
+    """Set the conditions, and others as they are told, until whoever started us has gone."""
+    while True:
+        history.wall.conditions = conditions
+        change(conditions)
+        print("ready", flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            return
+        conditions = Conditions.model_validate_json(line)
 
 
 def _options() -> Namespace:

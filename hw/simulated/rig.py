@@ -4,7 +4,7 @@ import numpy as np
 
 from calib.numerics import Image
 from hw.errors import DeviceError
-from hw.rig import Frame
+from hw.rig import Capabilities, Frame
 from hw.simulated.arrays import Light
 from hw.simulated.lamp import Lamp
 from hw.simulated.renderer import Renderer
@@ -69,6 +69,11 @@ class SimulatedCamera:
         """Width and height in pixels."""
         optics = self._room.room.camera.optics
         return optics.width, optics.height
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """It waits for the projector."""
+        return Capabilities(exposure="settable")
 
     @property
     def highest_level(self) -> int:

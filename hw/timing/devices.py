@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from calib.numerics import Image
-from hw.rig import Camera, Frame, Projector
+from hw.cameras import NamedCamera
+from hw.rig import Frame, Projector
+from hw.timing.frame_reader import FrameReader
 
 # A frame that is lost so many times in a row will be lost again.
 ATTEMPTS = 8
@@ -29,14 +31,18 @@ def nothing() -> None:
     """There is nothing to do meanwhile."""
 
 
-class BufferedProjector(Projector, Protocol):
-    """A projector whose next picture can be drawn before it is shown, and that keeps a schedule."""
+class FlippingProjector(Projector, Protocol):
+    """A projector whose next picture can be drawn before it is shown."""
 
     def prepare(self, image: Image) -> None:
         """Draw an (H, W) 8-bit image where nobody sees it yet. Raises DeviceError."""
 
     def flip(self) -> Swap:
         """Show what was prepared; returns when it has left for the wall. Raises DeviceError."""
+
+
+class BufferedProjector(FlippingProjector, Protocol):
+    """The same, which also keeps a schedule."""
 
     def show_at(self, image: Image, when_s: float) -> None:
         """Draw an image when those before it have been shown, and show it at a moment, or as soon as it is drawn.
@@ -51,10 +57,9 @@ class BufferedProjector(Projector, Protocol):
         """
 
 
-class TriggeredCamera(Camera, Protocol):
+class TriggeredCamera(NamedCamera, Protocol):
     """A camera whose frame is on its way while the next picture is shown already."""
 
-    name: str
     exposure_s: float
     late_s: float
     """By how much more than the least of late the exposure of the last frame came after its trigger, as far as the
@@ -79,3 +84,21 @@ class TriggeredCamera(Camera, Protocol):
 
         Raises FrameLostError if it does not arrive whole, or was exposed more than TRIGGER_LAG_S later than others.
         """
+
+
+class StreamingCamera(NamedCamera, Protocol):
+    """A camera whose frames come by themselves, and cannot be asked for. Its `reader` has them as they come.
+
+    `average`: of so many frames of a picture the mean is wanted, two or more. `exposure_us`: of all frames from now on,
+    None if it is not known.
+    """
+
+    average: int
+
+    @property
+    def reader(self) -> FrameReader:
+        """Its frames as they come."""
+
+    @property
+    def exposure_us(self) -> float | None:
+        """In microseconds."""

@@ -9,23 +9,20 @@ from statistics import median
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Image, grey
-from hw.errors import DeviceError, FrameLostError, OverexposedError
+from calib.numerics import Image
+from hw.errors import DeviceError, FrameLostError
 from hw.rig import Frame
-from hw.timing.complementary_sums import ComplementarySums, complementary_sums
 from hw.timing.devices import ATTEMPTS, BufferedProjector, TriggeredCamera
+from hw.timing.resting import RestingLight
 
-_LONGEST_LATENCY_S = 0.3
+LONGEST_LATENCY_S = 0.3
 _RESTING_FRAMES = 3
 _FLASHES = 4
 _FLASHES_AT_MOST = 50
 _LONGEST_FLASH_S = 5.0
 _AT_ONCE_S = 0.002  # the trigger comes a moment after the swap
 _EDGE = 0.05  # less than this share of the light missing: the exposure began after the light had come
-_LEAST_TOLERANCE = 0.005  # share of the light: with a fringe of 16 px in 8 steps, a hundredth of a projector pixel
 _REHEARSED = 4
-_BANDS = 8  # of the image, from top to bottom
-_CLIPPED = 254 / 255  # of the highest level; demosaicing mixes clipped pixels with others
 
 
 LOST_ADVICE = (
@@ -74,12 +71,9 @@ class LatencyCalibration:
         dark, bright = self._resting(0), self._resting(1)
         self._shown = 1
         self._cycles_s: list[float] = []
-        self._lit = self._lit_pixels(dark, bright)
-        levels = np.array([[self._levels(image) for image in images] for images in (dark, bright)])
-        self._dark, self._bright = levels.mean(axis=1)
-        noise = np.max(np.ptp(levels, axis=1) / (self._bright - self._dark))
-        self.tolerance = max(_LEAST_TOLERANCE, 3.0 * float(noise))
-        self.sums: ComplementarySums = complementary_sums(dark, bright, self._lit, self.tolerance)
+        self._rest = RestingLight(camera, dark, bright)
+        self.tolerance = self._rest.tolerance
+        self.sums = self._rest.sums
 
     def latency(self) -> Latency:
         """How late light follows a swap, the soonest and the latest of several flashes.
@@ -124,7 +118,7 @@ class LatencyCalibration:
         targets = list(islice(cycle((1 - self._shown, self._shown)), count))
         taken = frames(self._pictures[target] for target in targets)
         shares = [
-            float(np.abs(self._missing(frame.image, target)).max())
+            float(np.abs(self._rest.missing(frame.image, target)).max())
             for target, frame in zip(targets, taken, strict=True)
         ]
         self._shown = targets[-1]
@@ -144,7 +138,7 @@ class LatencyCalibration:
             try:
                 frame = self._camera.collect()
                 self._cycles_s.append(time.monotonic() - begin_s)
-                missing = float(self._missing(frame.image, self._shown).mean())
+                missing = float(self._rest.missing(frame.image, self._shown).mean())
             except FrameLostError:
                 hidden = hidden or arrival is None
                 continue
@@ -174,38 +168,5 @@ class LatencyCalibration:
 
     def _resting(self, which: int) -> list[Image]:
         self._projector.show(self._pictures[which])
-        time.sleep(_LONGEST_LATENCY_S)
+        time.sleep(LONGEST_LATENCY_S)
         return [self._grab() for _ in range(_RESTING_FRAMES)]
-
-    def _lit_pixels(self, dark: list[Image], bright: list[Image]) -> Bools:
-        """Pixels that white lights well without clipping them, (H, W)."""
-        contrast = grey(np.mean(bright, axis=0)) - grey(np.mean(dark, axis=0))
-        noise = np.std(grey(dark[1]) - grey(dark[0]))
-        strong = float(np.percentile(contrast, 99))
-        if strong < 6 * noise or strong <= 0:
-            raise DeviceError(
-                f"camera {self._camera.name}: it sees no difference between a white and a black picture. Check lens "
-                "cap, aperture and exposure, that the projector is on and shows this screen, then rerun."
-            )
-        brightest = np.max(bright, axis=0)
-        clipped = brightest >= self._camera.highest_level * _CLIPPED
-        if clipped.ndim == 3:
-            clipped = clipped.any(axis=2)
-        lit: Bools = (contrast > strong / 2) & ~clipped
-        if not lit.any():
-            raise OverexposedError(
-                f"camera {self._camera.name}: everything that white lights is overexposed. Close the aperture, lower "
-                "the rig's gain or exposure_us, then rerun."
-            )
-        return lit
-
-    def _levels(self, image: Image) -> Floats:
-        """How bright the lit pixels are, (B,), from the top to the bottom: a rolling shutter begins with the top."""
-        lit = grey(image)[self._lit]
-        return np.array([part.mean() for part in np.array_split(lit, min(_BANDS, len(lit)))])
-
-    def _missing(self, image: Image, target: int) -> Floats:
-        """Which share (B,) of the way from the other picture to the target is missing: 0 at rest, 1 before it."""
-        share = (self._levels(image) - self._dark) / (self._bright - self._dark)
-        missing: Floats = 1 - share if target == 1 else share
-        return missing

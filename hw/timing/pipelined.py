@@ -25,7 +25,8 @@ from hw.timing.devices import ATTEMPTS, BufferedProjector, TriggeredCamera
 from hw.timing.jitter import TriggerJitter
 from hw.timing.numbered_pictures import NumberedPictures
 from hw.timing.parity_check import WithParity, with_parity
-from hw.timing.sequential import SequentialAcquisition, Tally
+from hw.timing.sequential import SequentialAcquisition
+from hw.timing.timed_rig import Tally
 from hw.timing.trigger_schedule import Pace, TriggerSchedule
 from hw.timing.verification import FrameVerification, Group
 

@@ -19,6 +19,7 @@ from hw.errors import DeviceError, FrameLostError
 from hw.rig import Frame, exposure_control
 from hw.timing.devices import ATTEMPTS, BufferedProjector, TriggeredCamera
 from hw.timing.latency import LOST_ADVICE
+from hw.timing.timed_rig import Tally
 
 log = logging.getLogger(__name__)
 
@@ -33,31 +34,6 @@ class Timing:
     latency_s: float
     delay_s: float
     overlaps: bool
-
-
-@dataclass
-class Tally:
-    """How many frames there have been, how long that took, and how many were taken again."""
-
-    taken: int = 0
-    retriggered: int = 0
-    elapsed_s: float = 0.0
-    _begun_s: float = 0.0
-
-    def begin(self) -> None:
-        """Count from now on."""
-        self.taken = self.retriggered = 0
-        self.elapsed_s, self._begun_s = 0.0, time.monotonic()
-
-    def take(self) -> None:
-        """One more."""
-        self.taken += 1
-        self.elapsed_s = time.monotonic() - self._begun_s
-
-    @property
-    def seconds_per_frame(self) -> float:
-        """Time from one frame to the next, whatever was done with it included; 0 before the first."""
-        return self.elapsed_s / max(1, self.taken)
 
 
 class SequentialAcquisition:

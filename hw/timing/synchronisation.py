@@ -13,11 +13,12 @@ from math import isfinite
 from calib.numerics import Image
 from hw.ahead import Ahead
 from hw.errors import DeviceError
-from hw.rig import Frame, Rig
+from hw.rig import Frame
 from hw.timing.devices import TRIGGER_LAG_S, BufferedProjector, TriggeredCamera
-from hw.timing.latency import Latency, LatencyCalibration
+from hw.timing.latency import LONGEST_LATENCY_S, Latency, LatencyCalibration
 from hw.timing.pipelined import PipelinedAcquisition
 from hw.timing.sequential import SequentialAcquisition, Timing
+from hw.timing.timed_rig import Tally, TimedRig
 from hw.timing.trigger_schedule import pace
 
 log = logging.getLogger(__name__)
@@ -91,13 +92,23 @@ class _Lately:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SynchronisedRig(Rig):
+class SynchronisedRig(TimedRig):
     """A rig of real devices, with sequential acquisition, or pipelined, where that was found to work."""
 
     timing: Timing
     sequential: SequentialAcquisition
     pipelined: PipelinedAcquisition | None = None
     _lately: _Lately = field(default_factory=_Lately)
+
+    @property
+    def latency_s(self) -> float:
+        """From the swap of a picture to its light."""
+        return self.timing.latency_s
+
+    @property
+    def tally(self) -> Tally:
+        """What the last frames cost."""
+        return self.sequential.tally
 
     def photograph(
         self,
@@ -164,11 +175,17 @@ class SynchronisedRig(Rig):
 def synchronised(
     projector: BufferedProjector, camera: TriggeredCamera, identity: dict[str, str], refresh_hz: float | None = None
 ) -> SynchronisedRig:
-    """A rig whose latency has been measured, by flashes, and tried out, which takes about four seconds.
+    """A rig whose latency has been measured, by flashes, and tried out, which takes about four seconds; where the
+    camera has no clock, so long is waited as no projector takes.
 
     Raises DeviceError if the camera does not see the projector, or its light does not settle.
     """
     calibration = LatencyCalibration(projector, camera)
+    if not camera.capabilities.clock:  # flashes tell nothing to a camera that begins to expose nobody knows when
+        timing = _rehearsed_sequential(calibration, projector, camera, LONGEST_LATENCY_S)
+        known = identity | {"light after a flip": f"within {1e3 * timing.delay_s:.0f} ms (waited for)"}
+        sequential = SequentialAcquisition(projector, camera, timing)
+        return SynchronisedRig(projector, camera, known, refresh_hz, timing=timing, sequential=sequential)
     measured = calibration.latency()
     timing = _rehearsed_sequential(calibration, projector, camera, measured.latest_s)
     sequential = SequentialAcquisition(projector, camera, timing)

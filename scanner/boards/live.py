@@ -7,7 +7,8 @@ import numpy as np
 
 from calib.boards import FEWEST_VIEWS, best_next_pose
 from calib.refusal import RefusalError
-from hw.settings import RigSettings, SimulatedRigSettings
+from hw.backends import RigSettings
+from hw.settings import SimulatedRigSettings
 from scanner.boards.calibrate import FromBoards, Missing, Seen, calibrate_seen, look
 from scanner.configuration import Config
 from scanner.errors import InputError

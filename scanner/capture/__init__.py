@@ -12,4 +12,5 @@ from scanner.capture.single_pixels import (
     measure_lines,
     remarks_on_lines,
 )
+from scanner.capture.steady_camera import remarks_on_camera
 from scanner.capture.stream import Stream, capture

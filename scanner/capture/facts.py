@@ -65,6 +65,9 @@ def _synchronisation(measured: object) -> dict[str, str]:
     rows = {
         "latency, from a flip to its light": _with_unit(measured.get("latency_ms"), "ms"),
         "frames dropped, and taken again": measured.get("retriggered_frames"),
+        "frames repeated by the camera's driver": measured.get("repeated_frames"),
+        "frames of the stream that did not come": measured.get("dropped_frames"),
+        "frames averaged to one": measured.get("averaged_frames"),
         "time per frame": _with_unit(measured.get("ms_per_frame"), "ms"),
         "of it over exposure, and over latency where that is waited for": _with_unit(
             measured.get("overhead_percent"), "%"

@@ -1,8 +1,8 @@
 """From capture to capture: the rig is moved, by itself or by the operator."""
 
+from hw.backends import RigSettings
 from hw.errors import DeviceError
 from hw.moving import at_place, moves_by_itself
-from hw.settings import RigSettings
 from scanner.errors import InputError
 from scanner.ui import Operator
 

@@ -7,9 +7,9 @@ from contextlib import ExitStack, contextmanager
 from hw.errors import OverexposedError
 from hw.open_rig import open_rig
 from hw.rig import Rig
-from hw.settings import AravisRigSettings
+from hw.settings import CameraRigSettings
 from hw.timing.latency import LOST_ADVICE
-from hw.timing.synchronisation import SynchronisedRig
+from hw.timing.timed_rig import TimedRig
 from scanner.checking.report import CheckRow, State
 from scanner.configuration import Config
 
@@ -37,10 +37,11 @@ def opened(config: Config) -> Iterator[Rig]:
                 rig = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size)).rig
                 break
             except OverexposedError:
-                if not isinstance(settings, AravisRigSettings) or settings.exposure_us < _SHORTEST_US:
+                exposure_us = settings.exposure_us
+                if not isinstance(settings, CameraRigSettings) or exposure_us is None or exposure_us < _SHORTEST_US:
                     raise
-                shorter_us = _SHORTER * settings.exposure_us
-                log.info("overexposed at %.0f µs, trying %.0f µs", settings.exposure_us, shorter_us)
+                shorter_us = _SHORTER * exposure_us
+                log.info("overexposed at %.0f µs, trying %.0f µs", exposure_us, shorter_us)
                 settings = settings.model_copy(update={"exposure_us": shorter_us})
         yield rig
 
@@ -52,8 +53,8 @@ def device_rows(rig: Rig) -> Iterator[CheckRow]:
     about = rig.identity.get("projector", "simulated")
     yield CheckRow("projector", State.OK, f"{about}, {projector[0]} × {projector[1]} pixels")
     refresh = "" if rig.refresh_hz is None else f", a refresh every {1e3 / rig.refresh_hz:.1f} ms"
-    if isinstance(rig, SynchronisedRig):
-        light = f"light comes {1e3 * rig.timing.latency_s:.0f} ms after a picture is sent"
+    if isinstance(rig, TimedRig):
+        light = f"light comes {1e3 * rig.latency_s:.0f} ms after a picture is sent"
     else:
         light = "light comes at once"
     yield CheckRow("latency", State.OK, light + refresh)
@@ -61,10 +62,10 @@ def device_rows(rig: Rig) -> Iterator[CheckRow]:
 
 def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
     """Whether the frames of the last capture came at the first attempt; nothing for rigs that lose none."""
-    if not isinstance(rig, SynchronisedRig):
+    if not isinstance(rig, TimedRig):
         return
-    taken, again = rig.sequential.tally.taken, rig.sequential.tally.retriggered
-    per_frame = f"{1e3 * rig.sequential.tally.seconds_per_frame:.0f} ms per frame"
+    taken, again = rig.tally.taken, rig.tally.retriggered
+    per_frame = f"{1e3 * rig.tally.seconds_per_frame:.0f} ms per frame"
     if again <= _MANY_RETAKEN * taken:
         yield CheckRow("transfer", State.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
     else:

@@ -6,7 +6,7 @@ from math import floor
 import numpy as np
 
 from calib.numerics import robust_sigma
-from hw.rig import ExposureControl, Rig
+from hw.rig import Rig, settable_exposure
 from scanner.checking.light import CLIPPED, Light, flicker_of, photograph_light
 from scanner.checking.limits import LEAST_SHARE
 from scanner.checking.report import CheckRow, State
@@ -91,8 +91,8 @@ def propose_exposure(rig: Rig) -> Proposal:
 
     A camera whose exposure cannot be changed is looked at once.
     """
-    camera = rig.camera
-    if not isinstance(camera, ExposureControl):
+    camera = settable_exposure(rig.camera)
+    if camera is None:
         first = look(photograph_light(rig, _WHITES, _BLACKS), 0.0)
         return Proposal(None, first, first)
     first = seen = look(photograph_light(rig, _WHITES, _BLACKS), camera.exposure_us)

@@ -1,17 +1,17 @@
 """List cameras and screens, with the lines to paste into a configuration."""
 
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from hw.backends import BACKENDS, Backend
 from hw.cameras import CameraInfo
 from hw.errors import DeviceError
-from hw.open_rig import import_aravis
 from hw.projector.process import list_screens
 from hw.projector.screens import Screen
 from scanner.ui import Terminal
 
-_PREFERRED_FORMATS = ("Mono8", "BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8")
+_ADDRESSES = "cameras in the network have no list: rig: {backend: opencv, camera: http://…} takes an address"
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,13 @@ class _Device:
 @dataclass(frozen=True)
 class Found:
     """What is `told` of cameras and of screens, the `lines` of a configuration that choose the first of each, and the
-    `problems` of looking for them.
+    `problems` of looking for them; `nothing`: no camera was found, and no screen can be looked for.
     """
 
     told: dict[str, list[str]]
     lines: list[str]
     problems: list[str]
+    nothing: bool
 
     def paragraphs(self) -> Iterator[str]:
         """For a person: what there is of each."""
@@ -41,36 +42,45 @@ class Found:
 
 
 def run(args: Namespace) -> None:
-    """Show what is there. Raises DeviceError if neither cameras nor screens can be looked for."""
+    """Show what is there. Raises DeviceError if no camera was found, and no screen can be looked for."""
     terminal = Terminal(quiet=args.quiet)
     found = find_devices(terminal)
     terminal.show(*found.paragraphs())
-    if len(found.problems) == len(found.told):
-        raise DeviceError("neither cameras nor screens can be listed: " + "; ".join(dict.fromkeys(found.problems)))
+    if found.nothing:
+        raise DeviceError("neither cameras nor screens were found: " + "; ".join(dict.fromkeys(found.problems)))
     if found.lines:
         terminal.show("\nTo paste into a configuration:\n", "\n".join(found.lines))
-        terminal.show("\n→ scan new my-rig.yaml --rig aravis writes a whole configuration with these lines in it.")
+        terminal.show("\n→ scan new my-rig.yaml --rig NAME writes a whole configuration with such lines in it.")
     else:
         terminal.show("→ Connect and switch on a camera and a projector, then run scan devices again.")
 
 
-def find_devices(terminal: Terminal) -> Found:
-    """Look for cameras and screens."""
+def find_devices(terminal: Terminal, backends: Sequence[Backend] = BACKENDS) -> Found:
+    """Look for cameras that these backends reach, and for screens."""
     problems: list[str] = []
-    told: dict[str, list[str]] = {}
-    found: dict[str, Sequence[_Device]] = {}
-    look_for: dict[str, Callable[[], Sequence[_Device]]] = {"Cameras": _cameras, "Screens": _screens}
-    for heading, look in look_for.items():
+    cameras: list[_Device] = []
+    for backend in backends:
         try:
-            with terminal.step(f"Looking for {heading.lower()}"):
-                found[heading] = look()
-            told[heading] = [line for device in found[heading] for line in (device.name, device.abilities) if line]
+            with terminal.step(f"Looking for cameras ({backend.name})"):
+                cameras += map(_camera, backend.load().list_cameras())
         except DeviceError as error:
             problems.append(str(error))
-            told[heading] = [str(error)]
-    cameras = [camera for camera in found.get("Cameras", ()) if camera.rig]
+    told = {"Cameras": [*(_told(cameras) or ["none found"]), *problems, _ADDRESSES]}
+    screens: list[_Device] | None = None
+    try:
+        with terminal.step("Looking for screens"):
+            screens = [_screen(screen) for screen in list_screens()]
+        told["Screens"] = _told(screens)
+    except DeviceError as error:
+        problems.append(str(error))
+        told["Screens"] = [str(error)]
     # The desktop begins on the first screen; a projector is mostly the last.
-    return Found(told, list(_to_paste(cameras, found.get("Screens", ())[::-1])), problems)
+    lines = list(_to_paste([camera for camera in cameras if camera.rig], (screens or [])[::-1]))
+    return Found(told, lines, problems, not cameras and screens is None)
+
+
+def _told(devices: Sequence[_Device]) -> list[str]:
+    return [line for device in devices for line in (device.name, device.abilities) if line]
 
 
 def _to_paste(cameras: Sequence[_Device], screens: Sequence[_Device]) -> Iterator[str]:
@@ -78,37 +88,20 @@ def _to_paste(cameras: Sequence[_Device], screens: Sequence[_Device]) -> Iterato
     if not cameras and not screens:
         return
     yield "rig:"
-    yield "  backend: aravis"
+    if not cameras:
+        yield "  backend: aravis"
     for devices in (cameras, screens):
         for number, device in enumerate(devices):
             yield from (f"  {'# ' if number else ''}{line}" for line in device.rig)
     for devices in (cameras, screens):
         for number, device in enumerate(devices):
-            yield f"{'# ' if number else ''}{device.size}"
+            if device.size:
+                yield f"{'# ' if number else ''}{device.size}"
 
 
-def _cameras() -> list[_Device]:
-    found: list[CameraInfo] = import_aravis().list_cameras()
-    return [_camera(camera) for camera in found]
-
-
-def _camera(camera: CameraInfo) -> _Device:
-    if camera.sensor_size is None:
-        unknown = "  in use by another program, or out of reach: its abilities are not known"
-        return _Device(str(camera), unknown, (), "")
-    width, height = camera.sensor_size
-    preferred = [name for name in _PREFERRED_FORMATS if name in camera.pixel_formats]
-    pixel_format = (preferred or list(camera.pixel_formats) or ["Mono8"])[0]
-    return _Device(
-        str(camera),
-        f"  sensor {width} × {height}, formats {', '.join(camera.pixel_formats)}",
-        (f'camera: "{camera.device_id}"', f"pixel_format: {pixel_format}"),
-        f"camera: {{width: {width}, height: {height}}}",
-    )
-
-
-def _screens() -> list[_Device]:
-    return [_screen(screen) for screen in list_screens()]
+def _camera(found: CameraInfo) -> _Device:
+    size = "" if found.size is None else f"camera: {{width: {found.size[0]}, height: {found.size[1]}}}"
+    return _Device(found.name, f"  {found.about}", found.rig, size)
 
 
 def _screen(screen: Screen) -> _Device:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from hw.backends import BACKENDS
 from scanner.commands.devices import find_devices
 from scanner.commands.rigs import RIGS
 from scanner.configuration import check_text, example, with_key
@@ -21,8 +22,8 @@ def run(args: Namespace) -> None:
     if path.suffix not in (".yaml", ".yml"):
         raise InputError(f"{path}: expected a name that ends with .yaml")
     text = _renamed(example(rig.example), rig.example, path)
-    if rig.devices:
-        found = find_devices(terminal)
+    if rig.backend:
+        found = find_devices(terminal, [each for each in BACKENDS if each.name == rig.backend])
         terminal.show(*found.paragraphs())
         if found.lines:
             text = filled_in(text, parse_yaml("\n".join(found.lines), "what was found"), str(path))
@@ -33,7 +34,7 @@ def run(args: Namespace) -> None:
 
 
 def _next(name: str, path: Path) -> str:
-    if RIGS[name].devices:
+    if RIGS[name].backend:
         return f"scan check --config {path} looks at both devices, and says what to set."
     stations = " --stations 6" if name == "whole-room" else ""
     return f"scan --config {path}{stations} scans; the result goes to {default_out(path.stem, overwrite=True)}/"

@@ -5,15 +5,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class NewRig:
-    """`example`: a file of configs/. Where there are `devices`, what is found of them is written into it."""
+    """`example`: a file of configs/. What is found of the `backend`'s cameras, and of screens, is written into it."""
 
     about: str
     example: str
-    devices: bool
+    backend: str | None = None
 
 
 RIGS = {
-    "simulated": NewRig("a simulated room corner; needs nothing", "room-sim.yaml", devices=False),
-    "whole-room": NewRig("a simulated room, to scan with --stations", "room-whole-sim.yaml", devices=False),
-    "aravis": NewRig("a GenICam camera (GigE or USB3 Vision) and a projector", "room.yaml", devices=True),
+    "simulated": NewRig("a simulated room corner; needs nothing", "room-sim.yaml"),
+    "whole-room": NewRig("a simulated room, to scan with --stations", "room-whole-sim.yaml"),
+    "aravis": NewRig("a GenICam camera (GigE or USB3 Vision) and a projector", "room.yaml", "aravis"),
+    "opencv": NewRig("a webcam or a network camera, and a projector", "room-webcam.yaml", "opencv"),
+    "gphoto2": NewRig("a tethered photo camera, and a projector", "room-photo-camera.yaml", "gphoto2"),
 }

@@ -12,7 +12,8 @@ from pydantic import Field, model_validator
 from calib.geometry import Size
 from calib.refinement import SQUARENESS_DEG
 from calib.self_calibration import PrincipalPoint
-from hw.settings import RigSettings
+from hw.backends import RigSettings
+from hw.settings import CameraRigSettings
 from scanner.errors import InputError
 from scanner.io import Flag, Number, Pair, Section, Whole, parse_yaml, read_yaml, refuse_more_pixels, validate
 from scanner.patterns import PRESETS, Code, Pattern, Preset, PresetName, ProjectorResponse
@@ -98,7 +99,10 @@ class ProjectorSettings(_DeviceSettings):
 class SequenceSettings(Section):
     """Which patterns are projected; a key that is given overrides the preset."""
 
-    preset: PresetName = Field(default="standard", description="The sequence to start from.")
+    preset: PresetName = Field(
+        default="standard",
+        description="The sequence to start from; left out with a camera that takes a second a frame, quick.",
+    )
     code: Code | None = Field(
         default=None,
         description="gray; or xor: the same cells in fine stripes, which bounced light does not turn over; or both, "
@@ -214,6 +218,10 @@ class ScaleSettings(Section):
         return self
 
 
+# Of a camera that takes a second or more for a frame.
+_PRESET_OF_SLOW: PresetName = "quick"
+
+
 class Config(Section):
     """Everything that can be configured. What a command needs and does not find is an InputError when it asks."""
 
@@ -232,6 +240,20 @@ class Config(Section):
         description="Earlier results, or matches, of this unchanged rig to calibrate together with the new capture; "
         "paths relative to this file.",
     )
+
+    @model_validator(mode="after")
+    def _few_frames_of_slow_cameras(self) -> "Config":
+        """A sequence that nobody chose is worth its frames."""
+        if (
+            not isinstance(self.rig, CameraRigSettings)
+            or not self.rig.slow
+            or "preset" in self.sequence.model_fields_set
+        ):
+            return self
+        sequence = SequenceSettings.model_validate(
+            {"preset": _PRESET_OF_SLOW, **self.sequence.model_dump(exclude_unset=True)}
+        )
+        return self.model_copy(update={"sequence": sequence})
 
     @property
     def recorded(self) -> dict[str, Any]:

@@ -8,8 +8,9 @@ import numpy as np
 import viser
 from viser import uplot
 
-from hw.rig import ExposureControl, Frame, Rig
-from hw.settings import AravisRigSettings, RigSettings
+from hw.backends import RigSettings
+from hw.rig import Frame, Rig, settable_exposure
+from hw.settings import CameraRigSettings
 from scanner.console.picture import HISTOGRAM_BINS, exposed, histogram, shown
 from scanner.console.settings import Picture
 from scanner.quantities import percent
@@ -48,10 +49,12 @@ class CameraView:
     def on_camera(self, rig: Rig) -> None:
         """The rig is open: its camera's limits are known."""
         self._highest_level = rig.camera.highest_level
-        if isinstance(rig.camera, ExposureControl):
-            low_us, high_us = rig.camera.exposure_limits_us
+        camera = settable_exposure(rig.camera)
+        self._exposure.disabled = camera is None
+        if camera is not None:
+            low_us, high_us = camera.exposure_limits_us
             self._exposure.min, self._exposure.max = max(0.0, low_us / 1000), min(_LONGEST_MS, high_us / 1000)
-            self._exposure.value = round(rig.camera.exposure_us / 1000, 3)
+            self._exposure.value = round(camera.exposure_us / 1000, 3)
 
     def on_frame(self, frame: Frame) -> None:
         """Show a frame, unless the last one was shown a moment ago."""
@@ -74,8 +77,8 @@ class CameraView:
             self._change(exposure_us=1000 * float(self._exposure.value))
 
     def _add_gain(self, gui: viser.GuiApi, settings: RigSettings) -> None:
-        """Only real cameras have one."""
-        if not isinstance(settings, AravisRigSettings):
+        """Only some real cameras have one."""
+        if not isinstance(settings, CameraRigSettings) or not settings.has_gain:
             return
         gain = gui.add_number("Gain", float(settings.gain or 0.0), step=0.1, hint="In the camera's own unit, mostly dB")
         gain.on_update(lambda event: self._change(gain=float(gain.value)) if event.client else None)

@@ -10,7 +10,7 @@ from threading import Event, Lock, Thread
 from typing import Any, Protocol
 
 from hw.errors import FrameLostError
-from hw.rig import ExposureControl, Frame, Rig
+from hw.rig import Frame, Rig, settable_exposure
 from scanner.checking.check import check
 from scanner.checking.devices import opened
 from scanner.checking.report import CheckReport, CheckRow
@@ -240,7 +240,8 @@ def _expose(rig: Rig, now: Settings, wanted: Settings) -> bool:
     """Change the exposure if that is wanted; False if this camera has to be opened anew for it. Raises DeviceError."""
     if wanted.exposure_us == now.exposure_us:
         return True
-    if wanted.exposure_us is None or not isinstance(rig.camera, ExposureControl):
+    camera = settable_exposure(rig.camera)
+    if wanted.exposure_us is None or camera is None:
         return False
-    rig.camera.expose_for(wanted.exposure_us)
+    camera.expose_for(wanted.exposure_us)
     return True

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
-from hw.rig import Rig, exposure_control
+from hw.rig import Capabilities, Rig, exposure_control
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera
 from hw.timing.sequential import SequentialAcquisition, Timing
@@ -19,6 +19,7 @@ from tests.support.rig_bench import SIZE, Bench
 class AdjustableBench(Bench):
     """Its exposure can be changed, and its pixels grow with it."""
 
+    capabilities = Capabilities(exposure="settable", clock=True)
     exposure_limits_us = (1000.0, 200_000.0)
 
     @property

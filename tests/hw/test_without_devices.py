@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from hw.aravis import backend as aravis
+from hw.aravis.settings import AravisRigSettings
 from hw.errors import DeviceError
-from hw.open_rig import import_aravis, open_rig
+from hw.open_rig import open_rig
 from hw.optional_parts import RIG
 from hw.projector.process import ScreenProjector, list_screens
-from hw.settings import AravisRigSettings
 from scanner.commands import devices
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
@@ -37,7 +38,7 @@ def no_pyglet(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("no_aravis")
 def test_missing_aravis_is_named_with_its_packages() -> None:
     with pytest.raises(DeviceError, match=re.escape(f"type: {RIG.install_command()}")):
-        import_aravis()
+        aravis.load()
 
 
 @pytest.mark.usefixtures("no_pyglet")
@@ -54,7 +55,7 @@ def test_devices_say_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None
     assert main(["devices"]) == 3
     output = capsys.readouterr()
     assert output.out.count(RIG.install_command()) == 2
-    assert output.err.startswith("scan: neither cameras nor screens can be listed")
+    assert output.err.startswith("scan: neither cameras nor screens were found")
 
 
 @pytest.mark.usefixtures("no_aravis")

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from hw.open_rig import OpenedRig
-from hw.rig import Frame, Rig
+from hw.rig import Capabilities, Frame, Rig
 from scanner import pipeline
 from scanner.commands import scan as scan_command
 from scanner.commands.main import main
@@ -38,6 +38,7 @@ class Mirror:
 
     size = SIZE
     highest_level = 255
+    capabilities = Capabilities()
 
     def __init__(self) -> None:
         self._shown = np.zeros(SIZE[::-1], np.uint8)

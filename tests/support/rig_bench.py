@@ -9,7 +9,7 @@ import pytest
 
 from calib.numerics.array_types import Image
 from hw.errors import FrameLostError
-from hw.rig import Frame
+from hw.rig import Capabilities, Frame
 from hw.timing.devices import Swap, nothing
 
 SIZE = (8, 6)
@@ -19,6 +19,7 @@ class Bench:
     """Both devices; the wall shows a picture `latency_s` after its flip, the camera sees the wall pixel by pixel."""
 
     name = "bench"
+    capabilities = Capabilities(clock=True)
     highest_level = 4095
     wait_s = 0.0
     late_s = 0.0
@@ -63,6 +64,7 @@ class Bench:
         for module in (
             "hw.timing.latency",
             "hw.timing.sequential",
+            "hw.timing.timed_rig",
             "hw.timing.pipelined",
             "hw.timing.trigger_schedule",
         ):

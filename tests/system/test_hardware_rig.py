@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hw.open_rig import import_aravis, open_rig
+from hw.aravis import backend as aravis
+from hw.open_rig import open_rig
 from hw.projector.process import list_screens
 from hw.timing.synchronisation import SynchronisedRig
 from scanner.capture.stream import capture
@@ -37,7 +38,7 @@ def rig(config: Config) -> Iterator[SynchronisedRig]:
 
 
 def test_the_devices_are_listed(config: Config) -> None:
-    assert import_aravis().list_cameras()
+    assert aravis.load().list_cameras()
     assert config.projector_size in [(screen.width, screen.height) for screen in list_screens()]
 
 

@@ -10,7 +10,7 @@ import pytest
 from hw.errors import DeviceError
 from hw.moving import at_place
 from hw.open_rig import OpenedRig
-from hw.rig import Frame, Rig
+from hw.rig import Capabilities, Frame, Rig
 from hw.settings import SimulatedRigSettings
 from scanner import pipeline
 from scanner.capture import rig_placement as places
@@ -55,6 +55,7 @@ class Mirror:
 
     size = SIZE
     highest_level = 255
+    capabilities = Capabilities()
 
     def __init__(self, frames: int) -> None:
         self.frames = frames

@@ -3,12 +3,13 @@
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from hw.open_rig import open_rig
-from hw.rig import Frame, Rig, exposure_control
+from hw.rig import Capabilities, Frame, Rig, exposure_control
 from hw.settings import SimulatedRigSettings
 from scanner.capture.recorder import record
 from scanner.capture.recording import Recording, open_capture
@@ -31,6 +32,7 @@ class Wall:
 
     size: tuple[int, int] = SIZE
     highest_level: int = 255
+    capabilities: ClassVar[Capabilities] = Capabilities(exposure="settable")
     gain: float = 1.0
     moved_px: int = 0
     exposure_us: float = 10_000.0

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
-from hw.rig import Frame, Rig
+from hw.rig import Capabilities, Frame, Rig
 from scanner.capture.stream import capture
 from scanner.patterns.pattern import draw
 from tests.support.small_capture import PATTERNS, SIZE
@@ -14,6 +14,7 @@ class Mirror:
     def __init__(self, delivered: tuple[int, int] = SIZE) -> None:
         self.size = SIZE
         self.highest_level = 255
+        self.capabilities = Capabilities()
         self.asked: list[str] = []
         self._delivered = delivered
         self._shown = np.zeros(SIZE[::-1], np.uint8)

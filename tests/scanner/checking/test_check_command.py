@@ -10,9 +10,9 @@ import yaml
 from rich.console import Console
 
 from calib.refusal import RefusalError
+from hw.aravis.settings import AravisRigSettings
 from hw.errors import DeviceError, OverexposedError
 from hw.open_rig import OpenedRig
-from hw.settings import AravisRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.checking import check as checking
 from scanner.checking import devices

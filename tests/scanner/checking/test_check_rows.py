@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from hw.rig import Frame, Rig, exposure_control
+from hw.rig import Capabilities, Frame, Rig, exposure_control
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.stream import capture
 from scanner.checking import view
@@ -285,6 +285,7 @@ class Blind:
 
     size = (64, 48)
     highest_level = 255
+    capabilities = Capabilities()
 
     def __init__(self, frames: int = 1000) -> None:
         self._left = frames

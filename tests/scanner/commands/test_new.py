@@ -1,14 +1,18 @@
 """`scan new`: configurations that explain themselves, for every rig, with what was found filled in."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from hw.aravis.settings import AravisRigSettings
+from hw.backends import BACKENDS
 from hw.cameras import CameraInfo
 from hw.errors import DeviceError
 from hw.projector.screens import Screen
-from hw.settings import AravisRigSettings, SimulatedRigSettings
-from scanner.commands import devices
+from scanner.commands import devices, new
 from scanner.commands.main import main
 from scanner.commands.new import filled_in
 from scanner.commands.rigs import RIGS
@@ -20,11 +24,17 @@ EXAMPLES = ROOT / "scanner/configuration/examples"
 
 @pytest.fixture
 def no_devices(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing() -> list[devices._Device]:
+    def missing() -> list[Screen]:
         raise DeviceError("nothing can be looked for")
 
-    for look in ("_cameras", "_screens"):
-        monkeypatch.setattr(devices, look, missing)
+    with_cameras(monkeypatch, missing)
+    monkeypatch.setattr(devices, "list_screens", missing)
+
+
+def with_cameras(monkeypatch: pytest.MonkeyPatch, list_cameras: Callable[[], object]) -> None:
+    """Every backend finds these."""
+    driver = SimpleNamespace(list_cameras=list_cameras)
+    monkeypatch.setattr(new, "BACKENDS", [replace(each, load=lambda: driver) for each in BACKENDS])
 
 
 @pytest.mark.usefixtures("no_devices")
@@ -35,7 +45,7 @@ def test_it_can_be_used_as_it_is(
     monkeypatch.chdir(tmp_path)
     assert main(["new", "mine.yaml", "--rig", rig]) == 0
     said = capsys.readouterr().out
-    assert ("nothing can be looked for" in said) == RIGS[rig].devices
+    assert ("nothing can be looked for" in said) == bool(RIGS[rig].backend)
     assert said.splitlines()[-1].startswith("→ scan ")
     assert "--config mine.yaml" in said.splitlines()[-1]
     text = Path("mine.yaml").read_text(encoding="utf-8")
@@ -43,16 +53,17 @@ def test_it_can_be_used_as_it_is(
     assert text.count("#") > 5
     config = load_config(Path("mine.yaml"))
     assert config == load_config(ROOT / "configs" / RIGS[rig].example)
-    assert isinstance(config.required_rig, AravisRigSettings if RIGS[rig].devices else SimulatedRigSettings)
+    assert config.required_rig.backend == (RIGS[rig].backend or "simulated")
 
 
 def test_what_was_found_is_filled_in(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    camera = CameraInfo("Maker-22345678", "Maker", "Model", "22345678", "10.0.0.2", (1936, 1216), ("Mono8", "Mono12"))
+    lines = ("backend: aravis", 'camera: "Maker-22345678"', "pixel_format: Mono8")
+    camera = CameraInfo("Maker Model 22345678 at 10.0.0.2", "sensor 1936 × 1216", lines, (1936, 1216))
     screens = [Screen(0, "DP-1", 0, 0, 2560, 1440, 60.0), Screen(1, "HDMI-1", 2560, 0, 1280, 800, 60.0)]
-    monkeypatch.setattr(devices, "_cameras", lambda: [devices._camera(camera)])
-    monkeypatch.setattr(devices, "_screens", lambda: [devices._screen(screen) for screen in screens])
+    with_cameras(monkeypatch, lambda: [camera])
+    monkeypatch.setattr(devices, "list_screens", lambda: screens)
     path = tmp_path / "mine.yaml"
     assert main(["new", str(path), "--rig", "aravis"]) == 0
     assert "Maker Model 22345678" in capsys.readouterr().out

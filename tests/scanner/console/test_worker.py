@@ -14,7 +14,7 @@ import pytest
 
 from hw.errors import DeviceError, FrameLostError
 from hw.open_rig import OpenedRig
-from hw.rig import Frame, Rig
+from hw.rig import Capabilities, Frame, Rig
 from scanner import pipeline
 from scanner.console import worker as worker_module
 from scanner.console.progress import CancelledError, Stage, StagedProgress, durations_in
@@ -33,6 +33,7 @@ class Wall:
 
     size = SIZE
     highest_level = 255
+    capabilities = Capabilities(exposure="settable")
     exposure_limits_us = (10.0, 1e6)
 
     def __init__(self) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from calib.numerics.array_types import Image
 from hw.errors import DeviceError
-from hw.rig import Frame, Rig
+from hw.rig import Capabilities, Frame, Rig
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
@@ -155,6 +155,7 @@ def test_a_camera_of_one_exposure_is_refused() -> None:
     class Fixed:
         size = (8, 8)
         highest_level = 255
+        capabilities = Capabilities()
 
         def grab(self) -> Frame:
             raise NotImplementedError

@@ -9,7 +9,7 @@ import pytest
 from calib.numerics.array_types import Image
 from hw.errors import DeviceError
 from hw.open_rig import open_rig
-from hw.rig import ExposureControl, Rig
+from hw.rig import Rig, exposure_control
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.recording import open_capture
 from scanner.capture.stream import capture
@@ -31,8 +31,7 @@ def opened(config: Path, rig: Loopback) -> Iterator[Rig]:
 
 
 def test_an_exposure_is_a_whole_number_of_refresh_periods_as_the_camera_reads_it_back(opened: Rig) -> None:
-    camera = opened.camera
-    assert isinstance(camera, ExposureControl)
+    camera = exposure_control(opened.camera)
     for wanted_us, periods in ((50_000, 3), (20_000, 1), (1000, 1), (66_000, 4)):
         found_us = camera.expose_for(wanted_us)
         assert found_us == camera.exposure_us == pytest.approx(periods * PERIOD_US, rel=1e-3)

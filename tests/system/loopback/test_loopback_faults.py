@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from hw.aravis import backend as aravis
 from hw.loopback.launcher import shown_on, virtual_screen
 from hw.loopback.settings import Conditions
-from hw.open_rig import import_aravis, open_rig
+from hw.open_rig import open_rig
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.recording import open_capture
 from scanner.capture.stream import capture
@@ -128,7 +129,7 @@ def test_the_camera_starts_late(
 
 def test_another_program_controls_the_camera(config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]) -> None:
     settings = load_config(config)
-    with import_aravis().AravisCamera(settings.rig, CAMERA, 10_000.0):
+    with aravis.load().AravisCamera(settings.rig, CAMERA, 10_000.0):
         stopped_scan(config, capsys, "camera Aravis Fake loopback", "another program controls it")
 
 

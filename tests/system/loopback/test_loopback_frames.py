@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hw.open_rig import import_aravis
+from hw.aravis import backend as aravis
 
 EXPOSURE_S = 0.05
 TOLD_S = 0.02
@@ -49,7 +49,7 @@ class Stream:
 )
 def test_a_frame_that_is_there_before_the_trigger_was_confirmed_late_is_kept(after_s: list[float], theirs: int) -> None:
     """A camera that confirms a trigger late may have obeyed at once: its frame may be there before that is known."""
-    camera = object.__new__(import_aravis().AravisCamera)
+    camera = object.__new__(aravis.load().AravisCamera)
     camera._disturbed = camera._free_running = False
     camera._arrived = None
     camera.exposure_s = EXPOSURE_S

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hw.aravis.settings import AravisRigSettings
 from hw.open_rig import open_rig
-from hw.settings import AravisRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.recording import open_capture
 from scanner.capture.stream import capture

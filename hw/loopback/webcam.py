@@ -1,0 +1,114 @@
+"""A simulated webcam: a steady rate, rolling shutter, automatic exposure, JPEG, and a queue before frames leave."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from threading import Event, Thread
+from typing import Self
+
+import cv2
+import numpy as np
+
+from hw.loopback.screen import ScreenHistory
+from hw.loopback.settings import Conditions, WebcamSettings
+from hw.simulated.arrays import Light
+from hw.simulated.simulation import SimulatedRoom
+
+_BANDS = 16  # of rows that begin to be exposed together
+_COLOURS = (0.75, 1.0, 0.9)  # of white, in the order blue, green, red
+_NOISES = 8  # fields of noise that come again in turns, each shifted by chance
+_TARGET_LEVEL = 90.0  # mean grey level that automatic exposure aims at
+_SPEED = 0.15  # of the way there, from frame to frame
+_MOST_GAIN = 8.0
+
+
+class Webcam:
+    """Takes frames of a simulated room that is lit by a screen, and sends each as JPEG, while the `with` block runs.
+
+    The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, which is the exposure unless it
+    is automatic.
+    """
+
+    def __init__(
+        self,
+        room: SimulatedRoom,
+        screen: ScreenHistory,
+        settings: WebcamSettings,
+        white_exposure_us: float,
+        send: Callable[[bytes], None],
+    ) -> None:
+        self._room, self._screen, self._settings, self._send = room, screen, settings, send
+        self._exposure_s = white_exposure_us / 1e6
+        self._rng = np.random.default_rng()
+        optics = room.room.camera.optics
+        self._noises = self._rng.standard_normal((_NOISES, optics.height, optics.width, 3), np.float32)
+        self._gain = 1.0
+        self._queue: deque[bytes] = deque()
+        self._ending = Event()
+        self._thread = Thread(target=self._run, daemon=True)
+        self.conditions = Conditions()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        period_s = 1 / self._settings.frames_per_s
+        begin_s = time.monotonic()
+        last = b""
+        while not self._ending.is_set():
+            conditions = self.conditions
+            if conditions.fault != "frozen" or not last:
+                last = self._jpeg(self._exposed(begin_s), conditions.fault)
+            self._deliver(last, conditions)
+            begin_s = max(begin_s + period_s, time.monotonic() - period_s)  # a computer that is busy drops frames
+            time.sleep(max(0.0, begin_s - time.monotonic()))
+
+    def _deliver(self, jpeg: bytes, conditions: Conditions) -> None:
+        """Behind those that wait; now and then one is dropped, or sent twice, or leaves late."""
+        if conditions.fault == "silent" or self._rng.random() < conditions.dropped_frames:
+            return
+        self._queue.append(jpeg)
+        if len(self._queue) > self._settings.queue:
+            time.sleep(conditions.sending_jitter_ms / 1e3 * self._rng.random())
+            oldest = self._queue.popleft()
+            self._send(oldest)
+            if self._rng.random() < conditions.repeated_frames:
+                self._send(oldest)
+
+    def _exposed(self, begin_s: float) -> Light:
+        """Electrons (H, W) of a frame whose first row begins to be exposed then; returns when the last has been."""
+        readout_s = self._settings.readout_ms / 1e3
+        end_s = begin_s + readout_s + self._exposure_s
+        time.sleep(max(0.0, self._screen.decided_s(end_s) - time.monotonic()))
+        self._screen.look()
+        height = self._noises.shape[1]
+        electrons = np.zeros(self._noises.shape[1:3], np.float32)
+        for rows in np.array_split(np.arange(height), _BANDS):
+            since_s = begin_s + readout_s * rows[0] / height
+            for share, light in self._screen.shares(since_s, since_s + self._exposure_s):
+                electrons[rows] += np.float32(share) * light[rows]
+        time.sleep(max(0.0, end_s - time.monotonic()))
+        return electrons
+
+    def _jpeg(self, electrons: Light, fault: str) -> bytes:
+        noise = np.roll(self._noises[self._rng.integers(_NOISES)], self._rng.integers(electrons.shape[1]), axis=1)
+        light = electrons[:, :, None] * np.float32(self._gain) * np.array(_COLOURS, np.float32)
+        image: np.ndarray = self._room.sensor.read_with(light, noise.copy())
+        self._adapt(image)
+        if fault == "rotated":
+            image = cv2.rotate(image, cv2.ROTATE_90_CLOCKWISE)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, self._settings.jpeg_quality]
+        return bytes(cv2.imencode(".jpg", image[:, :, 1] if fault == "grey" else image, quality)[1])
+
+    def _adapt(self, image: np.ndarray) -> None:
+        """Where exposure is automatic, the next frame is brighter or darker; here all of that is gain."""
+        if not self.conditions.automatic_exposure:
+            self._gain = 1.0
+            return
+        wanted = self._gain * _TARGET_LEVEL / max(1.0, float(image.mean()))
+        self._gain = float(np.clip(self._gain * (wanted / self._gain) ** _SPEED, 1 / _MOST_GAIN, _MOST_GAIN))

@@ -1,0 +1,224 @@
+"""Cameras that OpenCV opens: webcams by number (V4L2, UVC), network streams and pipelines by address."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import cv2
+import numpy as np
+from pydantic import Field, StringConstraints
+
+from calib.numerics import Image
+from hw.cameras import CameraInfo
+from hw.errors import DeviceError
+from hw.rig import Capabilities, Frame
+from hw.settings import CameraRigSettings
+from hw.timing.exposures import whole_periods
+from hw.timing.frame_reader import FrameReader
+
+_OPENING_MS = 5000
+_PROBED = 4  # numbers that are tried where the system has no list
+# What V4L2 calls them: automatic exposure is 1 where it is off (V4L2_EXPOSURE_MANUAL), the others are 0.
+_AUTOMATICS = {
+    "automatic exposure": (cv2.CAP_PROP_AUTO_EXPOSURE, 1.0),
+    "automatic white balance": (cv2.CAP_PROP_AUTO_WB, 0.0),
+    "automatic focus": (cv2.CAP_PROP_AUTOFOCUS, 0.0),
+}
+_EXPOSURE_UNIT_US = 100.0  # of V4L2's exposure_time_absolute
+_LIMITS_US = (100.0, 1e6)  # OpenCV does not tell the driver's own
+_TOLERANCE = 0.1
+_V4L = Path("/sys/class/video4linux")
+
+
+class OpenCVRigSettings(CameraRigSettings):
+    """A camera that OpenCV opens, and a projector that is a screen."""
+
+    backend: Literal["opencv"]
+    camera: Annotated[int, Field(ge=0, le=99)] | Annotated[str, StringConstraints(min_length=1)] = Field(
+        0, description="Number of a webcam, address of a stream (http://…, rtsp://…), or a GStreamer pipeline."
+    )
+    exposure_us: float | None = Field(
+        None,
+        gt=0.0,
+        le=1e6,
+        description="Exposure in microseconds, rounded to whole refresh periods, where the driver can be told; left "
+        "out, the camera's is kept.",
+    )
+    gain: float | None = Field(None, description="Gain in the driver's own unit; left out, the camera's is kept.")
+    codec: str | None = Field(
+        None,
+        pattern=r"^[A-Za-z0-9]{4}$",
+        description="Four letters by which a webcam is asked for its format, as MJPG, which many need for their full "
+        "size at their full rate.",
+    )
+    average: int = Field(
+        2, ge=2, le=16, description="Frames of each picture whose mean is taken; the first two prove that it stands."
+    )
+
+
+def load() -> Any:
+    """This module: OpenCV is always there."""
+    return sys.modules[__name__]
+
+
+def list_cameras() -> list[CameraInfo]:
+    """Webcams of this computer; streams have no list."""
+    numbers = sorted(int(each.name.removeprefix("video")) for each in _V4L.glob("video*")) if _V4L.is_dir() else []
+    if not sys.platform.startswith("linux"):
+        numbers = [*range(_PROBED)]
+    return [found for number in numbers if (found := _looked_at(number)) is not None]
+
+
+def _looked_at(number: int) -> CameraInfo | None:
+    told = _V4L / f"video{number}" / "name"
+    name = f"webcam {number}" + (f" ({told.read_text().strip()})" if told.is_file() else "")
+    capture = cv2.VideoCapture(number)
+    try:
+        if not capture.isOpened():
+            return None
+        size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    finally:
+        capture.release()
+    return CameraInfo(name, f"{size[0]} × {size[1]}", ("backend: opencv", f"camera: {number}"), size)
+
+
+def connect(settings: OpenCVRigSettings, size: tuple[int, int], refresh_hz: float) -> "OpenCVCamera":
+    """Open the camera of these settings. Raises DeviceError."""
+    return OpenCVCamera(settings, size, refresh_hz)
+
+
+class OpenCVCamera:
+    """A camera from opening to closing (a context manager), whose frames come by themselves.
+
+    Raises DeviceError if there is none, or its frames have another size than (width, height).
+    """
+
+    highest_level = 255
+
+    def __init__(self, settings: OpenCVRigSettings, size: tuple[int, int], refresh_hz: float) -> None:
+        self.size = size
+        self.average = settings.average
+        self._local = isinstance(settings.camera, int)
+        self.name = f"webcam {settings.camera}" if self._local else str(settings.camera)
+        self._refresh_hz = refresh_hz
+        self._capture = self._opened(settings.camera)
+        try:
+            self._shape: tuple[int, ...] | None = None
+            self._exposure_us: float | None = None
+            self.identity = {"camera": self.name, "video interface": self._capture.getBackendName()}
+            self._configure(settings)
+            self._first()
+        except BaseException:
+            self._capture.release()
+            raise
+        self.reader = FrameReader(self.name, self._read, self._capture.release)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.reader.close()
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Frames come by themselves; the driver of a webcam may obey, a stream never does."""
+        return Capabilities(streaming=True, exposure="settable" if self.exposure_us is not None else "unknown")
+
+    @property
+    def exposure_us(self) -> float | None:
+        """The exposure of all frames from now on, as the driver reads it back; None if it is not known."""
+        return self._exposure_us
+
+    @property
+    def exposure_limits_us(self) -> tuple[float, float]:
+        """The shortest and the longest exposure that are tried."""
+        return _LIMITS_US
+
+    def expose_for(self, exposure_us: float) -> float:
+        """Expose for the nearest whole number of refresh periods; returns how long that is. Raises DeviceError."""
+        wanted_us, _ = whole_periods(exposure_us, self._refresh_hz)
+        self._capture.set(cv2.CAP_PROP_EXPOSURE, wanted_us / _EXPOSURE_UNIT_US)
+        found_us = _EXPOSURE_UNIT_US * self._capture.get(cv2.CAP_PROP_EXPOSURE)
+        if abs(found_us - wanted_us) > _TOLERANCE * wanted_us:
+            raise DeviceError(
+                f"camera {self.name}: wanted an exposure of {wanted_us:.0f} µs, but the driver made it {found_us:.0f}. "
+                "Leave out the rig's exposure_us, set the exposure with the camera's own tool or app, and turn its "
+                "automatic off there."
+            )
+        self._exposure_us = found_us
+        return found_us
+
+    def grab(self) -> Frame:
+        """The next frame that comes. Raises DeviceError."""
+        arrival = self.reader.following(self.reader.newest)
+        return Frame(arrival.image, self.exposure_us, arrival.timestamp_ns)
+
+    def _opened(self, camera: int | str) -> cv2.VideoCapture:
+        if isinstance(camera, int):
+            capture = cv2.VideoCapture(camera)
+        else:
+            # One thread, for decoders with several hold frames back.
+            limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPENING_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _OPENING_MS]
+            capture = cv2.VideoCapture(camera, cv2.CAP_FFMPEG, [*limits, cv2.CAP_PROP_N_THREADS, 1])
+            if not capture.isOpened():
+                capture = cv2.VideoCapture(camera)  # a pipeline, or whatever else OpenCV was built with
+        if not capture.isOpened():
+            raise DeviceError(
+                f"camera {self.name}: OpenCV cannot open it. Check that it is on, that the rig's camera is its number "
+                "or address (scan devices lists numbers), and that no other program uses it, then rerun."
+            )
+        return capture
+
+    def _configure(self, settings: OpenCVRigSettings) -> None:
+        """What a driver can be told; what was not obeyed is measured, for a driver need not say so."""
+        if not self._local:
+            return
+        if settings.codec is not None:
+            self._capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*settings.codec))
+        self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, self.size[0])
+        self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self.size[1])
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        for name, (key, off) in _AUTOMATICS.items():
+            obeyed = self._capture.set(key, off) and self._capture.get(key) == off
+            self.identity[name] = "off" if obeyed else "not in the driver's hand"
+        if settings.exposure_us is not None:
+            self.expose_for(settings.exposure_us)
+            self.identity["exposure"] = f"{1e-3 * (self._exposure_us or 0):.4g} ms"
+        if settings.gain is not None:
+            self._capture.set(cv2.CAP_PROP_GAIN, settings.gain)
+            self.identity["gain"] = f"{self._capture.get(cv2.CAP_PROP_GAIN):g}"
+
+    def _first(self) -> None:
+        """Learn from a frame how they look, and refuse what is not expected."""
+        taken = self._read()
+        if taken is None:
+            raise DeviceError(
+                f"camera {self.name}: it opens, but delivers nothing. Check that no other program uses it, then rerun."
+            )
+        self.identity["pixels"] = "grey" if taken[0].ndim == 2 else "colour (BGR)"
+
+    def _read(self) -> tuple[Image, int | None] | None:
+        """The next frame, which is waited for, with the driver's time stamp; None where the stream ends."""
+        there, taken = self._capture.read()
+        if not there:
+            return None
+        image = self._expected(np.asarray(taken))
+        stamp_ms = self._capture.get(cv2.CAP_PROP_POS_MSEC) if self._local else 0.0
+        return image, (int(1e6 * stamp_ms) or None)
+
+    def _expected(self, image: np.ndarray) -> Image:
+        height, width = image.shape[:2]
+        if (width, height) != self.size:
+            raise DeviceError(
+                f"camera {self.name}: expected frames of {self.size[0]} × {self.size[1]}, but it delivers {width} × "
+                f"{height}. Set the configuration's camera: {{width: {width}, height: {height}}}, or the camera's own "
+                "size, then rerun."
+            )
+        if image.dtype != np.uint8 or image.shape[2:] not in ((), (3,)) or self._shape not in (None, image.shape):
+            found = "grey" if image.ndim == 2 else f"{image.shape[2]} channels"
+            raise DeviceError(
+                f"camera {self.name}: expected 8-bit frames, all grey or all of three channels (BGR), but it delivers "
+                f"{found}, {image.dtype}. Choose another format with the rig's codec, or in the camera's app."
+            )
+        self._shape = image.shape
+        return image

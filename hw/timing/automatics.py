@@ -1,0 +1,46 @@
+"""What a camera changes by itself during a capture: exposure, white balance, focus, by one picture shown twice."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Bools, Image, grey
+
+_CELLS = 32  # across the picture: edges that a camera resolves, and whose blur it sees
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """How the reference picture looks: mean level of each channel (C,) of lit pixels, and the contrast of its edges."""
+
+    levels: np.ndarray
+    contrast: float
+
+
+def reference_picture(size: tuple[int, int]) -> Image:
+    """A checkerboard of (width, height)."""
+    width, height = size
+    cell = max(2, width // _CELLS)
+    odd = (np.arange(height)[:, None] // cell + np.arange(width)[None, :] // cell) % 2
+    return np.where(odd, np.uint8(255), np.uint8(0))
+
+
+def appearance(image: Image, lit: Bools) -> Appearance:
+    """Of a frame (H, W) or (H, W, C); `lit` (H, W)."""
+    levels = image[lit].reshape(int(lit.sum()), -1).mean(axis=0, dtype=np.float64)
+    light = grey(image)
+    both = lit[:, 1:] & lit[:, :-1]
+    contrast = float(np.sqrt(np.mean((np.diff(light, axis=1)[both]) ** 2))) if both.any() else 0.0
+    return Appearance(levels, contrast / max(float(levels.mean()), 1.0))
+
+
+def changes(first: Appearance, last: Appearance) -> Mapping[str, float]:
+    """By how many per cent exposure, white balance and focus have changed, for the recording."""
+    ratio = last.levels / np.maximum(first.levels, 1.0)
+    balance = float(np.ptp(ratio) / ratio.mean())
+    return {
+        "exposure_percent": round(100 * (float(ratio.mean()) - 1), 1),
+        "white_balance_percent": round(100 * balance, 1),
+        "focus_percent": round(100 * (last.contrast / max(first.contrast, 1e-9) - 1), 1),
+    }

@@ -1,0 +1,140 @@
+"""Latency of a camera that streams: from a swap to the frames that show it, measured by flashes.
+
+screen      ▏white
+wall                 ▏white
+camera      ▐ old ▌▐ mixed ▌▐ white ▌▐ white ▌
+frames          … queue, network …  ▏old  ▏mixed  ▏white  ▏white
+"""
+
+import logging
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Image
+from hw.errors import DeviceError
+from hw.timing.devices import FlippingProjector, StreamingCamera
+from hw.timing.frame_reader import Arrival
+from hw.timing.resting import RestingLight
+
+log = logging.getLogger(__name__)
+
+_LONGEST_LATENCY_S = 2.0  # streams of telephones lag by half a second, some more
+_WATCHED_S = 3.0  # automatic exposure takes one or two to answer a change from black to white
+_RESTING_FRAMES = 4
+_FLASHES = 4
+_EDGE = 0.05  # of the light: a frame that has so much of the new picture shows it
+_SETTLED_FRAMES = 3
+_MOST_ADAPTED = 0.15  # at 0.35 the frames of a pattern and of its inverse contradict each other
+
+
+@dataclass(frozen=True)
+class StreamTiming:
+    """When frames show a picture, by when they came, in seconds from the swap: none sooner than `soonest_s` from its
+    begin, nothing else later than `latest_s` from its end, in any of several flashes. `period_s`: from frame to frame.
+
+    `adapted`: by what share brightness went on to change when white had come, the largest of all channels: what
+    automatic exposure or white balance does.
+    """
+
+    soonest_s: float
+    latest_s: float
+    period_s: float
+    adapted: float
+
+
+def calibrate_stream(projector: FlippingProjector, camera: StreamingCamera) -> tuple[StreamTiming, RestingLight]:
+    """Show black and white, which takes about seven seconds.
+
+    Raises DeviceError if the camera does not see the projector, makes up for what is projected, is frozen, or delivers
+    nothing.
+    """
+    width, height = projector.size
+    pictures = [np.full((height, width), level, np.uint8) for level in (0, 255)]
+    projector.show(pictures[0])
+    dark = [frame.image for frame in _watched(camera, _LONGEST_LATENCY_S)][-_RESTING_FRAMES:]
+    projector.prepare(pictures[1])
+    projector.flip()
+    series = _series(camera)
+    if all(np.array_equal(image, dark[0]) for image in (*dark, *series.last)):
+        raise DeviceError(frozen(camera.name))
+    if series.adapted > _MOST_ADAPTED:
+        raise DeviceError(
+            f"camera {camera.name}: its automatic exposure is on: after a change from black to white its picture went "
+            f"on to change by {100 * series.adapted:.0f} %, and so it would between patterns. Turn it off in the "
+            "camera, its driver or its app, then rerun."
+        )
+    rest = RestingLight(camera, dark, series.last)
+    shown, first, last = 1, [np.inf], [0.0]
+    for _ in range(_FLASHES):
+        shown = 1 - shown
+        projector.prepare(pictures[shown])
+        swap = projector.flip()
+        seen_s, whole_s = _arrival(camera, rest, shown)
+        first.append(seen_s - swap.begun_s)
+        last.append(whole_s - swap.done_s)
+    timing = StreamTiming(float(min(first)), float(max(last)), camera.reader.period_s, series.adapted)
+    log.info("%s", timing)
+    return timing, rest
+
+
+def frozen(name: str) -> str:
+    """What to tell of a camera whose picture does not change."""
+    return (
+        f"camera {name}: its picture is frozen: frames stay the same, byte by byte, whatever is projected. Restart the "
+        "camera or its app, then rerun."
+    )
+
+
+def _watched(camera: StreamingCamera, seconds: float) -> Iterator[Arrival]:
+    """All frames for so long."""
+    number, end_s = camera.reader.newest, time.monotonic() + seconds
+    while True:
+        arrival = camera.reader.following(number)
+        number = arrival.number
+        yield arrival
+        if arrival.came_s > end_s:
+            return
+
+
+@dataclass(frozen=True)
+class _Series:
+    """Frames after the change from black to white: the `last`, and the mean levels of each, (T, C)."""
+
+    last: list[Image]
+    levels: np.ndarray
+
+    @property
+    def adapted(self) -> float:
+        """By which share brightness went on to change after the first frame that was about as bright as the last."""
+        relative = self.levels / np.maximum(self.levels[-_RESTING_FRAMES:].mean(axis=0), 1.0)
+        whole = np.flatnonzero(relative.min(axis=1) > 1 - _EDGE)
+        return float(np.abs(relative[whole[0] + 1 :] - 1).max(initial=0.0)) if len(whole) else 0.0
+
+
+def _series(camera: StreamingCamera) -> _Series:
+    last: list[Image] = []
+    levels = []
+    for arrival in _watched(camera, _WATCHED_S):
+        levels.append(np.atleast_1d(arrival.image.mean(axis=(0, 1), dtype=np.float64)))
+        last = [*last[1 - _RESTING_FRAMES :], arrival.image]
+    return _Series(last, np.stack(levels))
+
+
+def _arrival(camera: StreamingCamera, rest: RestingLight, target: int) -> tuple[float, float]:
+    """When the first frame came that shows some of a picture, and the first of several that show nothing else."""
+    seen_s: float | None = None
+    whole_s: list[float] = []
+    for arrival in _watched(camera, _WATCHED_S):
+        missing = rest.missing(arrival.image, target)
+        if seen_s is None and missing.min() < 1 - _EDGE:
+            seen_s = arrival.came_s
+        whole_s = [*whole_s, arrival.came_s] if missing.max() < max(_EDGE / 2, rest.tolerance) else []
+        if seen_s is not None and len(whole_s) == _SETTLED_FRAMES:
+            return seen_s, whole_s[0]
+    raise DeviceError(
+        f"projector: {_WATCHED_S:.0f} s after a change of the picture, camera {camera.name} still does not see the new "
+        "one. Check that it looks at the projector's light and that its stream keeps up, then rerun."
+    )

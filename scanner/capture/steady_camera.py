@@ -1,0 +1,27 @@
+"""What a camera changed by itself while a capture was taken, as its rig measured it."""
+
+from collections.abc import Iterator, Mapping
+
+# Per cent. Lamps flicker by a few, and sharpness differs by noise.
+_EXPOSURE, _BALANCE, _FOCUS = 5.0, 3.0, 15.0
+_ADVICE = "Turn that off in the camera, its driver or its app, and capture again."
+
+
+def remarks_on_camera(metadata: Mapping[str, object]) -> Iterator[str]:
+    """What the operator should know of what a recording, or a rig's account, says of it."""
+    found = metadata.get("camera_changed")
+    if not isinstance(found, Mapping):
+        return
+    changed = {str(key): abs(value) for key, value in found.items() if isinstance(value, int | float)}
+    if (adapted := changed.get("after_white_percent", 0.0)) > _EXPOSURE:
+        yield (
+            f"The camera adapts by itself: its picture went on to change by {adapted:.0f} % after white had come, so "
+            f"that exposure or white balance differs between patterns. {_ADVICE}"
+        )
+    for key, most, what in (
+        ("exposure_percent", _EXPOSURE, "exposure, or the lamp's brightness,"),
+        ("white_balance_percent", _BALANCE, "white balance"),
+        ("focus_percent", _FOCUS, "focus"),
+    ):
+        if (percent := changed.get(key, 0.0)) > most:
+            yield f"The camera's {what} changed by {percent:.0f} % from the begin of the capture to its end. {_ADVICE}"

@@ -1,0 +1,209 @@
+"""Photo cameras, at the level of python-gphoto2's interface; no real one was ever tried."""
+
+import importlib
+import re
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from hw import open_rig
+from hw.backends import BACKENDS
+from hw.errors import DeviceError
+from hw.gphoto2 import GPhotoCamera, GPhotoRigSettings
+from hw.optional_parts import GPHOTO2
+from hw.projector.screens import Screen
+from hw.settings import SimulatedRigSettings
+from hw.simulated.rig import SimulatedCamera, SimulatedProjector
+from hw.simulated.simulation import SimulatedRoom
+from hw.timing import latency, synchronisation
+from hw.timing.devices import Swap
+from scanner.capture.recording import open_capture
+from scanner.commands import devices
+from scanner.commands.main import main
+from scanner.configuration.schema import load_config
+from scanner.ui import Terminal
+from tests.support import fake_gphoto2
+from tests.support.fake_gphoto2 import Device, GPhoto2Error
+
+SIZE, PROJECTOR = (306, 256), (160, 96)
+CONFIG = f"""
+rig: {{backend: gphoto2, exposure_us: 33333, refresh_hz: 60}}
+camera: {{width: {SIZE[0]}, height: {SIZE[1]}}}
+projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
+corner: {{squareness_deg: 0}}
+"""
+
+
+class Window:
+    """A simulated projector that is flipped."""
+
+    screen = Screen(0, "screen", 0, 0, *PROJECTOR, 60.0)
+    renderer = "none"
+    size = PROJECTOR
+
+    def __init__(self, projector: SimulatedProjector) -> None:
+        self._projector = projector
+        self._prepared = np.zeros(PROJECTOR[::-1], np.uint8)
+
+    def prepare(self, image: np.ndarray) -> None:
+        self._prepared = image
+
+    def flip(self) -> Swap:
+        self._projector.show(self._prepared)
+        return Swap(time.monotonic(), time.monotonic())
+
+    def show(self, image: np.ndarray) -> None:
+        self.prepare(image)
+        self.flip()
+
+
+@pytest.fixture(scope="module")
+def room() -> SimulatedRoom:
+    return SimulatedRoom(SimulatedRigSettings(seed=0), SIZE, PROJECTOR)
+
+
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Device:
+    """A photo camera that sees the light of the window; its projector is as quick as a simulation."""
+    projector = SimulatedProjector(room)
+    camera = SimulatedCamera(room, projector)
+
+    @contextmanager
+    def window(*_: object) -> Iterator[Window]:
+        yield Window(projector)
+
+    monkeypatch.setitem(sys.modules, "gphoto2", fake_gphoto2)
+    monkeypatch.setattr(open_rig, "ScreenProjector", window)
+    for module in (latency, synchronisation):
+        monkeypatch.setattr(module, "LONGEST_LATENCY_S", 0.0)
+    fake_gphoto2.device = Device(lambda: cv2.cvtColor(camera.grab().image, cv2.COLOR_GRAY2BGR))
+    return fake_gphoto2.device
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "room.yaml"
+    path.write_text(CONFIG)
+    return path
+
+
+def opened(**settings: object) -> GPhotoCamera:
+    return GPhotoCamera(GPhotoRigSettings.model_validate({"backend": "gphoto2", **settings}), SIZE, 60.0)
+
+
+def test_a_capture_is_of_few_patterns_and_can_be_taken_up(
+    config: Path, device: Device, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = load_config(config)
+    assert settings.sequence.preset == "quick"
+    assert load_config(config, ["sequence.preset=standard"]).sequence.preset == "standard"
+    see, frames = device.see, iter(range(10**9))
+
+    def failing() -> np.ndarray:
+        if next(frames) == 20:  # ten of them before the capture
+            device.fails["capture"] = GPhoto2Error(fake_gphoto2.GP_ERROR_NO_SPACE, "Not enough free space")
+        return see()
+
+    device.see = failing
+    assert main(["--config", str(config), "--out", str(config.with_name("result")), "--quiet"]) == 3
+    message = " ".join(capsys.readouterr().err.split())
+    assert "Canon EOS 700D: does not take a picture (Not enough free space). Its card is full." in message
+    begun = config.with_name("result-incomplete")
+    taken = len(open_capture(begun / "capture").patterns)
+    assert taken > 0
+    assert not device.open
+    assert not device.files
+    device.fails, device.see = {}, see
+    out = config.with_name("whole")
+    assert main(["--resume", str(begun), "--out", str(out), "--quiet"]) in (0, 4)
+    recording = open_capture(out / "capture")
+    assert recording.metadata["resumed"]["after_frames"] == taken
+    assert len(recording.patterns) >= len(settings.sequence.patterns(PROJECTOR))
+    assert recording.metadata["devices"]["exposure"] == "33.33 ms"
+    assert device.settings["imageformat"][0] == "Large Fine JPEG"
+    assert device.settings["capturetarget"][0] == "Internal RAM"
+
+
+def test_the_shutter_speed_is_the_nearest_to_whole_refresh_periods(device: Device) -> None:
+    with opened(exposure_us=70_000, iso=200) as camera:
+        assert device.settings["shutterspeed"][0] == "1/15"
+        assert device.settings["iso"][0] == camera.identity["iso"] == "200"
+        assert camera.expose_for(400_000) == 5e5
+        assert camera.exposure_limits_us == (8e3, 2e6)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"autoexposuremode": ("AV", [])}, "its mode is AV. Turn its dial to M"),
+        ({"batterylevel": ("5%", [])}, "its battery is at 5%"),
+        ({"iso": ("100", ["100"])}, "iso '200' is none of its own: 100"),
+        ({"shutterspeed": ("auto", ["auto"])}, "its shutter speed cannot be set"),
+        ({"imageformat": ("RAW", ["RAW"])}, "it sends RAW and offers nothing else"),
+    ],
+)
+def test_what_the_camera_cannot_do_is_named(
+    device: Device, change: dict[str, tuple[str, list[str]]], words: str
+) -> None:
+    device.settings |= change
+    with pytest.raises(DeviceError, match=words):
+        opened(iso=200)
+    assert not device.open
+
+
+@pytest.mark.parametrize(
+    ("call", "code", "words"),
+    [
+        ("init", fake_gphoto2.GP_ERROR_IO_USB_CLAIM, "cannot be opened .*Another program has it"),
+        ("set_config", fake_gphoto2.GP_ERROR_CAMERA_BUSY, "does not take 'Internal RAM' as capturetarget"),
+        ("autodetect", fake_gphoto2.GP_ERROR_CAMERA_ERROR, "cannot be looked for"),
+        ("file_get", fake_gphoto2.GP_ERROR_CAMERA_ERROR, "does not send its picture.*card, battery"),
+    ],
+)
+def test_errors_of_the_library_are_named(device: Device, call: str, code: int, words: str) -> None:
+    device.fails[call] = GPhoto2Error(code)
+    with pytest.raises(DeviceError, match=words):
+        opened().grab()
+
+
+def test_another_size_and_another_camera_are_named(device: Device) -> None:
+    with pytest.raises(DeviceError, match=r"no single photo camera is called 'Nikon'.*Canon EOS 700D at usb:001,005"):
+        opened(camera="Nikon")
+    device.see = lambda: np.zeros((10, 20, 3), np.uint8)
+    with opened() as camera, pytest.raises(DeviceError, match=r"it takes 20 × 10.*camera: \{width: 20, height: 10\}"):
+        camera.grab()
+
+
+def test_it_is_listed_with_lines_to_paste(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(devices, "list_screens", lambda: [Window.screen])
+    found = devices.find_devices(Terminal(quiet=True), [each for each in BACKENDS if each.name == "gphoto2"])
+    assert found.told["Cameras"][:2] == [device.model, "  photo camera at usb:001,005"]
+    pasted = tmp_path / "pasted.yaml"
+    pasted.write_text("\n".join(found.lines))
+    rig = load_config(pasted).rig
+    assert isinstance(rig, GPhotoRigSettings)
+    assert rig.camera == device.model
+
+
+def test_the_fake_is_like_the_library() -> None:
+    real = pytest.importorskip("gphoto2")
+    for name in [name for name in vars(fake_gphoto2) if name.startswith("GP_")]:
+        assert getattr(real, name) == getattr(fake_gphoto2, name), name
+    for name in ("Camera", "CameraWidget", "PortInfoList", "CameraFile"):
+        for method in [each for each in vars(getattr(fake_gphoto2, name)) if each.islower() and each[0] != "_"]:
+            assert method == "values" or hasattr(getattr(real, name), method), f"{name}.{method}"
+    error = real.GPhoto2Error(real.GP_ERROR_NO_SPACE)
+    assert error.code == fake_gphoto2.GP_ERROR_NO_SPACE
+    assert isinstance(error.string, str)
+
+
+def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gphoto2", None)
+    with pytest.raises(DeviceError, match=re.escape(GPHOTO2.install_command())):
+        importlib.import_module("hw.gphoto2").load()

@@ -1,0 +1,145 @@
+"""What OpenCV's capture delivers, or does not: each is named. The capture is a fake; loopback tests have a real one."""
+
+import time
+from contextlib import suppress
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from hw import opencv
+from hw.errors import DeviceError
+from hw.opencv import OpenCVCamera, OpenCVRigSettings
+from hw.timing import frame_reader
+
+SIZE = (32, 24)
+
+
+class Capture:
+    """OpenCV's interface; `frames` in turns, every 5 ms, then nothing more."""
+
+    def __init__(self, *frames: np.ndarray, obeys: bool = True, opens: bool = True) -> None:
+        self._frames, self._obeys, self._opens = [*frames], obeys, opens
+        self._values: dict[int, float] = {}
+        self.released = False
+
+    def isOpened(self) -> bool:  # noqa: N802
+        return self._opens
+
+    def getBackendName(self) -> str:  # noqa: N802
+        return "FAKE"
+
+    def set(self, key: int, value: float) -> bool:
+        if self._obeys:
+            self._values[key] = value
+        return self._obeys
+
+    def get(self, key: int) -> float:
+        return self._values.get(key, 0.5)
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        time.sleep(0.005)
+        return (True, self._frames.pop(0)) if self._frames else (False, None)
+
+    def release(self) -> None:
+        self.released = True
+
+
+def picture(level: int = 90, size: tuple[int, int] = SIZE, channels: tuple[int, ...] = (3,)) -> np.ndarray:
+    return np.full((size[1], size[0], *channels), level, np.uint8)
+
+
+def connected(monkeypatch: pytest.MonkeyPatch, capture: Capture, **settings: Any) -> OpenCVCamera:
+    monkeypatch.setattr(cv2, "VideoCapture", lambda *_: capture)
+    return opencv.connect(OpenCVRigSettings(backend="opencv", **settings), SIZE, 60.0)
+
+
+@pytest.mark.parametrize(
+    ("frame", "words"),
+    [
+        (picture(size=SIZE[::-1]), r"expected frames of 32 × 24, but it delivers 24 × 32.*camera: \{width: 24"),
+        (picture(channels=(2,)), "three channels.*delivers 2 channels"),
+        (picture().astype(np.uint16), "uint16"),
+    ],
+    ids=["size", "channels", "depth"],
+)
+@pytest.mark.parametrize("amid", [False, True])
+def test_frames_that_are_not_expected_are_named(
+    monkeypatch: pytest.MonkeyPatch, frame: np.ndarray, words: str, amid: bool
+) -> None:
+    capture = Capture(*([picture(1), picture(2)] if amid else []), frame)
+    with pytest.raises(DeviceError, match=words), connected(monkeypatch, capture) as camera:
+        camera.reader.following(5)
+    assert capture.released
+
+
+def test_colours_that_go_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    capture = Capture(picture(1), picture(2), picture(3, channels=()))
+    with pytest.raises(DeviceError, match="delivers grey"), connected(monkeypatch, capture) as camera:
+        camera.reader.following(5)
+
+
+def test_a_camera_that_is_not_there_or_delivers_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DeviceError, match=r"webcam 0: OpenCV cannot open it.*scan devices"):
+        connected(monkeypatch, Capture(opens=False))
+    with pytest.raises(DeviceError, match="delivers nothing"):
+        connected(monkeypatch, Capture())
+    capture = Capture(picture(1), picture(2))
+    with pytest.raises(DeviceError, match="stream has ended"), connected(monkeypatch, capture) as camera:
+        camera.reader.following(5)
+
+
+def test_a_stream_that_stops_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frame_reader, "_NOTHING_S", 0.2)
+
+    def read() -> tuple[np.ndarray, None]:
+        time.sleep(0.5)
+        return picture(), None
+
+    reader = frame_reader.FrameReader("phone", read, lambda: None)
+    with pytest.raises(DeviceError, match="camera phone: no frame for"):
+        reader.following(-1)
+    reader.close()
+
+
+def test_frames_that_are_repeated_or_dropped_are_counted() -> None:
+    moments = iter([0.002 * number + (0.02 if number >= 100 else 0.0) for number in range(140)])
+    begin_s = time.monotonic()
+    levels = iter([number - (number == 120) for number in range(140)])
+
+    def read() -> tuple[np.ndarray, None] | None:
+        moment = next(moments, None)
+        if moment is None:
+            return None
+        time.sleep(max(0.0, begin_s + 5 * moment - time.monotonic()))
+        return picture(next(levels)), None
+
+    reader = frame_reader.FrameReader("webcam", read, lambda: None)
+    seen, number = list[int](), -1
+    with suppress(DeviceError):  # the stream has ended
+        while True:
+            arrival = reader.following(number)
+            number = arrival.number
+            seen.append(int(arrival.image[0, 0, 0]))
+    reader.close()
+    assert len(seen) > 30
+    assert seen == sorted(set(seen))
+    assert reader.repeated == 1
+    assert 5 <= reader.dropped <= 20  # ten frames' time without one
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+def test_automatics_are_turned_off_where_the_driver_can(monkeypatch: pytest.MonkeyPatch, obeys: bool) -> None:
+    capture = Capture(*map(picture, range(3)), obeys=obeys)
+    if not obeys:
+        with connected(monkeypatch, capture) as camera:
+            assert camera.capabilities.exposure == "unknown"
+            assert camera.identity["automatic exposure"] == "not in the driver's hand"
+        with pytest.raises(DeviceError, match=r"wanted an exposure of 33333 µs.*driver made it 50"):
+            connected(monkeypatch, Capture(picture(), obeys=False), exposure_us=33_000)
+        return
+    with connected(monkeypatch, capture, exposure_us=33_000) as camera:
+        assert camera.exposure_us == pytest.approx(2e6 / 60)
+        assert camera.capabilities.exposure == "settable"
+        assert camera.identity["automatic exposure"] == "off"

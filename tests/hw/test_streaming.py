@@ -1,0 +1,136 @@
+"""Frames of a camera that streams, on a bench whose clock stands still while nothing happens."""
+
+from collections.abc import Iterator
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from calib.numerics.array_types import Image
+from hw.errors import DeviceError
+from hw.timing.streamed_rig import StreamedRig, streamed
+from scanner.capture.steady_camera import remarks_on_camera
+from scanner.patterns import Black, Gray, Pattern, Phase, White, draw, level_groups, unpaired_bits
+from tests.support.stream_bench import SIZE, StreamBench, seen_row
+
+INVERSES: tuple[Pattern, ...] = (
+    White(),
+    Black(),
+    *(Gray("x", bit, 6, inverted=inverted) for bit in range(4) for inverted in (False, True)),
+    *(Phase("x", 16.0, step / 4) for step in range(4)),
+)
+BITS: tuple[Pattern, ...] = (White(), Black(), *(Gray(axis, bit, 6) for axis in ("x", "y") for bit in range(4)))
+
+
+def photographed(rig: StreamedRig, patterns: tuple[Pattern, ...]) -> Iterator[tuple[Image, np.ndarray]]:
+    """Frames, and what they should show."""
+    pictures = [draw(pattern, SIZE) for pattern in patterns]
+    frames = rig.photograph(pictures, (), level_groups(patterns), unpaired_bits(patterns))
+    for picture, frame in zip(pictures, frames, strict=True):
+        yield frame.image, seen_row(picture.astype(float))
+
+
+def worst_deviation(rig: StreamedRig, patterns: tuple[Pattern, ...]) -> float:
+    """Rms from what a frame should show, in grey levels, of the worst frame."""
+    return max(float(np.sqrt(np.mean((image - own) ** 2))) for image, own in photographed(rig, patterns))
+
+
+@pytest.mark.parametrize("patterns", [INVERSES, BITS], ids=["inverses", "bits without inverses"])
+@pytest.mark.parametrize(
+    "conditions",
+    [
+        {},
+        {"latency_s": 0.005, "delay_s": 0.0},
+        {"latency_s": 0.12, "delay_s": 0.5, "jitter_s": 0.05},
+        {"readout_s": 0.033, "exposure_s": 0.033, "jitter_s": 0.01},
+        {"dropping": 0.2, "repeating": 0.2},
+    ],
+    ids=["usual", "at once", "late", "rolling", "lossy"],
+)
+def test_each_frame_is_of_its_own_picture_alone(
+    monkeypatch: pytest.MonkeyPatch, conditions: dict[str, Any], patterns: tuple[Pattern, ...]
+) -> None:
+    bench = StreamBench(**conditions).install(monkeypatch)
+    rig = streamed(bench, bench, {})
+    assert 0.3 < worst_deviation(rig, patterns) < 1.0  # of two frames with noise of one grey level: 0.77
+    delay_s = conditions.get("latency_s", 0.05) + conditions.get("delay_s", 0.1)
+    assert delay_s < rig.latency_s < delay_s + 0.05 + conditions.get("jitter_s", 0.0)
+    if not conditions:
+        assert rig.acquisition.doubted == 0
+        per_picture_s = rig.tally.elapsed_s / (len(patterns) + len(unpaired_bits(patterns)))
+        assert rig.latency_s + bench.period_s < per_picture_s < rig.latency_s + 3 * bench.period_s
+
+
+def test_more_frames_make_less_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    noise = []
+    for average in (2, 8):
+        bench = StreamBench(noise=3.0, average=average).install(monkeypatch)
+        noise.append(worst_deviation(streamed(bench, bench, {}), INVERSES))
+    assert 1.6 < noise[0] / noise[1] < 2.2
+
+
+@pytest.mark.parametrize("patterns", [INVERSES, BITS], ids=["inverses", "bits without inverses"])
+@pytest.mark.parametrize("delay_s", [0.4, 1.5])
+def test_a_picture_that_comes_late_is_waited_for_or_found_out(
+    monkeypatch: pytest.MonkeyPatch, patterns: tuple[Pattern, ...], delay_s: float
+) -> None:
+    bench = StreamBench().install(monkeypatch)
+    rig = streamed(bench, bench, {})
+    bench.delay(
+        1 + len(patterns) // 2, 0.8
+    )  # behind the reference picture; the frames before it stand, and are others'
+    assert worst_deviation(rig, patterns) < 1.0
+    assert 1 <= rig.acquisition.doubted <= 8
+
+
+def test_what_a_camera_changes_by_itself_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = StreamBench().install(monkeypatch)
+    rig = streamed(bench, bench, {})
+    assert worst_deviation(rig, INVERSES) < 1.0
+    assert [*remarks_on_camera(rig.account())] == []
+    begun_s = bench.now
+    bench.changed = lambda now, image: (image * (1.0 if now < begun_s + 2 else 1.1)).astype(np.uint8)
+    assert len([*photographed(rig, INVERSES)]) == len(INVERSES)
+    assert cast(dict[str, float], rig.account()["camera_changed"])["exposure_percent"] == pytest.approx(10, abs=1.5)
+    (remark,) = remarks_on_camera(rig.account())
+    assert "exposure" in remark
+
+
+@pytest.mark.parametrize("most_gain", [1.1, 2.0])
+def test_automatic_exposure_is_named_or_refused(monkeypatch: pytest.MonkeyPatch, most_gain: float) -> None:
+    """By how much of what is projected it makes up for."""
+    bench = StreamBench().install(monkeypatch)
+    gain = [1.0]
+
+    def adapted(_: float, image: Image) -> Image:
+        seen = gain[0] * image
+        gain[0] = float(np.clip(gain[0] * (60 / max(1.0, float(seen.mean()))) ** 0.02, 1.0, most_gain))
+        return np.rint(seen).clip(0, 255).astype(np.uint8)
+
+    bench.changed = adapted
+    if most_gain == 2.0:
+        with pytest.raises(DeviceError, match=r"its automatic exposure is on: .* change by \d+ %"):
+            streamed(bench, bench, {})
+        return
+    rig = streamed(bench, bench, {})
+    assert len([*photographed(rig, INVERSES)]) == len(INVERSES)
+    assert any("adapts by itself" in remark for remark in remarks_on_camera(rig.account()))
+
+
+def test_a_picture_that_never_rests_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = StreamBench().install(monkeypatch)
+    rig = streamed(bench, bench, {})
+    bench.changed = lambda now, image: (image * (1.0 if int(30 * now) % 2 else 0.9)).astype(np.uint8)
+    with pytest.raises(DeviceError, match=r"camera bench: 5 s after .* automatic exposure"):
+        [*photographed(rig, INVERSES)]
+
+
+@pytest.mark.parametrize("amid", [False, True])
+def test_a_frozen_picture_is_named(monkeypatch: pytest.MonkeyPatch, amid: bool) -> None:
+    bench = StreamBench().install(monkeypatch)
+    still = np.full(SIZE[::-1], 90, np.uint8)
+    if amid:
+        rig = streamed(bench, bench, {})
+    bench.changed = lambda _, image: still
+    with pytest.raises(DeviceError, match="frozen"):
+        [*photographed(rig if amid else streamed(bench, bench, {}), INVERSES)]
