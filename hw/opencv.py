@@ -105,6 +105,7 @@ class OpenCVCamera:
         try:
             self._shape: tuple[int, ...] | None = None
             self._exposure_us: float | None = None
+            self._exposure: Literal["settable", "readable", "unknown"] = "unknown"
             self.identity = {"camera": self.name, "video interface": self._capture.getBackendName()}
             self._configure(settings)
             self._first()
@@ -122,7 +123,7 @@ class OpenCVCamera:
     @property
     def capabilities(self) -> Capabilities:
         """Frames come by themselves; the driver of a webcam may obey, a stream never does."""
-        return Capabilities(streaming=True, exposure="settable" if self.exposure_us is not None else "unknown")
+        return Capabilities(streaming=True, exposure=self._exposure)
 
     @property
     def exposure_us(self) -> float | None:
@@ -145,7 +146,7 @@ class OpenCVCamera:
                 "Leave out the rig's exposure_us, set the exposure with the camera's own tool or app, and turn its "
                 "automatic off there."
             )
-        self._exposure_us = found_us
+        self._exposure, self._exposure_us = "settable", found_us
         return found_us
 
     def grab(self) -> Frame:
@@ -181,12 +182,21 @@ class OpenCVCamera:
         for name, (key, off) in _AUTOMATICS.items():
             obeyed = self._capture.set(key, off) and self._capture.get(key) == off
             self.identity[name] = "off" if obeyed else "not in the driver's hand"
+        self._learn_exposure(fixed=self.identity["automatic exposure"] == "off")
         if settings.exposure_us is not None:
             self.expose_for(settings.exposure_us)
             self.identity["exposure"] = f"{1e-3 * (self._exposure_us or 0):.4g} ms"
         if settings.gain is not None:
             self._capture.set(cv2.CAP_PROP_GAIN, settings.gain)
             self.identity["gain"] = f"{self._capture.get(cv2.CAP_PROP_GAIN):g}"
+
+    def _learn_exposure(self, *, fixed: bool) -> None:
+        """What the driver says of the exposure is true where it is not automatic."""
+        units = self._capture.get(cv2.CAP_PROP_EXPOSURE)
+        if not fixed or units <= 0:
+            return
+        obeyed = self._capture.set(cv2.CAP_PROP_EXPOSURE, units)
+        self._exposure, self._exposure_us = "settable" if obeyed else "readable", _EXPOSURE_UNIT_US * units
 
     def _first(self) -> None:
         """Learn from a frame how they look, and refuse what is not expected."""

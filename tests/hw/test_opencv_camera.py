@@ -1,6 +1,7 @@
 """What OpenCV's capture delivers, or does not: each is named. The capture is a fake; loopback tests have a real one."""
 
 import time
+from collections.abc import Collection
 from contextlib import suppress
 from typing import Any
 
@@ -19,7 +20,10 @@ SIZE = (32, 24)
 class Capture:
     """OpenCV's interface; `frames` in turns, every 5 ms, then nothing more."""
 
-    def __init__(self, *frames: np.ndarray, obeys: bool = True, opens: bool = True) -> None:
+    def __init__(
+        self, *frames: np.ndarray, obeys: bool = True, opens: bool = True, fixed: Collection[int] = ()
+    ) -> None:
+        self._fixed = fixed
         self._frames, self._obeys, self._opens = [*frames], obeys, opens
         self._values: dict[int, float] = {}
         self.released = False
@@ -31,9 +35,10 @@ class Capture:
         return "FAKE"
 
     def set(self, key: int, value: float) -> bool:
-        if self._obeys:
-            self._values[key] = value
-        return self._obeys
+        if not self._obeys or key in self._fixed:
+            return False
+        self._values[key] = value
+        return True
 
     def get(self, key: int) -> float:
         return self._values.get(key, 0.5)
@@ -127,6 +132,14 @@ def test_frames_that_are_repeated_or_dropped_are_counted() -> None:
     assert seen == sorted(set(seen))
     assert reader.repeated == 1
     assert 5 <= reader.dropped <= 20  # ten frames' time without one
+
+
+def test_an_exposure_that_cannot_be_changed_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    for fixed, expected in ((set[int](), "settable"), ({cv2.CAP_PROP_EXPOSURE}, "readable")):
+        capture = Capture(*map(picture, range(3)), fixed=fixed)
+        with connected(monkeypatch, capture) as camera:
+            assert camera.capabilities.exposure == expected
+            assert camera.exposure_us == 50
 
 
 @pytest.mark.parametrize("obeys", [True, False])
