@@ -52,10 +52,11 @@ def _from_here(path: Path) -> str:
 CONSOLE = Part("console")
 BATCH = Part("batch")
 E57 = Part("e57")
+VIDEO = Part("video")
 RIG = Part(
     "rig",
     system=("gir1.2-aravis-0.8", "libgirepository1.0-dev", "libcairo2-dev", "pkg-config", "gcc", "python3-dev"),
     target="rig",
 )
 GPHOTO2 = Part("gphoto2")
-PARTS = (CONSOLE, BATCH, E57, GPHOTO2, RIG)
+PARTS = (CONSOLE, BATCH, E57, GPHOTO2, VIDEO, RIG)

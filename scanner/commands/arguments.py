@@ -84,12 +84,17 @@ def of_batch(parser: ArgumentParser) -> None:
 
 
 def of_import(parser: ArgumentParser) -> None:
-    parser.add_argument("folder", type=Path, metavar="DIR", help="folder with the frames")
+    parser.add_argument(
+        "folder", type=Path, metavar="DIR", help="folder with the frames, or a recording (mp4, mov, mkv)"
+    )
     parser.add_argument("--from", dest="layout", metavar="FORMAT", help="whose order of frames it is (default: any)")
     parser.add_argument("--projector", metavar="WxH", help="the projector's size, as in 1024x768")
     parser.add_argument("--cell", metavar="PX", help="projector pixels to a cell of the Gray code (default: 1)")
     parser.add_argument("--order", metavar="N", help="of several orders that fit, the one with this number in the list")
     parser.add_argument("--frames", metavar="GLOB", help="take only files of such a name, as in 'cam1_*.png'")
+    parser.add_argument(
+        "--sequence", type=Path, metavar="FILE", help="of a recording: the sequence.yaml of the video that was shown"
+    )
     parser.add_argument("--out", type=Path, metavar="CAPTURE", help="folder to make (default: only say what it is)")
     add_quiet(parser)
 
@@ -121,6 +126,9 @@ def of_new(parser: ArgumentParser) -> None:
 
 def of_patterns(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
+    parser.add_argument("--video", metavar="NAME", help="also write a video for any player, as in sequence.mp4")
+    parser.add_argument("--hold", metavar="TIME", help="with --video: of a picture, as in 0.2s (default)")
+    parser.add_argument("--loops", type=int, metavar="N", help="with --video: show the sequence so often (default: 2)")
     add_out(parser)
     add_quiet(parser)
 

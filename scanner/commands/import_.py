@@ -8,6 +8,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
+from scanner.commands import import_recording
 from scanner.errors import InputError
 from scanner.importing import (
     LAYOUTS,
@@ -33,6 +34,9 @@ _NAMED = {layout.name: layout for layout in LAYOUTS}
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
+    if args.sequence is not None or args.folder.is_file():
+        import_recording.run(args)
+        return
     layouts = LAYOUTS if args.layout is None else (_layout(args.layout),)
     given = Given(_size(args.projector), _number(args.cell, "--cell", "a number of pixels", _MOST_CELL_PX))
     terminal = Terminal(quiet=args.quiet)

@@ -1,23 +1,69 @@
-"""Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means."""
+"""Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means.
+
+With --video they are a film as well, to be shown by any player and filmed by any camera.
+"""
 
 from argparse import Namespace
+from pathlib import Path
 
+from calib.geometry import Size
 from scanner.configuration import load_config
-from scanner.patterns import write_sequence
+from scanner.errors import InputError
+from scanner.patterns import SEQUENCE_FILE, Pattern, write_sequence
+from scanner.recordings import CONTAINERS, Programme, programme_of, write_player_video
 from scanner.results import OutputFolder
 from scanner.ui import Terminal
+
+_HOLD_S, _LOOPS = 0.2, 2
 
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
     config = load_config(args.config, args.set)
     patterns = config.sequence.patterns(config.projector_size)
+    programme = _programme(args, patterns, config.projector_size)
     terminal = Terminal(quiet=args.quiet)
-    with OutputFolder(args.out) as output, terminal.step("Drawing the patterns"):
-        write_sequence(output.folder, patterns, config.projector_size)
+    with OutputFolder(args.out) as output:
+        with terminal.step("Drawing the patterns"):
+            more = {"video": programme.as_dict(args.video)} if programme else {}
+            write_sequence(output.folder, patterns, config.projector_size, **more)
+        if programme:
+            with terminal.step("Writing the video"):
+                write_player_video(output.folder / args.video, programme)
     width, height = config.projector_size
+    terminal.show(f"{len(patterns)} patterns of {width} × {height} pixels, and sequence.yaml, are in {args.out}")
+    if programme:
+        terminal.show(
+            f"{args.video}, {programme.length_s:.0f} s, is there, too.",
+            f"→ Show it and film it, as docs/phone.md says; scan import FILM --sequence {args.out / SEQUENCE_FILE} --out "
+            "CAPTURE makes a capture of the film.",
+        )
+        return
     terminal.show(
-        f"{len(patterns)} patterns of {width} × {height} pixels, and sequence.yaml, are in {args.out}",
         "→ Project each and photograph it. With a capture.yaml beside the photographs, which is sequence.yaml with the "
-        "camera's size and their names, scan replay FOLDER reconstructs.",
+        "camera's size and their names, scan replay FOLDER reconstructs."
     )
+
+
+def _programme(args: Namespace, patterns: tuple[Pattern, ...], size: tuple[int, int]) -> Programme | None:
+    if args.video is None:
+        if args.hold is not None or args.loops is not None:
+            raise InputError("--hold and --loops are for a video: give --video as well, as in --video sequence.mp4")
+        return None
+    if Path(args.video).name != args.video or Path(args.video).suffix.lower() not in CONTAINERS:
+        raise InputError(
+            f"--video {args.video}: expected a file name ending in {' or '.join(CONTAINERS)}; it is written into --out"
+        )
+    try:
+        return programme_of(patterns, Size(*size), _seconds(args.hold), _LOOPS if args.loops is None else args.loops)
+    except ValueError as error:
+        raise InputError(f"--hold, --loops: {error}") from error
+
+
+def _seconds(text: str | None) -> float:
+    if text is None:
+        return _HOLD_S
+    try:
+        return float(text.removesuffix("s"))
+    except ValueError as error:
+        raise InputError(f"--hold {text}: expected seconds, as in 0.2s") from error

@@ -93,10 +93,16 @@ def size_to_dict(size: tuple[int, int]) -> dict[str, int]:
     return {"width": size[0], "height": size[1]}
 
 
-def write_sequence(folder: Path, patterns: tuple[Pattern, ...], projector_size: tuple[int, int]) -> None:
-    """`sequence.yaml` and the images to project, `patterns/000.png` …, into an existing folder. Raises OSError."""
+def write_sequence(
+    folder: Path, patterns: tuple[Pattern, ...], projector_size: tuple[int, int], **more: object
+) -> None:
+    """`sequence.yaml` and the images to project, `patterns/000.png` …, into an existing folder. Raises OSError.
+
+    `more`: further keys of `sequence.yaml`.
+    """
     (folder / "patterns").mkdir()
-    lines = [f"format: {FORMAT}\n", f"projector: {flow_yaml(size_to_dict(projector_size))}\n", "frames:\n"]
+    header = {"format": FORMAT, "projector": size_to_dict(projector_size), **more}
+    lines = [f"{flow_yaml(key)}: {flow_yaml(value)}\n" for key, value in header.items()] + ["frames:\n"]
     for index, pattern in enumerate(patterns):
         file = f"patterns/{index:03d}.png"
         write_png(folder / file, draw(pattern, projector_size))

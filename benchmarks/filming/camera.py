@@ -1,0 +1,194 @@
+"""A phone before a projector: rolling shutter, exposure, noise, tone curve, sharpening, encoder, clocks of their own.
+
+Nothing here knows how recordings are read. Light goes through a projector that answers with a delay and scans out its
+picture from top to bottom, at refreshes of its own clock; the camera integrates it exactly, row by row.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+from calib.numerics import Floats, Image
+from filming.player import Played
+from hw.simulated.arrays import Light
+
+_STEPS = 60_000  # of light, as pictures are kept
+_TICKS = 90_000
+# Light 0 … 1 → level 0 … 1.
+_TONES: dict[str, Callable[[Floats], Floats]] = {
+    "linear": lambda light: light,
+    "srgb": lambda light: np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055
+    ),
+    "bt709": lambda light: np.where(light < 0.018, 4.5 * light, 1.099 * np.maximum(light, 1e-9) ** 0.45 - 0.099),
+    # Filmic: a toe, a shoulder, and more contrast between them (Hable's curve, normalised).
+    "filmic": lambda light: (_hable(2.2 * light) / _hable(np.array(2.2))) ** (1 / 2.2),
+}
+
+
+def _hable(x: Floats) -> Floats:
+    a, b, c, d, e, f = 0.15, 0.50, 0.10, 0.20, 0.02, 0.30
+    curve: Floats = (x * (a * x + c * b) + d * e) / (x * (a * x + b) + d * f) - e / f
+    return curve
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera and what it films. Times in seconds; `fast`: how much faster than the player its clock runs.
+
+    `repeated` and `dropped`: numbers of frames. `gain`: brightness over the film's time; `shift`: the picture's, in px.
+    """
+
+    rate: float = 30.0
+    exposure_s: float = 1 / 60
+    readout_s: float = 0.02
+    tone: str = "srgb"
+    sharpening: float = 0.3
+    codec: str = "libx264"
+    bit_rate: float = 25e6
+    ten_bit: bool = False
+    fast: float = 0.001
+    full_well: float = 8000.0
+    read_noise: float = 4.0
+    refresh_hz: float = 60.0
+    response_s: float = 0.002
+    scan_out_s: float = 0.008
+    jitter_s: float = 0.0
+    repeated: tuple[int, ...] = ()
+    dropped: tuple[int, ...] = ()
+    gain: Callable[[float], float] | None = None
+    shift: Callable[[float], tuple[float, float]] | None = None
+    pause: tuple[float, float] | None = None  # of the player: at which second of the video, for how long
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Clip:
+    """From which second of the video on, and for how long, a film is made."""
+
+    start_s: float
+    length_s: float
+
+
+def film(path: Path, played: Played, light_of: Callable[[Image], Light], camera: Camera, clip: Clip) -> None:
+    """Write a recording. `light_of`: what the camera sees of a picture, (H, W), 1 being a full pixel."""
+    lights = _Lights(played, light_of)
+    height, width = lights.of(0).shape
+    changes, which = _timetable(played, camera)
+    rng = np.random.default_rng([camera.seed, 7])
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(camera.codec, rate=Fraction(camera.rate).limit_denominator(1001))
+        stream.width, stream.height = width, height
+        stream.pix_fmt = "yuv420p10le" if camera.ten_bit else "yuv420p"
+        stream.bit_rate = int(camera.bit_rate)
+        stream.time_base = stream.codec_context.time_base = Fraction(1, _TICKS)
+        stream.options = {"preset": "veryfast"} | ({"x265-params": "log-level=none"} if "265" in camera.codec else {})
+        last: Light | None = None
+        for number in range(int(clip.length_s * camera.rate)):
+            if number in camera.dropped:
+                continue
+            if number not in camera.repeated or last is None:
+                begins = clip.start_s + number / camera.rate * (1 + camera.fast)
+                last = _levels(_integrated(lights, changes, which, begins, camera), begins, camera, rng)
+            pts = round((number / camera.rate + camera.jitter_s * rng.uniform(-1, 1)) * _TICKS)
+            for packet in stream.encode(_frame(last, camera, pts)):
+                container.mux(packet)
+        for packet in stream.encode(None):
+            container.mux(packet)
+
+
+class _Lights:
+    """What the camera sees of each picture, computed once and kept small."""
+
+    def __init__(self, played: Played, light_of: Callable[[Image], Light]) -> None:
+        self._of = partial(self._seen, played, light_of)
+        self._kept: dict[int, Image] = {}
+
+    def of(self, number: int) -> Light:
+        if number not in self._kept:
+            self._kept[number] = self._of(number)
+        return self._kept[number] * np.float32(1 / _STEPS)
+
+    @staticmethod
+    def _seen(played: Played, light_of: Callable[[Image], Light], number: int) -> Image:
+        return np.rint(np.clip(light_of(played.pictures[number]), 0, 65_535 / _STEPS) * _STEPS).astype(np.uint16)
+
+
+def _timetable(played: Played, camera: Camera) -> tuple[Floats, list[int]]:
+    """When pictures begin, in the player's time, at the projector's refreshes; the first was there before."""
+    times = np.array([time for time, _ in played.shown])
+    if camera.pause:
+        times = times + np.where(times > camera.pause[0], camera.pause[1], 0.0)
+    times = np.ceil(times * camera.refresh_hz - 1e-6) / camera.refresh_hz
+    times[0] = -np.inf
+    return times, [number for _, number in played.shown]
+
+
+def _integrated(lights: _Lights, changes: Floats, which: list[int], begins: float, camera: Camera) -> Light:
+    """Mean light (H, W) over each row's exposure; a frame's time is when its first row begins."""
+    height = lights.of(which[0]).shape[0]
+    down = np.arange(height) / height
+    since = begins + down * (camera.readout_s - camera.scan_out_s)
+    ends = float(since.max() + camera.exposure_s)
+    first = max(0, int(np.searchsorted(changes, since.min() - 20 * camera.response_s)) - 1)
+    last = int(np.searchsorted(changes, ends))
+    total = np.zeros_like(lights.of(which[first]))
+    for number in range(first, last):
+        share = _lit(since, changes[number], camera) if number > first else np.ones(height)
+        if number + 1 < len(changes):
+            share = share - _lit(since, changes[number + 1], camera)
+        if np.any(share > 1e-6):
+            total += share.astype(np.float32)[:, None] * lights.of(which[number])
+    return total
+
+
+def _lit(since: Floats, change: float, camera: Camera) -> Floats:
+    """(H,): how much of an exposure a picture lights that comes at `change`, with an exponential answer."""
+
+    def light_until(time: Floats) -> Floats:
+        after = np.maximum(time - change, 0)
+        lag = camera.response_s
+        return after - lag * (1 - np.exp(-after / lag)) if lag else after
+
+    share: Floats = (light_until(since + camera.exposure_s) - light_until(since)) / camera.exposure_s
+    return share
+
+
+def _levels(light: Light, time_s: float, camera: Camera, rng: np.random.Generator) -> Light:
+    """Levels 0 … 1 (H, W) of a frame: gain, motion, noise, tone curve, sharpening."""
+    if camera.shift is not None:
+        x, y = camera.shift(time_s)
+        by = np.array([[1, 0, x], [0, 1, y]])
+        light = np.asarray(cv2.warpAffine(light, by, light.shape[::-1], borderMode=cv2.BORDER_REPLICATE), np.float32)
+    electrons = light * camera.full_well
+    noise = rng.standard_normal(light.shape, dtype=np.float32)
+    electrons = electrons + noise * np.sqrt(np.maximum(electrons, 0) + np.float32(camera.read_noise**2))
+    gain = 1.0 if camera.gain is None else camera.gain(time_s)
+    level = np.asarray(_TONES[camera.tone](np.clip(electrons * (gain / camera.full_well), 0, 1)), np.float32)
+    if camera.sharpening:
+        soft = cv2.GaussianBlur(level, (0, 0), 1.0)
+        level = np.asarray(level + np.float32(camera.sharpening) * (level - soft), np.float32)
+    return np.asarray(np.clip(level, 0, 1), np.float32)
+
+
+def _frame(level: Light, camera: Camera, pts: int) -> av.VideoFrame:
+    """Luma in the limited range, and no colour."""
+    scale = 4 if camera.ten_bit else 1
+    kind = np.uint16 if camera.ten_bit else np.uint8
+    height, width = level.shape
+    frame = av.VideoFrame(width, height, "yuv420p10le" if camera.ten_bit else "yuv420p")
+    luma = np.rint(scale * (16 + 219 * level)).astype(kind)
+    for plane, values in zip(
+        frame.planes, (luma, *2 * [np.full((height // 2, width // 2), 128 * scale, kind)]), strict=True
+    ):
+        rows = np.zeros((plane.height, plane.line_size // kind().itemsize), kind)
+        rows[:, : values.shape[1]] = values
+        plane.update(rows.tobytes())
+    frame.pts, frame.time_base = pts, Fraction(1, _TICKS)
+    return frame

@@ -1,0 +1,31 @@
+"""Make a capture folder of a film of the sequence's video."""
+
+from argparse import Namespace
+
+from scanner.errors import InputError
+from scanner.recordings import import_recording, read_programme
+from scanner.results import OutputFolder
+from scanner.ui import Terminal
+
+_OF_FRAMES = {"layout": "--from", "projector": "--projector", "cell": "--cell", "frames": "--frames", "order": "--order"}
+
+
+def run(args: Namespace) -> None:
+    """Do the work. Raises InputError."""
+    given = [option for name, option in _OF_FRAMES.items() if getattr(args, name) is not None]
+    if given:
+        raise InputError(f"{', '.join(given)}: is for a folder of frames, not for a recording")
+    if args.sequence is None:
+        raise InputError(f"{args.folder}: is a file: a recording needs --sequence, the sequence.yaml of its video")
+    if args.out is None:
+        raise InputError(f"{args.folder}: a recording needs --out, the folder to make")
+    terminal = Terminal(quiet=args.quiet)
+    programme = read_programme(args.sequence)
+    with OutputFolder(args.out) as output:
+        imported = import_recording(args.folder, programme, output.folder, terminal)
+    clocks, loops = imported.clocks, len(imported.clocks.loops)
+    terminal.show(
+        f"{len(programme.patterns)} pictures of {imported.frames_per_picture:.1f} frames each, and capture.yaml, "
+        f"are in {args.out}; exposure {1e3 * clocks.exposure_s:.1f} ms, {loops} loop{'s' * (loops > 1)}",
+        *imported.notes,
+    )

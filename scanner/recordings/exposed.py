@@ -1,0 +1,34 @@
+"""When rows of frames were exposed, and whether within the time of one picture."""
+
+import numpy as np
+
+from calib.numerics import Bools, Floats, Ints
+from scanner.recordings.clocks import Clocks
+from scanner.recordings.samples import VideoSamples
+
+# Time left out next to a change, if there are frames enough: projectors answer and scan out for so long.
+_LONG_MARGIN_S, _MARGIN_OF_SLOT = 0.02, 0.12
+
+
+def alone(begins: Floats, exposure_s: float, slot: tuple[float, float], margin_s: float) -> Bools:
+    """Exposures that lie within a slot."""
+    return (begins >= slot[0] + margin_s) & (begins + exposure_s <= slot[1] - margin_s)
+
+
+def margin_s(clocks: Clocks) -> float:
+    """The usual one."""
+    return max(min(_LONG_MARGIN_S, _MARGIN_OF_SLOT * clocks.loops[0].slot_s), 2 * clocks.scatter_s)
+
+
+def begins_of(samples: VideoSamples, clocks: Clocks, numbers: Ints, rows: Floats) -> Floats:
+    """When rows of frames begin to be exposed, (n, rows)."""
+    delays = clocks.row_delays(rows, samples.middle_row)
+    begins: Floats = samples.times_s[numbers][:, None] + delays - clocks.exposure_s / 2
+    return begins
+
+
+def near(samples: VideoSamples, clocks: Clocks, begins: float, ends: float) -> Ints:
+    """Frames with a row that is exposed from `begins` to `ends`."""
+    reach = clocks.exposure_s + abs(clocks.line_s) * samples.video.size.height
+    first, last = np.searchsorted(samples.times_s, (begins - reach, ends + reach))
+    return np.arange(first, last)

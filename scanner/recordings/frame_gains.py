@@ -1,0 +1,43 @@
+"""Frames of one picture against each other: how bright each is, and which shows something else."""
+
+import numpy as np
+
+from calib.numerics import Floats
+from scanner.recordings.clocks import Clocks
+from scanner.recordings.exposed import alone, begins_of, margin_s, near
+from scanner.recordings.programme import Programme
+from scanner.recordings.samples import VideoSamples
+
+# Frames that differ from the others of their picture: by so much of the range, and so often the usual difference.
+_ODD, _ODD_TIMES = 0.04, 4.0
+_FEWEST = 3
+
+
+def frame_gains(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Floats:
+    """(N,): the brightness of each frame relative to the others of its picture; 0 of one that shows another picture.
+
+    Frames that show no single picture have 1.
+    """
+    gains = np.ones(len(samples.times_s))
+    odd, measured = np.zeros(len(gains)), np.zeros(len(gains), np.bool_)
+    for loop in range(len(clocks.loops)):
+        changes = clocks.changes(loop)
+        for slot in range(len(programme.mark), len(programme.loop) - len(programme.mark)):
+            begins, ends = changes[slot : slot + 2]
+            group = near(samples, clocks, begins, ends)
+            exposed = begins_of(samples, clocks, group, samples.rows)
+            group = group[alone(exposed, clocks.exposure_s, (begins, ends), margin_s(clocks)).mean(axis=1) > 0.5]
+            if len(group) < _FEWEST:
+                continue
+            seen = samples.light(clocks.tone, group)[:, samples.lit].astype(np.float64)
+            middle = np.median(seen, axis=0)
+            gain = (seen @ middle) / max(float(middle @ middle), 1e-12)
+            gains[group] = gain
+            odd[group] = np.sqrt(np.mean((seen - gain[:, None] * middle) ** 2, axis=1)) / max(
+                float(middle.max()), 1e-12
+            )
+            measured[group] = True
+    if measured.any():
+        limit = max(_ODD, _ODD_TIMES * float(np.median(odd[measured])))
+        gains[odd > limit] = 0.0
+    return gains

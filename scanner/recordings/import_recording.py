@@ -1,0 +1,114 @@
+"""From a recording to a capture folder."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from scanner.capture import CAPTURE_FILE
+from scanner.io import flow_yaml, write_png
+from scanner.patterns import FORMAT, frame_line, size_to_dict
+from scanner.recordings.averaging import average, image_of
+from scanner.recordings.clock_fit import fit_clocks
+from scanner.recordings.clocks import Clocks
+from scanner.recordings.noise import noise_of
+from scanner.recordings.programme import Programme
+from scanner.recordings.samples import VideoSamples, take_samples
+from scanner.recordings.start_marks import find_loops
+from scanner.recordings.steadiness import exposure_range, moved_px, notes_on, white_frames
+from scanner.recordings.video_file import open_video
+from scanner.recordings.weights import PictureWeights, picture_weights
+from scanner.ui import Progress
+
+_PPM = 1e6
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What was found out about a recording; `frames_per_picture`: on average over pictures and rows."""
+
+    clocks: Clocks
+    frames_per_picture: float
+    notes: tuple[str, ...]
+
+
+def import_recording(path: Path, programme: Programme, folder: Path, progress: Progress) -> Imported:
+    """`capture.yaml` and `frames/`, into an existing folder. Raises InputError, OSError."""
+    video = open_video(path)
+    samples = take_samples(video, progress)
+    found = find_loops(samples, programme)
+    with progress.step("Finding both clocks"):
+        clocks = fit_clocks(samples, programme, found.loops)
+        weights = picture_weights(samples, programme, clocks)
+    whites = white_frames(samples, programme, clocks)
+    averaged = average(video, weights, clocks.tone, len(samples.times_s), whites, progress)
+    exposure = exposure_range(samples, whites, clocks)
+    notes = (*found.notes, *_on_changes(clocks), *_on_rows(weights), *notes_on(path, moved_px(averaged.kept), exposure))
+    imported = Imported(clocks, float(np.mean([_frames(each) for each in weights])), notes)
+    noise = noise_of(samples, weights, clocks)
+    (folder / "frames").mkdir()
+    lines = [f"{flow_yaml(key)}: {flow_yaml(value)}\n" for key, value in _header(samples, programme, imported).items()]
+    lines.append("frames:\n")
+    pictures = zip(averaged.pictures, programme.patterns, weights, noise, strict=True)
+    for number, (light, pattern, each, sigma) in enumerate(
+        progress.track(pictures, len(weights), "Writing the frames")
+    ):
+        file = f"frames/{number:03d}.png"
+        write_png(folder / file, image_of(light, video.quarter_turns))
+        more = {"averaged": round(_frames(each), 2), "alone": round(each.alone, 3), "noise": float(f"{sigma:.3g}")}
+        lines.append(frame_line(file, pattern, **more))
+    (folder / CAPTURE_FILE).write_text("".join(lines), encoding="utf-8")
+    return imported
+
+
+def _frames(weights: PictureWeights) -> float:
+    """How many frames make a picture: the median over its rows."""
+    return float(np.median(np.count_nonzero(weights.weights, axis=0)))
+
+
+def _header(samples: VideoSamples, programme: Programme, imported: Imported) -> dict[str, object]:
+    clocks, (width, height) = imported.clocks, samples.video.size
+    upright = (height, width) if samples.video.quarter_turns % 2 else (width, height)
+    slot_s = float(np.mean([loop.slot_s for loop in clocks.loops]))
+    found = {
+        "file": samples.video.path.name,
+        "frames": len(samples.times_s),
+        "frames_per_second": round(1 / samples.frame_interval_s, 3),
+        "exposure_ms": round(1e3 * clocks.exposure_s, 2),
+        "readout_ms": round(1e3 * clocks.line_s * height, 2),
+        "projector_slower_ppm": round(_PPM * (slot_s / programme.hold_s - 1)),
+        "scatter_of_changes_ms": round(1e3 * clocks.scatter_s, 2),
+        "tone_exponent": round(clocks.tone.exponent, 3),
+        "tone_contrast": round(clocks.tone.contrast, 3),
+        "loops_s": [round(float(loop.start_s), 4) for loop in clocks.loops],
+        "notes": list(imported.notes),
+    }
+    return {
+        "format": FORMAT,
+        "projector": size_to_dict(programme.size),
+        "camera": size_to_dict(upright),
+        "imported from": "a recording",
+        "recording": found,
+    }
+
+
+def _on_changes(clocks: Clocks) -> tuple[str, ...]:
+    shifts = np.abs(np.concatenate(clocks.shifts_s))
+    late = int(np.count_nonzero(shifts))
+    if not late:
+        return ()
+    return (
+        f"{late} changes of the picture came up to {1e3 * shifts.max():.0f} ms off their time, which was followed: "
+        "the player or the camera dropped frames or showed some twice.",
+    )
+
+
+def _on_rows(weights: list[PictureWeights]) -> tuple[str, ...]:
+    unmixed = 1 - float(np.mean([each.alone for each in weights]))
+    lost = float(np.mean([np.mean(~each.weights.any(axis=0)) for each in weights]))
+    notes = []
+    if unmixed > 0:
+        notes.append(f"{unmixed:.1%} of the pictures' rows were unmixed from frames that show two pictures.")
+    if lost > 0:
+        notes.append(f"{lost:.1%} of the pictures' rows are lost: they could not be told from their neighbours.")
+    return tuple(notes)

@@ -1,0 +1,17 @@
+"""PyAV, which reads and writes video, imported where it is used: it is an extra."""
+
+from types import ModuleType
+
+from hw.optional_parts import VIDEO
+from scanner.errors import InputError
+
+
+def av() -> ModuleType:
+    """Raise InputError that names the extra if PyAV cannot be imported."""
+    try:
+        import av as library
+    except ImportError as error:
+        raise InputError(VIDEO.missing("video", "av")) from error
+    library.logging.set_level(library.logging.PANIC)  # what is wrong with a file is told once, by an exception
+    module: ModuleType = library
+    return module

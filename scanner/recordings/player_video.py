@@ -1,0 +1,55 @@
+"""Writing a sequence as a video that players show: H.264, 4:2:0, constant rate, nearly lossless."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scanner.errors import InputError
+from scanner.patterns import draw
+from scanner.recordings.libav import av
+from scanner.recordings.programme import BLACK, FRAMES_PER_SECOND, LEAD_IN_S, LEAD_OUT_S, WHITE, Programme
+
+CONTAINERS = (".mp4", ".mov", ".mkv")
+# A quality at which no grey level is off by more than one or two; lossless H.264 is a profile that few players have.
+_QUANTISER = "4"
+_BLACK_LEVEL, _LEVELS = 16, 219  # of luma (ITU-R BT.709): players know no other range for certain
+_NO_COLOUR = 128
+_LIMITED_RANGE, _BT_709 = 1, 1
+
+
+def write_player_video(path: Path, programme: Programme) -> None:
+    """Raises InputError for a projector with an odd side, or if PyAV is missing."""
+    width, height = programme.size
+    if width % 2 or height % 2:
+        raise InputError(f"a video needs an even width and height, found {width} × {height}: set projector.width to it")
+    library = av()
+    with library.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=FRAMES_PER_SECOND)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.options = {"qp": _QUANTISER, "preset": "medium", "bf": "0", "g": str(FRAMES_PER_SECOND)}
+        context = stream.codec_context
+        context.color_range, context.colorspace = _LIMITED_RANGE, _BT_709
+        context.color_primaries, context.color_trc = _BT_709, _BT_709
+        number = 0
+        for picture, frames in _pictures(programme):
+            luma = np.rint(_BLACK_LEVEL + picture * (_LEVELS / 255)).astype(np.uint8)
+            planes = np.concatenate([luma, np.full((height // 2, width), _NO_COLOUR, np.uint8)])
+            for _ in range(frames):
+                frame = library.VideoFrame.from_ndarray(planes, format="yuv420p")
+                frame.pts, frame.color_range = number, _LIMITED_RANGE
+                number += 1
+                container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+
+
+def _pictures(programme: Programme) -> Iterator[tuple[NDArray[np.uint8], int]]:
+    """Each picture, and for how many frames."""
+    width, height = programme.size
+    fields = {WHITE: np.full((height, width), 255, np.uint8), BLACK: np.zeros((height, width), np.uint8)}
+    hold = round(programme.hold_s * FRAMES_PER_SECOND)
+    yield fields[BLACK], round(LEAD_IN_S * FRAMES_PER_SECOND)
+    for shown in programme.slots:
+        yield fields[shown] if shown in fields else draw(programme.patterns[shown], programme.size), hold
+    yield fields[BLACK], round(LEAD_OUT_S * FRAMES_PER_SECOND)

@@ -1,0 +1,134 @@
+"""What a video of a sequence shows when: a start mark before each loop and after the last one, each picture as long.
+
+The start mark is a rhythm of white and black fields. It needs no geometry: the pictures are decoded in pixels of the
+video, so that a player that scales them resamples them, and a mirrored picture shows in what is decoded.
+"""
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil
+from pathlib import Path
+
+from pydantic import Field
+
+from calib.geometry import Size
+from scanner.errors import InputError
+from scanner.io import Entry, Number, Whole, read_yaml, validate
+from scanner.patterns import FORMAT, Pattern, PatternEntry, pattern_to_dict
+
+FRAMES_PER_SECOND = 60  # what a projector of 60 Hz shows without judder
+WHITE, BLACK = -1, -2
+# Barker's word of seven: shifted against itself it agrees with itself nowhere (Barker, 1953).
+_RHYTHM = (1, 1, 1, 0, 0, 1, 0)
+_ID_BITS = 8
+_SHORTEST_S, _LONGEST_S, _MOST_LOOPS = 0.05, 10.0, 20
+LEAD_IN_S, LEAD_OUT_S = 2.0, 1.0  # black: players show their buttons at the beginning
+
+
+@dataclass(frozen=True)
+class Programme:
+    """Patterns for a projector of `size`, each shown for `hold_s`, all of them `loops` times.
+
+    Raises ValueError for a duration or a number of loops that no video has.
+    """
+
+    patterns: tuple[Pattern, ...]
+    size: Size
+    hold_s: float
+    loops: int
+
+    def __post_init__(self) -> None:
+        if not _SHORTEST_S - 1e-6 <= self.hold_s <= _LONGEST_S:
+            raise ValueError(f"expected {_SHORTEST_S:.3f} to {_LONGEST_S:g} seconds for a picture, found {self.hold_s}")
+        if not 1 <= self.loops <= _MOST_LOOPS:
+            raise ValueError(f"expected 1 to {_MOST_LOOPS} loops, found {self.loops}")
+
+    @cached_property
+    def mark(self) -> tuple[int, ...]:
+        """The start mark: WHITE or BLACK in each slot of `hold_s`. Its last bits tell one sequence from another."""
+        shown = "".join(str(pattern_to_dict(pattern)) for pattern in self.patterns)
+        number = zlib.crc32(f"{tuple(self.size)} {shown}".encode()) % (1 << _ID_BITS)
+        bits = (0, *_RHYTHM, *(number >> bit & 1 for bit in range(_ID_BITS)), 0)
+        return tuple(WHITE if bit else BLACK for bit in bits)
+
+    @cached_property
+    def rhythm_slots(self) -> int:
+        """How many slots of the mark are the same for every sequence."""
+        return 1 + len(_RHYTHM)
+
+    @property
+    def longest_white(self) -> int:
+        """The slot of a mark that is white and has white before and after it."""
+        return 2
+
+    @cached_property
+    def loop(self) -> tuple[int, ...]:
+        """What each slot shows from a start mark to the end of the next one: WHITE, BLACK, or a pattern's number."""
+        return (*self.mark, *range(len(self.patterns)), *self.mark)
+
+    @property
+    def slots_between_marks(self) -> int:
+        """From the beginning of a mark to that of the next."""
+        return len(self.mark) + len(self.patterns)
+
+    @property
+    def slots(self) -> tuple[int, ...]:
+        """What the whole video shows, without the black before and after it."""
+        return self.loops * self.loop[: self.slots_between_marks] + self.mark
+
+    @property
+    def length_s(self) -> float:
+        """How long the video is."""
+        return LEAD_IN_S + len(self.slots) * self.hold_s + LEAD_OUT_S
+
+    def as_dict(self, file: str) -> dict[str, object]:
+        """What `sequence.yaml` says of a video."""
+        return {"file": file, "frames_per_second": FRAMES_PER_SECOND, "hold_s": self.hold_s, "loops": self.loops}
+
+
+def programme_of(patterns: Sequence[Pattern], size: Size, hold_s: float, loops: int) -> Programme:
+    """With pictures of whole video frames, of `hold_s` at least. Raises ValueError.
+
+    Of an odd number of frames: a camera at half the rate then meets changes at two moments of its frames, without which
+    it could not tell exposure and line time apart from the phase of both clocks.
+    """
+    frames = ceil(hold_s * FRAMES_PER_SECOND - 1e-6) | 1
+    return Programme(tuple(patterns), size, frames / FRAMES_PER_SECOND, loops)
+
+
+class _Sides(Entry):
+    width: Whole = Field(ge=2)
+    height: Whole = Field(ge=2)
+
+
+class _Shown(Entry):
+    pattern: PatternEntry
+
+
+class _Video(Entry):
+    hold_s: Number
+    loops: Whole
+
+
+class _SequenceEntry(Entry):
+    format: Whole = Field(ge=FORMAT, le=FORMAT)
+    projector: _Sides
+    frames: list[_Shown] = Field(min_length=1)
+    video: _Video
+
+
+def read_programme(path: Path) -> Programme:
+    """What `scan patterns --video` wrote beside its video. Raises InputError."""
+    data = read_yaml(path)
+    if isinstance(data, dict) and "video" not in data:
+        raise InputError(f"{path}: expected the sequence.yaml of a video, as scan patterns --video writes it")
+    entry = validate(_SequenceEntry, data, str(path))
+    patterns = tuple(shown.pattern.pattern() for shown in entry.frames)
+    try:
+        return Programme(
+            patterns, Size(entry.projector.width, entry.projector.height), entry.video.hold_s, entry.video.loops
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: video: {error}") from error

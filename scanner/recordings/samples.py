@@ -1,0 +1,78 @@
+"""Some pixels of every frame of a recording: enough to tell both clocks, the tone curve and what the camera did."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Bools, Floats, Ints
+from scanner.errors import InputError
+from scanner.recordings.tone_curve import ToneCurve
+from scanner.recordings.video_file import VideoFile
+from scanner.ui import Progress
+
+Light = NDArray[np.float32]
+
+_ROWS, _COLUMNS = 40, 64
+_EDGE = 0.02  # of the height, above and below, where little is lit
+_SEED = 1
+_LIT = 0.25  # of the range of the best lit samples
+_WELL_LIT = 98.0
+_LEAST_RANGE = 0.04  # of the range of luma: less is noise
+
+
+@dataclass(frozen=True)
+class VideoSamples:
+    """`codes` (N, R, C) of luma at `rows` (R,), at the same C columns in all of them; `times_s` (N,) of the frames."""
+
+    codes: NDArray[np.unsignedinteger[Any]]
+    times_s: Floats
+    rows: Floats
+    video: VideoFile
+
+    def light(self, tone: ToneCurve, numbers: Ints) -> Light:
+        """(n, R, C): 0 to 1, of frames (n,)."""
+        light: Light = self.video.codes.light(tone)[self.codes[numbers]]
+        return light
+
+    @property
+    def middle_row(self) -> float:
+        """The row whose exposure's middle a frame's time is taken to be."""
+        return (self.video.size.height - 1) / 2
+
+    @cached_property
+    def frame_interval_s(self) -> float:
+        """The usual one."""
+        return float(np.median(np.diff(self.times_s)))
+
+    @cached_property
+    def range(self) -> Floats:
+        """(R, C): from the darkest to the brightest frame, without the extreme ones, relative to that of luma."""
+        low, high = np.percentile(self.codes, (2, 98), axis=0)
+        spread: Floats = (high - low) / (self.video.codes.white - self.video.codes.black)
+        return spread
+
+    @cached_property
+    def lit(self) -> Bools:
+        """(R, C): samples that the projector lights. Raises InputError if nothing changes."""
+        most = float(np.percentile(self.range, _WELL_LIT))
+        if most < _LEAST_RANGE:
+            raise InputError(f"{self.video.path}: nothing in it changes its brightness: no start mark was filmed")
+        lit: Bools = self.range > _LIT * most
+        return lit
+
+
+def take_samples(video: VideoFile, progress: Progress) -> VideoSamples:
+    """Read all of a recording once. Raises InputError."""
+    width, height = video.size
+    rng = np.random.default_rng(_SEED)  # not regular: a grid would beat with the stripes
+    rows = np.unique(np.linspace(_EDGE * height, (1 - _EDGE) * (height - 1), _ROWS).astype(np.intp))
+    columns = np.sort(rng.choice(width, min(_COLUMNS, width), replace=False))
+    times, codes = list[float](), list[NDArray[np.unsignedinteger[Any]]]()
+    for time_s, luma in progress.track(video.frames(), video.expected_frames, "Looking at the frames"):
+        times.append(time_s)
+        codes.append(luma[np.ix_(rows, columns)])
+    stacked = np.stack(codes)
+    return VideoSamples(stacked, np.array(times), rows.astype(np.float64), video)

@@ -1,0 +1,120 @@
+"""Reading a recording: the luma of its frames with their times."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.geometry import Size
+from calib.numerics import Image
+from scanner.errors import InputError
+from scanner.recordings.libav import av
+from scanner.recordings.tone_curve import LumaCodes
+
+_FULL_RANGE = 2
+_FEWEST_FRAMES = 10
+_LUMA_FIRST = ("yuv", "nv", "gray", "p0")  # formats whose first plane is luma
+
+
+@dataclass(frozen=True)
+class VideoFile:
+    """A recording that can be read. `size`: as coded, before it is turned by `quarter_turns` counterclockwise.
+
+    `codes`: of its luma. `expected_frames`: as the file says, 0 if it does not.
+    """
+
+    path: Path
+    size: Size
+    quarter_turns: int
+    codes: LumaCodes
+    expected_frames: int
+
+    def frames(self) -> Iterator[tuple[float, Image]]:
+        """Time in seconds and luma (H, W), 8 or 16 bit, of each frame, in the order of their times.
+
+        Raises InputError if a frame is of another size or interlaced. A file that ends early is read as far as it goes.
+        """
+        with _opened(self.path) as (container, stream):
+            stream.thread_type = "AUTO"
+            per_frame = 1 / float(stream.average_rate or 30)
+            last = -np.inf
+            for number, frame in enumerate(_decoded(container, stream)):
+                if (frame.width, frame.height) != self.size:
+                    raise InputError(
+                        f"{self.path}: expected frames of {self.size}, found {frame.width} × {frame.height}"
+                    )
+                if frame.interlaced_frame:
+                    raise InputError(f"{self.path}: is interlaced: record progressive frames, as in 1080p")
+                time_s = frame.time if frame.time is not None else number * per_frame
+                if time_s > last:  # a frame of the same time is a repeat
+                    last = time_s
+                    yield float(time_s), _luma(frame)
+
+
+def open_video(path: Path) -> VideoFile:
+    """Look at the first frames. Raises InputError for what is no recording."""
+    if not path.is_file():
+        raise InputError(
+            f"{path}: expected a recording (mp4, mov, mkv), found {'a folder' if path.is_dir() else 'no such file'}"
+        )
+    with _opened(path) as (container, stream):
+        first = next(_decoded(container, stream), None)
+        if first is None:
+            raise InputError(f"{path}: no frame can be read: copy the file again, or record again")
+        count = 1 + sum(1 for _, _ in zip(range(_FEWEST_FRAMES - 1), _decoded(container, stream), strict=False))
+        if count < _FEWEST_FRAMES:
+            raise InputError(f"{path}: expected a recording, found {count} frame{'s' * (count > 1)}: is it a still?")
+        bits = _bits(first)
+        full = first.color_range == _FULL_RANGE or first.format.name.startswith("yuvj")
+        scale = 1 << bits - 8
+        black, white = (0, 255 * scale + scale - 1) if full else (16 * scale, 235 * scale)
+        turns = round((first.rotation or 0) / 90) % 4
+        return VideoFile(path, Size(first.width, first.height), turns, LumaCodes(black, white), stream.frames or 0)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    library = av()
+    try:
+        with library.open(str(path)) as container:
+            if not container.streams.video:
+                raise InputError(f"{path}: expected a recording, found a file without pictures")
+            yield container, container.streams.video[0]
+    except (library.FFmpegError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{path}: expected a recording (mp4, mov, mkv), found what cannot be read as one "
+            f"({getattr(error, 'strerror', None) or error}): copy the file again, whole"
+        ) from error
+
+
+def _decoded(container: Any, stream: Any) -> Iterator[Any]:
+    """The frames up to the first that cannot be read, where a file was cut off."""
+    library = av()
+    any_yet = False
+    try:
+        for frame in container.decode(stream):
+            any_yet = True
+            yield frame
+    except library.FFmpegError:
+        if not any_yet:
+            raise
+
+
+def _bits(frame: Any) -> int:
+    return int(frame.format.components[0].bits) if frame.format.name.startswith(_LUMA_FIRST) else 8
+
+
+def _luma(frame: Any) -> Image:
+    """(H, W); colours that are no luma and chroma are converted."""
+    name = frame.format.name
+    if not name.startswith(_LUMA_FIRST):
+        frame = frame.reformat(format="yuv420p")
+    plane, bits = frame.planes[0], _bits(frame)
+    shape = -1, plane.line_size // (2 if bits > 8 else 1)
+    if bits == 8:
+        return np.frombuffer(plane, np.uint8).reshape(shape)[: frame.height, : frame.width]
+    rows = np.frombuffer(plane, np.uint16).reshape(shape)[: frame.height, : frame.width]
+    return rows >> np.uint16(16 - bits) if name.startswith("p0") else rows  # the bits are the upper ones there

@@ -1,0 +1,124 @@
+"""Of which frames, row by row, each picture is made: those in which it alone was lit, or what frames of known shares
+are unmixed to.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.numerics import Bools, Floats, Ints
+from scanner.errors import InputError
+from scanner.recordings.clocks import Clocks
+from scanner.recordings.exposed import alone, begins_of, margin_s, near
+from scanner.recordings.frame_gains import frame_gains
+from scanner.recordings.programme import Programme
+from scanner.recordings.samples import VideoSamples
+
+_SHORT_MARGIN_S = 0.002  # next to a change, where no frame keeps the usual distance
+_NEIGHBOURS = 2  # pictures before and after that may be unmixed with one
+_RIDGE = 0.03  # what a share may be wrong by
+_LEAST_RESOLVED, _MOST_NOISE = 0.9, 4.0
+_MOST_ROWS_LOST = 0.3
+
+
+@dataclass(frozen=True)
+class PictureWeights:
+    """A picture is the sum of frames `numbers` (n,) times `weights` (n, H); rows without any weight are lost.
+
+    `noise` (H,): of the picture relative to that of one frame. `alone`: the share of rows from frames of it only.
+    """
+
+    numbers: Ints
+    weights: Floats
+    noise: Floats
+    alone: float
+
+
+def picture_weights(samples: VideoSamples, programme: Programme, clocks: Clocks) -> list[PictureWeights]:
+    """One for each pattern. Raises InputError if a picture cannot be told from its neighbours in many rows."""
+    gains = frame_gains(samples, programme, clocks)
+    found = [_weights(samples, programme, clocks, pattern, gains) for pattern in range(len(programme.patterns))]
+    lost = max(float(np.mean(~each.weights.any(axis=0))) for each in found)
+    if lost > _MOST_ROWS_LOST:
+        raise InputError(
+            f"{samples.video.path}: in {lost:.0%} of the rows a picture of {programme.hold_s:.3f} s is in no frame by "
+            f"itself, nor to be told from its neighbours, at {1 / samples.frame_interval_s:.1f} frames a second and an "
+            f"exposure of 1/{1 / clocks.exposure_s:.0f} s: expose shorter, or write the video with a longer --hold"
+        )
+    return found
+
+
+def _slots(programme: Programme, clocks: Clocks, pattern: int) -> list[tuple[int, int]]:
+    """(loop, slot) in which a pattern was shown."""
+    slot = len(programme.mark) + pattern
+    return [(number, slot) for number in range(len(clocks.loops))]
+
+
+def _weights(
+    samples: VideoSamples, programme: Programme, clocks: Clocks, pattern: int, gains: Floats
+) -> PictureWeights:
+    rows = np.arange(samples.video.size.height, dtype=np.float64)
+    numbers = list[Ints]()
+    usual, close = list[Bools](), list[Bools]()
+    for loop, slot in _slots(programme, clocks, pattern):
+        begins, ends = clocks.changes(loop)[slot : slot + 2]
+        frames = near(samples, clocks, begins, ends)
+        exposed = begins_of(samples, clocks, frames, rows)
+        numbers.append(frames)
+        for margin, found in ((margin_s(clocks), usual), (max(_SHORT_MARGIN_S, clocks.scatter_s), close)):
+            within = alone(exposed, clocks.exposure_s, (begins, ends), margin)
+            found.append(within & (gains[frames] > 0)[:, None])
+    number, far, any_distance = np.concatenate(numbers), np.concatenate(usual), np.concatenate(close)
+    chosen = np.where(far.any(axis=0), far, any_distance)
+    count = chosen.sum(axis=0)
+    weights = chosen / np.maximum(count, 1) / np.where(gains[number] > 0, gains[number], 1)[:, None]
+    mixed = np.flatnonzero(count == 0)
+    if mixed.size:
+        number, weights = _unmixed(samples, programme, clocks, pattern, number, weights, mixed)
+    used = weights.any(axis=1)
+    return PictureWeights(number[used], weights[used], np.linalg.norm(weights, axis=0), 1 - len(mixed) / len(rows))
+
+
+def _unmixed(
+    samples: VideoSamples,
+    programme: Programme,
+    clocks: Clocks,
+    pattern: int,
+    number: Ints,
+    weights: Floats,
+    mixed: Ints,
+) -> tuple[Ints, Floats]:
+    """The same with the rows `mixed` by least squares from frames of it and its neighbours, whose shares are known."""
+    shares, frames = [], []
+    unknown = {shown: column for column, shown in enumerate(_around(programme, pattern))}
+    for loop, slot in _slots(programme, clocks, pattern):
+        changes = clocks.changes(loop)
+        first, last = slot - _NEIGHBOURS, min(slot + _NEIGHBOURS, len(programme.loop) - 1)
+        seen = near(samples, clocks, changes[first], changes[last + 1])
+        begins = begins_of(samples, clocks, seen, mixed.astype(np.float64))
+        share = np.zeros((*begins.shape, len(unknown)))
+        for other in range(first, last + 1):
+            overlap = np.minimum(begins + clocks.exposure_s, changes[other + 1]) - np.maximum(begins, changes[other])
+            share[..., unknown[programme.loop[other]]] += np.clip(overlap / clocks.exposure_s, 0, 1)
+        # A frame that shows others as well says nothing in that row.
+        share *= (share.sum(axis=2) > 1 - 1e-6)[..., None]
+        shares.append(share)
+        frames.append(seen)
+    share, frame = np.concatenate(shares).transpose(1, 0, 2), np.concatenate(frames)
+    column = unknown[pattern]
+    normal = np.swapaxes(share, 1, 2) @ share + _RIDGE**2 * np.eye(len(unknown))
+    solved = np.linalg.solve(normal, np.swapaxes(share, 1, 2))[:, column]  # (rows, frames)
+    resolved = np.einsum("rn,rn->r", solved, share[:, :, column])
+    noise = np.linalg.norm(solved, axis=1)
+    good = (resolved > _LEAST_RESOLVED) & (noise < _MOST_NOISE)
+    both = np.union1d(number, frame)
+    total = np.zeros((len(both), weights.shape[1]))
+    total[np.searchsorted(both, number)] = weights
+    total[np.ix_(np.searchsorted(both, frame), mixed[good])] += solved[good].T
+    return both, total
+
+
+def _around(programme: Programme, pattern: int) -> list[int]:
+    """What is shown within `_NEIGHBOURS` slots of a pattern, each once."""
+    slot = len(programme.mark) + pattern
+    return list(dict.fromkeys(programme.loop[slot - _NEIGHBOURS : slot + _NEIGHBOURS + 1]))
