@@ -7,7 +7,13 @@ from scanner.recordings import import_recording, read_programme
 from scanner.results import OutputFolder
 from scanner.ui import Terminal
 
-_OF_FRAMES = {"layout": "--from", "projector": "--projector", "cell": "--cell", "frames": "--frames", "order": "--order"}
+_OF_FRAMES = {
+    "layout": "--from",
+    "projector": "--projector",
+    "cell": "--cell",
+    "frames": "--frames",
+    "order": "--order",
+}
 
 
 def run(args: Namespace) -> None:
@@ -28,4 +34,5 @@ def run(args: Namespace) -> None:
         f"{len(programme.patterns)} pictures of {imported.frames_per_picture:.1f} frames each, and capture.yaml, "
         f"are in {args.out}; exposure {1e3 * clocks.exposure_s:.1f} ms, {loops} loop{'s' * (loops > 1)}",
         *imported.notes,
+        f"→ scan replay {args.out} reconstructs it.",
     )

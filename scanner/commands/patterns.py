@@ -35,8 +35,8 @@ def run(args: Namespace) -> None:
     if programme:
         terminal.show(
             f"{args.video}, {programme.length_s:.0f} s, is there, too.",
-            f"→ Show it and film it, as docs/phone.md says; scan import FILM --sequence {args.out / SEQUENCE_FILE} --out "
-            "CAPTURE makes a capture of the film.",
+            "→ Show it and film it, as docs/phone.md says; "
+            f"scan import FILM --sequence {args.out / SEQUENCE_FILE} --out CAPTURE makes a capture of the film.",
         )
         return
     terminal.show(

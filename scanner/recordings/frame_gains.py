@@ -7,10 +7,12 @@ from scanner.recordings.clocks import Clocks
 from scanner.recordings.exposed import alone, begins_of, margin_s, near
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
+from scanner.recordings.steadiness import white_frames
 
 # Frames that differ from the others of their picture: by so much of the range, and so often the usual difference.
 _ODD, _ODD_TIMES = 0.04, 4.0
 _FEWEST = 3
+_WEAK = 0.05  # of white: so dark, a gain is half believed
 
 
 def frame_gains(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Floats:
@@ -18,6 +20,8 @@ def frame_gains(samples: VideoSamples, programme: Programme, clocks: Clocks) -> 
 
     Frames that show no single picture have 1.
     """
+    mark = white_frames(samples, programme, clocks)
+    white = float(np.median(samples.light(clocks.tone, mark)[:, samples.lit]))
     gains = np.ones(len(samples.times_s))
     odd, measured = np.zeros(len(gains)), np.zeros(len(gains), np.bool_)
     for loop in range(len(clocks.loops)):
@@ -31,11 +35,11 @@ def frame_gains(samples: VideoSamples, programme: Programme, clocks: Clocks) -> 
                 continue
             seen = samples.light(clocks.tone, group)[:, samples.lit].astype(np.float64)
             middle = np.median(seen, axis=0)
-            gain = (seen @ middle) / max(float(middle @ middle), 1e-12)
+            # A dark picture tells little of how bright its frames are.
+            weak = len(middle) * (_WEAK * white) ** 2
+            gain = (seen @ middle + weak) / (middle @ middle + weak)
             gains[group] = gain
-            odd[group] = np.sqrt(np.mean((seen - gain[:, None] * middle) ** 2, axis=1)) / max(
-                float(middle.max()), 1e-12
-            )
+            odd[group] = np.sqrt(np.mean((seen - gain[:, None] * middle) ** 2, axis=1)) / white
             measured[group] = True
     if measured.any():
         limit = max(_ODD, _ODD_TIMES * float(np.median(odd[measured])))

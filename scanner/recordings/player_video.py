@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scanner.errors import InputError
 from scanner.patterns import draw
 from scanner.recordings.libav import av
 from scanner.recordings.programme import BLACK, FRAMES_PER_SECOND, LEAD_IN_S, LEAD_OUT_S, WHITE, Programme
@@ -20,10 +19,8 @@ _LIMITED_RANGE, _BT_709 = 1, 1
 
 
 def write_player_video(path: Path, programme: Programme) -> None:
-    """Raises InputError for a projector with an odd side, or if PyAV is missing."""
-    width, height = programme.size
-    if width % 2 or height % 2:
-        raise InputError(f"a video needs an even width and height, found {width} × {height}: set projector.width to it")
+    """A picture with an odd side gets another row or column. Raises InputError if PyAV is missing."""
+    width, height = (side + side % 2 for side in programme.size)
     library = av()
     with library.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=FRAMES_PER_SECOND)
@@ -34,6 +31,7 @@ def write_player_video(path: Path, programme: Programme) -> None:
         context.color_primaries, context.color_trc = _BT_709, _BT_709
         number = 0
         for picture, frames in _pictures(programme):
+            picture = np.pad(picture, [(0, 1)] * 2, mode="edge")[:height, :width]
             luma = np.rint(_BLACK_LEVEL + picture * (_LEVELS / 255)).astype(np.uint8)
             planes = np.concatenate([luma, np.full((height // 2, width), _NO_COLOUR, np.uint8)])
             for _ in range(frames):

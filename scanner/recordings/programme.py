@@ -40,8 +40,7 @@ class Programme:
     loops: int
 
     def __post_init__(self) -> None:
-        if not _SHORTEST_S - 1e-6 <= self.hold_s <= _LONGEST_S:
-            raise ValueError(f"expected {_SHORTEST_S:.3f} to {_LONGEST_S:g} seconds for a picture, found {self.hold_s}")
+        _require_duration(self.hold_s)
         if not 1 <= self.loops <= _MOST_LOOPS:
             raise ValueError(f"expected 1 to {_MOST_LOOPS} loops, found {self.loops}")
 
@@ -94,8 +93,14 @@ def programme_of(patterns: Sequence[Pattern], size: Size, hold_s: float, loops: 
     Of an odd number of frames: a camera at half the rate then meets changes at two moments of its frames, without which
     it could not tell exposure and line time apart from the phase of both clocks.
     """
+    _require_duration(hold_s)
     frames = ceil(hold_s * FRAMES_PER_SECOND - 1e-6) | 1
     return Programme(tuple(patterns), size, frames / FRAMES_PER_SECOND, loops)
+
+
+def _require_duration(hold_s: float) -> None:
+    if not _SHORTEST_S - 1e-6 <= hold_s <= _LONGEST_S + 1 / FRAMES_PER_SECOND:
+        raise ValueError(f"expected {_SHORTEST_S:g} to {_LONGEST_S:g} seconds for a picture, found {hold_s:g}")
 
 
 class _Sides(Entry):

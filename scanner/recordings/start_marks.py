@@ -18,7 +18,7 @@ _STEPS_PER_SLOT = 8
 _LEAST_CORRELATION = 0.85
 _LEAST_SWING = 0.5  # of all that the brightness does
 _FEWEST_FRAMES_PER_SLOT, _GOOD_FRAMES_PER_SLOT = 1.5, 2.5
-_MOST_STRETCH = 0.06
+_MOST_STRETCH = 0.012  # of a loop beside its marks: of a few frames that were dropped or shown twice
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def find_loops(samples: VideoSamples, programme: Programme) -> FoundLoops:
             f"{programme.hold_s:.3f} s: film with more, or write the video with a longer --hold"
         )
     brightness = _brightness(samples)
-    starts = _found(samples.times_s, brightness, programme.mark, programme.hold_s)
+    starts, rate = _found(samples.times_s, brightness, programme.mark, programme.hold_s)
     if not starts:
         _refuse(samples, brightness, programme)
     if len(starts) < 2:
@@ -57,7 +57,7 @@ def find_loops(samples: VideoSamples, programme: Programme) -> FoundLoops:
     loops, notes = list[Loop](), list[str]()
     if programme.hold_s / samples.frame_interval_s < _GOOD_FRAMES_PER_SLOT:
         notes.append("So few frames to a picture hardly tell the clocks: a longer --hold makes the capture better.")
-    expected = programme.slots_between_marks * programme.hold_s
+    expected = programme.slots_between_marks * programme.hold_s * rate
     for first, second in pairwise(starts):
         if abs((second - first) / expected - 1) < _MOST_STRETCH:
             loops.append(Loop(first, (second - first) / programme.slots_between_marks))
@@ -83,16 +83,16 @@ def _brightness(samples: VideoSamples) -> Floats:
     return relative
 
 
-def _found(times: Floats, brightness: Floats, mark: tuple[int, ...], hold_s: float) -> list[float]:
-    """Beginnings of the marks, in order; the clocks' ratio is one of `_RATES` in all of them."""
-    best: list[tuple[float, float]] = []
+def _found(times: Floats, brightness: Floats, mark: tuple[int, ...], hold_s: float) -> tuple[list[float], float]:
+    """Beginnings of the marks, in order, and the clocks' ratio, which is one of `_RATES` in all of them."""
+    best, best_rate = list[tuple[float, float]](), 1.0
     for rate in _RATES:
         found = _at_rate(times, brightness, mark, hold_s * float(rate))
         if sum(score for _, score in found) > sum(score for _, score in best):
-            best = found
+            best, best_rate = found, float(rate)
         if best and all(score > _CERTAIN for _, score in best):
             break
-    return [start for start, _ in best]
+    return [start for start, _ in best], best_rate
 
 
 def _at_rate(times: Floats, brightness: Floats, mark: tuple[int, ...], slot_s: float) -> list[tuple[float, float]]:
@@ -127,7 +127,7 @@ def _score(times: Floats, brightness: Floats, code: Floats, slot_s: float, start
 def _refuse(samples: VideoSamples, brightness: Floats, programme: Programme) -> NoReturn:
     """Raise InputError for a recording without the sequence's mark."""
     rhythm = programme.mark[: programme.rhythm_slots]
-    others = _found(samples.times_s, brightness, rhythm, programme.hold_s)
+    others, _ = _found(samples.times_s, brightness, rhythm, programme.hold_s)
     length = samples.times_s[-1] - samples.times_s[0]
     path = samples.video.path
     if others and length > len(programme.loop) * programme.hold_s / 2:

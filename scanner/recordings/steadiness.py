@@ -11,8 +11,9 @@ from scanner.recordings.clocks import Clocks
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import Light, VideoSamples
 
-_TILES = 3
-_CLEAR = 0.15  # of phase correlation's response
+_TILES, _TILE_PX = 3, 256
+_CLEAR = 0.8  # of a correlation
+_ITERATIONS = 30
 _NAMED_PX, _REFUSED_PX = 0.3, 2.0
 _NAMED_GAIN, _REFUSED_GAIN = 0.03, 0.4
 _FEWEST_CLEAR = 3
@@ -39,17 +40,26 @@ def moved_px(whites: Mapping[int, Image]) -> float:
 def _shift_px(first: Light, other: Light) -> float:
     """The median over tiles with a clear answer; 0 where there are none."""
     height, width = (side // _TILES for side in first.shape)
-    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+    tall, wide = min(height, _TILE_PX), min(width, _TILE_PX)
     shifts = []
-    for row in range(_TILES):
-        for column in range(_TILES):
-            tile = slice(row * height, (row + 1) * height), slice(column * width, (column + 1) * width)
-            (x, y), response = cv2.phaseCorrelate(
-                np.ascontiguousarray(first[tile]), np.ascontiguousarray(other[tile]), window
-            )
-            if response > _CLEAR:
-                shifts.append(np.hypot(x, y))
+    for top in range(height // 2 - tall // 2, first.shape[0] - tall + 1, height):
+        for left in range(width // 2 - wide // 2, first.shape[1] - wide + 1, width):
+            tile = slice(top, top + tall), slice(left, left + wide)
+            shift = _shift_of_tile(np.ascontiguousarray(first[tile]), np.ascontiguousarray(other[tile]))
+            if shift is not None:
+                shifts.append(shift)
     return float(np.median(shifts)) if len(shifts) >= _FEWEST_CLEAR else 0.0
+
+
+def _shift_of_tile(first: Light, other: Light) -> float | None:
+    """By maximal correlation (Evangelidis and Psarakis, TPAMI 30, 2008); None where nothing agrees well."""
+    at_rest = np.eye(2, 3, dtype=np.float32)
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _ITERATIONS, 1e-4)
+    try:
+        clear, move = cv2.findTransformECC(first, other, at_rest, cv2.MOTION_TRANSLATION, criteria)
+    except cv2.error:  # no texture, or it does not converge
+        return None
+    return float(np.hypot(move[0, 2], move[1, 2])) if clear > _CLEAR else None
 
 
 def exposure_range(samples: VideoSamples, numbers: Ints, clocks: Clocks) -> float:

@@ -29,6 +29,8 @@ NOT_RUN = {
     "scan new my-room.yaml --rig aravis": "asks devices; its own tests do",
     "scan console": "serves until it is stopped",
     "scan view": "serves until it is stopped",
+    "scan import recording.mp4": "needs a film; its own tests have them",
+    "scan replay my-film": "needs a film; its own tests have them",
     "scan photos": "needs two photographs",
     "scan accept": "needs scans of a ball bar",
     "scan board my-captures": "needs captures of a board",

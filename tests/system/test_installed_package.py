@@ -45,7 +45,14 @@ ASKED: dict[str, list[tuple[tuple[str, ...], int, str]]] = {
     "replay": [(("one/capture", "--out", "again"), 0, "→ ")],
     "calibrate": [(("one", "--config", "room.yaml", "--out", "from-matches"), 0, "→ ")],
     "batch": [(("one", "--config", "room.yaml", "--out", "many", "--workers", "1"), 0, "batch.csv")],
-    "patterns": [(("--config", "room.yaml", "--out", "patterns"), 0, "→ ")],
+    "patterns": [
+        (("--config", "room.yaml", "--out", "patterns"), 0, "→ "),
+        (
+            ("--config", "room.yaml", "--out", "film", "--video", "film.mp4"),
+            2,
+            "video needs av, which is not installed",
+        ),
+    ],
     "devices": [((), 3, "type: ")],
     "export": [
         (("one", "--to", "opencv"), 0, "→ "),
@@ -66,6 +73,7 @@ WITH_EXTRA = {
     "batch": (("batch", "one", "--config", "room.yaml", "--out", "table", "--workers", "1"), 0, "batch.parquet"),
     "console": (("view", "nothing"), 2, "nothing"),
     "e57": (("export", "one", "--to", "e57"), 0, "→ "),
+    "video": (("patterns", "--config", "room.yaml", "--out", "film", "--video", "film.mp4"), 0, "film.mp4"),
     "rig": (("devices",), None, ""),
 }
 

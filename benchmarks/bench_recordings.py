@@ -1,0 +1,257 @@
+"""Scans from films of simulated rooms that nothing synchronised, against their truth.
+
+    python benchmarks/bench_recordings.py [--rooms 0] [--films phone slow …] [--full]
+
+Every film is of the video that `scan patterns --video` writes, by a camera of `filming/`, which shares nothing with
+what reads it: clocks 0.1 % off, any start. By default frames are of 640 × 360 and the bit rate is that of 1080p in
+proportion to the pixels; --full films 1920 × 1080 with a projector of 854 × 480 and the standard sequence. 'error' is
+the mean absolute error of (f_c, f_p, x_p, y_p), 'sigmas' the largest of the four in sigmas of its own; a film that is
+refused says why. The table's last lines sum up: what is confident and wrong has a calibration off by more than 4 sigma.
+"""
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from filming.camera import Camera, Clip, film
+from filming.player import Played, play
+from rich.console import Console
+from rich.table import Table
+
+from calib.geometry import Size
+from calib.numerics import Image
+from calib.plane_segmentation import find_faces
+from calib.refusal import RefusalError
+from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
+from hw.settings import SimulatedRigSettings
+from hw.simulated.arrays import Light
+from hw.simulated.simulation import SimulatedRoom
+from scanner.capture import open_capture
+from scanner.decoding import Decoder
+from scanner.errors import InputError
+from scanner.patterns import PRESETS, PresetName
+from scanner.quantities import intrinsic_errors_percent
+from scanner.recordings import Programme, import_recording, programme_of, write_player_video
+from scanner.ui import Terminal
+
+FULL_PIXELS = 1920 * 1080
+MOST_SIGMAS = 4.0
+
+
+@dataclass(frozen=True)
+class Filmed:
+    """A camera before a video with pictures of `hold_s`."""
+
+    camera: Camera
+    hold_s: float = 0.2
+    loops: int = 2
+
+
+def films() -> dict[str, Filmed]:
+    phone = Camera()
+
+    def of(**changes: object) -> Filmed:
+        return Filmed(replace(phone, **changes))  # type: ignore[arg-type]
+
+    return {
+        "phone": Filmed(phone),
+        "one loop": Filmed(phone, loops=1),
+        "1/30 s": of(exposure_s=1 / 30),
+        "1/120 s": of(exposure_s=1 / 120),
+        "1/1000 s": of(exposure_s=1 / 1000),
+        "readout 5 ms": of(readout_s=0.005),
+        "readout 30 ms": of(readout_s=0.03),
+        "clock −0.1 %": of(fast=-0.001),
+        "24 fps, 1/24 s": of(rate=24.0, exposure_s=1 / 24),
+        "24 fps, 1/24 s, 0.1 s": Filmed(replace(phone, rate=24.0, exposure_s=1 / 24), hold_s=0.1),
+        "60 fps": of(rate=60.0, exposure_s=1 / 120),
+        "10 Mbit/s": of(bit_rate=10e6),
+        "100 Mbit/s": of(bit_rate=100e6),
+        "HEVC, 10 bit": of(codec="libx265", ten_bit=True),
+        "linear": of(tone="linear"),
+        "filmic": of(tone="filmic"),
+        "sharpened": of(sharpening=1.0),
+        "dropped": of(dropped=(150, 151, 320)),
+        "repeated": of(repeated=(150, 151, 250, 320)),
+        "times ± 4 ms": of(jitter_s=0.004),
+        "dimming": of(gain=dimming),
+        "hunting exposure": of(gain=hunting),
+        "shaking": of(shift=shaking),
+        "a pause": of(pause=(8.0, 1.0)),
+    }
+
+
+def dimming(time_s: float) -> float:
+    return 1 - 0.004 * time_s
+
+
+def hunting(time_s: float) -> float:
+    return 1 + 0.1 * float(np.sin(2 * time_s))
+
+
+def shaking(time_s: float) -> tuple[float, float]:
+    return 0.5 * float(np.sin(3 * time_s)), 0.3 * float(np.sin(5 * time_s))
+
+
+@dataclass
+class Stage:
+    """A simulated room with what the camera sees of each picture, kept."""
+
+    room: SimulatedRoom
+    seen: dict[bytes, Light]
+
+    def light_of(self, picture: Image) -> Light:
+        key = picture.tobytes()
+        if key not in self.seen:
+            self.seen[key] = self.room.electrons(picture) / np.float32(self.room.settings.full_well_electrons)
+        return self.seen[key]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A row of the table; `sigmas` None of what was refused, whose reason is `told`."""
+
+    median_px: float | None
+    error_percent: float | None
+    sigmas: float | None
+    found: str
+    told: str
+    seconds: float
+
+
+def judged(stage: Stage, programme: Programme, recording: Path, folder: Path) -> Outcome:
+    begun = time.process_time()
+    try:
+        imported = import_recording(recording, programme, folder, Terminal(quiet=True))
+    except InputError as error:
+        return Outcome(None, None, None, "", str(error).removeprefix(f"{recording}: "), time.process_time() - begun)
+    seconds = time.process_time() - begun
+    clocks, height = imported.clocks, stage.room.renderer.shape[0]
+    found = f"{1e3 * clocks.exposure_s:.1f} ms, {1e3 * clocks.line_s * height:.1f} ms, "
+    found += f"{imported.frames_per_picture:.1f} frames"
+    capture = open_capture(folder)
+    decoder = Decoder(capture.patterns, capture.projector_size)
+    for _, frame in capture.stream().frames:
+        decoder.add(frame.image)
+    told = " ".join(imported.notes)
+    truth, calibration = stage.room.ground_truth(), stage.room.calibration
+    assert calibration is not None
+    try:
+        matches = decoder.finish().matches
+        x, y = np.rint(matches.camera_px).astype(int).T
+        median = float(np.nanmedian(np.linalg.norm(matches.projector_px - truth.projector_px[y, x], axis=1)))
+        matches = find_faces(matches, capture.camera_size, capture.projector_size).matches
+        principal_point = PrincipalPoint(calibration.camera.principal_point_px, 0.0)
+        calibrated = self_calibrate(
+            matches, capture.camera_size, capture.projector_size, principal_point=principal_point, squareness_deg=0.0
+        )
+    except (InputError, RefusalError) as error:
+        return Outcome(None, None, None, found, str(error), seconds)
+    errors = intrinsic_errors_percent(calibrated.calibration, calibration)
+    return Outcome(median, float(np.abs(errors).mean()), most_sigmas(calibrated, stage), found, told, seconds)
+
+
+def most_sigmas(calibrated: SelfCalibration, stage: Stage) -> float:
+    found, true = calibrated.calibration, stage.room.calibration
+    assert true is not None
+    camera, projector = found.sigma.camera, found.sigma.projector
+    assert camera.focal_px
+    assert projector.focal_px
+    assert projector.principal_point_px
+    off = [
+        (found.camera.focal_px[0] - true.camera.focal_px[0]) / camera.focal_px[0],
+        (found.projector.focal_px[0] - true.projector.focal_px[0]) / projector.focal_px[0],
+        (found.projector.principal_point_px[0] - true.projector.principal_point_px[0])
+        / projector.principal_point_px[0],
+        (found.projector.principal_point_px[1] - true.projector.principal_point_px[1])
+        / projector.principal_point_px[1],
+    ]
+    return float(np.abs(off).max())
+
+
+class Videos:
+    """The players' videos of one sequence, written once for each hold and number of loops."""
+
+    def __init__(self, folder: Path, preset: PresetName, size: tuple[int, int]) -> None:
+        self._folder, self._patterns, self._size = folder, PRESETS[preset].patterns(size), Size(*size)
+        self._kept: dict[tuple[float, int], tuple[Programme, Played]] = {}
+
+    def of(self, filmed: Filmed) -> tuple[Programme, Played]:
+        key = filmed.hold_s, filmed.loops
+        if key not in self._kept:
+            programme = programme_of(self._patterns, self._size, *key)
+            path = self._folder / f"video-{key[0]:g}-{key[1]}.mp4"
+            write_player_video(path, programme)
+            self._kept[key] = programme, play(path)
+        return self._kept[key]
+
+
+def outcomes(
+    seed: int, chosen: dict[str, Filmed], videos: Videos, camera_size: tuple[int, int], projector_size: tuple[int, int]
+) -> Iterator[tuple[str, Outcome]]:
+    stage = Stage(SimulatedRoom(SimulatedRigSettings(seed=seed), camera_size, projector_size), {})
+    share = camera_size[0] * camera_size[1] / FULL_PIXELS
+    for number, (name, filmed) in enumerate(chosen.items()):
+        programme, played = videos.of(filmed)
+        camera = replace(filmed.camera, bit_rate=share * filmed.camera.bit_rate, seed=1000 * seed + number)
+        start_s = float(np.random.default_rng([seed, number]).uniform(0, 1.5))
+        with tempfile.TemporaryDirectory() as folder:
+            recording, capture = Path(folder) / "film.mp4", Path(folder) / "capture"
+            capture.mkdir()
+            pause = filmed.camera.pause[1] if filmed.camera.pause else 0.0
+            film(recording, played, stage.light_of, camera, Clip(start_s, played.length_s - start_s + pause))
+            yield name, judged(stage, programme, recording, capture)
+
+
+def row(seed: int, name: str, outcome: Outcome) -> list[str]:
+    def number(value: float | None, pattern: str) -> str:
+        return "" if value is None else format(value, pattern)
+
+    return [
+        str(seed),
+        name,
+        number(outcome.median_px, ".3f"),
+        number(outcome.error_percent, ".3f"),
+        number(outcome.sigmas, ".1f"),
+        outcome.found,
+        f"{outcome.seconds:.0f}",
+        outcome.told,
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rooms", type=int, nargs="+", default=[0])
+    parser.add_argument("--films", nargs="+", choices=list(films()), default=list(films()))
+    parser.add_argument("--full", action="store_true")
+    options = parser.parse_args()
+    camera_size, projector_size = ((1920, 1080), (854, 480)) if options.full else ((640, 360), (428, 240))
+    chosen = {name: filmed for name, filmed in films().items() if name in options.films}
+    table = Table(
+        title=f"Films of {camera_size[0]} × {camera_size[1]}, projector {projector_size[0]} × {projector_size[1]}"
+    )
+    for column in ("room", "film", "median px", "error %", "sigmas", "exposure, readout, per picture", "CPU s", "told"):
+        table.add_column(column, justify="left" if column in ("film", "told") else "right")
+    results = list[Outcome]()
+    with tempfile.TemporaryDirectory() as folder:
+        videos = Videos(Path(folder), "standard", projector_size)
+        for seed in options.rooms:
+            for name, outcome in outcomes(seed, chosen, videos, camera_size, projector_size):
+                results.append(outcome)
+                table.add_row(*row(seed, name, outcome))
+                print(*row(seed, name, outcome), sep=" | ", flush=True)
+    console = Console(width=200)
+    console.print(table)
+    sure = [outcome for outcome in results if outcome.sigmas is not None]
+    wrong = sum(1 for outcome in sure if outcome.sigmas is not None and outcome.sigmas > MOST_SIGMAS)
+    console.print(
+        f"{len(results)} films: {len(sure)} calibrated, {len(results) - len(sure)} refused, {wrong} beyond 4 sigma"
+    )
+
+
+if __name__ == "__main__":
+    main()

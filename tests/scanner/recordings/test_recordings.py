@@ -1,0 +1,75 @@
+"""Films of a simulated room become captures that decode as well as frames that were taken one by one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from filming.camera import Camera
+
+from scanner.capture.recording import open_capture
+from scanner.decoding.decoder import Decoder
+from tests.support.command_line import run
+from tests.support.filmed_room import BIT_RATE, CAMERA, PROJECTOR, FilmedRoom
+
+pytestmark = pytest.mark.xdist_group("recordings")
+
+
+def imported(filmed: FilmedRoom, recording: Path, out: Path) -> dict[str, float]:
+    """What was found out about a recording."""
+    assert run("import", recording, "--sequence", filmed.sequence, "--out", out, "--quiet") == 0
+    found: dict[str, float] = yaml.safe_load((out / "capture.yaml").read_text(encoding="utf-8"))["recording"]
+    return found
+
+
+def median_error_px(filmed: FilmedRoom, capture: Path) -> float:
+    recording = open_capture(capture)
+    assert (recording.camera_size, recording.projector_size) == (CAMERA, PROJECTOR)
+    decoder = Decoder(recording.patterns, recording.projector_size)
+    for _, frame in recording.stream().frames:
+        decoder.add(frame.image)
+    matches = decoder.finish().matches
+    x, y = np.rint(matches.camera_px).astype(int).T
+    error = np.linalg.norm(matches.projector_px - filmed.room.ground_truth().projector_px[y, x], axis=1)
+    assert len(matches) > 0.5 * np.count_nonzero(np.isfinite(filmed.room.ground_truth().projector_px[..., 0]))
+    return float(np.nanmedian(error))
+
+
+def test_a_phones_clocks_are_found_and_its_film_decodes(filmed: FilmedRoom, recording: Path, tmp_path: Path) -> None:
+    found = imported(filmed, recording, tmp_path / "capture")
+    # The projector's answer adds 2 ms to the exposure of 16.7, and its scanning out takes 8 off the readout of 20.
+    assert 15 < found["exposure_ms"] < 21
+    assert 9 < found["readout_ms"] < 15
+    assert -1400 < found["projector_slower_ppm"] < -600
+    assert 2.0 < found["tone_exponent"] < 2.6
+    assert 0.01 < median_error_px(filmed, tmp_path / "capture") < 0.12
+    frames = yaml.safe_load((tmp_path / "capture" / "capture.yaml").read_text(encoding="utf-8"))["frames"]
+    assert all(4 <= frame["averaged"] <= 6 and frame["alone"] == 1 and 1e-4 < frame["noise"] < 0.02 for frame in frames)
+
+
+def test_a_film_in_ten_bits_with_repeated_frames(filmed: FilmedRoom, tmp_path: Path) -> None:
+    camera = Camera(
+        rate=25, exposure_s=1 / 200, ten_bit=True, bit_rate=BIT_RATE, tone="filmic", repeated=(100, 101, 201)
+    )
+    found = imported(filmed, filmed.film("fast.mov", camera), tmp_path / "capture")
+    assert 24.9 < found["frames_per_second"] < 25.1
+    assert 0.005 < median_error_px(filmed, tmp_path / "capture") < 0.12
+
+
+def test_a_camera_that_moves_and_changes_its_exposure_is_told(filmed: FilmedRoom, tmp_path: Path) -> None:
+    unsteady = Camera(
+        bit_rate=BIT_RATE, gain=lambda time_s: 1 - 0.012 * time_s, shift=lambda time_s: (0.1 * time_s, 0.0)
+    )
+    found = imported(filmed, filmed.film("unsteady.mp4", unsteady), tmp_path / "capture")
+    notes = str(found["notes"])
+    assert "The picture moved by 0." in notes or "The picture moved by 1." in notes
+    assert "exposure changed by 1" in notes
+
+
+def test_a_film_without_the_end_says_what_is_missing(
+    filmed: FilmedRoom, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = filmed.film("short.mp4", Camera(bit_rate=BIT_RATE), length_s=8.0)
+    assert run("import", short, "--sequence", filmed.sequence, "--out", tmp_path / "capture") == 2
+    assert "one start mark was filmed" in capsys.readouterr().err
+    assert not (tmp_path / "capture").exists()

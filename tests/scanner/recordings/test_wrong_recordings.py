@@ -1,0 +1,138 @@
+"""What is no recording of the video is refused in one sentence, with exit code 2."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from calib.geometry import Size
+from scanner.errors import InputError
+from scanner.patterns import PRESETS
+from scanner.patterns.sequence_file import write_sequence
+from scanner.recordings.libav import av as library
+from scanner.recordings.programme import programme_of
+from tests.support.command_line import run
+from tests.support.filmed_room import PROJECTOR, FilmedRoom
+
+pytestmark = pytest.mark.xdist_group("recordings")
+
+
+def text(path: Path, recording: Path) -> None:
+    path.write_text("no film\n")
+
+
+def still(path: Path, recording: Path) -> None:
+    assert cv2.imwrite(str(path.with_suffix(".png")), np.zeros((48, 64), np.uint8))
+    path.with_suffix(".png").rename(path)
+
+
+def sound(path: Path, recording: Path) -> None:
+    with av.open(str(path), "w", format="wav") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 8000), np.int16), "s16", "mono")
+        frame.sample_rate = 8000
+        container.mux(stream.encode(frame))
+
+
+def cut_off(path: Path, recording: Path) -> None:
+    whole = recording.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+
+
+def of_frames(path: Path, level: Callable[[int], float]) -> None:
+    with av.open(str(path), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for number in range(300):
+            image = np.full((48, 64), np.uint8(level(number)))
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, "gray").reformat(format="yuv420p")))
+        container.mux(stream.encode(None))
+
+
+def nothing_happens(path: Path, recording: Path) -> None:
+    of_frames(path, lambda number: 90)
+
+
+def another_film(path: Path, recording: Path) -> None:
+    levels = np.random.default_rng(0).uniform(20, 230, 300)
+    of_frames(path, lambda number: float(levels[number // 8]))
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (text, "cannot be read"),
+        (still, "is it a still?"),
+        (sound, "a file without pictures"),
+        (cut_off, "copy the file again, whole"),
+        (nothing_happens, "nothing in it changes"),
+        (another_film, "no start mark"),
+    ],
+)
+def test_what_is_no_recording_is_refused(
+    filmed: FilmedRoom,
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    make: Callable[[Path, Path], None],
+    told: str,
+) -> None:
+    path = tmp_path / "file.mp4"
+    make(path, recording)
+    assert run("import", path, "--sequence", filmed.sequence, "--out", tmp_path / "capture") == 2
+    message = capsys.readouterr().err
+    assert told in message
+    assert message.count("\n") == 1
+    assert not (tmp_path / "capture").exists()
+
+
+def test_the_sequence_of_another_video_is_refused(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = programme_of(PRESETS["standard"].patterns(PROJECTOR), Size(*PROJECTOR), 0.2, 1)
+    write_sequence(tmp_path, other.patterns, PROJECTOR, video=other.as_dict("video.mp4"))
+    assert run("import", recording, "--sequence", tmp_path / "sequence.yaml", "--out", tmp_path / "capture") == 2
+    assert "is not that of this sequence" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--from", "opencv"), "--from: is for a folder"),
+        (("--out", "x"), "needs --sequence"),
+        (("--sequence", "configs/room-sim.yaml", "--out", "x"), "sequence.yaml of a video"),
+    ],
+)
+def test_wrong_options_are_told(
+    recording: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], told: str
+) -> None:
+    assert run("import", recording, *arguments) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--hold", "0.2s"), "give --video"),
+        (("--video", "sequence.avi"), "expected a file name"),
+        (("--video", "a/b.mp4"), "expected a file name"),
+        (("--video", "a.mp4", "--hold", "soon"), "expected seconds"),
+        (("--video", "a.mp4", "--hold", "nan"), "expected 0.05 to 10 seconds"),
+        (("--video", "a.mp4", "--loops", "0"), "expected 1 to 20 loops"),
+    ],
+)
+def test_wrong_videos_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], told: str
+) -> None:
+    assert run("patterns", "--config", "configs/room-sim.yaml", "--out", tmp_path / "out", *arguments) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_without_the_extra_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(InputError, match="video needs av, which is not installed; type: "):
+        library()
