@@ -101,5 +101,12 @@ class EvenlyLit:
     def pictures_of(self, before: Sequence[int], after: Sequence[int]) -> tuple[Floats32, Floats32]:
         """The means (H, W) of two groups of the pairs, by number."""
         of_pairs = [*self.of_pairs.values()]
-        earlier, later = (np.mean([of_pairs[k] for k in group], axis=0) for group in (before, after))
-        return np.asarray(earlier, np.float32), np.asarray(later, np.float32)
+        return _mean([of_pairs[k] for k in before]), _mean([of_pairs[k] for k in after])
+
+
+def _mean(pictures: Sequence[Image]) -> Floats32:
+    total = np.zeros(pictures[0].shape, np.float32)
+    for picture in pictures:
+        cv2.accumulate(picture, total)
+    total /= len(pictures)
+    return total

@@ -22,6 +22,7 @@ _REACH = 2  # taps to either side
 _WINDOW = TILE_PX + 2 * _REACH
 _TAPS = np.stack([LEVEL, SLOPE]).astype(np.float32)
 _HALF = np.float32(0.5)
+_EVERY = 2
 
 
 @dataclass(frozen=True)
@@ -57,15 +58,21 @@ def shifts_of_tiles(
     in_tiles = chosen[: rows * TILE_PX, : columns * TILE_PX].reshape(rows, TILE_PX, columns, TILE_PX)
     tiles = np.flatnonzero(in_tiles.sum(axis=(1, 3)) >= _FEWEST_PX)
     moments = np.zeros((len(tiles), 5, 5))
-    _sum_moments(*pictures, chosen, tiles, warp.place, warp.turned, _TAPS, moments)
+    before, after = pictures
+    # Levels are relative to that of the picture, for the sake of rounding.
+    level = np.float32((before.mean() + after.mean()) / 2)
+    _sum_moments(before, after, chosen, tiles, warp.place, warp.turned, _TAPS, level, moments)
     normal, pull = _of_moments(moments, own_light=own_light)
     tells = normal.trace(axis1=1, axis2=2) > 0
     return TileShifts(tiles[tells], normal[tells], pull[tells])
 
 
 def differences(pictures: tuple[Floats32, Floats32], chosen: Bools, warp: Warp) -> float:
-    """By what the `chosen` pixels (H, W) of two pictures differ, in squares, weighed by those of their slopes."""
-    return _sum_differences(*pictures, chosen, warp.place, warp.turned)
+    """By what the `chosen` pixels (H, W) of two pictures differ, in squares, weighed by those of their slopes.
+
+    A quarter of the pixels tells it.
+    """
+    return _sum_differences(*pictures, chosen, warp.place, warp.turned, _EVERY)
 
 
 def moments_of_tiles(pictures: Sequence[Floats32], chosen: Bools) -> Floats:
@@ -120,6 +127,7 @@ def _sum_moments(
     place: Floats,
     turned: Floats,
     taps: Floats32,
+    usual: np.float32,
     moments: Floats,
 ) -> None:
     """Of 1, M, −∇M and D over the chosen pixels of each of these tiles, (K, 5, 5)."""
@@ -131,7 +139,7 @@ def _sum_moments(
     for number, tile in enumerate(tiles):
         top, left = tile // columns * TILE_PX, tile % columns * TILE_PX
         _sample(before, after, top, left, place[tile], turned, mean, difference)
-        _filter(mean, difference, taps, across, filtered)
+        _filter(mean, difference, taps, usual, across, filtered)
         found = 0
         for y in range(TILE_PX):
             for x in range(TILE_PX):
@@ -184,14 +192,15 @@ def _between_pixels(picture: Floats32, x: float, y: float) -> np.float32:
 
 
 @compiled
-def _filter(mean: Floats32, difference: Floats32, taps: Floats32, across: Floats32, filtered: Floats32) -> None:
-    """Level and −∇ of the mean relative to its first pixel, for the sake of rounding; level of the difference."""
-    offset = mean[0, 0]
+def _filter(
+    mean: Floats32, difference: Floats32, taps: Floats32, usual: np.float32, across: Floats32, filtered: Floats32
+) -> None:
+    """Level, relative to the `usual` one, and −∇ of the mean; level of the difference."""
     for y in range(_WINDOW):
         for x in range(TILE_PX):
             level, slope, change = np.float32(0), np.float32(0), np.float32(0)
             for k in range(2 * _REACH + 1):
-                level += taps[0, k] * (mean[y, x + k] - offset)
+                level += taps[0, k] * (mean[y, x + k] - usual)
                 slope += taps[1, k] * mean[y, x + k]
                 change += taps[0, k] * difference[y, x + k]
             across[0, y, x], across[1, y, x], across[2, y, x] = level, slope, change
@@ -208,14 +217,16 @@ def _filter(mean: Floats32, difference: Floats32, taps: Floats32, across: Floats
 
 
 @compiled
-def _sum_differences(before: Floats32, after: Floats32, chosen: Bools, place: Floats, turned: Floats) -> float:
+def _sum_differences(
+    before: Floats32, after: Floats32, chosen: Bools, place: Floats, turned: Floats, every: int
+) -> float:
     height, width = before.shape
     columns = width // TILE_PX
     total = 0.0
     for tile in range(len(place)):
         top, left = tile // columns * TILE_PX, tile % columns * TILE_PX
-        for v in range(max(top, 1), min(top + TILE_PX, height - 1)):
-            for u in range(max(left, 1), min(left + TILE_PX, width - 1)):
+        for v in range(top + 1, min(top + TILE_PX, height - 1), every):
+            for u in range(left + 1, min(left + TILE_PX, width - 1), every):
                 if not chosen[v, u]:
                     continue
                 right, down = u - left - (TILE_PX - 1) / 2, v - top - (TILE_PX - 1) / 2
