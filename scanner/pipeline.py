@@ -26,14 +26,13 @@ from scanner.capture import (
     known_of_lines,
     measure_lines,
     next_place,
-    open_capture,
     record,
     remarks_on_camera,
     remarks_on_lines,
     take_up,
 )
 from scanner.configuration import CONFIGURATION_KEY, Config
-from scanner.decoding import Decoder, Decoding, LightSwitch, LightSwitchedError, usable
+from scanner.decoding import Decoder, usable
 from scanner.errors import InputError
 from scanner.io import require_space, write_calibration
 from scanner.quantities import UNKNOWN_UNIT
@@ -136,12 +135,7 @@ def take(
         how = patterns, config.sequence.exposures_us, config.projector.known_response
         live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
         live = replace(live, metadata={**live.metadata, **lines, CONFIGURATION_KEY: config.recorded})
-        recorded = folder / CAPTURE_FOLDER
-
-        def again() -> Stream:
-            return open_capture(recorded).stream()
-
-        found = decode(record(live, recorded), progress, "Capturing and decoding", name, again=again)
+        found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding", name)
         found = found.noting(*remarks_on_lines(lines), *remarks_on_camera(live.account()))
     return replace(found, facts=replace(found.facts, truth=opened.truth))
 
@@ -192,11 +186,8 @@ def decode_recording(recording: Recording, terminal: Progress, calibration: Cali
     sequence = usable(
         recording.patterns, recording.planned, recording.projector_size, calibrated=calibration is not None
     )
-
-    def stream() -> Stream:
-        return recording.stream().shown_as(sequence.patterns)
-
-    found = decode(stream(), terminal, "Decoding", str(recording.folder), calibration, again=stream)
+    stream = recording.stream().shown_as(sequence.patterns)
+    found = decode(stream, terminal, "Decoding", str(recording.folder), calibration)
     remarks = [*remarks_on_lines(recording.metadata), *remarks_on_camera(recording.metadata)]
     said = filter(None, [sequence.words, _resumption(recording), *remarks])
     return found.noting(*recording.notes, *said)
@@ -226,75 +217,19 @@ def decode(
     what: str,
     name: str = "",
     calibration: Calibration | None = None,
-    again: Callable[[], Stream] | None = None,
 ) -> Decoded:
-    """Frames as they come → matches; no frame is kept. With a calibration one axis is enough.
-
-    `again` gives the frames once more, which it takes if each of them shows some of the picture before, or if light was
-    switched on or off.
-    """
+    """Frames as they come → matches. With a calibration one axis is enough. Raises InputError."""
     decoder = Decoder(stream.patterns, stream.projector_size, calibration)
     exposures_us = []
     with beside(decoder.add) as add:
         for _, frame in progress.track(stream.frames, len(stream.patterns), what):
             add(frame.image, frame.exposure_us)
             exposures_us += [frame.exposure_us] if frame.exposure_us else []
-    ghost = decoder.ghost() if again else None
-    if again and ghost:
-        decoder = Decoder(stream.patterns, stream.projector_size, calibration, ghost=ghost)
-        for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out a ghost"):
-            decoder.add(frame.image)
-    try:
-        with progress.step("Matching"):
-            decoding = decoder.finish(once_more=again is not None)
-    except LightSwitchedError as found:
-        if again is None:
-            raise
-        decoding = _in_one_light(stream, found.switch, progress, calibration, again)
+    with progress.step("Matching"):
+        decoding = decoder.finish()
     about = identity({**stream.metadata, **stream.account()})
     facts = CaptureFacts(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
     return Decoded(facts, decoding.matches, decoding, name)
-
-
-def _in_one_light(
-    stream: Stream,
-    switch: LightSwitch,
-    progress: Progress,
-    calibration: Calibration | None,
-    again: Callable[[], Stream],
-) -> Decoding:
-    """The frames `again`, without light that was switched on or off, which takes them twice."""
-    decoder = Decoder(stream.patterns, stream.projector_size, calibration, switch=switch)
-    for place, (_, frame) in enumerate(progress.track(again().frames, len(stream.patterns), "Measuring light")):
-        decoder.measure_light(place, frame.image)
-    for _, frame in progress.track(again().frames, len(stream.patterns), "Taking out light"):
-        decoder.add(frame.image)
-    try:
-        with progress.step("Matching"):
-            return decoder.finish()
-    except InputError as error:
-        return _as_it_is(stream, progress, calibration, again, error)
-
-
-def _as_it_is(
-    stream: Stream,
-    progress: Progress,
-    calibration: Calibration | None,
-    again: Callable[[], Stream],
-    without_light: InputError,
-) -> Decoding:
-    """The frames once more, if they make no sense `without_light`: what looked like light was something else.
-
-    Raises that error if they make none as they are, either.
-    """
-    decoder = Decoder(stream.patterns, stream.projector_size, calibration)
-    for _, frame in progress.track(again().frames, len(stream.patterns), "Taking the light as it is"):
-        decoder.add(frame.image)
-    try:
-        with progress.step("Matching"):
-            return decoder.finish()
-    except InputError:
-        raise without_light from None
 
 
 def reconstruct(

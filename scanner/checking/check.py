@@ -17,7 +17,7 @@ from scanner.checking.exposure import exposure_row, propose_exposure
 from scanner.checking.focus import LONG_PERIOD_PX, period_for, sample_blur, tell_apart
 from scanner.checking.focus_row import finest_period_px, focus_row
 from scanner.checking.fringes import STEPS, FringeMeter
-from scanner.checking.light import Light, leaves_ghost, light_rows, photograph_light
+from scanner.checking.light import Light, light_rows, photograph_light
 from scanner.checking.pictures import contrast_picture, coverage_picture, saturation_picture
 from scanner.checking.pixels import pixel_row
 from scanner.checking.report import CheckReport, CheckRow, Pixels, State
@@ -148,17 +148,16 @@ def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
     rig, config, terminal = bench.rig, bench.config, bench.terminal
     meter = FringeMeter()
     before = Before(time.monotonic(), light, bench.fringes(light, "Looking at stripes"))
-    ghostly = leaves_ghost(light)
-    quick = view.take_quick(rig, config, meter, terminal, ghostly=ghostly)
+    quick = view.take_quick(rig, config, meter, terminal)
     checking.add(*transfer_rows(rig))
     with terminal.step("Calibrating"):
         row, failure = view.view_row(quick, config, bench.earlier)
-    scanned = view.take_configured(rig, config, terminal, ghostly=ghostly) if failure or quick.is_patchy else None
+    scanned = view.take_configured(rig, config, terminal) if failure or quick.is_patchy else None
     if scanned:
         with terminal.step("Calibrating"):
             row, failure = view.view_row(scanned, config, bench.earlier, as_configured=True)
     decoded = next((seen for seen in (scanned, quick) if seen and seen.decoding), None)
-    decoded = decoded or view.take_coarse(rig, config, terminal, ghostly=ghostly)
+    decoded = decoded or view.take_coarse(rig, config, terminal)
     _check_lenses(bench, light, decoded, meter, checking)
     _check_steadiness(bench, before, quick, checking)
     checking.add(row)

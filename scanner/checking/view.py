@@ -10,7 +10,7 @@ from calib.numerics import Bools, Floats
 from calib.refusal import RIG, RefusalError
 from calib.self_calibration import SelfCalibration
 from hw.rig import Rig
-from scanner.capture import Stream, capture
+from scanner.capture import capture
 from scanner.checking.fringes import FringeMeter
 from scanner.checking.limits import LEAST_SHARE
 from scanner.checking.report import CheckRow, State
@@ -62,26 +62,24 @@ class Capture:
         return self.decoded.decoding if self.decoded else None
 
 
-def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress, *, ghostly: bool) -> Capture:
-    """Capture the quick sequence while `meter` looks on. `ghostly`: frames show something of the picture before, which
-    is taken out, as a scan does. Raises DeviceError.
-    """
+def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress) -> Capture:
+    """Capture the quick sequence while `meter` looks on. Raises DeviceError."""
     patterns = PRESETS[_QUICK].patterns(rig.projector.size)
-    return _take(rig, config, patterns, meter, terminal, "Capturing quickly", ghostly=ghostly)
+    return _take(rig, config, patterns, meter, terminal, "Capturing quickly")
 
 
-def take_configured(rig: Rig, config: Config, terminal: Progress, *, ghostly: bool) -> Capture | None:
+def take_configured(rig: Rig, config: Config, terminal: Progress) -> Capture | None:
     """Capture what a scan would; None if that is the quick sequence. Raises DeviceError."""
     patterns = config.sequence.patterns(rig.projector.size)
     if patterns == PRESETS[_QUICK].patterns(rig.projector.size):
         return None
-    return _take(rig, config, patterns, FringeMeter(), terminal, "Capturing as a scan would", ghostly=ghostly)
+    return _take(rig, config, patterns, FringeMeter(), terminal, "Capturing as a scan would")
 
 
-def take_coarse(rig: Rig, config: Config, terminal: Progress, *, ghostly: bool) -> Capture:
+def take_coarse(rig: Rig, config: Config, terminal: Progress) -> Capture:
     """Capture a sequence that blur does less to, to learn at least which pixels see which. Raises DeviceError."""
     patterns = _COARSE.patterns(rig.projector.size)
-    return _take(rig, config, patterns, FringeMeter(), terminal, "Capturing coarsely", ghostly=ghostly)
+    return _take(rig, config, patterns, FringeMeter(), terminal, "Capturing coarsely")
 
 
 def _take(
@@ -91,17 +89,11 @@ def _take(
     meter: FringeMeter,
     terminal: Progress,
     what: str,
-    *,
-    ghostly: bool,
 ) -> Capture:
-    def taken() -> Stream:
-        return capture(rig, patterns, response=config.projector.known_response)
-
-    stream = taken()
+    stream = capture(rig, patterns, response=config.projector.known_response)
     watched = replace(stream, frames=meter.watch(stream.frames))
     try:
-        # Frames are not kept: to take a ghost out, they are taken once more.
-        return Capture(decode(watched, terminal, what, again=taken if ghostly else None))
+        return Capture(decode(watched, terminal, what))
     except MirroredError:
         return Capture(None, "the projector mirrors its picture", _MIRRORED)
     except InputError as error:

@@ -8,7 +8,6 @@ from scanner.decoding.finest_stripes import FinestStripes, first_harmonics
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.fringes.unchecked import UNCHECKED
 from scanner.decoding.light.saturation_level import saturation_level
-from scanner.decoding.light_switch import LightSwitch, LightSwitchedError
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import SUSPECTED_PX, UNSEEN_MOTION, moved
 from scanner.decoding.stopped_sequence import usable

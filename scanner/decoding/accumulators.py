@@ -1,7 +1,7 @@
-"""Frames folded into full-size images as they arrive, so that memory does not grow with their number.
+"""Frames folded into full-size images as they arrive, beside the camera.
 
-A Gray bit is one compare of two frames. A fringe is two differences, or two weighted sums. Frames wait, as they came,
-only for the one that they are compared with, or that gives their threshold.
+A Gray bit is one compare of two frames. A fringe is two differences, or two weighted sums. Frames wait for the one that
+they are compared with, or that gives their threshold.
 """
 
 from collections import defaultdict
@@ -22,7 +22,6 @@ from scanner.decoding.light.brightness import Gains
 from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.lone_bits import BitLevels, levels_of_bit, white_of
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.waiting import Waiting
 
 
 class Accumulators:
@@ -43,7 +42,7 @@ class Accumulators:
             for axis in plan.axes
             for code in axis.codes
         ]
-        self._waiting = Waiting()
+        self._waiting: dict[int, Image] = {}  # kept elsewhere: nothing is copied
         self.fringes = [FringeFold(fringe, shape, first.dtype, self._waiting) for fringe in plan.fringes]
         self.brightest: Image = np.zeros(shape, first.dtype)
         self._white: Image | None = None
@@ -63,7 +62,7 @@ class Accumulators:
         self._steps = {frame: (fold, step) for fold in self.fringes for step, frame in enumerate(fold.fringe.frames)}
 
     def add(self, index: int, grey: Image) -> dict[int, Image]:
-        """Fold in frame `index`, (H, W); what is kept of it is a copy.
+        """Fold in frame `index`, (H, W), which nobody changes any more.
 
         Returns the frames that have been folded in, by index, a pattern and its inverse made alike: with the second of
         them both, with the first none.
@@ -75,11 +74,11 @@ class Accumulators:
         elif index in self._pair_of:
             folded = self._add_of_pair(index, grey)
         elif index in self._alone:
-            self._waiting.keep(index, grey)
+            self._waiting[index] = grey
         elif index == self.plan.white:
             self._white = self.brightest = grey.copy()
         else:
-            self._black = grey.copy()
+            self._black = grey
         if self.plan.white is None:
             np.maximum(self.brightest, grey, out=self.brightest)
         if self._darkest is not None:
@@ -96,7 +95,7 @@ class Accumulators:
         if self._darkest is not None:
             self._threshold = _mean(self.brightest, self._darkest)
         self._fold_alone()
-        self._waiting.let_go()
+        self._waiting.clear()
         white = white_of(self._of_bits)
         if white != 1:
             seen, middle = self.brightest, self.middle
@@ -153,9 +152,9 @@ class Accumulators:
 
     def _add_of_pair(self, index: int, grey: Image) -> dict[int, Image]:
         normal, inverse = pair = self._pair_of[index]
-        other = self._waiting.take(inverse if index == normal else normal)
+        other = self._waiting.pop(inverse if index == normal else normal, None)
         if other is None:
-            self._waiting.keep(index, grey)
+            self._waiting[index] = grey
             return {}
         bright, dark = (grey, other) if index == normal else (other, grey)
         gains = self._equaliser.gains(pair)
@@ -175,7 +174,8 @@ class Accumulators:
             self._threshold = _mean(self._white, self._black)
         if self._threshold is None:
             return
-        for index, frame in self._waiting.take_all(self._alone):
+        for index in [index for index in self._waiting if index in self._alone]:
+            frame = self._waiting.pop(index)
             threshold, levels = self._threshold, levels_of_bit(frame, self._threshold, self.brightest, self._pixels)
             if levels is not None:
                 threshold = levels.threshold(threshold, self.brightest)

@@ -1,13 +1,13 @@
 """The stream's frames → matches: which projector pixel lit each camera pixel, and how sure of it we are.
 
-Each frame is folded in as it arrives; what is kept of it are a few running images and a thin sample. No threshold has
-to be chosen: noise, saturation and tolerances are measured from the capture.
+Each frame is kept, and folded in as it arrives: into a few running images and a thin sample. No threshold has to be
+chosen: noise, saturation and tolerances are measured from the capture.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot
-from typing import cast
+from typing import Literal, cast, overload
 
 import cv2
 import numpy as np
@@ -16,30 +16,25 @@ from numpy.typing import NDArray
 from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from calib.refinement import Shift
-from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.checked_maps import checked_maps
 from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
+from scanner.decoding.folded import Folded, folded
 from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.fringes.unchecked import remark_on, shift_of
-from scanner.decoding.halves import EvenlyLit, halves_of, motion_between
+from scanner.decoding.halves import motion_between
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
-from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
-from scanner.decoding.light.ghost import Ghost, GhostRemover, find_ghost
-from scanner.decoding.light.noise_model import NoiseModel, needs_neighbours
-from scanner.decoding.light.saturation_level import saturation_level
-from scanner.decoding.light_switch import LightRemover, LightSwitch
+from scanner.decoding.light.ghost import without_ghost
+from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light_switch import LightSwitch, without_light
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.memory import refuse_more_than_there_is
 from scanner.decoding.motion import (
-    CoarseFrames,
     MotionFound,
-    TileSample,
     blaming_motion,
     blaming_shifts,
     refuse_untold,
@@ -47,8 +42,8 @@ from scanner.decoding.motion import (
     remarks_on,
 )
 from scanner.decoding.one_axis import one_axis
-from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.planning import plan_sequence
+from scanner.decoding.stack import Stack
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
 
@@ -91,15 +86,19 @@ class Decoding:
     shifts: tuple[Shift, ...] = ()
     stripes: FinestStripes | None = None
 
+    def warning(self, sentence: str) -> "Decoding":
+        """The same with a sentence for the operator, before the others."""
+        return replace(self, warnings=(sentence[0].upper() + sentence[1:], *self.warnings))
+
 
 class Decoder:
     """Takes the frames of a sequence that is known in advance, one by one, and decodes them at the end.
 
     Where each pattern follows itself as often as every other, its frames are those of several exposures, white first.
 
-    Given the rig's calibration, patterns along one axis are enough. `ghost`: of the picture before, which is taken out.
-    `switch`: of light that is taken out, once all frames were measured. Raises InputError if the patterns
-    do not determine both coordinates of a projector of (width, height) pixels.
+    Given the rig's calibration, patterns along one axis are enough. `as_taken`: neither a ghost nor light that was
+    switched is taken out of the frames. Raises InputError if the patterns do not determine both coordinates of a
+    projector of (width, height) pixels.
     """
 
     def __init__(
@@ -108,30 +107,22 @@ class Decoder:
         projector_size: tuple[int, int],
         calibration: Calibration | None = None,
         *,
-        ghost: Ghost | None = None,
-        switch: LightSwitch | None = None,
+        as_taken: bool = False,
     ) -> None:
         once, repeats = exposures_of(patterns)
         plan = plan_sequence(once, projector_size, calibrated=calibration is not None)
         self._plan = replace(plan, repeats=repeats)
         self._one_axis = one_axis(plan, calibration)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
-        self._ghost, self._remover = ghost, GhostRemover(ghost) if ghost else None
-        self._switch, self._light = switch, LightRemover(self._plan, switch) if switch else None
+        self._as_taken = as_taken or repeats > 1
         self._count = 0
-        self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
         self._projector_size = projector_size
-        self._held: tuple[Accumulators, Sample, TileSample, CoarseFrames] | None = None
-        self._lit: EvenlyLit | None = None
+        self._stack: Stack | None = None
+        self._folded: Folded | None = None
         self._texture: Image | None = None
 
-    def measure_light(self, place: int, image: Image) -> None:
-        """See how much light a frame, in a place of the capture, has that was switched on; before any is added."""
-        if self._light is not None:
-            self._light.measure(place, _grey(image))
-
     def add(self, image: Image, exposure_us: float | None = None) -> None:
-        """Fold in the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; its exposure matters if there are several.
+        """Keep the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; its exposure matters if there are several.
 
         Raises InputError if it is one frame too many, or not of the size and type of the others, or if exposures do not
         fit.
@@ -145,71 +136,79 @@ class Decoder:
             self._fold(merged)
 
     def _fold(self, image: Image) -> None:
-        grey = self._remover.remove(_grey(image)) if self._remover else _grey(image)
-        grey = self._light.remove(self._count, grey) if self._light else grey
-        if self._held is None:
-            shape = grey.shape[0], grey.shape[1]
-            refuse_more_than_there_is(shape, codes_alone=not self._plan.fringes)
-            sample = Sample(shape, neighbours=needs_neighbours(self._plan))
-            accumulators = Accumulators(self._plan, grey, PairEqualiser(self._plan, sample, shape), sample.pixels)
-            self._held = accumulators, sample, TileSample(shape), CoarseFrames(shape)
-            halves = halves_of(self._plan)
-            self._lit = EvenlyLit(halves, shape) if halves else None
-        accumulators, sample, tiles, coarse = self._held
+        grey = _grey(image)
+        if self._stack is None or self._folded is None:
+            self._stack = Stack(len(self._plan.shown), grey, codes_alone=not self._plan.fringes)
+            self._folded = Folded(self._plan, grey)
+        self._folded.add(self._stack.keep(grey))
         number = self._plan.shown[self._count]
-        if number in self._of_fringes:
-            tiles.add(self._count, grey)
-        # A pattern that was shown before is a witness of what has changed since, and nothing else.
         if number not in self._plan.shown[: self._count]:
-            sample.add(grey)
-            coarse.add(grey)
-            for frame, made_alike in accumulators.add(number, grey).items():
-                if self._lit is not None:
-                    self._lit.add(frame, made_alike)
             self._note_texture(image, number)
         self._count += 1
 
-    def ghost(self) -> Ghost | None:
-        """What the frames were found to show of the picture before, before they are decoded.
-
-        It takes another decoder, that is told of it, to take it out.
-        """
-        if self._held is None or self._count < len(self._plan.shown) or self._ghost or self._merger is not None:
-            return None
-        accumulators, sample, *_ = self._held
-        rows = sample.pixels // accumulators.brightest.shape[1]
-        return find_ghost(self._plan, sample.levels, rows, saturation_level(accumulators.peak))
-
-    def finish(self, *, once_more: bool = False) -> Decoding:
-        """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence.
-
-        `once_more`: the frames can be had again; raises LightSwitchedError where it takes a decoder that is told of it.
-        """
+    def finish(self) -> Decoding:
+        """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""
         if self._count < len(self._plan.shown):
             raise InputError(
                 f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "
                 f"first that is missing: {self._plan.name(self._plan.shown[self._count])}"
             )
-        if self._held is None or self._texture is None:
+        if self._stack is None or self._folded is None:
             raise RuntimeError("this decoder has finished already")
-        (accumulators, sample, tiles, coarse), self._held = self._held, None
+        stack, self._stack = self._stack, None
+        ghost = None if self._as_taken else self._folded.ghost()
+        if ghost:
+            self._folded = folded(self._plan, without_ghost(stack.frames, ghost))
+        found = self._decode(as_taken=self._as_taken or ghost is not None)
+        if isinstance(found, LightSwitch):
+            return self._in_one_light(stack.frames, found)
+        better = "which was taken out. Let the camera wait longer for the projector."
+        return found.warning(f"{ghost.said(self._plan)}, {better}") if ghost else found
+
+    def _in_one_light(self, frames: Image, switch: LightSwitch) -> Decoding:
+        """The frames (N, H, W) without light that was switched on or off; if they then make no sense, as they are: what
+        looked like light was something else.
+        """
+        self._folded = folded(self._plan, without_light(frames, self._plan, switch))
+        better = "and was taken out. Better: leave the room's light as it is."
+        try:
+            return self._decode(as_taken=True).warning(f"{switch.said(self._plan)}, {better}")
+        except InputError as without:
+            self._folded = folded(self._plan, frames)
+            try:
+                return self._decode(as_taken=True)
+            except InputError:
+                raise without from None
+
+    @overload
+    def _decode(self, *, as_taken: Literal[True]) -> Decoding: ...
+
+    @overload
+    def _decode(self, *, as_taken: bool) -> Decoding | LightSwitch: ...
+
+    def _decode(self, *, as_taken: bool) -> Decoding | LightSwitch:
+        """The frames as they were folded, which are let go; light that had better be taken out, unless `as_taken`."""
+        if self._folded is None or self._texture is None:
+            raise RuntimeError("no frames were folded")
+        whole, self._folded = self._folded, None
+        accumulators, sample, lit = whole.accumulators, whole.sample, whole.lit
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
-        seen = look(accumulators, sample, tiles, coarse, self._projector_size)
-        del tiles, coarse
+        seen = look(accumulators, sample, whole.tiles, whole.coarse, self._projector_size)
+        del whole
         oddities: list[Oddity] = []
         with blaming_motion(lambda: seen.motion, seen.broken):
             with suspecting(oddities):
-                learnt = learn(accumulators, sample, seen, oddities, once_more=once_more and not self._mended)
+                learnt = learn(accumulators, sample, seen, oddities, as_taken=as_taken)
+                if isinstance(learnt, LightSwitch):
+                    return learnt
                 maps, by_pixel = checked_maps(accumulators, learnt, seen, odd=bool(oddities))
                 stripes = finest_stripes(accumulators, sample, maps)
                 del sample
                 motion = seen.motion
-                if self._lit is not None:
-                    motion = motion_between(
-                        self._lit, accumulators.plan, maps.projector_px, self._projector_size, motion
-                    )
-                    self._lit = None
+                if lit is not None:
+                    motion = motion_between(lit, accumulators.plan, maps.projector_px, self._projector_size, motion)
+                    del lit
                 if motion is not None and motion.significant and not motion.is_too_large:
                     motion.shift.take_back(maps.projector_px)
                 # The running images are as large as the matches, and have served.
@@ -232,7 +231,7 @@ class Decoder:
             reasons,
             seen.noise,
             learnt.modulation,
-            (*odd, *self._said_of_mending(), *seen.notes, *told_alone, *told, *remarks_on(motion)),
+            (*odd, *seen.notes, *told_alone, *told, *remarks_on(motion)),
             flicker=seen.flicker,
             motion=motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
@@ -242,18 +241,6 @@ class Decoder:
             shifts=(shift_of(unchecked),) if unchecked else (),
             stripes=stripes,
         )
-
-    @property
-    def _mended(self) -> bool:
-        return bool(self._ghost or self._switch or self._merger)
-
-    def _said_of_mending(self) -> Iterator[str]:
-        if self._switch:
-            said = self._switch.said(self._plan)
-            yield f"{said[0].upper()}{said[1:]}, and was taken out. Better: leave the room's light as it is."
-        if self._ghost:
-            said = self._ghost.said(self._plan)
-            yield f"{said[0].upper()}{said[1:]}, which was taken out. Let the camera wait longer for the projector."
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.shown):
@@ -270,8 +257,8 @@ class Decoder:
 
     def _note_texture(self, image: Image, number: int) -> None:
         """Keep the white frame or, if there is none, the brightest that each pixel was."""
-        if number == self._plan.white and image.ndim == 2 and self._held is not None:
-            self._texture = self._held[0].brightest
+        if number == self._plan.white and image.ndim == 2 and self._folded is not None:
+            self._texture = self._folded.accumulators.brightest
         elif self._texture is None or number == self._plan.white:
             self._texture = image.copy()
         elif self._plan.white is None:

@@ -21,7 +21,7 @@ from scanner.decoding.light.equalise import correction, out_of_line, swings_of
 from scanner.decoding.light.mosaic import log_mosaic
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
 from scanner.decoding.light.saturation_level import saturation_level
-from scanner.decoding.light_switch import LightSwitchedError
+from scanner.decoding.light_switch import LightSwitch
 from scanner.decoding.motion import (
     CoarseFrames,
     CodeShift,
@@ -199,11 +199,11 @@ class Learnt:
 
 
 def learn(
-    accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list[Oddity], *, once_more: bool = False
-) -> Learnt:
-    """Check the frames, adding to the `oddities`, and learn tolerances from the sample.
+    accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list[Oddity], *, as_taken: bool
+) -> Learnt | LightSwitch:
+    """Check the frames, adding to the `oddities`, and learn tolerances from the sample. Raises InputError.
 
-    Raises InputError; LightSwitchedError if they had better be decoded `once_more`, which is possible.
+    If light was switched that had better be taken out, unless frames are decoded `as_taken`, that is the answer.
     """
     plan, levels, moved = accumulators.plan, sample.levels, seen.moved
     if moved is not None:
@@ -214,8 +214,8 @@ def learn(
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin, sample.levels)
         odd, switch = check_frames(plan, seen.levels.astype(np.float32), levels, seen.noise, seen.saturation)
-        if once_more and switch is not None and switch.is_harmful:
-            raise LightSwitchedError(switch)
+        if not as_taken and switch is not None and switch.is_harmful:
+            return switch
         oddities += odd
         odd_codes = check_codes(
             plan, accumulators.codes, seen.noise, accumulators.middle, accumulators.brightest, moved

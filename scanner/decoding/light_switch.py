@@ -24,20 +24,10 @@ _MOST_LEFT, _AS_GOOD = 0.5, 0.8
 # What two moments may leave, one of the other, if the frames do not tell them apart; of a clear one it is a fifteenth.
 _ALIKE = 2.0
 _NOTHING = 1e-9
-
-
 # What harms no bit need not be taken out.
 _LEAST_SHARE = 0.03
 # By so much of white stripes that are not fine may light more than half of what is seen.
 _UNEVEN = 0.1
-
-
-class LightSwitchedError(Exception):
-    """The frames have to be taken once more, without light that was switched on or off."""
-
-    def __init__(self, switch: "LightSwitch") -> None:
-        super().__init__(switch)
-        self.switch = switch
 
 
 @dataclass(frozen=True)
@@ -74,27 +64,15 @@ class LightSwitch:
         return f"light of {abs(self.share):.0%} of the pattern's was switched {went} before {when}"
 
 
-class LightRemover:
-    """Takes the light of a switch out of frames (H, W) that come one after the other, once all were `measured`."""
-
-    def __init__(self, plan: SequencePlan, switch: LightSwitch) -> None:
-        self._plan, self._switch = plan, switch
-        self._light: Floats32 | None = None
-
-    def measure(self, place: int, grey: Image) -> None:
-        """Take the frame in a place of the capture."""
-        number = self._plan.shown[place]
-        if self._light is None:
-            self._light = np.zeros(grey.shape, np.float32)
-        if number not in self._plan.shown[:place]:
-            weight = float(self._switch.weights[number])
-            cv2.addWeighted(self._light, 1, grey, weight, 0, dst=self._light, dtype=cv2.CV_32F)
-
-    def remove(self, place: int, grey: Image) -> Image:
-        """The frame in a place of the capture as it would be in the first light."""
-        if self._light is None or place < self._plan.shown.index(self._switch.frame):
-            return grey
-        return cast(Image, cv2.subtract(grey, self._light, dtype=cv2.CV_8U if grey.dtype == np.uint8 else cv2.CV_16U))
+def without_light(frames: Image, plan: SequencePlan, switch: LightSwitch) -> Iterator[Image]:
+    """The frames (N, H, W) of a capture, one by one, as they would be in the first light."""
+    light = np.zeros(frames[0].shape, np.float32)
+    for number, weight in enumerate(switch.weights.tolist()):
+        cv2.addWeighted(light, 1, frames[plan.shown.index(number)], weight, 0, dst=light, dtype=cv2.CV_32F)
+    begin = plan.shown.index(switch.frame)
+    for place, frame in enumerate(frames):
+        depth = cv2.CV_8U if frame.dtype == np.uint8 else cv2.CV_16U
+        yield frame if place < begin else cast(Image, cv2.subtract(frame, light, dtype=depth))
 
 
 def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:

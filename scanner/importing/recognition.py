@@ -191,7 +191,7 @@ class _Judge:
         return self._found[key]
 
     def _decode(self, candidate: Candidate) -> Matches | str:
-        decoder = Decoder(candidate.patterns, candidate.projector_size)
+        decoder = Decoder(candidate.patterns, candidate.projector_size, as_taken=True)
         for path in self._progress.track(candidate.files, len(candidate.files), "Decoding"):
             decoder.add(read_image(path))
         matches = decoder.finish().matches

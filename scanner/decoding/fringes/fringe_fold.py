@@ -9,7 +9,6 @@ from calib.numerics import Image, compiled
 from scanner.decoding.arrays import Component
 from scanner.decoding.light.equalise import Correction
 from scanner.decoding.sequence_plan import Fringe
-from scanner.decoding.waiting import Waiting
 
 
 class FringeFold:
@@ -20,7 +19,7 @@ class FringeFold:
     weighted sums.
     """
 
-    def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any], waiting: Waiting) -> None:
+    def __init__(self, fringe: Fringe, shape: tuple[int, int], dtype: np.dtype[Any], waiting: dict[int, Image]) -> None:
         self.fringe = fringe
         weights = fringe.weights[1:]
         largest = float(np.abs(weights).max())
@@ -45,9 +44,9 @@ class FringeFold:
             return
         number = int(np.flatnonzero(self._signs[:, step])[0])
         opposite = int(np.flatnonzero(self._signs[number] == -self._signs[number, step])[0])
-        other = self._waiting.take(self.fringe.frames[opposite])
+        other = self._waiting.pop(self.fringe.frames[opposite], None)
         if other is None:
-            self._waiting.keep(self.fringe.frames[step], frame)
+            self._waiting[self.fringe.frames[step]] = frame
             return
         component, sign = (self.cosine, self.sine)[number], int(self._signs[number, step])
         _subtract(frame.reshape(-1), other.reshape(-1), sign, component.reshape(-1), peak.reshape(-1))

@@ -4,7 +4,7 @@ Frame k shows (1 − g) P(k) + g P(k − 1). The picture before is known, and so
 with the right share the light of patterns and inverses, and of the steps of fringes, adds up again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -57,40 +57,37 @@ class Ghost:
         return np.resize(np.array([self.share, odd], np.float32), height)[:, None]
 
 
-class GhostRemover:
-    """Takes a ghost out of frames that come one after the other.
+def without_ghost(frames: Image, ghost: Ghost) -> Iterator[Image]:
+    """The frames (N, H, W) of a capture, one by one, without it, if all of each has one as much darker.
 
-    Before the first it was dark; where rows differ, the first stood there for long.
+    A clipped pixel stays as it is. Before the first it was dark; where rows differ, the first stood there for long.
     """
-
-    def __init__(self, ghost: Ghost) -> None:
-        self._ghost, self._place = ghost, 0
-        self._before: Floats32 | None = None
-
-    def remove(self, image: Image) -> Image:
-        """The next frame (H, W) without it, if all of each has one as much darker; a clipped pixel stays as it is."""
-        place, self._place = self._place, self._place + 1
-        if self._ghost.place is not None and place not in (self._ghost.place - 1, self._ghost.place):
-            return image
-        clipped = image >= saturation_level(image)
-        without = image.astype(np.float32)
-        is_even = self._ghost.place is None and self._ghost.of_odd_rows is None
-        if self._before is not None:
-            share = self._ghost.of_rows(len(image))
-            without -= share * self._before if not is_even else share / (1 - share) * self._before
+    before: Floats32 | None = None
+    is_even = ghost.place is None and ghost.of_odd_rows is None
+    for place, frame in enumerate(frames):
+        if ghost.place is not None and place not in (ghost.place - 1, ghost.place):
+            yield frame
+            continue
+        without = frame.astype(np.float32)
+        if before is not None:
+            share = ghost.of_rows(len(frame))
+            without -= share * before if not is_even else share / (1 - share) * before
             # As bright as the other frames, or rows.
             without *= np.float32(1) if is_even else 1 / (1 - share)
-        self._before = without
-        highest = np.iinfo(image.dtype).max
-        result = cast(Image, np.rint(np.clip(without, 0, highest)).astype(image.dtype))
-        np.copyto(result, image, where=clipped)
-        return result
+        before = without
+        result = cast(Image, np.rint(np.clip(without, 0, np.iinfo(frame.dtype).max)).astype(frame.dtype))
+        np.copyto(result, frame, where=frame >= saturation_level(frame))
+        yield result
 
 
 def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64], saturation: float) -> Ghost | None:
     """That of all frames which a sample `levels` (frames, P), in some `rows` (P,) of the image, tells of, or else of
     one frame.
     """
+    varies = np.ptp(levels, axis=0) > 0
+    if not varies.any():
+        return None
+    levels, rows = levels[:, varies], rows[varies]
     share, _ = _share_and_unevenness(plan, levels, saturation)
     if share is not None:
         halves = [_share_and_unevenness(plan, levels[:, rows % 2 == side], saturation) for side in (0, 1)]

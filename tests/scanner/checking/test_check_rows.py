@@ -55,7 +55,7 @@ def test_rows_come_one_by_one(usual: CheckReport, rows_of_usual: list[CheckRow])
 def test_coverage_is_that_of_the_true_view(room: SimulatedRoom) -> None:
     truth = room.ground_truth().projector_px
     lit = float(np.isfinite(truth).all(axis=2).mean())
-    quick = view.take_quick(rig_in(room), config(), FringeMeter(), QUIET, ghostly=False)
+    quick = view.take_quick(rig_in(room), config(), FringeMeter(), QUIET)
     coverage = view.coverage_of(quick.decoding, PROJECTOR)
     assert lit - 0.03 < coverage.camera < lit + 0.005
     squares = truth[np.isfinite(truth).all(axis=2)] / np.array(PROJECTOR) * (32, 18)
@@ -141,7 +141,7 @@ def test_a_ghost_is_not_taken_for_anything_else(room: SimulatedRoom, ghost: floa
 
 def test_a_mirrored_picture_is_told(room: SimulatedRoom) -> None:
     rig = rig_in(changed(room, panel={"mirrored": True}))
-    quick = view.take_quick(rig, config(), FringeMeter(), QUIET, ghostly=False)
+    quick = view.take_quick(rig, config(), FringeMeter(), QUIET)
     found, failure = view.view_row(quick, config(), [])
     assert found.state == State.FAILED
     assert "the projector mirrors its picture" in found.finding
@@ -177,7 +177,7 @@ def test_what_becomes_of_single_pixels(
 @pytest.mark.parametrize(("device", "px"), [("projector", 0.0), ("projector", 0.3), ("camera", 0.3)])
 def test_what_moves_meanwhile_is_told(room: SimulatedRoom, device: str, px: float) -> None:
     rig = rig_in(room)
-    quick = view.take_quick(rig, config(), FringeMeter(), QUIET, ghostly=False)
+    quick = view.take_quick(rig, config(), FringeMeter(), QUIET)
     assert quick.decoding is not None
     light = photograph_light(rig, 3, 2)
     before = Before(time.monotonic(), light, levels_of(capture(rig, patterns()).frames))

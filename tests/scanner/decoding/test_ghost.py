@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from calib.numerics.array_types import Image
-from scanner.decoding.decoder import Decoder
-from scanner.decoding.light.ghost import Ghost
+from scanner.decoding.folded import folded
+from scanner.decoding.light.ghost import Ghost, without_ghost
+from scanner.decoding.planning import plan_sequence
 from scanner.patterns.pattern import Gray, Pattern, sequence_for
 from scanner.patterns.presets import PRESETS
-from tests.support.synthetic_capture import Scene, fringes
+from tests.support.synthetic_capture import Scene, decode, fringes
 
 SCENE = Scene()
 SEQUENCES = {
@@ -30,11 +31,8 @@ def ghostly(frames: Sequence[Image], share: float, top: int = 255) -> list[Image
     return [np.rint(np.minimum(one, top)).astype(frames[0].dtype) for one in mixed]
 
 
-def filled(patterns: Sequence[Pattern], frames: Sequence[Image], ghost: Ghost | None = None) -> Decoder:
-    decoder = Decoder(patterns, SCENE.projector, ghost=ghost)
-    for frame in frames:
-        decoder.add(frame)
-    return decoder
+def ghost_of(patterns: Sequence[Pattern], frames: Sequence[Image]) -> Ghost | None:
+    return folded(plan_sequence(patterns, SCENE.projector), frames).ghost()
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
@@ -42,13 +40,13 @@ def filled(patterns: Sequence[Pattern], frames: Sequence[Image], ghost: Ghost | 
 def test_a_ghost_is_found_and_taken_out(sequence: str, share: float) -> None:
     patterns = SEQUENCES[sequence]
     frames = ghostly(SCENE.frames(patterns), share)
-    found = filled(patterns, frames).ghost()
+    found = ghost_of(patterns, frames)
     assert found is not None
     assert found.place is None
     assert share - 0.02 < found.share < share + 0.02
-    decoder = filled(patterns, frames, found)
-    assert decoder.ghost() is None
-    decoding = decoder.finish()
+    without = [*without_ghost(np.array(frames, np.uint8), found)]
+    assert ghost_of(patterns, without) is None
+    decoding = decode(patterns, frames, SCENE.projector)
     limit = 0.4 if sequence == "gray" else 0.08
     assert 0.005 < np.median(np.abs(SCENE.errors(decoding))) < limit
     assert any(f"{found.share:.0%} of the picture before" in warning for warning in decoding.warnings)
@@ -62,7 +60,7 @@ def test_other_light_is_no_ghost(sequence: str) -> None:
     flickering = [np.rint(frame * rng.uniform(0.7, 0.95)).astype(np.uint8) for frame in still]
     switched = [frame if number < 9 else np.minimum(frame, 225) + np.uint8(30) for number, frame in enumerate(still)]
     for frames in (still, flickering, switched):
-        assert filled(patterns, frames).ghost() is None
+        assert ghost_of(patterns, frames) is None
 
 
 def test_a_clipped_pixel_stays_masked() -> None:
@@ -71,7 +69,7 @@ def test_a_clipped_pixel_stays_masked() -> None:
     frames = ghostly(scene.frames(patterns), 0.2)
     clipped = np.mean(np.maximum.reduce(frames) == 255)
     assert 0.05 < clipped < 0.9
-    without = filled(patterns, frames, Ghost(0.2)).finish()
+    without = decode(patterns, frames, SCENE.projector)
     assert np.median(np.abs(scene.errors(without))) < 0.08
 
 
@@ -85,11 +83,11 @@ def test_a_single_late_frame_is_found_and_taken_out(sequence: str, share: float)
     for place in bits[::2]:
         late = frames.copy()
         late[place] = np.rint((1 - share) * frames[place].astype(float) + share * frames[place - 1]).astype(np.uint8)
-        found = filled(patterns, late).ghost()
+        found = ghost_of(patterns, late)
         assert found is not None, place
         assert found.place == place
         assert share - 0.04 < found.share < share + 0.04
-        decoding = filled(patterns, late, found).finish()
+        decoding = decode(patterns, late, SCENE.projector)
         errors = np.abs(SCENE.errors(decoding))
         assert np.mean(errors > 1.2) < 0.005
         assert 0.005 < np.median(errors) < (0.4 if sequence == "gray" else 0.08)
@@ -110,7 +108,7 @@ def test_mistakes_are_no_late_frames(sequence: str) -> None:
             inverted[place] = 255 - still[place]
             darker[place] = np.rint(0.6 * still[place]).astype(np.uint8)
             for frames in (exchanged, repeated, inverted, darker):
-                assert filled(patterns, frames).ghost() is None
+                assert ghost_of(patterns, frames) is None
 
 
 FIVE = sequence_for(SCENE.projector, periods=(16.0, 6.7), shifts=5)
@@ -124,12 +122,12 @@ def test_half_of_the_rows_may_be_late(patterns: Sequence[Pattern], odd: int) -> 
     late = [frames[0], *ghostly(frames, 0.25)[1:]]
     for mixed, frame in zip(late, frames, strict=True):
         mixed[1 - odd :: 2] = frame[1 - odd :: 2]
-    found = filled(patterns, late).ghost()
+    found = ghost_of(patterns, late)
     assert found is not None
     shares = found.share, found.of_odd_rows
     assert shares[odd] == pytest.approx(0.25, abs=0.02)
     assert shares[1 - odd] == pytest.approx(0, abs=0.02)
-    decoding = filled(patterns, late, found).finish()
+    decoding = decode(patterns, late, SCENE.projector)
     assert 0.005 < np.median(np.abs(SCENE.errors(decoding))) < (0.4 if patterns is SEQUENCES["gray"] else 0.08)
     assert np.mean(np.abs(SCENE.errors(decoding)) > 1.2) < 0.005
     assert any("in even and in odd rows" in warning for warning in decoding.warnings)

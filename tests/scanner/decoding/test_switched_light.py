@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from calib.numerics.array_types import Image
-from scanner.decoding import LightSwitchedError
-from scanner.decoding.decoder import Decoder, Decoding
+from scanner.decoding.decoder import Decoder
 from scanner.errors import InputError
 from scanner.patterns import sequence_for
 from scanner.patterns.pattern import Pattern
@@ -29,31 +28,17 @@ def switched(frames: Sequence[Image], number: int, share: float) -> list[Image]:
     return [np.rint(np.minimum(frame, 255)).astype(np.uint8) for frame in shown]
 
 
-def decode_once_more(patterns: Sequence[Pattern], frames: Sequence[Image]) -> Decoding:
-    decoder = Decoder(patterns, SCENE.projector)
-    for frame in frames:
-        decoder.add(frame)
-    with pytest.raises(LightSwitchedError) as found:
-        decoder.finish(once_more=True)
-    decoder = Decoder(patterns, SCENE.projector, switch=found.value.switch)
-    for place, frame in enumerate(frames):
-        decoder.measure_light(place, frame)
-    for frame in frames:
-        decoder.add(frame)
-    return decoder.finish()
-
-
 @pytest.mark.parametrize("number", [9, 10])
 def test_light_that_comes_up_while_a_frame_is_exposed_is_told_before_either(number: int) -> None:
     """Half of it is in the frame: nothing tells whether it came before it or after it, and both are named."""
     frames = SCENE.frames(GRAY)
     after = switched(frames, number, 0.3)
     half = np.rint((frames[number].astype(np.float64) + after[number]) / 2).astype(np.uint8)
-    decoding = decode_once_more(GRAY, [*after[:number], half, *after[number + 1 :]])
+    decoding = decode(GRAY, [*after[:number], half, *after[number + 1 :]], SCENE.projector)
     (said,) = [warning for warning in decoding.warnings if "was switched on before" in warning]
     assert f"frame {number} (" in said
     assert f"frame {number + 1} (" in said
-    clear = decode_once_more(GRAY, after)
+    clear = decode(GRAY, after, SCENE.projector)
     (said,) = [warning for warning in clear.warnings if "was switched on before" in warning]
     assert " or frame" not in said
 
@@ -72,7 +57,7 @@ def test_light_that_comes_up_while_a_frame_is_exposed_is_told_before_either(numb
 )
 def test_switched_light_is_taken_out(patterns: Sequence[Pattern], number: int, share: float) -> None:
     frames = SCENE.frames(patterns)
-    decoding = decode_once_more(patterns, switched(frames, number, share))
+    decoding = decode(patterns, switched(frames, number, share), SCENE.projector)
     errors = np.abs(SCENE.errors(decoding))
     assert 0.01 < np.median(errors) < 0.06
     assert np.mean(errors > 3) < 0.005
@@ -85,17 +70,15 @@ def test_switched_light_is_taken_out(patterns: Sequence[Pattern], number: int, s
 def test_exchanged_frames_are_no_light(one: int, other: int) -> None:
     frames = SCENE.frames(QUICK)
     frames[one], frames[other] = frames[other], frames[one]
-    decoder = Decoder(QUICK, SCENE.projector)
-    for frame in frames:
-        decoder.add(frame)
     with pytest.raises(InputError, match=f"frame {one} |frame {other} "):
-        decoder.finish(once_more=True)
+        decode(QUICK, frames, SCENE.projector)
 
 
-def test_steady_light_needs_no_second_look() -> None:
-    decoder = Decoder(QUICK, SCENE.projector)
+def test_steady_light_is_left_as_it_is() -> None:
     frames = SCENE.frames(QUICK)
+    decoder = Decoder(QUICK, SCENE.projector, as_taken=True)
     for frame in frames:
         decoder.add(frame)
-    found = decoder.finish(once_more=True).matches
-    assert np.array_equal(found.projector_px, decode(QUICK, frames, SCENE.projector).matches.projector_px)
+    found = decode(QUICK, frames, SCENE.projector)
+    assert np.array_equal(found.matches.projector_px, decoder.finish().matches.projector_px)
+    assert not any("switched" in warning for warning in found.warnings)

@@ -1,0 +1,62 @@
+"""All that is made of the frames one by one: beside a camera as they come, or of those that are kept."""
+
+from collections.abc import Iterable
+from itertools import chain
+
+from calib.numerics import Image
+from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.halves import EvenlyLit, halves_of
+from scanner.decoding.light.equalise import PairEqualiser
+from scanner.decoding.light.ghost import Ghost, find_ghost
+from scanner.decoding.light.noise_model import needs_neighbours
+from scanner.decoding.light.saturation_level import saturation_level
+from scanner.decoding.motion import CoarseFrames, TileSample
+from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.sequence_plan import SequencePlan
+
+
+class Folded:
+    """Running images of full size, and samples of all frames: of pixels, of tiles, and of the whole picture coarsely.
+
+    `lit`: the scene evenly lit by either half of the capture, if all of one axis comes before all of the other.
+    """
+
+    def __init__(self, plan: SequencePlan, first: Image) -> None:
+        shape = first.shape[0], first.shape[1]
+        self.sample = Sample(shape, neighbours=needs_neighbours(plan))
+        pairs = PairEqualiser(plan, self.sample, shape)
+        self.accumulators = Accumulators(plan, first, pairs, self.sample.pixels)
+        self.tiles, self.coarse = TileSample(shape), CoarseFrames(shape)
+        halves = halves_of(plan)
+        self.lit = EvenlyLit(halves, shape) if halves else None
+        self._plan, self._count = plan, 0
+        self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
+
+    def add(self, grey: Image) -> None:
+        """Fold in the next frame (H, W), which nobody changes any more."""
+        number = self._plan.shown[self._count]
+        if number in self._of_fringes:
+            self.tiles.add(self._count, grey)
+        # A pattern that was shown before is a witness of what has changed since, and nothing else.
+        if number not in self._plan.shown[: self._count]:
+            self.sample.add(grey)
+            self.coarse.add(grey)
+            for frame, made_alike in self.accumulators.add(number, grey).items():
+                if self.lit is not None:
+                    self.lit.add(frame, made_alike)
+        self._count += 1
+
+    def ghost(self) -> Ghost | None:
+        """What all frames show of the picture before."""
+        rows = self.sample.pixels // self.accumulators.brightest.shape[1]
+        return find_ghost(self._plan, self.sample.levels, rows, saturation_level(self.accumulators.peak))
+
+
+def folded(plan: SequencePlan, frames: Iterable[Image]) -> Folded:
+    """Of all frames (H, W) of a capture, of which there is one at least."""
+    remaining = iter(frames)
+    first = next(remaining)
+    found = Folded(plan, first)
+    for frame in chain([first], remaining):
+        found.add(frame)
+    return found
