@@ -10,8 +10,9 @@ from hw.backends import RigSettings, backend_of
 from hw.projector.process import ScreenProjector
 from hw.rig import Rig
 from hw.settings import CameraRigSettings, SimulatedRigSettings
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
+from hw.simulated.rig import Scenery, SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
+from hw.simulated.things import SimulatedThing, Solid
 from hw.timing.streamed_rig import streamed
 from hw.timing.synchronisation import synchronised
 from hw.timing.timed_rig import TimedRig
@@ -23,12 +24,13 @@ _USUAL_REFRESH_HZ = 60.0
 @dataclass(frozen=True)
 class OpenedRig:
     """A rig, and apart from it what only a simulated one tells, in metres: the true calibration, and its true place,
-    X_world = rotation X_camera + translation.
+    X_world = rotation X_camera + translation. Before a `thing` the world's frame is the thing's.
     """
 
     rig: Rig
     truth: Calibration | None
     place: Motion | None = None
+    thing: Solid | None = None
 
 
 @contextmanager
@@ -47,11 +49,17 @@ def open_rig(
 def _simulated(
     settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
 ) -> OpenedRig:
+    if settings.thing.kind != "none":
+        thing = SimulatedThing(settings, camera_size, projector_size)
+        return OpenedRig(_rig_before(thing), thing.calibration, thing.truth.place, thing.solid)
     room = SimulatedRoom(settings, camera_size, projector_size)
-    projector = SimulatedProjector(room)
+    return OpenedRig(_rig_before(room), room.calibration, room.place)
+
+
+def _rig_before(room: Scenery) -> Rig:
+    settings, projector = room.settings, SimulatedProjector(room)
     identity = {"backend": "simulated", "seed": str(settings.seed), "pose": str(settings.pose)}
-    rig = Rig(projector, SimulatedCamera(room, projector), identity, settings.refresh_hz)
-    return OpenedRig(rig, room.calibration, room.place)
+    return Rig(projector, SimulatedCamera(room, projector), identity, settings.refresh_hz)
 
 
 def _real(

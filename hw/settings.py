@@ -90,6 +90,35 @@ class BoardSettings(_Part):
     )
 
 
+class ThingSettings(_Part):
+    """A thing on a turntable, or put down by hand, that the simulated rig looks at instead of a room."""
+
+    kind: Literal["none", "lump", "ball", "vase", "plate", "box", "file"] = Field(
+        default="none",
+        description="Its shape: lump is drawn from the seed (a superquadric with waves over it), file is read; none is "
+        "a room instead.",
+    )
+    file: str | None = Field(default=None, description="A mesh, for kind: file (PLY, OBJ, STL, OFF).")
+    size_m: float = Field(default=0.1, gt=0.0, le=1.0, description="Its longest side in metres.")
+    steps: int = Field(default=24, ge=2, le=360, description="How many poses it has; rig.pose is one of them.")
+    step_deg: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=180.0,
+        description="How far the turntable turns in a step; left out, once round in all.",
+    )
+    turntable: bool = Field(
+        default=True, description="Whether it turns on a turntable; else it is put down another way each time."
+    )
+    background: bool = Field(
+        default=True, description="The turntable's plate, a table and a wall; else there is nothing."
+    )
+    patches: float = Field(
+        default=0.6, ge=0.0, le=1.0, description="How much patches of its surface differ in albedo; 0 is plain."
+    )
+    gloss: float = Field(default=0.0, ge=0.0, le=5.0, description="How much of a highlight its surface has.")
+
+
 class PanelSettings(_Part):
     """What a simulated projector makes of the picture's shape before it shows it."""
 
@@ -225,6 +254,10 @@ class SimulatedRigSettings(BaseModel):
         default=BoardSettings(),
         description="{square_m: …, pose: …}: a board is held before the rig; with on_floor: true it lies on the floor.",
     )
+    thing: ThingSettings = Field(
+        default=ThingSettings(),
+        description="{kind: …, size_m: …, steps: …}: the rig looks at a thing, not into a room.",
+    )
     bump: BumpSettings = Field(
         default=BumpSettings(), description="{device: …, frame: …, px: …}: a device is knocked against once."
     )
@@ -258,6 +291,8 @@ class SimulatedRigSettings(BaseModel):
     @property
     def places(self) -> int:
         """How many there are."""
+        if self.thing.kind != "none":
+            return self.thing.steps
         return self.stations if self.room == "whole" else _PLACES_BEFORE_A_CORNER
 
     @model_validator(mode="after")

@@ -1,5 +1,6 @@
 """Whole rooms: where several stations of one rig stood, the planes that they share, and one estimate of all of it."""
 
+from calib.rooms.dense_check import Disagreement, disagreements
 from calib.rooms.estimate import RoomEstimate, Undetermined, estimate_room
 from calib.rooms.followed import Sight
 from calib.rooms.likelihood import RigPrior

@@ -21,6 +21,9 @@ from calib.rooms.room import PER_PLACE, Room
 
 _DENSE, _MOST = 60_000, 4000  # points of a station, and how many of them look for others
 _NEIGHBOURS = 12
+# Where nothing but surfaces holds stations: normals that are mostly noise pull together what is near by chance. So many
+# neighbours blur the edges of furniture, which planes hold better anyhow.
+SMOOTH, _SHARE = 60, 1 / 1000  # the latter of a station's points: fewer neighbours where these are sparse
 _FLAT = 0.2  # least over middle spread of a point's neighbours; rougher places have no normal
 _ALIKE = 0.94  # of two normals' product
 _FEWEST = 30
@@ -67,6 +70,16 @@ class Contact:
             by_pixels.append(np.einsum("ni,nij->nj", back, by_match))
         return distances, by_room, np.hstack(by_pixels)
 
+    def noise_px(self, match_px: tuple[float, float]) -> Floats:
+        """Of each point in either station (N, 2): as its matches state it, or else as given."""
+        return np.stack(
+            [
+                np.full(len(each), px) if each.sigma_px is None else each.sigma_px
+                for each, px in zip(self.matches, match_px, strict=True)
+            ],
+            axis=1,
+        )
+
     def misfit(self, room: Room) -> tuple[float, Floats, Floats]:
         """Cost under Huber's loss, half its gradient (27,) and its Gauss–Newton Hessian (27, 27)."""
         distances, by_room, _ = self.distances(room)
@@ -78,11 +91,11 @@ class Contact:
 
 
 def find_contacts(
-    loose: Sequence[Matches], room: Room, match_px: Sequence[float], radius: float
+    loose: Sequence[Matches], room: Room, match_px: Sequence[float], radius: float, neighbours: int = _NEIGHBOURS
 ) -> tuple[Contact, ...]:
     """Between all stations' matches that are on no plane, no further apart than `radius` in baselines.
 
-    `match_px`: each station's noise, where its matches state none.
+    `match_px`: each station's noise, where its matches state none. `neighbours`: how many tell a point's normal.
     """
     matches = [each[evenly(np.ones(len(each), np.bool_), _DENSE)] for each in loose]
     points = [
@@ -90,7 +103,7 @@ def find_contacts(
         for each, place in zip(matches, room.places, strict=True)
     ]
     trees = [cKDTree(each) for each in points]
-    normals = [_normals(each, tree) for each, tree in zip(points, trees, strict=True)]
+    normals = [_normals(each, tree, neighbours) for each, tree in zip(points, trees, strict=True)]
     found = []
     for first, second in combinations(range(len(matches)), 2):
         if min(len(points[first]), len(points[second])) < _FEWEST:
@@ -120,11 +133,12 @@ def _seen(room: Room, matches: Matches) -> Floats:
     return rays * depths(room.rig, rays, matches.projector_px)[:, None]
 
 
-def _normals(points: Floats, tree: "cKDTree[None]") -> Floats:
+def _normals(points: Floats, tree: "cKDTree[None]", most: int) -> Floats:
     """Of the surface at each point (N, 3) by its neighbours; NaN where they tell none."""
-    if len(points) < _NEIGHBOURS:
+    count = int(np.clip(_SHARE * len(points), _NEIGHBOURS, most))
+    if len(points) < count:
         return np.full_like(points, np.nan)
-    _, neighbours = tree.query(points, _NEIGHBOURS)
+    _, neighbours = tree.query(points, count)
     around = points[np.asarray(neighbours)]
     around = around - around.mean(axis=1, keepdims=True)
     spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
@@ -135,13 +149,7 @@ def _normals(points: Floats, tree: "cKDTree[None]") -> Floats:
 def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Floats:
     """By the matches' noise, as much larger as the distances show, and as errors that are alike over blocks show."""
     distances, _, by_pixels = contact.distances(room)
-    noise = np.stack(
-        [
-            np.full(len(each), px) if each.sigma_px is None else each.sigma_px
-            for each, px in zip(contact.matches, match_px, strict=True)
-        ],
-        axis=1,
-    )
+    noise = contact.noise_px(match_px)
     variance: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
     variance *= max(1.0, (SIGMA_PER_MEDIAN * median(np.abs(distances) / np.sqrt(variance))) ** 2)
     relative = np.clip(distances / np.sqrt(variance), -ROBUST_SIGMAS, ROBUST_SIGMAS)
@@ -150,8 +158,14 @@ def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Fl
 
 def alike_in_blocks(pixel: Floats, relative: Floats) -> float:
     """By what factor variances are larger because errors (N,), in sigmas, are alike in blocks of pixels (N, 2)."""
-    place = ((pixel - pixel.min(axis=0)) / (np.ptp(pixel, axis=0) + 1e-9) * _BLOCKS).astype(np.int64)
-    block = place[:, 0] * (_BLOCKS + 1) + place[:, 1]
+    block = blocks_of(pixel)
     count, total = np.bincount(block), np.bincount(block, relative)
     full = count >= _FEWEST_IN_BLOCK
     return max(1.0, float(np.mean(total[full] ** 2 / count[full]))) if full.any() else 1.0
+
+
+def blocks_of(pixel: Floats) -> Ints:
+    """The number (N,) of the block that each pixel (N, 2) is in."""
+    place = ((pixel - pixel.min(axis=0)) / (np.ptp(pixel, axis=0) + 1e-9) * _BLOCKS).astype(np.int64)
+    number: Ints = place[:, 0] * (_BLOCKS + 1) + place[:, 1]
+    return number

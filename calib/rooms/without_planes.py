@@ -12,7 +12,7 @@ from calib.numerics import Floats
 from calib.refinement import Noise, State, covariance_of
 from calib.refinement.further_planes import depths
 from calib.refusal import RefusalError
-from calib.rooms.contacts import Contact, find_contacts
+from calib.rooms.contacts import SMOOTH, Contact, find_contacts
 from calib.rooms.estimate import NEAR, RoomEstimate, undetermined_in
 from calib.rooms.likelihood import RigPrior, RoomPrior, minimise, rig_of
 from calib.rooms.noise import Levels
@@ -36,7 +36,7 @@ def estimate_without_planes(
     contacts: tuple[Contact, ...] = ()
     fit = minimise((), room, known, (), free)
     for share in NEAR:
-        contacts = find_contacts(loose, fit.room, [_MATCH_PX] * len(loose), share * reach)
+        contacts = find_contacts(loose, fit.room, [_MATCH_PX] * len(loose), share * reach, SMOOTH)
         if not contacts:
             raise RefusalError(
                 "The stations' surfaces do not lie on each other closely enough to be estimated together.",

@@ -9,6 +9,7 @@ from hw.simulated.arrays import Light
 from hw.simulated.lamp import Lamp
 from hw.simulated.renderer import Renderer
 from hw.simulated.simulation import SimulatedRoom
+from hw.simulated.things import SimulatedThing, ThingRenderer
 
 # Random numbers of the camera's noise; the room's have other streams.
 _NOISE_STREAM = 101
@@ -17,10 +18,14 @@ _PULSE_STREAM = 102
 _EXPOSURE_LIMITS_US = (10.0, 1e7)
 
 
+View = Renderer | ThingRenderer
+Scenery = SimulatedRoom | SimulatedThing
+
+
 class SimulatedProjector:
     """Lights the room with what it is shown; black at first."""
 
-    def __init__(self, room: SimulatedRoom) -> None:
+    def __init__(self, room: Scenery) -> None:
         self._room = room
         width, height = self.size
         self._shown = room.renderer.picture.linear(np.zeros((height, width), np.uint8))
@@ -53,7 +58,7 @@ class SimulatedProjector:
 class SimulatedCamera:
     """Sees the room as the projector lights it now; every frame has noise of its own."""
 
-    def __init__(self, room: SimulatedRoom, projector: SimulatedProjector) -> None:
+    def __init__(self, room: Scenery, projector: SimulatedProjector) -> None:
         self._room = room
         self._projector = projector
         self._noise = np.random.default_rng([room.settings.seed, _NOISE_STREAM, room.settings.pose])
@@ -61,8 +66,8 @@ class SimulatedCamera:
         self._lamp = Lamp(room.settings, pulses)
         self._exposure_us = room.sensor.exposure_us
         self._frame = 0
-        self._seen: tuple[Light, Renderer, Light] | None = None
-        self._unlit: tuple[Renderer, Light] | None = None
+        self._seen: tuple[Light, View, Light] | None = None
+        self._unlit: tuple[View, Light] | None = None
 
     @property
     def size(self) -> tuple[int, int]:

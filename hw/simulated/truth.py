@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.geometry import Calibration, Intrinsics, Motion
 from calib.numerics import Floats, Ints
-from hw.simulated.device import Optics
+from hw.simulated.device import Optics, PlacedDevice
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.renderer import Renderer
 from hw.simulated.room import Room
@@ -40,9 +40,14 @@ def true_calibration(room: Room, shape: Floats | None = None) -> Calibration | N
         if found is None:
             return None
         projector = found
-    rotation = room.projector.rotation @ room.camera.rotation.T
-    translation = room.projector.rotation @ (room.camera.centre - room.projector.centre)
-    return Calibration(_intrinsics(room.camera.optics), projector, rotation, translation, unit="m")
+    return replace(calibration_between(room.camera, room.projector), projector=projector)
+
+
+def calibration_between(camera: PlacedDevice, projector: PlacedDevice) -> Calibration:
+    """Of two devices, in metres."""
+    rotation = projector.rotation @ camera.rotation.T
+    translation = projector.rotation @ (camera.centre - projector.centre)
+    return Calibration(_intrinsics(camera.optics), _intrinsics(projector.optics), rotation, translation, unit="m")
 
 
 def true_place(room: Room) -> Motion:

@@ -12,12 +12,14 @@ from calib.pointcloud import build_cloud
 from calib.refinement import Cells, Knowledge, into_cells
 from calib.refusal import RefusalError
 from calib.rooms import (
+    Disagreement,
     Group,
     Registration,
     RigPrior,
     RoomEstimate,
     Sight,
     StationView,
+    disagreements,
     estimate_room,
     estimate_without_planes,
     marks_of,
@@ -39,6 +41,11 @@ from scanner.ui import Progress
 
 _FEWEST_ON_A_PLANE = 200
 _MOST_ROUNDS = 3
+_NO_FLOOR = "No floor was seen: upright is how the cameras were held."
+_BY_SURFACES = (
+    "What was taken for planes puts the stations elsewhere than their surfaces lie on each other: places are by the "
+    "surfaces alone"
+)
 _MOST_ON_FACE = 0.5  # of a face's matches that have to be on one plane for the face to be that plane
 
 
@@ -80,7 +87,8 @@ def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, pro
         registered = again
         start = start if start.given else replace(start, calibration=rig)
         estimate = _estimate(registered, start, config, progress)
-    return _finished(registered, estimate, start, config)
+    estimate, by_surfaces = _held_against_surfaces(registered, estimate, start, progress)
+    return _finished(registered, estimate, start, config, by_surfaces)
 
 
 def _measured(estimate: RoomEstimate, captures: Sequence[Decoded]) -> Calibration:
@@ -141,6 +149,37 @@ def _reasons(captures: Sequence[Decoded], registration: Registration) -> str:
 def _estimate(registered: _Registered, start: RigStart, config: Config, progress: Progress) -> RoomEstimate:
     with progress.step("Estimating"):
         return _estimated(registered.members, registered.registration.groups[0], start, config)
+
+
+def _held_against_surfaces(
+    registered: _Registered, estimate: RoomEstimate, start: RigStart, progress: Progress
+) -> tuple[RoomEstimate, bool]:
+    """The estimate if the stations' surfaces lie on each other as it says, or else one by the surfaces alone, and
+    whether it is that. Raises RefusalError if these do not lie on each other either.
+    """
+    members = registered.members
+    matches = [ideal_matches(each.decoded.matches, start) for each in members]
+    with progress.step("Asking the surfaces"):
+        if not disagreements(matches, estimate):
+            return estimate, False
+        known = RigPrior.exactly(estimate.rig)
+        by_surfaces = estimate_without_planes(matches, estimate.places, estimate.rig, known)
+        left = disagreements(matches, by_surfaces)
+    if left:
+        names = sorted({members[k].decoded.name for each in left for k in (each.first, each.second)})
+        worst = max(left, key=lambda each: max(each.sigmas, each.apart))
+        raise RefusalError(
+            f"The surfaces of {', '.join(names)} do not lie on each other: {_apart(worst)}.",
+            "Something moved between the stations, or only part of the scene did: scan a thing on a turntable with "
+            "scan object, or let everything rest.",
+        )
+    return by_surfaces, True
+
+
+def _apart(worst: Disagreement) -> str:
+    if worst.sigmas > 1:
+        return f"they would need {worst.turn_deg:.2g}° more of a turn, far beyond what the matches' sigmas allow"
+    return f"{worst.apart:.0%} of what two of them saw is elsewhere in one than in the other"
 
 
 def _estimated(members: Sequence[Seen], group: Group, start: RigStart, config: Config) -> RoomEstimate:
@@ -213,10 +252,14 @@ def _faces(seen: Seen, plane_of: Sequence[int], corner: Decoded | None) -> tuple
     return found[0], found[1], found[2]
 
 
-def _finished(registered: _Registered, estimate: RoomEstimate, start: RigStart, config: Config) -> SolvedRoom:
+def _finished(
+    registered: _Registered, estimate: RoomEstimate, start: RigStart, config: Config, by_surfaces: bool
+) -> SolvedRoom:
     """With its scale, upright, and the clouds by the rig as it is known now."""
     registration, members = registered.registration, registered.members
     group = registration.groups[0]
+    if by_surfaces:
+        group = replace(group, planes=(), plane_of=tuple((-1,) * len(each) for each in group.plane_of))
     facts = members[0].decoded.facts
     sigma = sigmas_of(estimate.rig, estimate.rig_covariance)
     own = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, sigma)
@@ -238,7 +281,8 @@ def _finished(registered: _Registered, estimate: RoomEstimate, start: RigStart, 
     )
     match_px = float(np.nanmedian([noise.match_px for noise in estimate.levels.stations]))
     captures = [each.decoded for each in registered.seen]
-    remarks = () if floor is not None else ("No floor was seen: upright is how the cameras were held.",)
+    said = {_NO_FLOOR: floor is None, _BY_SURFACES: by_surfaces}
+    remarks = tuple(sentence for sentence, holds in said.items() if holds)
     return SolvedRoom(
         calibration,
         Uncertainty(estimate.rig, estimate.rig_covariance, None, match_px) if is_estimated(start) else None,

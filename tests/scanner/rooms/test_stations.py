@@ -115,7 +115,7 @@ def test_nothing_is_begun_without_open3d(
     def missing(name: str) -> object:
         raise OSError("libGL.so.1: cannot open shared object file")
 
-    monkeypatch.setattr("calib.rooms.open3d_module.import_module", missing)
+    monkeypatch.setattr("calib.numerics.open3d_module.import_module", missing)
     with pytest.raises(Exception, match=r"libGL\.so\.1.*apt-get install libgl1 .*libgomp1"):
         room(example.files, example.config, tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -1,0 +1,106 @@
+"""Do the dense surfaces lie on each other as an estimate says? Asked of every pair of stations after any registration.
+
+Planes that were none, or the same part of a wall taken for another, may leave small residuals and small sigmas, and
+places that are wrong by many of these. The distances between two clouds, which no such choice has passed through, tell:
+the twist that would bring one onto the other has to be what the covariance allows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.geometry import Matches
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, median
+from calib.refinement import SHARED
+from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.rooms.contacts import SMOOTH, Contact, alike_in_blocks, blocks_of, find_contacts
+from calib.rooms.estimate import RoomEstimate
+from calib.rooms.room import PER_PLACE
+
+_RADIUS = 0.01  # of the reach, as of the contacts
+_ROUNDS = 5
+_TURNING, _SHIFTING = slice(0, 3), slice(3, 6)
+# Smooth errors of real decoders are known roughly, so that sigmas count for less than those of normal numbers.
+_CALM = 1.5
+_DOUBT = float(chi2.isf(1e-3, PER_PLACE))
+_FAR, _FAR_SHARE, _FULL_BLOCK = 5.0, 0.06, 20  # sigmas and share of blocks that are apart, and points in each
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """Stations `first` and `second`, whose surfaces are apart. `turn_deg`, `shift`: by how much the second would have
+    to move, in degrees and baselines (of the middle of what both saw), which is `sigmas` of what the estimate allows;
+    `apart`: share of what both saw that is off all the same, because part of the scene moved.
+    """
+
+    first: int
+    second: int
+    turn_deg: float
+    shift: float
+    sigmas: float
+    apart: float
+
+
+def disagreements(matches: Sequence[Matches], estimate: RoomEstimate) -> list[Disagreement]:
+    """Of all pairs that share a surface; `matches`: all of each station's."""
+    match_px = [noise.match_px for noise in estimate.levels.stations]
+    contacts = find_contacts(matches, estimate.room, match_px, _RADIUS * estimate.reach, SMOOTH)
+    found = [_compared(contact, estimate, (match_px[contact.first], match_px[contact.second])) for contact in contacts]
+    return [each for each in found if each.sigmas > 1 or each.apart > _FAR_SHARE]
+
+
+def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, float]) -> Disagreement:
+    distances, by_room, by_pixels = contact.distances(estimate.room)
+    noise = contact.noise_px(match_px)
+    alone: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
+    # The twist is that of the second station about the middle of what both saw.
+    columns = by_room[:, SHARED + PER_PLACE :]
+    middle = _middle(columns)
+    by_twist = columns.copy()
+    by_twist[:, _TURNING] -= np.cross(np.broadcast_to(middle, (len(columns), 3)), columns[:, _SHIFTING])
+    twist: Floats = np.zeros(PER_PLACE)
+    variance = alone
+    for _ in range(_ROUNDS):
+        left = distances + by_twist @ twist
+        variance = alone * max(1.0, (SIGMA_PER_MEDIAN * median(np.abs(left) / np.sqrt(alone))) ** 2)
+        size = np.abs(left) / np.sqrt(variance)
+        weight: Floats = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(size, 1e-12)) / variance
+        normal = (by_twist * weight[:, None]).T @ by_twist
+        twist = -np.linalg.lstsq(normal, (by_twist * weight[:, None]).T @ distances, rcond=1e-9)[0].astype(np.float64)
+    left = distances + by_twist @ twist
+    pixels = contact.matches[0].camera_px
+    relative = left / np.sqrt(variance)
+    many = alike_in_blocks(pixels, np.clip(relative, -ROBUST_SIGMAS, ROBUST_SIGMAS))
+    weighted = (by_twist * (weight / many)[:, None]).T
+    pull, allowed = weighted @ distances, weighted @ by_room
+    at = contact.columns(estimate.room)
+    covariance = allowed @ estimate.covariance[np.ix_(at, at)] @ allowed.T + weighted @ by_twist
+    told = float(pull @ np.linalg.pinv(covariance, hermitian=True) @ pull)
+    return Disagreement(
+        contact.first,
+        contact.second,
+        float(np.degrees(np.linalg.norm(twist[_TURNING]))),
+        float(np.linalg.norm(twist[_SHIFTING])),
+        float(np.sqrt(told / _DOUBT)) / _CALM,
+        _apart(pixels, left / np.sqrt(alone)),
+    )
+
+
+def _middle(columns: Floats) -> Floats:
+    """Of the points (3,), by their derivatives (N, 6): cross(point, normal) and the normal."""
+    turns, normals = columns[:, _TURNING], columns[:, _SHIFTING]
+    cross = np.zeros((len(normals), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = normals[:, 2], -normals[:, 1], normals[:, 0]
+    cross -= cross.transpose(0, 2, 1)
+    found: Floats = np.linalg.lstsq(cross.reshape(-1, 3), turns.reshape(-1), rcond=None)[0].astype(np.float64)
+    return found
+
+
+def _apart(pixels: Floats, relative: Floats) -> float:
+    """Share of the blocks of the first's picture in which the surfaces are many sigmas apart, all in one way."""
+    block = blocks_of(pixels)
+    count = np.bincount(block)
+    full = [relative[block == number] for number in np.flatnonzero(count >= _FULL_BLOCK)]
+    return float(np.mean([abs(float(np.median(each))) > _FAR for each in full])) if full else 0.0

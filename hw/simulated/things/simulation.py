@@ -1,0 +1,184 @@
+"""A simulated thing before a rig, ready to be lit with pictures and looked at: the counterpart of `SimulatedRoom`."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from calib.geometry import Calibration, Motion
+from calib.numerics import Bools, Floats
+from hw.settings import SimulatedRigSettings
+from hw.simulated.arrays import Light, sparse_matrix
+from hw.simulated.device import Optics, PlacedDevice
+from hw.simulated.illumination import SPILL_PX
+from hw.simulated.picture import PictureOptics
+from hw.simulated.placement import look_at, resized
+from hw.simulated.sensor import Sensor, build_sensor
+from hw.simulated.things.solids import Solid, draw_solid
+from hw.simulated.things.stage import Hits, Stage, pose_of, reflected
+from hw.simulated.truth import calibration_between
+
+_STREAM = 300  # of random numbers, apart from those of rooms
+_CAMERA, _PROJECTOR = Optics(1224, 1024, 2100.0, (618.0, 508.0)), Optics(854, 480, 1500.0, (431.0, 243.0))
+_AWAY, _APART = 3.4, (1.0, 1.6)  # of the size: of the rig from the thing, and of its two devices
+_SAMPLES = 2
+
+
+@dataclass(frozen=True, eq=False)
+class ThingTruth:
+    """`solid` in its own frame, `place`: X_thing = rotation X_camera + translation."""
+
+    solid: Solid
+    place: Motion
+
+
+@dataclass(frozen=True, eq=False)
+class ThingRenderer:
+    """`direct`: brightness of the camera's pixels by the projector's fine image; `room_light` (H, W): without it."""
+
+    picture: PictureOptics
+    direct_light: sparse.csr_array
+    room_light: Light
+
+    def thrown(self, light: Light) -> Light:
+        """Brightness (H, W) by linear light (H, W) of the projector's pixels; surfaces do not light each other."""
+        image: Light = (self.direct_light @ self.picture.blurred(light)).reshape(self.room_light.shape)
+        return image
+
+
+@dataclass(frozen=True)
+class Devices:
+    """Both devices at their places in the world."""
+
+    camera: PlacedDevice
+    projector: PlacedDevice
+
+
+class SimulatedThing:
+    """The thing of the settings' seed at the step `pose`, and a rig that rests before it."""
+
+    def __init__(
+        self, settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
+    ) -> None:
+        self.settings = settings
+        seed = (settings.seed, _STREAM)
+        self.solid = draw_solid(settings.thing, np.random.default_rng([*seed, 2]))
+        self.room = _devices(settings, np.random.default_rng([*seed, 3]), camera_size, projector_size)
+        self.pose = pose_of(self.solid, settings.thing, settings.pose, seed)
+        self.stage = Stage(self.solid, self.pose, settings.thing)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The true one, in metres."""
+        return calibration_between(self.room.camera, self.room.projector)
+
+    @property
+    def truth(self) -> ThingTruth:
+        """Of the thing."""
+        camera = self.room.camera
+        back = self.pose.rotation.T
+        return ThingTruth(self.solid, Motion(back @ camera.rotation.T, back @ (camera.centre - self.pose.translation)))
+
+    @cached_property
+    def renderer(self) -> ThingRenderer:
+        """What each pixel sees, by a grid of rays in each."""
+        picture = PictureOptics(
+            self.room.projector.optics.width,
+            self.room.projector.optics.height,
+            self.settings.gamma,
+            self.settings.contrast,
+            self.settings.projector_blur_px,
+        ).under(self.settings)
+        optics = self.room.camera.optics
+        x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
+        offsets = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+        direct, dim = sparse.csr_array((x.size, picture.fine_count), dtype=np.float32), np.zeros(x.size)
+        for across in offsets:
+            for down in offsets:
+                hits, pixels, irradiance, gain = self._traced((x + across).ravel(), (y + down).ravel())
+                lit = np.flatnonzero(irradiance)
+                texels, weights = picture.interpolate(pixels[:, lit])
+                weights *= (gain[lit] * irradiance[lit] / _SAMPLES**2)[:, None]
+                direct = direct + sparse_matrix(lit, texels, weights, (x.size, picture.fine_count))
+                dim += np.where(hits.there, hits.albedo, 0.0) / _SAMPLES**2
+        white: Floats = np.asarray(direct.sum(axis=1), np.float64).ravel()
+        both = (white > 0) & (dim > 0)
+        level = float(np.median(white[both]) / np.median(dim[both]))
+        ambient = (level * dim).astype(np.float32).reshape(x.shape)
+        return ThingRenderer(picture, sparse.csr_array(direct), ambient)
+
+    @cached_property
+    def sensor(self) -> Sensor:
+        """Exposed for a white picture."""
+        optics = self.room.projector.optics
+        white = self.renderer.picture.linear(np.full((optics.height, optics.width), 255, np.uint8))
+        return build_sensor(
+            self.settings, self.renderer.thrown(white) + np.float32(self.settings.ambient) * self.renderer.room_light
+        )
+
+    def at(self, frame: int) -> ThingRenderer:
+        """The view in a frame: nothing moves during a capture."""
+        del frame
+        return self.renderer
+
+    def ambient_level(self, frame: int) -> float:
+        """How much light there is in a frame beside the projector's, relative to its white."""
+        del frame
+        return self.settings.ambient
+
+    def seen(self) -> tuple[Floats, Floats, Bools]:
+        """Of each pixel's centre: the projector pixel that lights it (H, W, 2), NaN where none does; how bright a white
+        picture makes it; and whether it is the thing, (H, W).
+        """
+        optics = self.room.camera.optics
+        shape = (optics.height, optics.width)
+        x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
+        hits, pixels, irradiance, gain = self._traced(x.ravel().astype(np.float64), y.ravel().astype(np.float64))
+        inside = (irradiance > 0) & self.room.projector.optics.sees(pixels)
+        bright = (gain * irradiance).reshape(shape)
+        lit_by: Floats = np.where(inside, pixels, np.nan).T.reshape(*shape, 2)
+        return lit_by, bright, hits.thing.reshape(shape)
+
+    def _traced(self, x: Floats, y: Floats) -> tuple[Hits, Floats, Floats, Floats]:
+        """What camera pixels (n,) see; the projector's pixels there (2, n), irradiance and gain (n,)."""
+        camera, projector = self.room.camera, self.room.projector
+        hits = self.stage.cast(camera.centre, camera.rays(np.stack([x, y]).astype(np.float64)).T)
+        pixels, depths = projector.project(hits.points.T)
+        to_light = projector.centre - hits.points
+        facing = np.sum(hits.normals * to_light, axis=1)
+        possible = np.flatnonzero(hits.there & (facing > 0) & projector.optics.sees(pixels, SPILL_PX))
+        reached = possible[self.stage.lit(hits.points[possible], projector)]
+        irradiance = np.zeros(len(x))
+        irradiance[reached] = facing[reached] / depths[reached] ** 3
+        gain = reflected(hits, _unit(camera.centre - hits.points), _unit(to_light), self.settings.thing.gloss)
+        return hits, pixels, irradiance, gain
+
+
+def _unit(vectors: Floats) -> Floats:
+    found: Floats = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    return found
+
+
+def _devices(
+    settings: SimulatedRigSettings,
+    rng: np.random.Generator,
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+) -> Devices:
+    """On a tripod before the table, looking down on the thing; both devices far enough away to see all of it."""
+    size = settings.thing.size_m
+    target = np.array([0.0, 0.0, 0.4 * size])
+    height, across = np.radians(rng.uniform(22, 38)), rng.uniform(-0.2, 0.2)
+    centre = target + _AWAY * size * np.array([np.sin(across), -np.cos(across) * np.cos(height), np.sin(height)])
+    side = np.array([rng.choice([-1.0, 1.0]), 0.0, rng.uniform(-0.2, 0.3)]) * rng.uniform(*_APART) * size
+    lenses = settings.distortion * rng.uniform((-0.06, -0.02), (0.0, 0.02))
+    placed = []
+    for optics, at, image, k1 in (
+        (_CAMERA, centre, camera_size, lenses[0]),
+        (_PROJECTOR, centre + side, projector_size, lenses[1]),
+    ):
+        lens = Optics(optics.width, optics.height, optics.focal_px, optics.principal_point_px, float(k1))
+        rotation = look_at(at, target, np.array([0.0, 0.0, 1.0]), float(rng.uniform(-4, 4)))
+        placed.append(PlacedDevice(resized(lens, *image), rotation, at))
+    return Devices(*placed)

@@ -1,0 +1,136 @@
+"""Where a thing is at each step, what is around it, and what rays meet of all that. Ray casting by Open3D (Embree)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Motion
+from calib.numerics import Bools, Floats, Ints
+from calib.numerics.open3d_module import open3d
+from hw.settings import ThingSettings
+from hw.simulated.device import PlacedDevice
+from hw.simulated.things.solids import Solid
+
+_PLATE_M, _PLATE_OF_SIZE, _PLATE_CORNERS = 0.004, 0.8, 96
+_OFF_CENTRE = 0.08  # of the size, that a thing is put beside the axis
+_BEHIND, _WIDE = 1.3, 6.0  # of the size: how far behind the axis the wall is, and half the table
+_SPECKLE = 25.0  # cells of the background's print to the size
+_GLOSS_EXPONENT = 30.0
+_START = 1e-5  # of a ray's length, that it starts off a surface
+_THING, _PLATE, _REST = 0, 1, 2
+
+
+def pose_of(solid: Solid, settings: ThingSettings, step: int, seed: tuple[int, int]) -> Motion:
+    """Where the thing is: X_world = R X_thing + t."""
+    rng = np.random.default_rng([*seed, 0])
+    aside = _OFF_CENTRE * settings.size_m * rng.standard_normal(2)
+    if settings.turntable:
+        turn = float(settings.step_deg or 360.0 / settings.steps) * step
+        rotation = np.asarray(Rotation.from_euler("z", turn, degrees=True).as_matrix(), np.float64)
+        height = _PLATE_M - float(solid.vertices[:, 2].min())
+        return Motion(rotation, rotation @ np.array([*aside, height]))
+    own = np.random.default_rng([*seed, 1, step])
+    rotation = np.asarray(Rotation.random(random_state=own).as_matrix(), np.float64)
+    return Motion(rotation, np.array([*aside, _PLATE_M - float((solid.vertices @ rotation.T)[:, 2].min())]))
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What n rays meet: `there` (n,) whether anything, `points`, `normals` (n, 3) in the world, `albedo` (n,), `thing`
+    (n,) whether it is the thing.
+    """
+
+    there: Bools
+    points: Floats
+    normals: Floats
+    albedo: Floats
+    thing: Bools
+
+
+class Stage:
+    """A thing at a place, with the turntable's plate and, behind and below, what rests."""
+
+    def __init__(self, solid: Solid, place: Motion, settings: ThingSettings) -> None:
+        self._o3d = open3d()
+        self._solid, self._size = solid, settings.size_m
+        self._scene: Any = self._o3d.t.geometry.RaycastingScene(nthreads=0)
+        parts = [(solid.vertices @ place.rotation.T + place.translation, solid.triangles)]
+        if settings.background:
+            parts += [_plate(self._size), _surroundings(self._size)]
+        for vertices, triangles in parts:
+            self._scene.add_triangles(
+                self._o3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
+                self._o3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
+            )
+
+    def cast(self, origin: Floats, directions: Floats) -> Hits:
+        """Rays (n, 3) from one origin (3,)."""
+        rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], axis=1)
+        found = self._scene.cast_rays(self._o3d.core.Tensor(rays.astype(np.float32)))
+        along, which = found["t_hit"].numpy().astype(np.float64), found["geometry_ids"].numpy()
+        there = np.isfinite(along)
+        points = origin + np.where(there, along, 0.0)[:, None] * directions
+        normals = found["primitive_normals"].numpy().astype(np.float64)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        normals *= -np.sign(np.sum(normals * directions, axis=1, keepdims=True))
+        thing = there & (which == _THING)
+        albedo = np.full(len(points), 0.5)
+        resting = there & (which == _REST)
+        albedo[resting] = _speckled(points[resting] / self._size)
+        corners = self._solid.triangles[found["primitive_ids"].numpy()[thing].astype(np.int64)]
+        u, v = found["primitive_uvs"].numpy()[thing].astype(np.float64).T
+        albedo[thing] = np.sum(self._solid.albedo[corners] * np.stack([1 - u - v, u, v], axis=1), axis=1)
+        return Hits(there, points, normals, albedo, thing)
+
+    def lit(self, points: Floats, light: PlacedDevice) -> Bools:
+        """Which points (n, 3) nothing hides from a device, (n,)."""
+        towards = light.centre - points
+        rays = np.concatenate([points + 100 * _START * towards, (1 - 200 * _START) * towards], axis=1)
+        hidden = self._scene.test_occlusions(self._o3d.core.Tensor(rays.astype(np.float32)), tfar=1.0)
+        return ~np.asarray(hidden.numpy(), np.bool_)
+
+
+def reflected(hits: Hits, to_eye: Floats, to_light: Floats, gloss: float) -> Floats:
+    """From irradiance to brightness, (n,): Lambert's law, and on the thing a lobe of Phong's about the mirror's way."""
+    if gloss == 0:
+        return hits.albedo
+    facing = np.sum(hits.normals * to_light, axis=1, keepdims=True)
+    mirrored = 2 * facing * hits.normals - to_light
+    along = np.clip(np.sum(mirrored * to_eye, axis=1), 0.0, 1.0)
+    return hits.albedo + np.where(hits.thing, gloss * along**_GLOSS_EXPONENT, 0.0)
+
+
+def _plate(size: float) -> tuple[Floats, Ints]:
+    """The turntable's plate: a disc and its rim."""
+    around = np.linspace(0, 2 * np.pi, _PLATE_CORNERS, endpoint=False)
+    ring = _PLATE_OF_SIZE * size * np.stack([np.cos(around), np.sin(around)], axis=1)
+    top, foot = (np.column_stack([ring, np.full(len(ring), z)]) for z in (_PLATE_M * 0.99, 0.0))
+    n = len(ring)
+    here, beyond = np.arange(n), (np.arange(n) + 1) % n
+    middle = np.full(n, 2 * n)
+    triangles = np.concatenate(
+        [
+            np.stack([middle, here, beyond], axis=1),
+            np.stack([here, here + n, beyond], axis=1),
+            np.stack([beyond, here + n, beyond + n], axis=1),
+        ]
+    )
+    return np.concatenate([top, foot, [[0.0, 0.0, _PLATE_M * 0.99]]]), triangles
+
+
+def _surroundings(size: float) -> tuple[Floats, Ints]:
+    """The table, and a wall behind it; the rig looks from where y is negative."""
+    wide, behind = _WIDE * size, _BEHIND * size
+    floor = [[-wide, -wide, 0.0], [wide, -wide, 0.0], [wide, behind, 0.0], [-wide, behind, 0.0]]
+    wall = [[-wide, behind, 0.0], [wide, behind, 0.0], [wide, 1.1 * behind, wide], [-wide, 1.1 * behind, wide]]
+    return np.array(floor + wall), np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+
+
+def _speckled(points: Floats) -> Floats:
+    """Albedo (n,) of a printed cloth at points (n, 3) in sizes of the thing."""
+    cell = np.floor(_SPECKLE * points + 0.5).astype(np.int64)
+    mixed = (cell[:, 0] * 73_856_093) ^ (cell[:, 1] * 19_349_663) ^ (cell[:, 2] * 83_492_791)
+    albedo: Floats = 0.35 + 0.3 * ((mixed % 997) / 997.0)
+    return albedo

@@ -1,0 +1,38 @@
+"""A thing turned by 1.4° on a turntable, given to `scan room`: what is taken for planes must not decide its place."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.refusal import RefusalError
+from scanner.rooms.contents import RigStart, SolvedRoom
+from scanner.rooms.solve import solve_room
+from scanner.ui import Terminal
+from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
+
+CAMERA = (306, 256)
+
+
+def solved(stations: list[ThingStation]) -> SolvedRoom:
+    rig = stations[0].calibration
+    start = RigStart(in_baselines(rig), None, {}, rig)
+    return solve_room(decoded(stations, CAMERA), start, config_for(CAMERA), Terminal(quiet=True))
+
+
+def test_surfaces_correct_what_false_planes_say() -> None:
+    pytest.importorskip("open3d", exc_type=ImportError)
+    stations = thing_stations([0, 1], CAMERA, seed=2, step_deg=1.4, background=False)
+    found = solved(stations)
+    assert any("by the surfaces alone" in remark for remark in found.remarks)
+    one, other = found.stations
+    off = between(one.place, other.place).rotation @ between(stations[0].place, stations[1].place).rotation.T
+    error_deg = np.degrees(Rotation.from_matrix(off).magnitude())
+    assert 0 < error_deg < 0.03
+    assert error_deg < 5 * np.linalg.norm(other.sigma_deg)
+
+
+def test_a_thing_that_turned_before_what_rests_is_refused() -> None:
+    pytest.importorskip("open3d", exc_type=ImportError)
+    stations = thing_stations([0, 1], CAMERA, seed=1, step_deg=1.4, background=True, kind="box")
+    with pytest.raises(RefusalError, match="Station 1, Station 2 do not lie on each other"):
+        solved(stations)

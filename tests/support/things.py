@@ -1,0 +1,89 @@
+"""What a simulated rig sees of a thing at some steps, as matches of rays with noise: no frames are rendered."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calib.geometry import Calibration, Matches, Motion, Size
+from calib.numerics import Bools, Floats, Image
+from hw.settings import SimulatedRigSettings
+from hw.simulated.things import SimulatedThing, Solid
+from scanner.capture import CaptureFacts
+from scanner.configuration import Config
+from scanner.quantities import UNKNOWN_UNIT
+from scanner.results import Decoded, GivenMatches
+
+PROJECTOR = (854, 480)
+NOISE_PX = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class ThingStation:
+    """`place`: X_thing = R X_camera + t; `picture` (H, W): the scene under white light; `thing` (H, W): which is it."""
+
+    matches: Matches
+    place: Motion
+    calibration: Calibration
+    picture: Image
+    thing: Bools
+    solid: Solid
+
+
+def thing_stations(
+    which: list[int], camera: tuple[int, int], seed: int = 0, noise_px: float = NOISE_PX, **thing: Any
+) -> list[ThingStation]:
+    """At some steps of `rig.thing`'s settings."""
+    rng = np.random.default_rng([seed, 17])
+    found = []
+    for step in which:
+        settings = SimulatedRigSettings.model_validate({"seed": seed, "pose": step, "thing": {"kind": "lump", **thing}})
+        simulated = SimulatedThing(settings, camera, PROJECTOR)
+        pixels, bright, on_thing = simulated.seen()
+        there = np.isfinite(pixels[..., 0])
+        row, column = np.nonzero(there)
+        noisy = pixels[there] + noise_px * rng.standard_normal((len(row), 2))
+        matches = Matches(
+            np.stack([column, row], axis=1).astype(np.float64), noisy, None, np.full(len(row), max(noise_px, 1e-3))
+        )
+        picture = _exposed(np.where(there, bright, 0.0), rng)
+        found.append(
+            ThingStation(matches, simulated.truth.place, simulated.calibration, picture, on_thing, simulated.solid)
+        )
+    return found
+
+
+def _exposed(bright: Floats, rng: np.random.Generator) -> Image:
+    level = 220 * bright / max(float(np.percentile(bright[bright > 0], 99)), 1e-12) + rng.standard_normal(bright.shape)
+    return np.clip(np.rint(level), 0, 255).astype(np.uint8)
+
+
+def between(first: Motion, second: Motion) -> Motion:
+    """X_first = R X_second + t, of two cameras' places."""
+    back = first.rotation.T
+    return Motion(back @ second.rotation, back @ (second.translation - first.translation))
+
+
+def config_for(camera: tuple[int, int]) -> Config:
+    """Of the rig's sizes."""
+    point = {"prior": "centre", "sigma_px": 18}
+    return Config.model_validate(
+        {
+            "camera": {"width": camera[0], "height": camera[1], "principal_point": point},
+            "projector": {"width": PROJECTOR[0], "height": PROJECTOR[1]},
+        }
+    )
+
+
+def decoded(stations: list[ThingStation], camera: tuple[int, int], pictures: bool = False) -> list[Decoded]:
+    """As captures that were decoded."""
+    facts = CaptureFacts(Size(*camera), Size(*PROJECTOR))
+    return [
+        Decoded(facts, each.matches, GivenMatches(each.picture if pictures else None, 0.0), f"Station {number}")
+        for number, each in enumerate(stations, start=1)
+    ]
+
+
+def in_baselines(calibration: Calibration) -> Calibration:
+    """As a rig of unknown scale is."""
+    return replace(calibration, translation=calibration.translation / calibration.baseline, unit=UNKNOWN_UNIT)
