@@ -50,6 +50,11 @@ def of_scan(parser: ArgumentParser) -> None:
         metavar="N",
         help="scan a whole room from N places, moving the rig as a whole in between, and put them together",
     )
+    parser.add_argument(
+        "--object", action="store_true", help="with --stations and --calibration: a thing that is turned in between"
+    )
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help="with --object: the rig's")
+    _add_fill(parser)
     add_out(parser, default="scans/<name of the configuration>")
     add_overwrite(parser)
     add_masks(parser)
@@ -293,6 +298,22 @@ def of_room(parser: ArgumentParser) -> None:
     add_out(parser)
     add_overwrite(parser)
     add_quiet(parser)
+
+
+def of_object(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "stations", type=Path, nargs="+", metavar="STATION", help="captures, results or matches.npz, in any order"
+    )
+    add_config(parser, required=True)
+    parser.add_argument("--calibration", type=Path, required=True, metavar="FILE", help="known calibration of the rig")
+    _add_fill(parser)
+    add_out(parser)
+    add_overwrite(parser)
+    add_quiet(parser)
+
+
+def _add_fill(parser: ArgumentParser) -> None:
+    parser.add_argument("--fill", action="store_true", help="close the thing's surface where no station saw it")
 
 
 def of_compare(parser: ArgumentParser) -> None:

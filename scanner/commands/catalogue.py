@@ -117,6 +117,18 @@ another room, or of a rig that was changed, are named and left out. To take them
 Exit codes: 4 if no two stations belong together, or if they fit together in more than one way, with both answers.
 """,
     ),
+    "object": Command(
+        "Put stations of one calibrated rig before a thing together: where each stood, one surface, its volume.",
+        arguments.of_object,
+        "object",
+        """
+The rig rests, and the thing is turned between stations, on a turntable or by hand, so that half of what is seen is
+seen again. What rests, table and wall, is told from what moved, and left out. To take them: scan --config FILE
+--object --stations N --calibration FILE.
+
+Exit codes: 4 if no two stations belong together, or if one could as well be turned otherwise, as of a ball.
+""",
+    ),
     "compare": Command(
         "Compare two calibrations of one rig: where they differ, and whether their sigmas allow it.",
         arguments.of_compare,

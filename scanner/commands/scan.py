@@ -17,6 +17,9 @@ def run(args: Namespace) -> None:
         _resume(args, terminal)
         return
     config = load_config(args.config, args.set)
+    if args.object or args.fill or args.calibration:
+        _object(args, config, terminal)
+        return
     if args.stations is not None:
         _room(args, config, terminal)
         return
@@ -25,6 +28,27 @@ def run(args: Namespace) -> None:
         config, out, captures=args.captures, masks=args.masks, overwrite=args.overwrite, terminal=terminal
     )
     show_outcome(found, out, terminal)
+
+
+def _object(args: Namespace, config: Config, terminal: Terminal) -> None:
+    if not args.object or args.calibration is None or args.stations is None or args.captures != 1 or args.masks:
+        raise InputError(
+            "a thing is scanned with --object --stations N --calibration FILE, without --captures and --masks"
+        )
+    from scanner.commands.object import show_object
+    from scanner.objects.jobs import scan_object
+
+    out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
+    found = scan_object(
+        config,
+        out,
+        calibration=args.calibration,
+        number=args.stations,
+        fill=args.fill,
+        overwrite=args.overwrite,
+        terminal=terminal,
+    )
+    show_object(*found, out, terminal)
 
 
 def _room(args: Namespace, config: Config, terminal: Terminal) -> None:

@@ -58,6 +58,14 @@ FORMATS: dict[str, Format] = {
         "e57",
         "CloudCompare and CAD programs read it.",
     ),
+    "stl": Format(
+        "triangles in millimetres, z up, for printing",
+        ".stl",
+        (".stl",),
+        "printing",
+        "Slicers and CAD programs read it.",
+    ),
+    "3mf": Format("the same as 3MF, which states its unit", ".3mf", (".3mf",), "printing", "Slicers read it."),
     "mesh": Format(
         "triangles, by the name's ending GLB, PLY or OBJ",
         "-mesh.glb",

@@ -11,15 +11,16 @@ from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh, build_mesh
 from scanner.exporting.units import in_metres
 from scanner.io import copy_given, new_file, write_ply
 from scanner.quantities import unit_name
-from scanner.results import ROOM_FILE, ROOM_MESH_FILE, read_finished_scan
+from scanner.results import OBJECT_FILE, OBJECT_MESH_FILE, ROOM_FILE, ROOM_MESH_FILE, read_finished_scan
 
 _OBJ_LINES = 100_000
 
 
 def export(request: Request) -> list[str]:
     """Write the triangles. Raises InputError and OSError."""
-    if (request.result / ROOM_FILE).is_file():
-        return _room(request)
+    for listing, name in ((ROOM_FILE, ROOM_MESH_FILE), (OBJECT_FILE, OBJECT_MESH_FILE)):
+        if (request.result / listing).is_file():
+            return _as_it_is(request, name)
     scan = read_finished_scan(request.result)
     mesh = build_mesh(scan)
     unit, remarks = unit_name(scan.unit), list[str]()
@@ -36,13 +37,13 @@ def export(request: Request) -> list[str]:
     return [f"{len(mesh.triangles):,} triangles between {len(mesh.points):,} points, in {unit}", *remarks]
 
 
-def _room(request: Request) -> list[str]:
-    """A room's mesh is in its result already."""
+def _as_it_is(request: Request, name: str) -> list[str]:
+    """The mesh of a room or a thing is in its result already."""
     if request.out.suffix.lower() != ".glb":
-        raise InputError(f"{request.out}: a room's mesh is exported as GLB: choose a name that ends in .glb")
+        raise InputError(f"{request.out}: this result's mesh is exported as GLB: choose a name that ends in .glb")
     with new_file(request.out, overwrite=request.overwrite) as path:
-        copy_given(request.result / ROOM_MESH_FILE, path)
-    return ["the room's triangles, as they are in its result"]
+        copy_given(request.result / name, path)
+    return ["the triangles, as they are in the result"]
 
 
 def write_mesh_obj(path: Path, mesh: Mesh) -> None:

@@ -1,4 +1,4 @@
-"""A whole room's result folder read back: every station's scan at its place."""
+"""A whole room's, or a thing's, result folder read back: every station's scan at its place."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from calib.geometry import Motion
 from scanner.io import read_room
 from scanner.results.finished_scan import FinishedScan, read_finished_scan
-from scanner.results.names import ROOM_FILE
+from scanner.results.names import OBJECT_FILE, ROOM_FILE
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +35,11 @@ class FinishedRoom:
 
 
 def read_finished_room(folder: Path) -> FinishedRoom | None:
-    """None if the folder holds no room. Raises InputError if what it holds is malformed."""
-    if not (folder / ROOM_FILE).is_file():
+    """None if the folder holds neither. Raises InputError if what it holds is malformed."""
+    file = next((folder / name for name in (ROOM_FILE, OBJECT_FILE) if (folder / name).is_file()), None)
+    if file is None:
         return None
-    stored = read_room(folder / ROOM_FILE)
+    stored = read_room(file)
     return FinishedRoom(
         stored.unit, tuple(PlacedScan(each.name, folder / each.folder, each.place) for each in stored.stations)
     )

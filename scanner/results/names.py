@@ -18,6 +18,9 @@ CAPTURES_FOLDER = "captures"
 MERGED_FILE = "merged.ply"
 POSES_FILE = "poses.yaml"
 ROOM_FILE = "room.yaml"
+OBJECT_FILE = "object.yaml"
+OBJECT_CLOUD_FILE = "object.ply"
+OBJECT_MESH_FILE = "object.glb"
 ROOM_CLOUD_FILE = "room.ply"
 ROOM_MESH_FILE = "room.glb"
 PLAN_FILE = "floorplan.svg"
@@ -32,6 +35,9 @@ _OURS = {
     MERGED_FILE,
     POSES_FILE,
     ROOM_FILE,
+    OBJECT_FILE,
+    OBJECT_CLOUD_FILE,
+    OBJECT_MESH_FILE,
     ROOM_CLOUD_FILE,
     ROOM_MESH_FILE,
     PLAN_FILE,

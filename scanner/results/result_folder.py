@@ -16,7 +16,7 @@ from scanner.errors import InputError, StorageError, cannot_write, is_of_the_dis
 from scanner.interruption import finishing
 from scanner.io import MATCHES_FILE, missing_folders, remove_empty, sync_tree
 from scanner.results.leftovers import frames_in, keep_recording, kept_words, settle
-from scanner.results.names import CAPTURES_FOLDER, LOG_FILE, ROOM_FILE, is_occupied, refuse_to_lose, unused
+from scanner.results.names import CAPTURES_FOLDER, LOG_FILE, OBJECT_FILE, ROOM_FILE, is_occupied, refuse_to_lose, unused
 from scanner.results.unfinished import STATE, Claim, HeldError, State, partial_of, publish
 from scanner.ui import LogFile
 
@@ -138,7 +138,7 @@ class OutputFolder:
         elif isinstance(error, RefusalError):
             self._publish()
             kept = "matches and a report are" if (self.out / MATCHES_FILE).exists() else "recording is"
-            if (self.out / ROOM_FILE).exists():
+            if (self.out / ROOM_FILE).exists() or (self.out / OBJECT_FILE).exists():
                 kept = "report and everything else are"
             elif (self.out / CAPTURES_FOLDER).exists():
                 kept = "captures are"

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.geometry import Calibration
 from calib.numerics import Bools, Ints
@@ -33,14 +34,24 @@ def index_of(there: Bools) -> Ints:
 
 
 def blended(room: SolvedRoom) -> MergedCloud:
-    """In the room's frame; at most one point in each voxel: the mean of those in it, of its normals and colours."""
+    """The room's, as `blended_of` makes it."""
+    return blended_of(room.stations, room.calibration, [denoised(room, station) for station in room.stations])
+
+
+def blended_of(
+    stations: Sequence[Station], calibration: Calibration, clouds: Sequence[NDArray[np.float32]]
+) -> MergedCloud:
+    """Of the stations' points (H, W, 3), each in its camera's frame.
+
+    In the room's frame; at most one point in each voxel: the mean of those in it, of its normals and colours.
+    """
     o3d = open3d()
     together = o3d.geometry.PointCloud()
-    grid = grid_of(room.stations, room.calibration)
-    for station in room.stations:
+    grid = grid_of(stations, calibration)
+    for station, cloud in zip(stations, clouds, strict=True):
         own = o3d.geometry.PointCloud()
         there = station.cloud.there
-        points = station.to_room(denoised(room, station)[there].astype(np.float64))
+        points = station.to_room(cloud[there].astype(np.float64))
         own.points = o3d.utility.Vector3dVector(points)
         normals = station.cloud.normals[there].astype(np.float64) @ station.place.rotation.T
         own.normals = o3d.utility.Vector3dVector(normals)
@@ -55,8 +66,8 @@ def blended(room: SolvedRoom) -> MergedCloud:
         np.asarray(thinned.points).astype(np.float32),
         colours,
         normals.astype(np.float32),
-        room.unit,
+        calibration.unit,
         grid,
         (),
-        tuple(np.column_stack([each.place.rotation, each.place.translation]) for each in room.stations),
+        tuple(np.column_stack([each.place.rotation, each.place.translation]) for each in stations),
     )

@@ -37,7 +37,7 @@ def room(
     config.principal_point(config.camera_size)
     open3d()  # or say at once that it is missing
     known = given_rig(calibration, config) if calibration else None
-    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, _saying_why(folder, config):
+    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, saying_why(folder, config):
         captures = read_stations(stations, config, terminal)
         start = known or rig_from_corners(captures, config, terminal)
         solved = solve_room(captures, start, config, terminal)
@@ -59,7 +59,7 @@ def scan_room(
     check_stations(config, number, terminal)
     open3d()
     made = new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note)
-    with made as folder, _saying_why(folder, config):
+    with made as folder, saying_why(folder, config):
         captures, start = take_stations(config, number, folder, terminal)
         solved = solve_room(captures, start, config, terminal)
         save_room(solved, folder, config, terminal)
@@ -68,7 +68,7 @@ def scan_room(
 
 
 @contextmanager
-def _saying_why(folder: Path, config: Config) -> Iterator[None]:
+def saying_why(folder: Path, config: Config) -> Iterator[None]:
     """After a RefusalError in the block the folder says why, for programs."""
     try:
         yield

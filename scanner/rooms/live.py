@@ -78,6 +78,22 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
     return captures, rig_of(corners, captures)
 
 
+def take_turned(config: Config, number: int, folder: Path, terminal: Terminal, *, by_itself: bool) -> list[Decoded]:
+    """Capture a thing so many times, or fewer if the operator has enough, while the rig rests. Raises DeviceError."""
+    captures: list[Decoded] = []
+    for step in range(number):
+        done = f"Station {step} of {number} is done. Turn the thing, or put it down another way; leave the rig as it is"
+        if step and not by_itself and not terminal.ready(done):
+            break
+        place = folder / CAPTURES_FOLDER / str(step + 1)
+        place.mkdir(parents=True)
+        captures.append(take(at_place(config.required_rig, step), config, place, terminal, f"Station {step + 1}"))
+        write_matches(place / MATCHES_FILE, captures[-1].matches)  # should a later station fail
+        if (place / TRUTH_FILE).is_file() and step == 0:
+            copy2(place / TRUTH_FILE, folder / TRUTH_FILE)
+    return captures
+
+
 def _ready(config: Config, step: int, number: int, terminal: Terminal) -> bool:
     if moves_by_itself(config.required_rig):
         return True

@@ -3,13 +3,14 @@
 Curless and Levoy, "A volumetric method for building complex models from range images", 1996; by Open3D.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Intrinsics
+from calib.geometry import Calibration, Intrinsics
 from calib.numerics import Floats
 from calib.pointcloud import NONE, without_gaps
 from scanner.exporting.triangles import Mesh
@@ -29,14 +30,22 @@ CAMERA_FROM_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
 
 
 def fused(room: SolvedRoom) -> Mesh | None:
-    """The mesh, or None if nothing hangs together.
+    """The mesh of a room, as `fused_of` makes it."""
+    depths = [denoised(room, station)[..., 2] for station in room.stations]
+    return fused_of(room.stations, room.calibration, depths)
+
+
+def fused_of(
+    stations: Sequence[Station], calibration: Calibration, depths: Sequence[NDArray[np.float32]]
+) -> Mesh | None:
+    """The mesh of the stations' depths (H, W), NaN where there is none; or None if nothing hangs together.
 
     It is in the frame of a level camera at the room's origin: x along the room's x, y down, z along its y.
     """
     o3d = open3d()
-    camera = room.calibration.camera
-    views = [_view(o3d, station, denoised(room, station)[..., 2], camera) for station in room.stations]
-    voxel = _VOXELS * grid_of(room.stations, room.calibration)
+    camera = calibration.camera
+    views = [_view(o3d, station, depth, camera) for station, depth in zip(stations, depths, strict=True)]
+    voxel = _VOXELS * grid_of(stations, calibration)
     while True:
         volume = o3d.t.geometry.VoxelBlockGrid(
             attr_names=("tsdf", "weight", "color"),
@@ -54,7 +63,7 @@ def fused(room: SolvedRoom) -> Mesh | None:
     for view, near in zip(views, blocks, strict=True):
         depth, intrinsic, extrinsic = view.of_depth
         volume.integrate(near, depth, view.colour, intrinsic, intrinsic, extrinsic, *view.reach, _TRUNCATED)
-    return _cleaned(volume.extract_triangle_mesh(_LEAST_WEIGHT).to_legacy(), room.unit)
+    return _cleaned(volume.extract_triangle_mesh(_LEAST_WEIGHT).to_legacy(), calibration.unit)
 
 
 class _View(NamedTuple):

@@ -71,7 +71,9 @@ def save_room(room: SolvedRoom, folder: Path, config: Config, progress: Progress
     with progress.step("Meshing"):
         mesh = fused(room)
         if mesh is not None:
-            write_pieces(folder / ROOM_MESH_FILE, textured(room, mesh), METRES.get(room.unit, 1.0))
+            write_pieces(
+                folder / ROOM_MESH_FILE, textured(room.stations, room.calibration, mesh), METRES.get(room.unit, 1.0)
+            )
     with progress.step("Report"):
         write_page(folder / REPORT_FILE, room, plan, cloud, made)
 

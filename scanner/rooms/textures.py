@@ -3,16 +3,18 @@
 Pictures are made as bright as each other where they overlap (common_light.py), so that they agree at their seams.
 """
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Intrinsics
+from calib.geometry import Calibration, Intrinsics
 from calib.numerics import Bools, Floats, Ints
 from scanner.exporting.glb import Piece
 from scanner.exporting.triangles import Mesh
 from scanner.rooms.common_light import Shown, in_common_light
-from scanner.rooms.contents import SolvedRoom, Station
+from scanner.rooms.contents import Station
 from scanner.rooms.mesh import CAMERA_FROM_ROOM, filled
 
 _EDGES = 2.0  # of the mesh: so far a vertex may be before or behind what a station measured there
@@ -20,13 +22,13 @@ _STEP = 6.0  # the same, of a pixel's surroundings that lie at different depths:
 _LARGEST_PX, _JPEG_QUALITY = 2048, 90
 
 
-def textured(room: SolvedRoom, mesh: Mesh) -> list[Piece]:
+def textured(stations: Sequence[Station], calibration: Calibration, mesh: Mesh) -> list[Piece]:
     """The mesh in pieces, one for each picture; what no picture shows has its vertices' colours."""
     points = mesh.points @ CAMERA_FROM_ROOM
     edges = points[mesh.triangles[:, 0]] - points[mesh.triangles[:, 1]]
     near = _EDGES * float(np.median(np.linalg.norm(edges, axis=1)))
-    camera = room.calibration.camera
-    pictured = [station for station in room.stations if station.decoded.texture is not None]
+    camera = calibration.camera
+    pictured = [station for station in stations if station.decoded.texture is not None]
     shown = []
     owner, largest = np.full(len(mesh.triangles), -1), np.zeros(len(mesh.triangles))
     for number, station in enumerate(pictured):

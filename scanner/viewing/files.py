@@ -13,6 +13,8 @@ from scanner.results import (
     CALIBRATION_FILE,
     CLOUD_FILE,
     MERGED_FILE,
+    OBJECT_CLOUD_FILE,
+    OBJECT_MESH_FILE,
     REFUSAL_FILE,
     REPORT_FILE,
     ROOM_CLOUD_FILE,
@@ -22,7 +24,8 @@ from scanner.ui import failure_of
 from scanner.viewing.texts import bold, link_html
 from scanner.viewing.view_controls import PLAIN
 
-_FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, CLOUD_FILE, ROOM_CLOUD_FILE, ROOM_MESH_FILE, REFUSAL_FILE)
+_OF_ALL = (ROOM_CLOUD_FILE, ROOM_MESH_FILE, OBJECT_CLOUD_FILE, OBJECT_MESH_FILE)
+_FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, CLOUD_FILE, *_OF_ALL, REFUSAL_FILE)
 
 
 def add_files(gui: viser.GuiApi, folder: Path, link: Callable[[Path], str]) -> None:

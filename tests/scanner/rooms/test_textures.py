@@ -42,7 +42,7 @@ def room(example: SolvedExample) -> SolvedRoom:
 
 @pytest.fixture(scope="module")
 def pieces(room: SolvedRoom) -> list[Piece]:
-    return textured(room, fused(room))
+    return textured(room.stations, room.calibration, fused(room))
 
 
 def shades(piece: Piece) -> Floats:
@@ -101,7 +101,7 @@ def test_files_are_gltf_with_their_pictures_in_them(pieces: list[Piece], tmp_pat
 
 def test_without_pictures_there_are_the_vertices_colours(example: SolvedExample) -> None:
     mesh = fused(example.solved)
-    (piece,) = textured(example.solved, mesh)
+    (piece,) = textured(example.solved.stations, example.solved.calibration, mesh)
     assert not piece.jpeg
     assert len(piece.mesh.triangles) == len(mesh.triangles)
 

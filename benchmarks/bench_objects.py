@@ -1,0 +1,115 @@
+"""Things on a turntable and put down by hand, joined without a guess, against the truth.
+
+    python benchmarks/bench_objects.py [--things 4] [--first 0] [--steps 12] [--free] [--camera 408 342] [--noise 0.05]
+
+Simulated things of 100 mm (superquadrics with waves over them) before a table and a wall. Matches are those of rays, one
+for each camera pixel, with noise in projector px; stations come in random order, the rig is known. Errors are the largest
+of a thing's stations: turn, and shift of the thing's middle, both against the first station; of the surface the distance
+of the cloud's points from the true one, with the estimated places and with the true ones. Wrong is a station off by more
+than 1° without a word. Seconds are of one processor, rays apart.
+"""
+
+import argparse
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Motion
+from calib.numerics import Floats
+from calib.numerics.open3d_module import open3d
+from calib.refusal import RefusalError
+from calib.rooms.alignment import composed, inverse
+from hw.simulated.things import Solid
+from scanner.objects.contents import SolvedObject
+from scanner.objects.solve import solve_object
+from scanner.objects.surface import cloud_of
+from scanner.objects.verdict import verdict_on
+from scanner.rooms.contents import RigStart
+from scanner.ui import Terminal
+
+sys.path.append(str(Path(__file__).parents[1]))
+from tests.support.things import config_for, decoded, in_baselines, thing_stations
+
+_WRONG_DEG = 1.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--things", type=int, default=4)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--steps", type=int, default=12)
+    parser.add_argument("--free", action="store_true", help="put down by hand, instead of the turntable")
+    parser.add_argument("--camera", type=int, nargs=2, default=(408, 342))
+    parser.add_argument("--noise", type=float, default=0.05)
+    args = parser.parse_args()
+    camera = (args.camera[0], args.camera[1])
+    print("thing  joined  wrong  turn °   shift mm  surface mm  by true places  verdict  s a station")
+    ratios: list[Floats] = []
+    for seed in range(args.first, args.first + args.things):
+        order = np.random.default_rng(seed).permutation(args.steps).tolist()
+        stations = thing_stations(order, camera, seed, args.noise, steps=args.steps, turntable=not args.free)
+        rig, began = stations[0].calibration, time.process_time()
+        start = RigStart(in_baselines(rig), None, {}, rig)
+        try:
+            found = solve_object(decoded(stations, camera, True), start, config_for(camera), Terminal(quiet=True))
+        except RefusalError as refusal:
+            print(f"{seed:5d}  refused: {refusal.reason}")
+            continue
+        seconds = (time.process_time() - began) / args.steps
+        places = [stations[k].place for k in found.numbers]
+        errors, relative = _errors(found, places)
+        grade = verdict_on(found).grade
+        ratios += [relative] if grade != "refused" else []
+        wrong = 0 if grade == "refused" else int(np.count_nonzero(errors[:, 0] > _WRONG_DEG))
+        surfaces = [_from_surface(each, stations[0].solid, places[0]) for each in (found, _with_true(found, places))]
+        print(
+            f"{seed:5d}  {len(places):3d}/{args.steps:<2d}  {wrong:5d}  {errors[:, 0].max():7.4f}  "
+            f"{1e3 * errors[:, 1].max():8.4f}  {1e3 * surfaces[0]:10.4f}  {1e3 * surfaces[1]:14.4f}  "
+            f"{grade:>7s}  {seconds:.1f}",
+            flush=True,
+        )
+    if ratios:
+        every = np.concatenate(ratios)
+        turns, shifts = (float(np.sqrt(np.mean(every[:, part] ** 2))) for part in (slice(0, 3), slice(3, 6)))
+        print(f"error/sigma, rms: turns {turns:.2f}, shifts {shifts:.2f}")
+
+
+def _errors(found: SolvedObject, places: list[Motion]) -> tuple[Floats, Floats]:
+    """Turn in degrees and shift of the middle (n, 2), both over their sigmas (n, 6); of all stations but the first."""
+    first = found.stations[0].place
+    # The frame of the truth: the first station is where it was found.
+    moved = composed(first, inverse(places[0]))
+    errors, relative = [], []
+    for station, place in zip(found.stations[1:], places[1:], strict=True):
+        off = composed(station.place, inverse(composed(moved, place)))
+        turn = Rotation.from_matrix(off.rotation).as_rotvec()
+        # The thing's middle is the origin, or beside it on the axis.
+        errors.append([np.degrees(np.linalg.norm(turn)), np.linalg.norm(off.translation)])
+        relative.append(np.concatenate([np.degrees(turn) / station.sigma_deg, off.translation / station.sigma]))
+    return np.array(errors), np.array(relative)
+
+
+def _with_true(found: SolvedObject, places: list[Motion]) -> SolvedObject:
+    moved = composed(found.stations[0].place, inverse(places[0]))
+    pairs = zip(found.stations, places, strict=True)
+    return replace(found, stations=tuple(replace(each, place=composed(moved, place)) for each, place in pairs))
+
+
+def _from_surface(found: SolvedObject, solid: Solid, first: Motion) -> float:
+    """Median distance of the cloud's points from the true surface."""
+    o3d = open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(solid.vertices.astype(np.float32)), o3d.core.Tensor(solid.triangles.astype(np.uint32))
+    )
+    into = composed(first, inverse(found.stations[0].place))
+    points = cloud_of(found).points.astype(np.float64) @ into.rotation.T + into.translation
+    return float(np.median(scene.compute_distance(o3d.core.Tensor(points.astype(np.float32))).numpy()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""Whether the places are those of a turntable: turns about one axis. Found, not configured; it makes them surer."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from calib.geometry import Motion, rotation_about, tangent_basis
+from calib.numerics import Floats
+from calib.rooms.alignment import composed, inverse
+
+_FEWEST = 4  # places; fewer lie on some axis nearly always
+_ROUNDS = 6
+_STEP = 1e-6
+_DOUBT, _CALM = 1e-4, 1.5  # sigmas are estimates themselves
+_LEAST_TURN = np.radians(0.3)
+
+
+@dataclass(frozen=True, eq=False)
+class Turntable:
+    """`direction` (3,), unit, and a `point` (3,) on the axis, in the common frame; `angles_deg` (n,) of the places;
+    `places` and `covariance` (6 n, 6 n), as of `JointEstimate`, of turns about it; `deviation`: of the places from
+    being that, χ² over its freedom.
+    """
+
+    direction: Floats
+    point: Floats
+    angles_deg: Floats
+    places: tuple[Motion, ...]
+    covariance: Floats
+    deviation: float
+
+
+def find_turntable(places: Sequence[Motion], covariance: Floats, middle: Floats) -> Turntable | None:
+    """Of places the first of which is the common frame's; None if their covariance does not allow for one axis."""
+    count = len(places)
+    vectors = np.array([Rotation.from_matrix(place.rotation).as_rotvec() for place in places])
+    turning = np.linalg.norm(vectors, axis=1)
+    if count < _FEWEST or np.count_nonzero(turning > _LEAST_TURN) < _FEWEST - 1:
+        return None
+    _, _, axes = np.linalg.svd(vectors)
+    direction = axes[0]
+    angles = vectors @ direction
+    still = [np.eye(3) - place.rotation for place in places]
+    basis = tangent_basis(direction)
+    point = (
+        basis
+        @ np.linalg.lstsq(
+            np.concatenate(still) @ basis, np.concatenate([place.translation for place in places]), rcond=None
+        )[0]
+    )
+    information = np.linalg.pinv(covariance[6:, 6:], rcond=1e-10, hermitian=True)
+    state = np.concatenate([np.zeros(4), angles[1:]])
+    off = np.zeros(6 * (count - 1))
+    slopes = np.zeros((len(off), len(state)))
+    for _ in range(_ROUNDS):
+        off = _deviations(state, direction, point, basis, places, middle)
+        for k in range(len(state)):
+            ahead = state.copy()
+            ahead[k] += _STEP
+            slopes[:, k] = (_deviations(ahead, direction, point, basis, places, middle) - off) / _STEP
+        normal = slopes.T @ information @ slopes
+        state = state - np.linalg.lstsq(normal, slopes.T @ information @ off, rcond=1e-14)[0]
+    off = _deviations(state, direction, point, basis, places, middle)
+    told, freedom = float(off @ information @ off), len(off) - len(state)
+    if told > _CALM**2 * float(chi2.isf(_DOUBT, freedom)):
+        return None
+    whole = np.zeros_like(covariance)
+    larger = max(1.0, told / freedom)
+    whole[6:, 6:] = larger * slopes @ np.linalg.pinv(slopes.T @ information @ slopes, hermitian=True) @ slopes.T
+    turned, moved = _axis(state, direction, point, basis)
+    return Turntable(
+        turned,
+        moved,
+        np.degrees(np.concatenate([[0.0], state[4:]])),
+        _places(state, direction, point, basis),
+        whole,
+        told / freedom,
+    )
+
+
+def _axis(state: Floats, direction: Floats, point: Floats, basis: Floats) -> tuple[Floats, Floats]:
+    turned = direction + basis @ state[:2]
+    return turned / np.linalg.norm(turned), point + basis @ state[2:4]
+
+
+def _places(state: Floats, direction: Floats, point: Floats, basis: Floats) -> tuple[Motion, ...]:
+    axis, at = _axis(state, direction, point, basis)
+    turns = [np.asarray(rotation_about(angle * axis), np.float64) for angle in (0.0, *state[4:].tolist())]
+    return tuple(Motion(turn, at - turn @ at) for turn in turns)
+
+
+def _deviations(
+    state: Floats, direction: Floats, point: Floats, basis: Floats, places: Sequence[Motion], middle: Floats
+) -> Floats:
+    """Turn, and shift of the middle, from the places but the first to those of the state, (6 (n − 1),)."""
+    found = []
+    for place, wanted in zip(places[1:], _places(state, direction, point, basis)[1:], strict=True):
+        step = composed(wanted, inverse(place))
+        turn = Rotation.from_matrix(step.rotation).as_rotvec()
+        found.append(np.concatenate([turn, step.rotation @ middle + step.translation - middle]))
+    return np.concatenate(found)

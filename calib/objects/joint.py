@@ -1,0 +1,234 @@
+"""All views' places at once: point to plane over every pair that overlaps, marks of the pictures, and the covariance.
+
+The normal is the mean of both views', with which the curvature between the two points cancels (Rusinkiewicz, "A
+symmetric objective function for ICP", 2019). Errors of a view are alike over parts of its picture and count in every
+pair that it is in; so the covariance is a sandwich whose filling is summed over such parts, not over points (Liang and
+Zeger, "Longitudinal data analysis using generalized linear models", 1986).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from calib.geometry import Motion
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
+from calib.objects.meeting import mark_pairs, meet
+from calib.objects.view import View
+from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.rooms.alignment import composed, inverse, twisted
+from calib.rooms.contacts import blocks_of
+
+WIDE, NARROW = 3.0, 0.6  # grains
+_ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
+_STEPS = 4  # in each round
+_FEWEST = 60  # patches of a pair
+_DAMPING = 1e-9
+_MARK_GRAINS, _FEWEST_MARKS = 0.5, 6
+_BLOCKS = 36
+_CONVERGED = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Of the views `first` < `second`: `off` (N,) along normals or axes, its `sigma` (N,); by a twist of either about
+    the frame's origin, `by_first` (N, 6), which is that of the second turned round; `parts` (N, 2): of the pictures.
+    """
+
+    first: int
+    second: int
+    off: Floats
+    sigma: Floats
+    by_first: Floats
+    parts: Ints
+    surface: int
+
+    @property
+    def weight(self) -> Floats:
+        """Of each, under Huber's loss, (N,)."""
+        size = np.abs(self.off) / self.sigma
+        weight: Floats = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(size, 1e-12)) / self.sigma**2
+        return weight
+
+
+@dataclass(frozen=True, eq=False)
+class JointEstimate:
+    """`places`: X_common = R X_view + t, the first view's being held. `covariance` (6 n, 6 n) of all: turn about
+    the common axes in radians, then shift of `middle`, a point (3,) of the thing. `overlap`: by pair, share of patches
+    that met; `residual`: by pair, robust root mean square along the normals, in the points' unit.
+    """
+
+    places: tuple[Motion, ...]
+    covariance: Floats
+    middle: Floats
+    overlap: Mapping[tuple[int, int], float]
+    residual: Mapping[tuple[int, int], float]
+
+
+def estimate_jointly(views: Sequence[View], places: Sequence[Motion]) -> JointEstimate:
+    """From a start that is off by some grains at most."""
+    first = inverse(places[0])
+    now = [composed(first, place) for place in places]
+    pairs = list(combinations(range(len(views)), 2))
+    found: list[Residuals] = []
+    for grains in _ROUNDS:
+        for _ in range(_STEPS):
+            found = _together(views, now, pairs, grains)
+            step = _step(found, len(views))
+            now = [twisted(place, twist) for place, twist in zip(now, step, strict=True)]
+            if np.abs(step).max(initial=0.0) < _CONVERGED * views[0].middle[2]:
+                break
+        pairs = [(each.first, each.second) for each in found] if grains == NARROW else pairs
+    found = _together(views, now, pairs, NARROW)
+    middle = views[0].middle
+    total = {(each.first, each.second): each for each in found}
+    counts = {pair: len(views[pair[0]].patches) + len(views[pair[1]].patches) for pair in total}
+    return JointEstimate(
+        tuple(now),
+        _covariance(found, len(views), middle),
+        middle,
+        {pair: each.surface / counts[pair] for pair, each in total.items()},
+        {pair: SIGMA_PER_MEDIAN * median(np.abs(each.off[: each.surface])) for pair, each in total.items()},
+    )
+
+
+def settled(first: View, second: View, pose: Motion, grains: Sequence[float], count: int) -> Motion:
+    """One pair alone, by some of the patches."""
+    places = [Motion(np.eye(3), np.zeros(3)), pose]
+    for each in grains:
+        for _ in range(_STEPS):
+            found = residuals_of(first, second, (0, 1), places, each * first.grain, count)
+            if found is None:
+                return places[1]
+            places[1] = twisted(places[1], _step([found], 2)[1])
+    return places[1]
+
+
+def residuals_of(
+    first: View, second: View, names: tuple[int, int], places: Sequence[Motion], within: float, count: int | None = None
+) -> Residuals | None:
+    """Of one pair of views, `names` in `places`; None where too little meets."""
+    here, there = places[names[0]], places[names[1]]
+    pose = composed(inverse(here), there)
+    parts = []
+    for patches_of, seen_by, to_seen, back in ((second, first, pose, 1.0), (first, second, inverse(pose), -1.0)):
+        pixel = meet(patches_of, seen_by, to_seen, within, count)
+        met = np.flatnonzero(pixel >= 0)
+        own, other = patches_of.patches[met], pixel[met]
+        parts.append((own, other) if back > 0 else (other, own))
+    on_second, on_first = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    if len(on_first) < (_FEWEST if count is None else _FEWEST // 4):
+        return None
+    points, normals = _carried(first, here, on_first)
+    others, turned = _carried(second, there, on_second)
+    mean = normals + turned
+    mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+    off = np.sum(mean * (points - others), axis=1)
+    sigma = np.hypot(first.sigma(on_first), second.sigma(on_second))
+    sigma = sigma * max(1.0, SIGMA_PER_MEDIAN * median(np.abs(off) / sigma))
+    by_first = np.hstack([np.cross((points + others) / 2, mean), mean])
+    part = np.stack([blocks_of(first.pixels(on_first)), blocks_of(second.pixels(on_second))], axis=1)
+    surface = Residuals(*names, off, sigma, by_first, part, len(off))
+    return _with_marks(surface, first, second, here, there)
+
+
+def _carried(view: View, place: Motion, flat: Ints) -> tuple[Floats, Floats]:
+    points = view.points.reshape(-1, 3)[flat].astype(np.float64) @ place.rotation.T + place.translation
+    return points, view.normals.reshape(-1, 3)[flat].astype(np.float64) @ place.rotation.T
+
+
+def _with_marks(surface: Residuals, first: View, second: View, here: Motion, there: Motion) -> Residuals:
+    """With what the pictures show: along the surface, too."""
+    own, other = mark_pairs(first, second)
+    points = first.marks.points[own] @ here.rotation.T + here.translation
+    others = second.marks.points[other] @ there.rotation.T + there.translation
+    near = np.linalg.norm(points - others, axis=1) < 2 * _MARK_GRAINS * first.grain
+    if np.count_nonzero(near) < _FEWEST_MARKS:
+        return surface
+    points, others = points[near], others[near]
+    off = points - others
+    sigma = max(SIGMA_PER_MEDIAN * median(np.abs(off).ravel()), 1e-3 * first.grain)
+    axes = np.broadcast_to(np.eye(3), (len(off), 3, 3))
+    by_first = np.concatenate([np.cross(((points + others) / 2)[:, None], axes), axes], axis=2).reshape(-1, 6)
+    part = np.stack([blocks_of(first.marks.pixels[own][near]), blocks_of(second.marks.pixels[other][near])], axis=1)
+    return Residuals(
+        surface.first,
+        surface.second,
+        np.concatenate([surface.off, off.ravel()]),
+        np.concatenate([surface.sigma, np.full(off.size, sigma)]),
+        np.concatenate([surface.by_first, by_first]),
+        np.concatenate([surface.parts, np.repeat(part, 3, axis=0)]),
+        surface.surface,
+    )
+
+
+def _together(
+    views: Sequence[View], places: Sequence[Motion], pairs: Sequence[tuple[int, int]], grains: float
+) -> list[Residuals]:
+    found = (residuals_of(views[i], views[j], (i, j), places, grains * views[0].grain) for i, j in pairs)
+    return [each for each in found if each is not None]
+
+
+def _normal(found: Sequence[Residuals], count: int) -> tuple[Floats, Floats]:
+    """Matrix (6 n, 6 n) and gradient (6 n,) of all places' twists about the origin."""
+    matrix, gradient = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
+    for each in found:
+        weighted = each.by_first * each.weight[:, None]
+        own, pull = weighted.T @ each.by_first, weighted.T @ each.off
+        i, j = slice(6 * each.first, 6 * each.first + 6), slice(6 * each.second, 6 * each.second + 6)
+        matrix[i, i] += own
+        matrix[j, j] += own
+        matrix[i, j] -= own
+        matrix[j, i] -= own
+        gradient[i] += pull
+        gradient[j] -= pull
+    return matrix, gradient
+
+
+def _step(found: Sequence[Residuals], count: int) -> Floats:
+    """Twists (n, 6) about the origin; the first view's is none."""
+    matrix, gradient = _normal(found, count)
+    free = matrix[6:, 6:]
+    scale = np.sqrt(np.maximum(np.diag(free), 1e-30))
+    scaled = free / np.outer(scale, scale) + _DAMPING * np.eye(len(free))
+    step = -np.linalg.solve(scaled, gradient[6:] / scale) / scale
+    return np.concatenate([np.zeros((1, 6)), step.reshape(-1, 6)])
+
+
+def _covariance(found: Sequence[Residuals], count: int, middle: Floats) -> Floats:
+    """About the middle: shifts of the thing's own points are known far better than those of the camera's centre."""
+    about = np.eye(6)
+    about[3:, :3] = -np.cross(np.eye(3), middle)
+    turned = np.kron(np.eye(count), about)
+    matrix, _ = _normal(found, count)
+    bread = np.zeros_like(matrix)
+    free = matrix[6:, 6:]
+    scale = np.sqrt(np.maximum(np.diag(free), 1e-30))
+    bread[6:, 6:] = np.linalg.pinv(free / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+    filling = _filling(found, count)
+    covariance: Floats = turned @ (bread @ filling @ bread) @ turned.T
+    return covariance
+
+
+def _filling(found: Sequence[Residuals], count: int) -> Floats:
+    """Scatter (6 n, 6 n) of the gradient, summed over parts of pictures.
+
+    A part's sum holds its own error once for each pair k that it is in, and those of k other parts once: of its square
+    k of k + 1 are its own.
+    """
+    sums = np.zeros((count, _BLOCKS, 6 * count))
+    pairs = np.zeros(count)
+    for each in found:
+        pulls = each.by_first * (each.weight * each.off)[:, None]
+        i, j = slice(6 * each.first, 6 * each.first + 6), slice(6 * each.second, 6 * each.second + 6)
+        for side, view in enumerate((each.first, each.second)):
+            own = np.zeros((_BLOCKS, 6))
+            np.add.at(own, np.minimum(each.parts[:, side], _BLOCKS - 1), pulls)
+            sums[view, :, i] += own
+            sums[view, :, j] -= own
+            pairs[view] += 1
+    share = pairs / (pairs + 1)
+    flat = (np.sqrt(share)[:, None, None] * sums).reshape(-1, 6 * count)
+    filling: Floats = flat.T @ flat
+    return filling

@@ -1,0 +1,154 @@
+"""Where patches of one view meet another view at a supposed pose, and what that says for the pose and against it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Motion
+from calib.numerics import Floats, Ints, compiled
+from calib.objects.view import View
+from calib.rooms.marks import alike
+
+UNSEEN, HIDDEN, LOOKED_THROUGH, BESIDE = -1, -2, -3, -4
+_LIKE = float(np.cos(np.radians(40.0)))
+_SIGMAS, _BENT = 4.0, 0.12  # the latter in grains
+_FREE = 1.5  # grains: before a surface by more than that, the other camera would have seen it
+
+
+def meet(patches_of: View, seen_by: View, pose: Motion, within: float, count: int | None = None) -> Ints:
+    """For each patch (M,) the flat index of the pixel of `seen_by` whose surface it lies on, or why there is none.
+
+    `pose`: X_seen_by = R X_patches + t. `within`: how far off the surface it may be, in the points' unit.
+    """
+    return meet_points(patches_of.patch_points[:count], patches_of.patch_normals[:count], seen_by, pose, within)
+
+
+def meet_points(points: Floats, normals: Floats, seen_by: View, pose: Motion, within: float) -> Ints:
+    """The same for any points with normals, (N, 3) each."""
+    camera = seen_by.camera
+    found = np.empty(len(points), np.int64)
+    lens = (*camera.focal_px, *camera.principal_point_px, *camera.distortion)
+    _meet(
+        points,
+        normals,
+        np.ascontiguousarray(pose.rotation),
+        pose.translation,
+        np.array(lens),
+        seen_by.points,
+        seen_by.normals,
+        seen_by.depth,
+        seen_by.near,
+        within,
+        _FREE * seen_by.grain,
+        found,
+    )
+    return found
+
+
+@compiled
+def _meet(
+    patches: Floats,
+    patch_normals: Floats,
+    r: Floats,
+    t: Floats,
+    lens: Floats,
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    depth: NDArray[np.float32],
+    near: NDArray[np.float32],
+    within: float,
+    free: float,
+    found: Ints,
+) -> None:
+    height, width = depth.shape
+    for m in range(len(patches)):
+        found[m] = -1
+        a, b, c = patches[m, 0], patches[m, 1], patches[m, 2]
+        z = r[2, 0] * a + r[2, 1] * b + r[2, 2] * c + t[2]
+        if not z > 1e-9:
+            continue
+        x = r[0, 0] * a + r[0, 1] * b + r[0, 2] * c + t[0]
+        y = r[1, 0] * a + r[1, 1] * b + r[1, 2] * c + t[1]
+        u, v = x / z, y / z
+        q = u * u + v * v
+        radial = 1 + q * (lens[4] + q * (lens[5] + q * lens[8]))
+        across = u * radial + 2 * lens[6] * u * v + lens[7] * (q + 2 * u * u)
+        down = v * radial + lens[6] * (q + 2 * v * v) + 2 * lens[7] * u * v
+        column, row = np.floor(lens[0] * across + lens[2] + 0.5), np.floor(lens[1] * down + lens[3] + 0.5)
+        if not (0 <= column < width and 0 <= row < height):
+            continue
+        i, j = int(row), int(column)
+        e, f, g = patch_normals[m, 0], patch_normals[m, 1], patch_normals[m, 2]
+        n0 = r[0, 0] * e + r[0, 1] * f + r[0, 2] * g
+        n1 = r[1, 0] * e + r[1, 1] * f + r[1, 2] * g
+        n2 = r[2, 0] * e + r[2, 1] * f + r[2, 2] * g
+        if n0 * x + n1 * y + n2 * z >= 0:  # it faces away, and is the thing's back
+            continue
+        if points[i, j, 2] > 0:
+            k0, k1, k2 = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
+            off = k0 * (x - points[i, j, 0]) + k1 * (y - points[i, j, 1]) + k2 * (z - points[i, j, 2])
+            like = n0 * k0 + n1 * k1 + n2 * k2
+            if np.abs(off) < within and np.abs(z - points[i, j, 2]) < 4 * within and like > _LIKE:
+                found[m] = i * width + j
+                continue
+            if np.abs(z - points[i, j, 2]) < free:
+                found[m] = -4
+                continue
+        if depth[i, j] > 0:
+            if z < near[i, j] - free:
+                found[m] = -3
+            elif z > depth[i, j]:
+                found[m] = -2
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Counts over both views' patches: `agreeing`, `against` (looked through, or beside what is there), and `marks`
+    of the pictures that come to lie on each other.
+    """
+
+    agreeing: int
+    against: int
+    marks: int
+
+    @property
+    def worth(self) -> float:
+        """In patches; a mark counts for many."""
+        return self.agreeing - self.against + _PER_MARK * max(0, self.marks - _BY_CHANCE)
+
+    @property
+    def share(self) -> float:
+        """Of what could agree."""
+        return self.agreeing / max(1, self.agreeing + self.against)
+
+
+_PER_MARK, _BY_CHANCE = 25.0, 4
+_MARK_GRAINS = 1.0
+
+
+def tolerance(first: View, second: View) -> float:
+    """How far surfaces may be from each other that are one: noise, and a little of what a calibration bends."""
+    one, other = (float(np.median(view.sigma(view.patches))) for view in (first, second))
+    return _SIGMAS * float(np.hypot(one, other)) + _BENT * first.grain
+
+
+def evidence(first: View, second: View, pose: Motion, within: float, count: int | None = None) -> Evidence:
+    """For X_first = R X_second + t."""
+    back = Motion(pose.rotation.T, -pose.rotation.T @ pose.translation)
+    there, here = meet(second, first, pose, within, count), meet(first, second, back, within, count)
+    both = np.concatenate([there, here])
+    own, other = mark_pairs(first, second)
+    apart = np.linalg.norm(
+        second.marks.points[other] @ pose.rotation.T + pose.translation - first.marks.points[own], axis=1
+    )
+    return Evidence(
+        int(np.count_nonzero(both >= 0)),
+        int(np.count_nonzero((both == LOOKED_THROUGH) | (both == BESIDE))),
+        int(np.count_nonzero(apart < _MARK_GRAINS * first.grain)),
+    )
+
+
+def mark_pairs(first: View, second: View) -> tuple[Ints, Ints]:
+    """Marks that look alike, (M,) of either."""
+    return alike(first.marks, second.marks)

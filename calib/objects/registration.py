@@ -1,0 +1,161 @@
+"""Where views belong, without order or first guess: pairs suggest, all of them judge; doubts are told, never decided.
+
+The group grows from the surest pair. A view is tried wherever a supposed pose puts it beside a member, settles there,
+and is judged by all members: by what agrees and by what any of them looked through. Where a second place is almost as
+good, the view is ambiguous.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from calib.geometry import Motion
+from calib.objects.candidates import near_each_other, supposed_poses
+from calib.objects.joint import NARROW, WIDE, settled
+from calib.objects.meeting import Evidence, evidence, tolerance
+from calib.objects.view import View
+from calib.rooms.alignment import composed, inverse
+
+_SOME, _MORE = 250, 800  # patches: to look at many poses, and at the few best
+_LOOKED_AT, _KEPT = 4, 3
+_LEAST_SHARE, _LEAST_AGREEING = 0.75, 0.12  # of what could agree; and of all patches
+_AS_GOOD = 0.93  # of what the best place is worth
+
+
+@dataclass(frozen=True, eq=False)
+class Supposed:
+    """X_first = R X_second + t of a pair, and what it is worth."""
+
+    pose: Motion
+    worth: float
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another place of a view that is almost as good: how far it is turned from the first one, and its worth."""
+
+    view: int
+    turn_deg: float
+    worth: float
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A view that belongs to none, and why."""
+
+    view: int
+    cause: Literal["nothing seen", "no overlap", "does not fit"]
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """`places` by view, X_common = R X_view + t, of the largest group; `alternatives` make it ambiguous."""
+
+    places: Mapping[int, Motion]
+    alternatives: tuple[Alternative, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def register_views(views: Sequence[View | None]) -> Registered:
+    """Of one thing by one rig; in any order. Raises ImportError where Open3D cannot be loaded."""
+    seen = {k: view for k, view in enumerate(views) if view is not None}
+    edges = {(i, j): _supposed(seen[i], seen[j]) for i, j in combinations(seen, 2)}
+    sure = {pair: found for pair, found in edges.items() if found}
+    left_out = [
+        LeftOut(k, "nothing seen", "it shows nothing but what rests") for k in range(len(views)) if k not in seen
+    ]
+    if not sure:
+        left_out += [LeftOut(k, "no overlap", "its surface lies on that of no other station") for k in seen]
+        return Registered({}, (), tuple(left_out))
+    first, _ = max(sure, key=lambda pair: sure[pair][0].worth)
+    places = {first: Motion(np.eye(3), np.zeros(3))}
+    alternatives: list[Alternative] = []
+    missing = [k for k in seen if k != first]
+    while missing:
+        tried = {k: _tried(seen, sure, places, k) for k in missing}
+        best = max(missing, key=lambda k: tried[k][0].worth if tried[k] else -np.inf)
+        if not tried[best]:
+            break
+        places[best] = tried[best][0].pose
+        alternatives += _rivals(best, tried[best], seen[best].grain)
+        missing.remove(best)
+    for k in missing:
+        any_edge = any(k in pair for pair in sure)
+        why = (
+            LeftOut(k, "does not fit", "wherever it fits one station, others looked through what it shows, or past it")
+            if any_edge
+            else LeftOut(k, "no overlap", "its surface lies on that of no other station")
+        )
+        left_out.append(why)
+    return Registered(dict(sorted(places.items())), tuple(alternatives), tuple(left_out))
+
+
+def _supposed(first: View, second: View) -> list[Supposed]:
+    """The places of a pair that are worth following up, best first."""
+    poses = [settled(first, second, pose, (WIDE, 1.0), _SOME) for pose in supposed_poses(first, second)]
+    rated = sorted(
+        ((evidence(first, second, pose, NARROW * first.grain, _SOME).worth, k) for k, pose in enumerate(poses)),
+        reverse=True,
+    )
+    found: list[Supposed] = []
+    for _, k in rated:
+        if len(found) == _LOOKED_AT or any(near_each_other(poses[k], each.pose, first.grain) for each in found):
+            continue
+        pose = settled(first, second, poses[k], (1.0, NARROW, NARROW), _MORE)
+        said = evidence(first, second, pose, tolerance(first, second), _MORE)
+        if _holds(said, 2 * _MORE):
+            found.append(Supposed(pose, said.worth))
+    return sorted(found, key=lambda each: -each.worth)[:_KEPT]
+
+
+def _holds(said: Evidence, patches: int) -> bool:
+    return said.share > _LEAST_SHARE and said.agreeing > _LEAST_AGREEING * patches
+
+
+def _tried(
+    views: Mapping[int, View],
+    edges: Mapping[tuple[int, int], Sequence[Supposed]],
+    places: Mapping[int, Motion],
+    k: int,
+) -> list[Supposed]:
+    """Where a view may be beside the members, best first; `pose` is its place. Empty where it cannot be anywhere."""
+    found: list[Supposed] = []
+    for member, place in places.items():
+        for each in edges.get((min(member, k), max(member, k)), ()):
+            pose = composed(place, each.pose if member < k else inverse(each.pose))
+            if any(near_each_other(pose, other.pose, views[k].grain) for other in found):
+                continue
+            worth = _worth(views, places, k, pose)
+            if worth is not None:
+                found.append(Supposed(pose, worth))
+    return sorted(found, key=lambda each: -each.worth)
+
+
+def _worth(views: Mapping[int, View], places: Mapping[int, Motion], k: int, pose: Motion) -> float | None:
+    """What all members say of a place; None if what they say against it outweighs."""
+    said = [
+        evidence(views[member], views[k], composed(inverse(place), pose), NARROW * views[k].grain, _SOME)
+        for member, place in places.items()
+    ]
+    agreeing, against = sum(each.agreeing for each in said), sum(each.against for each in said)
+    if agreeing < _LEAST_SHARE * (agreeing + against):
+        return None
+    return sum(each.worth for each in said)
+
+
+def _rivals(k: int, tried: Sequence[Supposed], grain: float) -> list[Alternative]:
+    best = tried[0]
+    return [
+        Alternative(k, _turn_deg(best.pose, each.pose), each.worth / best.worth)
+        for each in tried[1:]
+        if each.worth > _AS_GOOD * best.worth and not near_each_other(best.pose, each.pose, grain)
+    ]
+
+
+def _turn_deg(one: Motion, other: Motion) -> float:
+    cosine = (float(np.trace(one.rotation.T @ other.rotation)) - 1) / 2
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

@@ -1,0 +1,137 @@
+"""A thing as one station saw it: an organised cloud, patches drawn evenly over it, and what its picture shows on it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Intrinsics
+from calib.numerics import Bools, Floats, Image, Ints
+from calib.rooms.drawings import logarithmic
+from calib.rooms.marks import Marks, no_marks
+from calib.rooms.segments import relative_noise
+
+_PATCHES = 3000
+_STEEPEST = 0.35  # cosine of the slant beyond which a patch's area means little
+_AROUND = 5  # pixels: edges of things are uncertain by about so many
+_MARKS, _CONTRAST = 500, 0.015
+_OF_SIZE = 1 / 60  # the grain: how far apart points are that features and coarse alignment look at
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """`points`, `normals` (H, W, 3) of the thing in the camera's frame, NaN elsewhere; `depth` (H, W): how far the
+    camera saw at all, the background included, 0 where nothing is known; `near` (H, W): the least around each pixel.
+
+    `patches`: pixels as flat indices, in random order, drawn evenly over the surface. `noise`: standard deviation of a
+    point along its ray at depth z is `noise` · z². `grain`: in the unit of the points. `marks`: none without a picture.
+    """
+
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    near: NDArray[np.float32]
+    camera: Intrinsics
+    patches: Ints
+    noise: float
+    grain: float
+    marks: Marks
+
+    @cached_property
+    def patch_points(self) -> Floats:
+        """(M, 3)."""
+        return self.points.reshape(-1, 3)[self.patches].astype(np.float64)
+
+    @cached_property
+    def patch_normals(self) -> Floats:
+        """(M, 3)."""
+        return self.normals.reshape(-1, 3)[self.patches].astype(np.float64)
+
+    @property
+    def middle(self) -> Floats:
+        """Of the patches, (3,)."""
+        return np.median(self.patch_points, axis=0)
+
+    def pixels(self, flat: Ints) -> Floats:
+        """Columns and rows (N, 2) of flat indices."""
+        row, column = np.divmod(flat, self.depth.shape[1])
+        return np.stack([column, row], axis=1).astype(np.float64)
+
+    def sigma(self, flat: Ints) -> Floats:
+        """Standard deviation of points along their normals (N,)."""
+        points, normals = (each.reshape(-1, 3)[flat].astype(np.float64) for each in (self.points, self.normals))
+        facing = np.abs(np.sum(points * normals, axis=1)) / np.linalg.norm(points, axis=1)
+        sigma: Floats = self.noise * points[:, 2] ** 2 * np.maximum(facing, _STEEPEST)
+        return sigma
+
+
+def view_of(
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    camera: Intrinsics,
+    resting: NDArray[np.float32] | None = None,
+    picture: Image | None = None,
+) -> View | None:
+    """Of a cloud (H, W, 3) as `calib.pointcloud` makes it; `resting` (H, W): the depth of what did not move.
+
+    `picture` (H, W) or (H, W, 3): of the lit scene. None if nothing of the thing is seen.
+    """
+    depth = np.where(np.isfinite(points[..., 2]), points[..., 2], np.float32(0))
+    there = (depth > 0) & np.isfinite(normals[..., 2])
+    if resting is not None:
+        there &= ~(resting > 0)
+        depth = np.maximum(depth, resting)
+    there = without_crumbs(there)
+    if np.count_nonzero(there) < _AROUND**4:
+        return None
+    own = np.where(there[..., None], points, np.float32(np.nan))
+    turned = np.where(there[..., None], normals, np.float32(np.nan))
+    known = np.where(depth > 0, depth, np.float32(np.inf))
+    near = np.asarray(cv2.erode(known, np.ones((_AROUND, _AROUND), np.uint8)), np.float32)
+    patches = _spread(own, turned)
+    size = float(np.linalg.norm(np.ptp(own[there], axis=0)))
+    marks = no_marks() if picture is None else _marks(picture, own, there)
+    noise = relative_noise(own, turned)
+    return View(own, turned, depth, near, camera, patches, noise, _OF_SIZE * size, marks)
+
+
+def without_crumbs(there: Bools) -> Bools:
+    """Only the pieces (H, W) that are not small beside the largest."""
+    count, label, statistics, _ = cv2.connectedComponentsWithStats(there.astype(np.uint8), connectivity=4)
+    if count < 2:
+        return there
+    area = statistics[:, cv2.CC_STAT_AREA]
+    large = area >= 0.05 * area[1:].max()
+    large[0] = False
+    kept: Bools = large[label]
+    return kept
+
+
+def _spread(points: NDArray[np.float32], normals: NDArray[np.float32]) -> Ints:
+    flat, towards = points.reshape(-1, 3), normals.reshape(-1, 3)
+    there = np.flatnonzero(np.isfinite(flat[:, 2]))
+    seen = flat[there].astype(np.float64)
+    slant = np.abs(np.sum(seen * towards[there], axis=1)) / np.linalg.norm(seen, axis=1)
+    there, seen, slant = there[slant > _STEEPEST], seen[slant > _STEEPEST], slant[slant > _STEEPEST]
+    area = np.cumsum(seen[:, 2] ** 2 / slant)
+    rng = np.random.default_rng(0)
+    places = (np.arange(_PATCHES) + rng.random(_PATCHES)) / _PATCHES * area[-1]
+    chosen: Ints = there[np.unique(np.minimum(np.searchsorted(area, places), len(there) - 1))]
+    return rng.permutation(chosen)
+
+
+def _marks(picture: Image, points: NDArray[np.float32], there: Bools) -> Marks:
+    """SIFT's, on the thing, lifted to its surface."""
+    inside = cv2.erode(there.astype(np.uint8), np.ones((_AROUND, _AROUND), np.uint8))
+    finder = cv2.SIFT.create(nfeatures=_MARKS, contrastThreshold=_CONTRAST)
+    keypoints, descriptors = finder.detectAndCompute(logarithmic(picture), inside)
+    if not keypoints:
+        return no_marks()
+    pixels = np.array([keypoint.pt for keypoint in keypoints])
+    column, row = np.rint(pixels).astype(np.int64).T
+    lifted = points[row, column].astype(np.float64)
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)).astype(np.float32)
+    on = np.isfinite(lifted[:, 2])
+    return Marks(pixels[on], lifted[on], np.full(int(on.sum()), -1), root[on])

@@ -1,0 +1,109 @@
+"""Triangles for printers, z up, in millimetres: binary STL, or 3MF (3MF core specification 1.3), which states its unit.
+
+Of rooms and things these are the triangles of the result, joined where its pieces, one for each picture, meet.
+"""
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from calib.numerics import Floats, Ints
+from scanner.errors import InputError
+from scanner.exporting.formats import Request
+from scanner.exporting.triangles import Y_UP_FROM_CAMERA, build_mesh
+from scanner.exporting.units import in_metres
+from scanner.io import new_file, read_room, read_whole
+from scanner.results import OBJECT_FILE, OBJECT_MESH_FILE, ROOM_FILE, ROOM_MESH_FILE, read_finished_scan
+
+_MM = 1000.0
+_HEADER, _CHUNK = 12, 8  # bytes of a GLB
+_MODEL = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+_TYPES = (
+    '<?xml version="1.0" encoding="UTF-8"?><Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
+    '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+    '<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/></Types>'
+)
+_RELATIONS = (
+    '<?xml version="1.0" encoding="UTF-8"?>'
+    '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships"><Relationship '
+    'Target="/3D/3dmodel.model" Id="rel0" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>'
+    "</Relationships>"
+)
+
+
+def export(request: Request) -> list[str]:
+    """Write the triangles. Raises InputError and OSError."""
+    points, triangles, remarks = _in_metres(request.result)
+    points = _MM * points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]  # y up to z up
+    with new_file(request.out, overwrite=request.overwrite) as path:
+        if path.suffix.lower() == ".stl":
+            write_stl(path, points, triangles)
+        else:
+            write_3mf(path, points, triangles)
+    return [f"{len(triangles):,} triangles, in millimetres", *remarks]
+
+
+def _in_metres(result: Path) -> tuple[Floats, Ints, list[str]]:
+    """Points, y up, and triangles of a result; what to tell about it."""
+    for listing, name in ((ROOM_FILE, ROOM_MESH_FILE), (OBJECT_FILE, OBJECT_MESH_FILE)):
+        if (result / listing).is_file():
+            _, remarks = in_metres(read_room(result / listing).unit)
+            return (*read_triangles(result / name), remarks)
+    mesh = build_mesh(read_finished_scan(result))
+    metres, remarks = in_metres(mesh.unit)
+    return metres * mesh.points * Y_UP_FROM_CAMERA, mesh.triangles, remarks
+
+
+def read_triangles(path: Path) -> tuple[Floats, Ints]:
+    """Points (N, 3) and triangles (T, 3) of a GLB as this program writes them. Raises InputError for any other."""
+    data = read_whole(path)
+    try:
+        length = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
+        document = json.loads(data[_HEADER + _CHUNK : _HEADER + _CHUNK + length])
+        binary = data[_HEADER + 2 * _CHUNK + length :]
+        parts, corners, count = [], [], 0
+        for piece in document["meshes"][0]["primitives"]:
+            points, indices = (
+                _array(document, binary, piece["attributes"]["POSITION"], "<f4"),
+                _array(document, binary, piece["indices"], "<u4"),
+            )
+            parts.append(points.reshape(-1, 3))
+            corners.append(indices.astype(np.int64).reshape(-1, 3) + count)
+            count += len(parts[-1])
+        points, same = np.unique(np.concatenate(parts), axis=0, return_inverse=True)
+        triangles = same.reshape(-1)[np.concatenate(corners)].astype(np.int64)
+    except (ValueError, KeyError, IndexError, TypeError) as error:
+        raise InputError(f"{path}: expected a mesh as this program writes it, found a damaged file") from error
+    return points.astype(np.float64), triangles
+
+
+def _array(document: dict, binary: bytes, number: int, kind: str) -> np.ndarray:  # type: ignore[type-arg]
+    view = document["bufferViews"][document["accessors"][number]["bufferView"]]
+    return np.frombuffer(binary, kind, view["byteLength"] // 4, view["byteOffset"])
+
+
+def write_stl(path: Path, points: Floats, triangles: Ints) -> None:
+    """Binary STL: no unit, no vertices in common. Raises OSError."""
+    rows = np.zeros(len(triangles), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    rows["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    rows["corners"] = corners
+    path.write_bytes(b"roomscan, millimetres".ljust(80) + len(rows).to_bytes(4, "little") + rows.tobytes())
+
+
+def write_3mf(path: Path, points: Floats, triangles: Ints) -> None:
+    """Raises OSError."""
+    vertices = "".join(f'<vertex x="{x:.5f}" y="{y:.5f}" z="{z:.5f}"/>' for x, y, z in points.tolist())
+    faces = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in triangles.tolist())
+    model = (
+        f'<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xml:lang="en-US" xmlns="{_MODEL}"><resources>'
+        f'<object id="1" type="model"><mesh><vertices>{vertices}</vertices><triangles>{faces}</triangles></mesh>'
+        '</object></resources><build><item objectid="1"/></build></model>'
+    )
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("[Content_Types].xml", _TYPES)
+        file.writestr("_rels/.rels", _RELATIONS)
+        file.writestr("3D/3dmodel.model", model)

@@ -1,0 +1,1 @@
+"""Things: stations of one rig → where it stood about the thing, one surface, its volume."""

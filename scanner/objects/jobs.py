@@ -1,0 +1,56 @@
+"""The jobs of things: from stations that exist, and live."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from calib.refusal import RefusalError
+from hw.moving import moves_by_itself
+from scanner.configuration import Config
+from scanner.errors import InputError
+from scanner.objects.contents import SolvedObject, Surface
+from scanner.objects.save import save_object
+from scanner.objects.solve import solve_object
+from scanner.objects.verdict import verdict_on
+from scanner.results import new_result
+from scanner.rooms.document import given_rig, read_stations
+from scanner.rooms.jobs import saying_why
+from scanner.rooms.live import check_stations, take_turned
+from scanner.rooms.open3d_module import open3d
+from scanner.ui import Terminal
+
+_SILENT = Terminal(quiet=True)
+
+
+def scan_object(
+    config: Config,
+    out: Path,
+    *,
+    calibration: Path,
+    stations: Sequence[Path] = (),
+    number: int = 0,
+    fill: bool = False,
+    overwrite: bool = False,
+    terminal: Terminal = _SILENT,
+) -> tuple[SolvedObject, Surface | None]:
+    """Put `stations` of a thing together, in any order; or take `number` of them, between which it is turned.
+
+    Raises InputError, DeviceError, RefusalError.
+    """
+    open3d()  # or say at once that it is missing
+    start = given_rig(calibration, config)
+    if not stations:
+        if number < 2:
+            raise InputError(f"--stations: expected 2 or more, found {number}")
+        check_stations(config, number, terminal)
+    made = new_result(out, config, overwrite=overwrite, keep_capture=not stations, tell=terminal.note)
+    with made as folder, saying_why(folder, config):
+        if stations:
+            captures = read_stations(stations, config, terminal)
+        else:
+            captures = take_turned(config, number, folder, terminal, by_itself=moves_by_itself(config.required_rig))
+        solved = solve_object(captures, start, config, terminal)
+        surface = save_object(solved, folder, config, terminal, fill=fill)
+        verdict = verdict_on(solved)
+        if verdict.grade == "refused":
+            raise RefusalError(" ".join([verdict.headline, *verdict.reasons[:1]]), verdict.advice)
+    return solved, surface

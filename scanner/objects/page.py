@@ -1,0 +1,104 @@
+"""report.html of a thing: whether it can be trusted, views from all around, what its stations share."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from calib.pointcloud import MergedCloud
+from scanner.objects.contents import SolvedObject, Surface
+from scanner.objects.verdict import verdict_on
+from scanner.quantities import percent, shown_unit
+from scanner.rendering import BLUE, environment, frustum, render
+from scanner.rendering.cloud_views import Wireframe, view_along
+from scanner.reporting.sections import Picture, picture
+from scanner.results import Provenance
+from scanner.rooms.page import Cell
+
+_VIEW, _HALF = (960, 640), 480
+_FRUSTUM_OF_SIZE = 0.15
+_UP = np.array([0.0, 0.0, 1.0])
+_FILES = {
+    "object.ply": "one cloud of all stations, with normals and colours",
+    "object.glb": "one mesh of it, under the stations' pictures",
+    "object.yaml": "where every station stood against the thing, with sigmas; its volume and area",
+    "calibration.yaml": "the rig, as it was given",
+    "captures": "the stations, each a result of its own",
+    "truth.yaml": "the calibration of the simulated rig, as it really is",
+    "scan.log": "what the program did, step by step",
+}
+
+
+def write_page(path: Path, solved: SolvedObject, surface: Surface | None, cloud: MergedCloud, made: Provenance) -> None:
+    """Write the page; it needs no network and no other file. Raises OSError."""
+    files = sorted({each.name for each in path.parent.iterdir()} - {path.name})
+    page = (
+        environment()
+        .get_template("object.html")
+        .render(
+            verdict=verdict_on(solved),
+            provenance=made,
+            subtitle=f"{len(solved.stations)} stations of one rig, {len(cloud.points):,} points.",
+            views=_views(solved, cloud),
+            measured=list(_measured(solved, surface)),
+            stations=list(_station_rows(solved)),
+            names=[str(number) for number in range(1, len(solved.stations) + 1)],
+            overlaps=_matrix(solved),
+            files=[(name, _FILES[name]) for name in files if name in _FILES],
+            unit=solved.unit,
+        )
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def _views(solved: SolvedObject, cloud: MergedCloud) -> list[Picture]:
+    """From four sides, and from above with the cameras."""
+    size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    frusta = [
+        Wireframe(station.to_room(frustum(solved.calibration.camera, _FRUSTUM_OF_SIZE * size)), BLUE)
+        for station in solved.stations
+    ]
+    shown = [picture(render(cloud, view_along(np.array([1.0, 0.8, -0.9]), _UP), _VIEW, frusta), "the thing, above")]
+    for turn in range(4):
+        along = np.array([np.cos(turn * np.pi / 2), np.sin(turn * np.pi / 2), -0.3])
+        view = render(cloud, view_along(along, _UP), (_HALF, _HALF), [])
+        shown.append(picture(view, f"the thing from side {turn + 1}", caption=f"Side {turn + 1}."))
+    return shown
+
+
+def _measured(solved: SolvedObject, surface: Surface | None) -> Iterator[tuple[str, str, str]]:
+    """Name, value with sigma, meaning."""
+    name = shown_unit(solved.unit).name
+    factor = shown_unit(solved.unit).factor
+    if surface is None:
+        return
+    if surface.volume is not None:
+        volume, sigma = (each * factor**3 for each in surface.volume)
+        filled = percent(surface.bridged)
+        yield "volume", f"{volume:.6g} ± {sigma:.2g} {name}³", f"of the closed surface, {filled} of which bridges holes"
+    area, sigma = (each * factor**2 for each in surface.area)
+    yield "area", f"{area:.5g} ± {sigma:.2g} {name}²", "of the closed surface" if surface.closed else "of what was seen"
+
+
+def _station_rows(solved: SolvedObject) -> Iterator[tuple[str, ...]]:
+    unit = shown_unit(solved.unit)
+    for n, station in enumerate(solved.stations):
+        angle = "" if solved.turntable is None else f"{solved.turntable.angles_deg[n]:.3f}°"
+        sigma = "held" if n == 0 else unit.error(float(np.linalg.norm(station.sigma)))
+        turn = "held" if n == 0 else f"{float(np.linalg.norm(station.sigma_deg)):.2g}°"
+        yield str(n + 1), station.name, angle, sigma, turn, f"{len(station.decoded.matches):,}"
+
+
+def _matrix(solved: SolvedObject) -> list[list[Cell]]:
+    """What pairs share, and how far their surfaces are apart."""
+    unit, rows = shown_unit(solved.unit), []
+    count = len(solved.stations)
+    for i in range(count):
+        row = []
+        for j in range(count):
+            pair = (min(i, j), max(i, j))
+            share = solved.overlap.get(pair, 0.0)
+            text = "" if i == j else f"{percent(share)}, {unit.error(solved.residual[pair])}" if share else "·"
+            row.append(Cell(text, share))
+        rows.append(row)
+    return rows

@@ -1,0 +1,142 @@
+"""Stations and a calibrated rig → a thing: what rests is left out, what moved is registered without a guess."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.geometry import Calibration, Intrinsics, Motion
+from calib.numerics import Floats
+from calib.objects import (
+    JointEstimate,
+    Registered,
+    Turntable,
+    View,
+    confirmed,
+    estimate_jointly,
+    find_turntable,
+    register_views,
+    resting_depth,
+    view_of,
+    within,
+)
+from calib.pointcloud import Cloud, build_cloud
+from calib.refusal import RefusalError
+from calib.rooms.alignment import composed
+from calib.rooms.segments import relative_noise
+from scanner.configuration import Config
+from scanner.objects.contents import SolvedObject, Stranger
+from scanner.reconstruction import scaled
+from scanner.results import Decoded
+from scanner.rooms.contents import RigStart, Station
+from scanner.ui import Progress
+
+_LOOSE_DEG, _LOOSE_OF_SIZE = 0.5, 0.01
+_SIZE_GRAINS = 60.0
+
+
+def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedObject:
+    """Raises RefusalError if no two stations show one surface."""
+    given = start.given or start.calibration
+    calibration = scaled(given, None, config.scale)
+    clouds = [
+        build_cloud(each.matches, each.texture, calibration)
+        for each in progress.track(captures, len(captures), "Surfaces")
+    ]
+    with progress.step("Telling the thing from what rests"):
+        views, rests = _views(clouds, captures, calibration.camera)
+    with progress.step("Registering"):
+        registered = register_views(views)
+    strangers = tuple(Stranger(captures[each.view].name, each.cause, each.reason) for each in registered.left_out)
+    members = [(k, view) for k, view in enumerate(views) if view is not None and k in registered.places]
+    if len(members) < 2:
+        said = "; ".join(f"{each.name}: {each.reason}" for each in strangers)
+        raise RefusalError(
+            f"No two stations show the same part of a thing: {said}.",
+            "Turn the thing less between stations, so that half of what is seen is seen again.",
+        )
+    with progress.step("Estimating"):
+        joint = estimate_jointly([view for _, view in members], [registered.places[k] for k, _ in members])
+        turntable = find_turntable(joint.places, joint.covariance, joint.middle)
+    return _finished(clouds, captures, members, registered, joint, turntable, calibration, strangers, rests)
+
+
+def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrinsics) -> tuple[list[View | None], float]:
+    """Of the thing alone; and what share of all that was seen rests."""
+    depths = [cloud.points[..., 2] for cloud in clouds]
+    noise = [relative_noise(cloud.points, cloud.normals) for cloud in clouds]
+    rest = resting_depth(depths, noise)
+    views, rests, seen = [], 0, 0
+    for cloud, capture, own in zip(clouds, captures, noise, strict=True):
+        resting = within(cloud.points[..., 2], rest, own) & (rest > 0)
+        rests += int(np.count_nonzero(resting))
+        seen += int(np.count_nonzero(cloud.there))
+        behind = np.where(resting, rest, np.float32(0))
+        views.append(view_of(cloud.points, cloud.normals, camera, behind, capture.texture))
+    return views, rests / max(1, seen)
+
+
+def _finished(
+    clouds: Sequence[Cloud],
+    captures: Sequence[Decoded],
+    members: Sequence[tuple[int, View]],
+    registered: Registered,
+    joint: JointEstimate,
+    turntable: Turntable | None,
+    calibration: Calibration,
+    strangers: tuple[Stranger, ...],
+    rests: float,
+) -> SolvedObject:
+    places, covariance = joint.places, joint.covariance
+    if turntable is not None:
+        places, covariance = turntable.places, turntable.covariance
+    upright = _upright(joint, turntable)
+    kept = confirmed([view for _, view in members], places)
+    stations, loose = [], []
+    size = _SIZE_GRAINS * max(view.grain for _, view in members)
+    for n, (k, view) in enumerate(members):
+        block = covariance[6 * n : 6 * n + 6, 6 * n : 6 * n + 6]
+        turning, moving = (
+            np.sqrt(np.maximum(np.diag(upright.rotation @ part @ upright.rotation.T), 0.0))
+            for part in (block[:3, :3], block[3:, 3:])
+        )
+        if np.degrees(turning).max() > _LOOSE_DEG or moving.max() > _LOOSE_OF_SIZE * size:
+            loose.append(n)
+        of_thing = kept[n][..., None]
+        nothing = np.float32(np.nan)
+        points, normals = (np.where(of_thing, each, nothing) for each in (view.points, view.normals))
+        own = replace(clouds[k], points=points, normals=normals)
+        on_no_plane = np.full(view.depth.shape, -1, np.int32)
+        place = composed(upright, places[n])
+        stations.append(Station(captures[k], own, on_no_plane, place, np.degrees(turning), moving, np.nan))
+    axis = None
+    if turntable is not None:
+        point = upright.rotation @ turntable.point + upright.translation
+        axis = np.stack([point, upright.rotation @ turntable.direction])
+    return SolvedObject(
+        calibration,
+        tuple(stations),
+        tuple(k for k, _ in members),
+        joint.overlap,
+        joint.residual,
+        turntable,
+        axis,
+        registered.alternatives,
+        tuple(loose),
+        strangers,
+        rests,
+    )
+
+
+def _upright(joint: JointEstimate, turntable: Turntable | None) -> Motion:
+    """Into a frame about the thing's middle, z along the turntable's axis, or up as the first camera was held."""
+    held = np.array([0.0, -1.0, 0.0])
+    up: Floats = held if turntable is None else turntable.direction * (1.0 if turntable.direction @ held >= 0 else -1.0)
+    towards = np.array([0.0, 0.0, 1.0]) - up[2] * up
+    towards /= np.linalg.norm(towards)
+    rotation = np.stack([np.cross(towards, up), towards, up])
+    centre = joint.middle
+    if turntable is not None:
+        off = joint.middle - turntable.point
+        centre = turntable.point + float(off @ up) * up
+    return Motion(rotation, -rotation @ centre)

@@ -1,0 +1,107 @@
+"""The thing as triangles: all stations' depths fused, or a closed surface by screened Poisson where holes are filled.
+
+Kazhdan and Hoppe, "Screened Poisson surface reconstruction", 2013, by Open3D.
+"""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calib.numerics import Bools, Floats, Ints
+from calib.pointcloud import MergedCloud
+from scanner.exporting.triangles import Mesh
+from scanner.objects.contents import SolvedObject, Surface
+from scanner.rooms.blended_cloud import blended_of, grid_of
+from scanner.rooms.mesh import CAMERA_FROM_ROOM, fused_of
+from scanner.rooms.open3d_module import open3d
+
+_AROUND = 2.0  # of the size: within so large a cube the surface closes
+_DEEPEST = 9  # of the octree: 512 cells to a side
+# A surface that bridges a hole bulges, in or out, by a share of its width; beyond a share of all, volumes are guesses.
+_BULGE, _MOST_BRIDGED = 0.2, 0.15
+_FAR = 4.0  # edges of the cloud's voxels from the nearest point, beyond which a vertex bridges a hole
+
+
+def cloud_of(solved: SolvedObject) -> MergedCloud:
+    """All stations' points, thinned by voxels, within which they are averaged."""
+    return blended_of(solved.stations, solved.calibration, [station.cloud.points for station in solved.stations])
+
+
+def surface_of(solved: SolvedObject, cloud: MergedCloud, *, fill: bool) -> Surface | None:
+    """None if nothing hangs together. Its frame is the mesh's of rooms: a level camera's, y down."""
+    voxel = grid_of(solved.stations, solved.calibration)
+    if fill:
+        mesh = _closed(cloud)
+        apart, _ = cKDTree(cloud.points).query(mesh.points)
+        filled: Bools = np.asarray(apart) > _FAR * voxel
+        mesh = _turned(mesh)
+    else:
+        found = fused_of(
+            solved.stations, solved.calibration, [station.cloud.points[..., 2] for station in solved.stations]
+        )
+        if found is None:
+            return None
+        mesh, filled = found, np.zeros(len(found.points), np.bool_)
+    closed = is_closed(mesh.triangles)
+    normal_sigma = _sigma(solved)
+    area = area_of(mesh.points, mesh.triangles)
+    bridged = area_of(mesh.points, mesh.triangles[filled[mesh.triangles].any(axis=1)])
+    volume = None
+    if closed and bridged < _MOST_BRIDGED * area:
+        sigma = float(np.hypot(area * normal_sigma, _BULGE * bridged**1.5))
+        volume = volume_of(mesh.points, mesh.triangles), sigma
+    size = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
+    return Surface(mesh, closed, volume, (area, 4 * area * normal_sigma / size + bridged), bridged / area)
+
+
+def is_closed(triangles: Ints) -> bool:
+    """Whether each edge has two triangles, which go along it in either direction."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    forth = np.unique(edges, axis=0)
+    back = np.unique(edges[:, ::-1], axis=0)
+    return len(forth) == len(edges) and bool(np.array_equal(forth, back))
+
+
+def volume_of(points: Floats, triangles: Ints) -> float:
+    """Of a closed surface, by the divergence theorem."""
+    a, b, c = (points[triangles[:, k]] - points.mean(axis=0) for k in range(3))
+    return abs(float(np.sum(a * np.cross(b, c)) / 6))
+
+
+def area_of(points: Floats, triangles: Ints) -> float:
+    """Of all triangles."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return float(np.sum(np.linalg.norm(np.cross(b - a, c - a), axis=1)) / 2)
+
+
+def _sigma(solved: SolvedObject) -> float:
+    """Of the surface as a whole along its normals: places, and what pairs of stations are apart on average."""
+    places = float(np.sqrt(np.mean([np.mean(station.sigma**2) for station in solved.stations[1:]])))
+    apart = float(np.median(list(solved.residual.values()))) / np.sqrt(2 * len(solved.stations))
+    return float(np.hypot(places, apart))
+
+
+def _closed(cloud: MergedCloud) -> Mesh:
+    o3d = open3d()
+    points = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points.astype(np.float64)))
+    points.normals = o3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
+    points.colors = o3d.utility.Vector3dVector(cloud.colours / 255.0)
+    size = float(np.max(np.ptp(cloud.points, axis=0)))
+    depth = int(np.clip(np.ceil(np.log2(_AROUND * size / (2 * cloud.grid))), 5, _DEEPEST))
+    mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(points, depth=depth, scale=_AROUND, n_threads=1)
+    cluster, _, area = mesh.cluster_connected_triangles()
+    mesh.remove_triangles_by_mask(np.asarray(cluster) != int(np.argmax(np.asarray(area))))
+    mesh.remove_unreferenced_vertices()
+    mesh.compute_vertex_normals()
+    return Mesh(
+        np.asarray(mesh.vertices).astype(np.float64),
+        np.asarray(mesh.vertex_normals).astype(np.float64),
+        np.rint(255 * np.clip(np.asarray(mesh.vertex_colors), 0, 1)).astype(np.uint8),
+        np.asarray(mesh.triangles).astype(np.int64),
+        cloud.unit,
+    )
+
+
+def _turned(mesh: Mesh) -> Mesh:
+    """Into the frame in which meshes are written."""
+    turn = CAMERA_FROM_ROOM.T
+    return Mesh(mesh.points @ turn, mesh.normals @ turn, mesh.colours, mesh.triangles, mesh.unit)

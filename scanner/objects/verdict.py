@@ -1,0 +1,63 @@
+"""Can one trust this thing? The answer in plain words, from the numbers."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from scanner.objects.contents import SolvedObject
+from scanner.quantities import shown_unit
+from scanner.results import Verdict
+
+_ADVICE = (
+    "Give it what makes its sides different, painted spots or scraps of paper stuck to it say, so that the pictures "
+    "tell how it was turned; or turn it less between stations."
+)
+
+
+def verdict_on(solved: SolvedObject) -> Verdict:
+    """The most serious finding decides."""
+    names = [station.name for station in solved.stations]
+    if solved.alternatives:
+        doubtful = sorted({each.view for each in solved.alternatives})
+        of_capture = dict(zip(solved.numbers, names, strict=True))
+        best = max(solved.alternatives, key=lambda each: each.worth)
+        return Verdict(
+            "refused",
+            "The stations fit together in more than one way.",
+            (
+                f"{', '.join(of_capture[k] for k in doubtful)} could as well be turned otherwise, "
+                f"by {best.turn_deg:.0f}° for one: the thing looks the same from several sides, as balls do.",
+            ),
+            _ADVICE,
+        )
+    if solved.loose:
+        free = ", ".join(names[n] for n in solved.loose)
+        return Verdict(
+            "refused", f"{free} can turn or slide on the surface of the others.", tuple(_reasons(solved)), _ADVICE
+        )
+    if solved.strangers:
+        left = ", ".join(each.name for each in solved.strangers)
+        return Verdict("fair", f"{len(names)} stations are one thing; left out: {left}.", tuple(_reasons(solved)))
+    return Verdict("good", f"{len(names)} stations are one thing, each held by the others.", tuple(_reasons(solved)))
+
+
+def _reasons(solved: SolvedObject) -> Iterator[str]:
+    unit = shown_unit(solved.unit)
+    others = solved.stations[1:]
+    worst = max(float(np.linalg.norm(station.sigma)) for station in others)
+    turned = max(float(np.linalg.norm(station.sigma_deg)) for station in others)
+    yield f"Where a station stood against the thing is known to ± {unit.error(worst)} and ± {turned:.2g}°, or better."
+    if solved.turntable is not None:
+        yield f"It was turned about one axis, by {_turns(solved.turntable.angles_deg)}: a turntable."
+    residual = float(np.median(list(solved.residual.values())))
+    pairs = "1 pair of stations" if len(solved.residual) == 1 else f"{len(solved.residual)} pairs of stations"
+    yield f"{pairs} share surfaces, which are {unit.error(residual)} apart, noise included."
+    if solved.rests > 0:
+        yield f"{solved.rests:.0%} of what was seen rested while the thing moved, and is left out."
+    for each in solved.strangers:
+        yield f"{each.name} is left out: {each.reason}."
+
+
+def _turns(angles_deg: np.ndarray) -> str:
+    steps = np.abs(np.diff(np.unwrap(angles_deg, period=360.0)))
+    return f"{steps.min():.2f} to {steps.max():.2f}° from one to the next"

@@ -1,0 +1,121 @@
+"""Stations of a simulated thing, put together: in their places, the thing alone, and what cannot be told refused."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.refusal import RefusalError
+from scanner.objects.contents import SolvedObject
+from scanner.objects.solve import solve_object
+from scanner.objects.surface import area_of, is_closed, volume_of
+from scanner.objects.verdict import verdict_on
+from scanner.rooms.contents import RigStart
+from scanner.ui import Terminal
+from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
+
+CAMERA = (306, 256)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _open3d() -> None:
+    pytest.importorskip("open3d", exc_type=ImportError)
+
+
+def solved(stations: list[ThingStation], pictures: bool = True) -> SolvedObject:
+    rig = stations[0].calibration
+    start = RigStart(in_baselines(rig), None, {}, rig)
+    return solve_object(decoded(stations, CAMERA, pictures), start, config_for(CAMERA), Terminal(quiet=True))
+
+
+@pytest.fixture(scope="module")
+def turned() -> tuple[list[ThingStation], SolvedObject]:
+    stations = thing_stations([0, 3, 1, 4, 2], CAMERA, seed=2, steps=12)
+    return stations, solved(stations)
+
+
+def test_places_are_found_without_order_or_guess(turned: tuple[list[ThingStation], SolvedObject]) -> None:
+    stations, found = turned
+    assert found.numbers == (0, 1, 2, 3, 4)
+    assert verdict_on(found).grade == "good"
+    for true, station in zip(stations[1:], found.stations[1:], strict=True):
+        off = between(found.stations[0].place, station.place)
+        wanted = between(stations[0].place, true.place)
+        turn_deg = np.degrees(Rotation.from_matrix(off.rotation @ wanted.rotation.T).magnitude())
+        assert 0 < turn_deg < 0.03
+        assert turn_deg < 8 * np.linalg.norm(station.sigma_deg)
+        middle = -wanted.rotation.T @ wanted.translation
+        shift = np.linalg.norm((off.rotation - wanted.rotation) @ middle + off.translation - wanted.translation)
+        assert 0 < shift < 2e-4
+
+
+def test_the_turntable_is_found(turned: tuple[list[ThingStation], SolvedObject]) -> None:
+    _, found = turned
+    assert found.turntable is not None
+    steps = np.abs(found.turntable.angles_deg[[2, 4, 1, 3]])
+    np.testing.assert_allclose(steps, [30, 60, 90, 120], atol=0.02)
+
+
+def test_what_rests_is_left_out(turned: tuple[list[ThingStation], SolvedObject]) -> None:
+    stations, found = turned
+    assert 0.4 < found.rests < 0.9
+    for true, station in zip(stations, found.stations, strict=True):
+        own = station.cloud.there
+        assert np.count_nonzero(own & ~true.thing) < 0.02 * np.count_nonzero(own)
+        assert np.count_nonzero(own) > 0.5 * np.count_nonzero(true.thing)
+
+
+def test_a_plain_ball_is_ambiguous() -> None:
+    stations = thing_stations([0, 1, 2], CAMERA, seed=5, steps=12, kind="ball", patches=0.0, background=False)
+    verdict = verdict_on(solved(stations, pictures=False))
+    assert verdict.grade == "refused"
+    assert "otherwise" in verdict.reasons[0] or "turn or slide" in verdict.headline
+
+
+def test_another_thing_is_named_and_left_out() -> None:
+    stations = thing_stations([0, 1, 2], CAMERA, seed=2, steps=12, background=False)
+    stranger = thing_stations([0], CAMERA, seed=2, steps=12, background=False, kind="box")
+    found = solved([*stations, *stranger])
+    assert [each.name for each in found.strangers] == ["Station 4"]
+    assert verdict_on(found).grade == "fair"
+
+
+def test_nothing_in_common_is_refused() -> None:
+    one = thing_stations([0], CAMERA, seed=2, background=False)
+    other = thing_stations([0], CAMERA, seed=2, background=False, kind="box")
+    with pytest.raises(RefusalError, match="No two stations show the same part of a thing"):
+        solved([*one, *other])
+
+
+def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], SolvedObject], tmp_path: Path) -> None:
+    import trimesh
+
+    from scanner.exporting import FORMATS, Request
+    from scanner.objects.save import save_object
+    from scanner.results import read_finished_room
+
+    _, found = turned
+    surface = save_object(found, tmp_path, config_for(CAMERA), Terminal(quiet=True), fill=True)
+    assert surface is not None
+    assert surface.closed
+    assert 0.2 < surface.bridged < 0.8  # a hundred and fifty degrees of it were seen
+    assert surface.volume is None
+    assert len(read_finished_room(tmp_path).stations) == 5
+    assert "5 stations are one thing" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    for name in ("stl", "3mf"):
+        out = tmp_path / f"thing.{name}"
+        FORMATS[name].write(Request(tmp_path, out))
+        if name == "stl":
+            printed: Any = trimesh.load(out, process=True)
+            assert printed.is_watertight
+            assert printed.area == pytest.approx(1e6 * surface.area[0], rel=1e-3)
+
+
+def test_the_volume_of_a_closed_surface_is_told() -> None:
+    solid = thing_stations([0], CAMERA, seed=2, background=False)[0].solid
+    assert is_closed(solid.triangles)
+    assert not is_closed(solid.triangles[1:])
+    assert volume_of(solid.vertices + 1.0, solid.triangles) == pytest.approx(solid.volume, rel=1e-9)
+    assert area_of(solid.vertices, solid.triangles) == pytest.approx(solid.area, rel=1e-9)
