@@ -2,11 +2,11 @@
 
     python benchmarks/bench_objects.py [--things 4] [--first 0] [--steps 12] [--free] [--camera 408 342] [--noise 0.05]
 
-Simulated things of 100 mm (superquadrics with waves over them) before a table and a wall. Matches are those of rays, one
-for each camera pixel, with noise in projector px; stations come in random order, the rig is known. Errors are the largest
-of a thing's stations: turn, and shift of the thing's middle, both against the first station; of the surface the distance
-of the cloud's points from the true one, with the estimated places and with the true ones. Wrong is a station off by more
-than 1° without a word. Seconds are of one processor, rays apart.
+Simulated things of 100 mm (superquadrics with waves over them) before a table and a wall. Matches are those of rays,
+one for each camera pixel, with noise in projector px; stations come in random order, the rig is known. Errors are the
+largest of a thing's stations: turn, and shift of the thing's middle, both against the first station; of the surface the
+median distance of the cloud's points from the true one, with the estimated places and with the true ones. Wrong is a
+station off by more than 1° without a word. Seconds are of one processor, rays apart.
 """
 
 import argparse
