@@ -102,7 +102,7 @@ def estimated(made: Made, rng: np.random.Generator, smooth_px: float) -> RoomEst
     start, rig = made.start(rng), made.true[0].calibration
     centre = (rig.camera.width - 1) / 2, (rig.camera.height - 1) / 2
     known = Knowledge(rig.camera.size, rig.projector.size, centre, _CENTRE_SIGMA_PX, 0.3)
-    prior = RigPrior.from_knowledge(known.with_all_terms(len(made.true)), made.room.rig)
+    prior = RigPrior.from_knowledge(known, made.room.rig)
     planes = [tuple(range(len(made.surface)))] * len(made.true)
     shifts = [Shifts(smooth_px=smooth_px)] * len(made.true)
     return estimate_room(made.cells(rng), planes, start.places, start.planes, made.room.rig, prior, shifts=shifts)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.boards.likelihood import Levels, View, lens_prior
+from calib.boards.likelihood import Levels, View, device_prior
 from calib.boards.likelihood import evaluate as evaluate_boards
 from calib.boards.parameters import INTRINSIC_COLUMNS, Placed, device_of
 from calib.boards.parameters import State as BoardState
@@ -43,7 +43,7 @@ def bound_covariance(captures: list[SyntheticCapture], knowledge: Knowledge, noi
             Pose(capture.corner.legs, capture.corner.vertex / truth.baseline, i) for i, capture in enumerate(captures)
         ),
     )
-    prior = knowledge.with_all_terms(1).prior(state)
+    prior = knowledge.prior(state)
     for device, columns in ((state.camera, CAMERA), (state.projector, PROJECTOR)):
         for column in np.flatnonzero(device[3:] == 0) + 3:
             prior = prior.with_known(columns.start + int(column))
@@ -105,7 +105,7 @@ def bound_of_boards(boards: SyntheticBoards, views: list[View]) -> np.ndarray:
     placed = tuple(Placed(*pose) for pose in boards.poses)
     motion = Motion(rig.rotation, rig.translation)
     state = BoardState(device_of(rig.camera), device_of(rig.projector), motion, bend, boards.reach, placed)
-    prior = lens_prior(rig.camera.size, rig.projector.size, 3 if bend.any() else 0)
+    prior = device_prior(rig.camera.size, rig.projector.size, 3 if bend.any() else 0)
     zero = np.flatnonzero(state.additive()[:18] == 0)
     prior = prior.knowing(np.concatenate([zero, [1, 10]]))
     per_match = [options.match_px**2 * (view.cells.sigma_px / view.cells.noise_px) ** 2 for view in views]

@@ -1,7 +1,7 @@
 """Calibration from a printed board in several poses: maximum likelihood over corners and matches, and its honesty."""
 
 from calib.boards.acceptance import FEWEST_VIEWS, Coverage, ray_sigmas
-from calib.boards.as_rig import rig_uncertainty, with_radial_terms
+from calib.boards.as_rig import rig_uncertainty
 from calib.boards.calibrate import Board, BoardCalibration, OddView, calibrate_boards
 from calib.boards.cross_validation import Halves, Prediction
 from calib.boards.estimate import Estimate

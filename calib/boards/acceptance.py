@@ -182,7 +182,6 @@ def straightness(found: Estimate) -> float:
     A valley that flattens out is wider than its floor is curved.
     """
     factor = 1.0
-    # The covariance knows of other choices of lens terms, too; along the valley of the one that was made, these stay.
     free = found.prior.free(found.state)[:SHARED]
     for column in (CAMERA.start, PROJECTOR.start):
         sigma = float(np.sqrt(found.covariance[column, column]))

@@ -17,7 +17,7 @@ from calib.boards.acceptance import (
 from calib.boards.board_shape import flex_of, turned_alike
 from calib.boards.cross_validation import Halves, Prediction, halves, leave_one_out
 from calib.boards.estimate import Estimate, estimate, of_views
-from calib.boards.likelihood import Fit, Prior, View, lens_prior, minimise
+from calib.boards.likelihood import Fit, Prior, View, device_prior, minimise
 from calib.boards.parameters import (
     CAMERA,
     CENTRE,
@@ -32,6 +32,7 @@ from calib.boards.parameters import (
 )
 from calib.boards.starts import rough_levels, starts
 from calib.geometry import Calibration, DeviceSigmas, Sigmas, Size
+from calib.refinement import ORDINARY_LENSES, LensPrior
 from calib.refusal import RefusalError
 
 _BEND_TERMS = 7
@@ -78,14 +79,22 @@ class BoardCalibration:
     notes: tuple[str, ...]
 
 
-def calibrate_boards(views: Sequence[View], camera_size: Size, projector_size: Size, board: Board) -> BoardCalibration:
-    """Calibrate one unchanged rig from views of one board, by maximum likelihood.
+def calibrate_boards(
+    views: Sequence[View],
+    camera_size: Size,
+    projector_size: Size,
+    board: Board,
+    *,
+    lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
+) -> BoardCalibration:
+    """Calibrate one unchanged rig from views of one board, by maximum likelihood. `lenses`: what is known of those of
+    camera and projector.
 
     Raises RefusalError where no trustworthy answer can be had.
     """
     if len(views) < FEWEST_VIEWS:
         raise too_few(len(views))
-    prior = lens_prior(camera_size, projector_size, _BEND_TERMS)
+    prior = device_prior(camera_size, projector_size, _BEND_TERMS, lenses)
     begun = starts(views, camera_size, projector_size, board.reach, prior)
     if not begun:
         raise no_rig(None)

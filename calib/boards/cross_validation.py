@@ -127,8 +127,7 @@ def halves(found: Estimate) -> Halves | None:
     if min(len(part) for part in parts) < _FEWEST_OF_A_HALF:
         return None
     one, other = (of_views(found, part) for part in parts)
-    # What other choices of terms would have changed, they would have changed in both.
-    variances = [(part.covariance - found.terms.spread).diagonal() for part in (one, other)]
+    variances = [part.covariance.diagonal() for part in (one, other)]
     focals = [CAMERA.start, PROJECTOR.start]
     if not all(np.sqrt(variance[focals]).max() < _USEFUL_HALF for variance in variances):
         return None

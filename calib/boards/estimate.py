@@ -1,15 +1,14 @@
-"""The maximum-likelihood estimate of a rig from views of a board, with its noise measured, its terms chosen."""
+"""The maximum-likelihood estimate of a rig from views of a board, with its noise measured."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from calib.boards.likelihood import Fit, Levels, Prior, View, minimise
-from calib.boards.model_selection import choose_terms
 from calib.boards.parameters import PER_POSE, SHARED, State
 from calib.numerics import MEDIAN_LENGTH, Floats
-from calib.refinement import Cells, Noise, Terms, covariance_of, noise_of
+from calib.refinement import Cells, Noise, covariance_of, noise_of
 
 _ROUNDS = 3
 _ROUGH = 0.01  # tolerance in cost while noise is measured
@@ -22,13 +21,12 @@ class Estimate:
     """The fit of some views, with the noise that its residuals show.
 
     `corner_px`: for each view, the standard deviation of each coordinate of its corners. `noise`: of its matches.
-    `covariance` (SHARED, SHARED) of what all views share, other choices of terms included.
+    `covariance` (SHARED, SHARED) of what all views share.
     """
 
     views: tuple[View, ...]
     fit: Fit
     prior: Prior
-    terms: Terms
     levels: Levels
     corner_px: Floats
     noise: tuple[Noise, ...]
@@ -41,25 +39,14 @@ class Estimate:
 
 
 def estimate(views: Sequence[View], start: State, prior: Prior, levels: Levels) -> Estimate:
-    """From a start near the minimum; `levels` are a first guess of the noise. All terms of `prior` are candidates."""
+    """From a start near the minimum; `levels` are a first guess of the noise."""
     fit = minimise(views, start, prior, levels, tolerance=_ROUGH)
     for _ in range(_ROUNDS):
         levels, corner_px, noise = measured(views, fit, prior)
         fit = minimise(views, fit.state, prior, levels, tolerance=_ROUGH)
     fit = minimise(views, fit.state, prior, levels)
-    every = covariance_of(fit.information, prior.free(fit.state))[:SHARED, :SHARED]
-    terms = choose_terms(fit.state.additive(), every, prior)
-    chosen = prior.knowing(terms.zero)
-    fit = minimise(views, without(fit.state, terms.zero), chosen, levels)
-    covariance = covariance_of(fit.information, chosen.free(fit.state))[:SHARED, :SHARED] + terms.spread
-    return Estimate(tuple(views), fit, chosen, terms, levels, corner_px, noise, covariance)
-
-
-def without(state: State, zero: Sequence[int]) -> State:
-    """A state with some columns set to zero."""
-    step = np.zeros(state.size)
-    step[list(zero)] = -state.additive()[list(zero)]
-    return state.moved(step)
+    covariance = covariance_of(fit.information, prior.free(fit.state))[:SHARED, :SHARED]
+    return Estimate(tuple(views), fit, prior, levels, corner_px, noise, covariance)
 
 
 def measured(views: Sequence[View], fit: Fit, prior: Prior) -> tuple[Levels, Floats, tuple[Noise, ...]]:
@@ -99,17 +86,7 @@ def _as_cells(view: View, sigma_px: float) -> Cells:
 
 
 def of_views(found: Estimate, chosen: Sequence[int]) -> Estimate:
-    """Estimated again from some of the views, with the same terms and levels: that is quick."""
+    """Estimated again from some of the views, noise and lenses and all, beginning with the levels that were found."""
     views = tuple(found.views[i] for i in chosen)
     levels = Levels(found.levels.corners[list(chosen)], tuple(found.levels.cells[i] for i in chosen))
-    fit = minimise(views, found.state.of_views(chosen), found.prior, levels)
-    covariance = covariance_of(fit.information, found.prior.free(fit.state))[:SHARED, :SHARED]
-    return replace(
-        found,
-        views=views,
-        fit=fit,
-        levels=levels,
-        corner_px=found.corner_px[list(chosen)],
-        noise=tuple(found.noise[i] for i in chosen),
-        covariance=covariance + found.terms.spread,
-    )
+    return estimate(views, found.state.of_views(chosen), found.prior, levels)

@@ -24,13 +24,13 @@ from calib.boards.parameters import (
     predict_matches,
 )
 from calib.numerics import NIELSEN, Bools, Floats, Ints, Quadratic, descend
-from calib.refinement import Cells, misfit
+from calib.refinement import ORDINARY_LENSES, Cells, LensPrior, misfit, with_tails
 
 _STEPS = 60
+_TAILED = [device.start + term for device in (CAMERA, PROJECTOR) for term in (ASPECT, *range(LENS.start, LENS.stop))]
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
-# One sigma of what lenses and boards are like, before any is seen: enough to hold what a set of views leaves open.
-_LENS_SIGMA = (0.3, 0.3, 0.005, 0.005, 0.3)
-_ASPECT_SIGMA = 0.02
+# One sigma of what devices and boards are like, before any is seen: enough to hold what a set of views leaves open.
+_ASPECT_SIGMA = 0.002
 _LOG_FOCAL_SIGMA = 1.0
 _BEND_SIGMA = (0.01, 0.01, 0.01, 0.003, 0.003, 0.003, 0.003)
 
@@ -57,7 +57,8 @@ class Levels:
 
 @dataclass(frozen=True)
 class Prior:
-    """Gaussian prior on the shared columns: `mean`, `sigma` (SHARED,); 0 = known, infinity = unknown.
+    """Prior on the shared columns: `mean`, `sigma` (SHARED,); 0 = known, infinity = unknown. That of lens terms and of
+    the pixels' shape has tails, the others are Gaussian.
 
     `flex`: standard deviation of each term by which a view's bend differs from the usual one; 0 for a rigid board.
     """
@@ -86,15 +87,21 @@ class Prior:
         return replace(self, sigma=sigma)
 
 
-def lens_prior(camera_size: tuple[int, int], projector_size: tuple[int, int], bend_terms: int) -> Prior:
+def device_prior(
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+    bend_terms: int,
+    lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
+) -> Prior:
     """What holds for devices of these sizes (width, height) and a board with so many terms of bend."""
     mean, sigma = np.zeros(SHARED), np.full(SHARED, np.inf)
-    for device, (width, height) in ((CAMERA, camera_size), (PROJECTOR, projector_size)):
+    sizes = camera_size, projector_size
+    for device, (width, height), lens in zip((CAMERA, PROJECTOR), sizes, lenses, strict=True):
         of_device = np.zeros(PER_DEVICE), np.zeros(PER_DEVICE)
         of_device[0][FOCAL], of_device[1][FOCAL] = np.log(1.2 * width), _LOG_FOCAL_SIGMA
         of_device[1][ASPECT] = _ASPECT_SIGMA
         of_device[0][CENTRE], of_device[1][CENTRE] = ((width - 1) / 2, (height - 1) / 2), height / 2
-        of_device[1][LENS] = _LENS_SIGMA
+        of_device[0][LENS], of_device[1][LENS] = lens.mean, lens.sigma
         mean[device], sigma[device] = of_device
     sigma[BEND] = _BEND_SIGMA
     sigma[BEND.start + bend_terms : BEND.stop] = 0.0
@@ -115,11 +122,13 @@ def evaluate(views: Sequence[View], state: State, prior: Prior, levels: Levels, 
 
     Without `matches` the camera alone is looked at.
     """
-    deviation = (state.additive() - prior.mean) * prior.root_precision
-    cost = float(deviation @ deviation)
+    z = (state.additive() - prior.mean) * prior.root_precision
+    of_columns, slope, curvature = z**2, z.copy(), np.ones(SHARED)
+    of_columns[_TAILED], slope[_TAILED], curvature[_TAILED] = with_tails(z[_TAILED])
+    cost = float(of_columns.sum())
     gradient, information = np.zeros(state.size), np.zeros((state.size, state.size))
-    gradient[:SHARED] = deviation * prior.root_precision
-    information[np.arange(SHARED), np.arange(SHARED)] = prior.root_precision**2
+    gradient[:SHARED] = slope * prior.root_precision
+    information[np.arange(SHARED), np.arange(SHARED)] = curvature * prior.root_precision**2
     if prior.flex:
         columns, flex = (
             state.flex_columns().ravel(),

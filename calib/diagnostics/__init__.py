@@ -33,5 +33,5 @@ from calib.diagnostics.uncertainty import (
     moved_calibration,
     sigmas_of,
     uncertainty_of,
-    with_further_terms,
+    with_pixels_of,
 )

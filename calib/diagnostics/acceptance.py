@@ -1,6 +1,6 @@
 """Acceptance tests: whether a refined solution deserves to be used; what does not is refused with its reason."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.stats import chi2
@@ -8,15 +8,27 @@ from scipy.stats import chi2
 from calib.diagnostics.degeneracy import one_plane, reasons_in_images, reasons_in_space
 from calib.diagnostics.next_best_view import best_next_view
 from calib.numerics import Floats
-from calib.refinement import CAMERA, PROJECTOR, Cells, Fit, Knowledge, Refinement, Straightened, intrinsic_distance
+from calib.refinement import (
+    CAMERA,
+    CLEARLY_WORSE,
+    PROJECTOR,
+    TANGENTIAL_TERMS,
+    Cells,
+    Fit,
+    Knowledge,
+    Refinement,
+    Straightened,
+    covariance_of,
+    intrinsic_distance,
+)
 from calib.refusal import RefusalError, Wording
 
 # How the note on captures between which the rig was not moved begins.
 FROM_ONE_PLACE = "Taken from the same place: captures"
 
 USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley either
-_CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
 _TENSION_SIGMAS = 4.0
+CENTRED = 1e-4  # p1 and p2 of a lens that is hardly decentred: a twentieth of a pixel at the image's corner
 _SIGNIFICANT = 0.9999
 _MISFIT_PX, _MISFIT_OF_NOISE = 0.1, 0.3
 _PLAUSIBLE_FOCALS = {"camera": (0.3, 4.0), "projector": (0.2, 10.0)}  # in image widths
@@ -51,24 +63,52 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
         if not value < USEFUL_SIGMA:
             raise RefusalError(
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
-                + _because(_reasons(refinement, words)),
+                + _because(_reasons(refinement, words))
+                + _if_centred(refinement),
                 " ".join([*on_repeats(refinement), _where_to_go(refinement, knowledge)]) + what_else_helps(knowledge),
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
-    _refuse_ambiguous(fit, refinement.others, np.array([*relative.values(), *centre]), words)
-    for name, parameters, size in (
+    others = [other for other in refinement.others if not _absurd_focals(other, knowledge)]
+    _refuse_ambiguous(fit, others, np.array([*relative.values(), *centre]), words)
+    for name, field in _absurd_focals(fit, knowledge).items():
+        raise RefusalError(
+            f"The solution has a {name} with a focal length of {field:.2g} image widths, which hardly any has"
+            + _because(_reasons(refinement, words)),
+            f"The faces may not be square to each other, or {words.unrelated}. " + words.move + words.shape,
+        )
+    _refuse_misfit(refinement, words)
+    _refuse_skew(refinement, knowledge)
+
+
+def _if_centred(refinement: Refinement) -> str:
+    """What would be known of the camera's focal length if the lenses had hardly any decentring, in a sentence."""
+    fit, free = refinement.fit, refinement.prior.free
+    sigma = sigma_if(refinement, dict.fromkeys(TANGENTIAL_TERMS, CENTRED))
+    if sigma > 0.5 * np.sqrt(covariance_of(fit.information, free)[CAMERA.start, CAMERA.start]):
+        return ""
+    return f" It would be ± {100 * sigma:.2g} % for the camera if p1 and p2 of both lenses were below {CENTRED:g}."
+
+
+def sigma_if(refinement: Refinement, known: Mapping[int, float]) -> float:
+    """The relative sigma of the camera's focal length, by curvature, if some columns were known with these sigmas."""
+    information = refinement.fit.information.copy()
+    for column, sigma in known.items():
+        information[column, column] += sigma**-2.0
+    return float(np.sqrt(covariance_of(information, refinement.prior.free)[CAMERA.start, CAMERA.start]))
+
+
+def _absurd_focals(fit: Fit, knowledge: Knowledge) -> dict[str, float]:
+    """The focal lengths of a solution, in image widths, that hardly any device has."""
+    absurd = {}
+    for device, parameters, size in (
         ("camera", fit.state.camera, knowledge.camera_size),
         ("projector", fit.state.projector, knowledge.projector_size),
     ):
+        low, high = _PLAUSIBLE_FOCALS[device]
         field = float(parameters[0]) / max(size)
-        if not _PLAUSIBLE_FOCALS[name][0] < field < _PLAUSIBLE_FOCALS[name][1]:
-            raise RefusalError(
-                f"The solution has a {name} with a focal length of {field:.2g} image widths, which hardly any has"
-                + _because(_reasons(refinement, words)),
-                f"The faces may not be square to each other, or {words.unrelated}. " + words.move + words.shape,
-            )
-    _refuse_misfit(refinement, words)
-    _refuse_skew(refinement, knowledge)
+        if not low < field < high:
+            absurd[device] = field
+    return absurd
 
 
 def what_else_helps(knowledge: Knowledge) -> str:
@@ -127,10 +167,11 @@ def _refuse_misfit(refinement: Refinement, words: Wording) -> None:
 
 
 def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
-    off_square = np.degrees(refinement.fit.state.off_square)
-    limit = float(chi2.ppf(_SIGNIFICANT, off_square.size))
-    worst = off_square[int(np.argmax(np.linalg.norm(off_square, axis=1)))]
-    if refinement.tension > limit or np.linalg.norm(worst) > _TENSION_SIGMAS * knowledge.squareness_deg > 0:
+    worst, corner = _skewest(refinement)
+    limit = float(chi2.ppf(_SIGNIFICANT, refinement.fit.state.off_square.size))
+    if refinement.tension > limit or (
+        far_from_square(refinement, knowledge) and not _measured(refinement, corner, knowledge)
+    ):
         seen = "" if knowledge.squareness_deg == 0 else f" (they seem to be off by {signed(worst)} degrees)"
         raise RefusalError(
             f"The faces are not square to each other{seen}, where "
@@ -144,6 +185,25 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
             + _given_centre(knowledge)
             + knowledge.words.shape,
         )
+
+
+def _skewest(refinement: Refinement) -> tuple[Floats, int]:
+    """The angles off square, in degrees (3,), of the corner that is farthest from it, and which corner that is."""
+    off_square = np.degrees(refinement.fit.state.off_square)
+    corner = int(np.argmax(np.linalg.norm(off_square, axis=1)))
+    return off_square[corner], corner
+
+
+def far_from_square(refinement: Refinement, knowledge: Knowledge) -> bool:
+    """Whether a corner is farther from square than walls usually are, where they may be at all."""
+    return bool(np.linalg.norm(_skewest(refinement)[0]) > _TENSION_SIGMAS * knowledge.squareness_deg > 0)
+
+
+def _measured(refinement: Refinement, corner: int, knowledge: Knowledge) -> bool:
+    """Whether the matches tell a corner's angles, better than its walls being usual ones would."""
+    columns = refinement.fit.state.angle_columns(corner)
+    sigma_deg = np.degrees(np.sqrt(np.diag(refinement.covariance)[columns]))
+    return bool(np.all(sigma_deg < knowledge.squareness_deg))
 
 
 def _given_centre(knowledge: Knowledge) -> str:
@@ -165,7 +225,7 @@ def _refuse_ambiguous(best: Fit, others: Sequence[Fit], sigmas: Floats, words: W
     """`sigmas` (4,): in the units of `intrinsic_distance`."""
     for other in others:
         apart = intrinsic_distance(other.state, best.state)
-        if other.cost - best.cost < _CLEARLY_WORSE and np.any(apart > 2 * sigmas):
+        if other.cost - best.cost < CLEARLY_WORSE and np.any(apart > 2 * sigmas):
             raise RefusalError(
                 f"Ambiguous: {_intrinsics(best)}, and {_intrinsics(other)}, explain this {words.taken} almost equally "
                 "well.",

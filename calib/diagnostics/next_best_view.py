@@ -15,7 +15,6 @@ from calib.numerics import Floats
 from calib.refinement import (
     CAMERA,
     PER_POSE,
-    SHARED,
     Cells,
     Knowledge,
     Pose,
@@ -155,9 +154,6 @@ def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: floa
     alone = replace(state, poses=(pose,), off_square=state.off_square[pose.corner][None])
     alone = replace(alone, poses=(replace(pose, corner=0),))
     prior = knowledge.prior(alone)
-    sigma = prior.sigma.copy()
-    sigma[:SHARED] = refinement.prior.sigma[:SHARED]  # with the lens terms that were chosen
-    prior = replace(prior, sigma=sigma)
     flat = replace(prior, sigma=np.where(prior.free, np.inf, 0.0), rig=None)
     new = evaluate([cells], alone, flat, [np.full(len(cells), variance)]).information
     kept = np.flatnonzero(prior.free)

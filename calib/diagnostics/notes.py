@@ -2,13 +2,19 @@
 
 import numpy as np
 
-from calib.diagnostics.acceptance import on_repeats, signed
+from calib.diagnostics.acceptance import far_from_square, on_repeats, sigma_if, signed
 from calib.diagnostics.next_best_view import NextView
-from calib.refinement import CAMERA, Knowledge, Refinement
+from calib.refinement import CAMERA, WEAK_TERMS, Knowledge, Refinement
 
 # How the note on what a further capture would gain begins.
 FURTHER_CAPTURE = "A further capture of this corner"
 
+# How the note on walls that are farther off than usual begins.
+FAR_FROM_SQUARE = "This corner is farther from square"
+
+_LOPSIDED = 0.15  # of the interval's length
+_MOST, _WORTH_TELLING = 0.7, 0.002  # of the sigma; of the focal length
+_EXACTLY = 1e-7  # standard deviation of a lens term that is known
 WORTH_A_CAPTURE = 0.7  # of the sigma without it
 
 
@@ -17,6 +23,8 @@ def notes_on(refinement: Refinement, knowledge: Knowledge, further: NextView | N
     return (
         *_on_squareness(refinement, knowledge),
         *on_repeats(refinement),
+        *_on_interval(refinement),
+        *_on_lenses(refinement),
         *_on_next_view(refinement, further),
         *_on_noise(refinement, knowledge),
     )
@@ -34,6 +42,11 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
         f"The faces were allowed to be off square by {knowledge.squareness_deg:g} degrees (1 sigma); they seem to be "
         f"off by {seen} degrees."
     ]
+    if far_from_square(refinement, knowledge):
+        notes.append(
+            f"{FAR_FROM_SQUARE} than was expected. The matches tell its angles, so they were taken as measured; if its "
+            "walls are square, suspect the camera's principal point, or a picture that the projector reshapes."
+        )
     sameness = refinement.sameness
     if sameness and not sameness.same:
         notes.append(
@@ -41,6 +54,27 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
             f"−2 log likelihood, where {sameness.limit:.0f} is the most that chance explains. Each was given its own."
         )
     return notes
+
+
+def _on_interval(refinement: Refinement) -> list[str]:
+    """Where the likelihood along the focal length is no parabola."""
+    focal, (low, high) = refinement.fit.state.camera[0], refinement.valley.interval_px
+    if abs((high - focal) - (focal - low)) < _LOPSIDED * (high - low):
+        return []
+    return [f"The camera's focal length, {focal:.0f} px, is between {low:.0f} and {high:.0f} px with 68 % probability."]
+
+
+def _on_lenses(refinement: Refinement) -> list[str]:
+    """How much of the uncertainty is that of the lenses, where it is most of it."""
+    every, lenses = sigma_if(refinement, {}), sigma_if(refinement, dict.fromkeys(WEAK_TERMS, _EXACTLY))
+    share = float(np.sqrt(max(every**2 - lenses**2, 0.0)))
+    if share < _MOST * every or every < _WORTH_TELLING:
+        return []
+    return [
+        f"Of the {100 * every:.2g} % of the camera's focal length (one sigma), {100 * share:.2g} % are what is not "
+        "known of both lenses: a further capture from another place measures them, and a calibration by boards tells "
+        "them (lens: {from: calibration.yaml})."
+    ]
 
 
 def _on_next_view(refinement: Refinement, view: NextView | None) -> list[str]:

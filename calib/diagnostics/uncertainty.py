@@ -142,14 +142,10 @@ def calibration_of(
     )
 
 
-def with_further_terms(found: Intrinsics, lens: Intrinsics) -> Intrinsics:
-    """A device found with square pixels and two radial terms, with a lens's further terms and its pixels' shape."""
+def with_pixels_of(found: Intrinsics, device: Intrinsics) -> Intrinsics:
+    """A device found with square pixels, with the shape of another one's pixels."""
     focal = found.focal_px[0]
-    return replace(
-        found,
-        focal_px=(focal, focal * lens.focal_px[1] / lens.focal_px[0]),
-        distortion=(*found.distortion[:2], *lens.distortion[2:]),
-    )
+    return replace(found, focal_px=(focal, focal * device.focal_px[1] / device.focal_px[0]))
 
 
 def moved_calibration(calibration: Calibration, uncertainty: Uncertainty, step: Floats) -> Calibration:
@@ -159,16 +155,11 @@ def moved_calibration(calibration: Calibration, uncertainty: Uncertainty, step: 
     )
     return replace(
         there,
-        camera=_moved(there.camera, calibration.camera, step[CAMERA]),
-        projector=_moved(there.projector, calibration.projector, step[PROJECTOR]),
+        camera=with_pixels_of(there.camera, calibration.camera),
+        projector=with_pixels_of(there.projector, calibration.projector),
         translation=calibration.baseline * there.translation,
         unit=calibration.unit,
     )
-
-
-def _moved(found: Intrinsics, lens: Intrinsics, step: Floats) -> Intrinsics:
-    p1, p2, k3 = (term + float(moved) for term, moved in zip(lens.distortion[2:], step[-3:], strict=True))
-    return replace(with_further_terms(found, lens), distortion=(*found.distortion[:2], p1, p2, k3))
 
 
 def sigmas_of(state: State, covariance: Floats) -> Sigmas:

@@ -5,7 +5,7 @@ from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins
 from calib.refinement.further_planes import with_further_planes
 from calib.refinement.image_polynomial import CUBIC, monomials
 from calib.refinement.known_rig import KnownRig
-from calib.refinement.lens_terms import FURTHER_TERMS, LENS_CHOICES, Terms, most_probable
+from calib.refinement.lens_prior import DECENTERING, ORDINARY_LENSES, THIRD_RADIAL, LensPrior
 from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate, misfit
 from calib.refinement.match_cells import Cells, follow_one_plane, into_cells
 from calib.refinement.noise_model import Noise, long_waves, noise_of, overdispersion
@@ -17,7 +17,9 @@ from calib.refinement.parameters import (
     PROJECTOR,
     ROTATION,
     SHARED,
+    TANGENTIAL_TERMS,
     TRANSLATION,
+    WEAK_TERMS,
     Pose,
     State,
     device_of,
@@ -26,7 +28,7 @@ from calib.refinement.parameters import (
 )
 from calib.refinement.photo_starts import photo_family
 from calib.refinement.profile_likelihood import covariance_of, inverse_of
-from calib.refinement.refine import Refinement, explore, refine, settle, thin
+from calib.refinement.refine import CLEARLY_WORSE, Refinement, explore, refine, settle, thin
 from calib.refinement.shared_corner import is_anticlockwise, oriented, reflected
 from calib.refinement.systematic_shifts import (
     Shift,
@@ -36,3 +38,4 @@ from calib.refinement.systematic_shifts import (
     response_to_shift,
     together,
 )
+from calib.refinement.tails import with_tails

@@ -12,29 +12,31 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
 from calib.refinement.known_rig import KnownRig
-from calib.refinement.lens_terms import FURTHER_TERMS
+from calib.refinement.lens_prior import ORDINARY_LENSES, LensPrior
 from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict, without_lens
+from calib.refinement.parameters import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
+from calib.refinement.tails import with_tails
 from calib.refusal import PHOTOS, RIG, Wording
 
 SQUARENESS_DEG = 0.3  # how far walls of ordinary rooms are from square: standard deviation of each angle
 ROBUST_SIGMAS = 3.0
-# One sigma of what ordinary lenses have of k1, k2, p1, p2, k3.
-_LENS_SIGMA = (0.1, 0.03, 1e-3, 1e-3, 0.01)
 _LEAST_IN_FRONT = 0.98
 _BEHIND = 100.0  # the cost of a cell behind a device, like one ten sigmas off
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Gaussian prior on the additive columns of the model: `mean`, `sigma` (size,); 0 = known, infinity = unknown.
+    """Prior on the additive columns of the model: `mean`, `sigma` (size,); 0 = known, infinity = unknown.
 
-    `held`: a column that stays where it is for now, though it is not known, so that it costs what the prior says.
-    `rig`: what other data say of the columns that all captures share, together.
+    Gaussian but for lens terms and angles, whose prior has tails: few lenses and walls are far off, and those that are
+    may be so by many sigmas. `tailed`: the columns of these, (size,). `held`: a column that stays where it is for now,
+    though it is not known, so that it costs what the prior says. `rig`: what other data say of the columns that all
+    captures share, together.
     """
 
     mean: Floats
     sigma: Floats
+    tailed: Bools
     held: int | None = None
     rig: KnownRig | None = None
 
@@ -57,10 +59,12 @@ class Prior:
         unknown = self.sigma > 0
         return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0), 0.0)
 
-    def deviation(self, state: State) -> Floats:
-        """(value − mean) / σ of each column, (size,); zero where the prior says nothing."""
-        deviation: Floats = (state.additive() - self.mean) * self.root_precision
-        return deviation
+    def misfit(self, state: State) -> tuple[Floats, Floats, Floats]:
+        """Of each column (size,): its cost, half the cost's gradient and half its curvature, which is not negative."""
+        z = (state.additive() - self.mean) * self.root_precision
+        cost, slope, curvature = z**2, z.copy(), np.ones_like(z)
+        cost[self.tailed], slope[self.tailed], curvature[self.tailed] = with_tails(z[self.tailed])
+        return cost, slope * self.root_precision, curvature * self.root_precision**2
 
     def with_known(self, column: int) -> "Prior":
         """The same with one column held fixed."""
@@ -79,8 +83,8 @@ class Knowledge:
     standard deviation (0: exactly known), and how square corners are (standard deviation of the angles; 0: exactly).
 
     `one_camera`: both images are photos by one unchanged camera, with one radial term. `focal_px`: the camera's focal
-    length with its standard deviation, where something is known of it. `rig`: what other data say of it. `terms`: the
-    columns of `FURTHER_TERMS` that the lenses may have; they have none of the others.
+    length with its standard deviation, where something is known of it. `rig`: what other data say of it. `lenses`: what
+    is known of those of camera and projector.
     """
 
     camera_size: tuple[int, int]
@@ -91,16 +95,7 @@ class Knowledge:
     one_camera: bool = False
     focal_px: tuple[float, float] | None = None
     rig: KnownRig | None = None
-    terms: tuple[int, ...] = ()
-
-    def with_all_terms(self, views: int) -> "Knowledge":
-        """The same for lenses that may have every term that so many views of corners, or of a room, can tell of.
-
-        Two photos hardly tell even k2; of boards' rigs the boards have told. To one view of a corner, tangential terms
-        do what angles do that are not known.
-        """
-        tell = views > 1 or self.squareness_deg == 0
-        return replace(self, terms=FURTHER_TERMS) if tell and not self.one_camera and self.rig is None else self
+    lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES
 
     @property
     def words(self) -> Wording:
@@ -110,34 +105,35 @@ class Knowledge:
     def prior(self, layout: State) -> Prior:
         """As a prior on the columns of states like `layout`.
 
-        Beside what is known of this rig, what holds for any lens that is sold: a projector's focal of one image width
-        within a factor of two and its principal point within half an image height of the centre, k1 within 0.1, k2
-        within 0.03, p1 and p2 within 0.001 and k3 within 0.01 of zero (1 sigma each). A capture that determines the
-        focals to a few per cent does not feel it. The camera's focal has no prior but the range that is swept, unless
-        something is known of it. What other data say of the rig takes the place of all this.
+        Beside what is known of this rig and its lenses, what holds for any device that is sold: a focal of 1.2 image
+        widths within a factor of two, and a projector's principal point within half an image height of the centre
+        (1 sigma each). What other data say of the rig takes the place of all this.
         """
         mean, sigma = np.zeros(layout.size), np.full(layout.size, np.inf)
-        for device, (width, height) in ((CAMERA, self.camera_size), (PROJECTOR, self.projector_size)):
-            mean[device] = without_lens(np.log(1.2 * width), np.array([width - 1, height - 1]) / 2)
-            sigma[device] = [0.7, height / 2, height / 2, *_LENS_SIGMA]
-        sigma[[column for column in FURTHER_TERMS if column not in self.terms]] = 0.0
+        sizes = self.camera_size, self.projector_size
+        for device, (width, height), lens in zip((CAMERA, PROJECTOR), sizes, self.lenses, strict=True):
+            mean[device] = [np.log(1.2 * width), (width - 1) / 2, (height - 1) / 2, *lens.mean]
+            sigma[device] = [0.7, height / 2, height / 2, *lens.sigma]
+        if self.rig is not None:
+            sigma[:SHARED] = np.inf
         centre = slice(CAMERA.start + 1, CAMERA.start + 3)
-        mean[centre], sigma[centre] = self.principal_point_px, self.principal_point_sigma_px
-        sigma[CAMERA.start] = np.inf
+        if self.rig is None or self.principal_point_sigma_px == 0:
+            mean[centre], sigma[centre] = self.principal_point_px, self.principal_point_sigma_px
         if self.focal_px is not None:
             focal, spread = self.focal_px
             mean[CAMERA.start], sigma[CAMERA.start] = np.log(focal), spread / focal
         if self.one_camera:
-            sigma[CAMERA.start + 4] = 0.0  # two photos hardly tell k2 from k1
             sigma[PROJECTOR] = 0.0  # those columns move with the camera's
-        if self.rig is not None:
-            sigma[:SHARED][sigma[:SHARED] > 0] = np.inf
-        sigma[SHARED : layout.pose_columns(0).start] = np.radians(self.squareness_deg)
+        angles = slice(SHARED, layout.pose_columns(0).start)
+        sigma[angles] = np.radians(self.squareness_deg)
+        tailed = np.zeros(layout.size, np.bool_)
+        for columns in (angles, *(slice(device.start + 3, device.stop) for device in (CAMERA, PROJECTOR))):
+            tailed[columns] = True
         for i, pose in enumerate(layout.poses):
             tilts = sigma[layout.pose_columns(i)][PER_POSE:].reshape(-1, PER_PLANE)
             for row, plane in zip(tilts, pose.planes, strict=True):
                 row[:2] = plane.tilt_sigma
-        return Prior(mean, sigma, rig=self.rig)
+        return Prior(mean, sigma, tailed, rig=self.rig)
 
 
 @dataclass(frozen=True)
@@ -153,14 +149,13 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
 
     `variances`: (M,) for each capture, of each coordinate of each cell.
     """
-    deviation = prior.deviation(state)
-    cost = float(deviation @ deviation)
-    gradient, information = deviation * prior.root_precision, np.diag(prior.root_precision**2)
+    of_columns, gradient, curvature = prior.misfit(state)
+    cost, information = float(of_columns.sum()), np.diag(curvature)
     if prior.rig is not None:
-        told, slope, curvature = prior.rig.misfit(state)
+        told, slope, of_rig = prior.rig.misfit(state)
         cost += told
         gradient[:SHARED] += slope
-        information[:SHARED, :SHARED] += curvature
+        information[:SHARED, :SHARED] += of_rig
     residuals = []
     for i, (cells, variance) in enumerate(zip(captures, variances, strict=True)):
         predicted, jacobian, depths = predict(state, cells.camera_px, cells.plane, i)

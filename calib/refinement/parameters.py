@@ -25,7 +25,9 @@ PER_DEVICE = lens.PER_DEVICE
 CAMERA, PROJECTOR = slice(0, PER_DEVICE), slice(PER_DEVICE, 2 * PER_DEVICE)
 ROTATION, TRANSLATION = slice(16, 19), slice(19, 21)
 SHARED = 21
-TANGENTIAL, THIRD_RADIAL = (5, 6), (7,)  # of a device, beside two radial terms: only where matches tell of them
+TANGENTIAL = 5, 6  # of a device
+TANGENTIAL_TERMS = tuple(device.start + term for device in (CAMERA, PROJECTOR) for term in TANGENTIAL)
+WEAK_TERMS = tuple(device.start + term for device in (CAMERA, PROJECTOR) for term in range(5, PER_DEVICE))
 PER_CORNER, PER_POSE, PER_PLANE, PER_MOTION = 3, 6, 3, 6
 
 # Of the distance to the vertex, and as an angle in radians: closer views see the same light through the same optics.

@@ -2,7 +2,8 @@
 
 The valley is curved, and in a view that determines little it is long. A covariance from the curvature at its lowest
 point is then too small for whatever bends away. So the valley is walked, and the covariance is that of the posterior:
-across the valley as its curvature says, along it as its cost says.
+across the valley as its curvature says, along it as its cost says. Along it a sigma is half the central 68 % interval:
+of a Gaussian the standard deviation, and of anything else not ruled by what is improbable and far away.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Bools, Floats
-from calib.refinement.focal_sweep import at_focal
 from calib.refinement.likelihood import Fit, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, State
@@ -22,6 +22,10 @@ _LONGEST_STEP = 0.08  # of log f
 _STEPS = 14
 _HIGHEST = 14.0
 _GROWTH = 1.15
+_FLAT = 0.2  # in cost, of a step: the next is twice as long
+_TOLERANCE, _RELAXED = 1e-5, 100  # in cost, steps: across the valley there may be others, as narrow and as long
+_CENTRAL = 0.1587, 0.8413
+_FINE = 500
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,28 @@ class Valley:
         covariance: Floats = (steps * weight[:, None]).T @ steps + covariance_of(best.information, across)
         return covariance
 
+    @property
+    def interval_px(self) -> tuple[float, float]:
+        """The central 68 % of the camera's focal length."""
+        at = np.log(self.focal_px)
+        fine = np.linspace(at[0], at[-1], _FINE)
+        # The root of a parabola is straight, so that few states tell the shape between them.
+        weight = np.exp(-(np.interp(fine, at, np.sqrt(self.cost)) ** 2) / 2)
+        below = (np.cumsum(weight) - weight / 2) / weight.sum()
+        low, high = np.exp(np.interp(_CENTRAL, below, fine))
+        return float(low), float(high)
+
     def along(self, best: Fit) -> tuple[Floats, Floats]:
-        """The posterior along the valley: probabilities (n,) of its states, and the steps (n, size) to them."""
+        """The posterior along the valley: probabilities (n,) of its states, and the steps (n, size) to them.
+
+        Steps are scaled so that the focal length's has the sigma of its central interval.
+        """
         steps = np.stack([best.state.step_to(state) for state in self.states])
         weight = np.exp(-self.cost / 2) * np.gradient(np.log(self.focal_px))
-        return weight / weight.sum(), steps
+        weight /= weight.sum()
+        low, high = self.interval_px
+        scale = np.log(high / low) / 2 / np.sqrt(weight @ steps[:, CAMERA.start] ** 2)
+        return weight, scale * steps
 
 
 def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> Valley:
@@ -58,14 +79,17 @@ def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence
     for direction in (-1.0, 1.0):
         fit, step = best, min(_STEP_SIGMAS * sigma, _LONGEST_STEP)
         for _ in range(_STEPS):
-            focal = float(fit.state.camera[0]) * np.exp(direction * step)
-            fit = relax(captures, at_focal(fit.state, focal), anchored, variances)
+            last = fit
+            ahead = covariance_of(fit.information, prior.free)[:, CAMERA.start]
+            along = fit.state.moved(direction * step / ahead[CAMERA.start] * ahead)
+            fit = relax(captures, along, anchored, variances, tolerance=_TOLERANCE, steps=_RELAXED)
             if not np.isfinite(fit.cost):
                 break
+            flat = fit.cost - last.cost < _FLAT
             walked.append(fit)
             if fit.cost - best.cost > _HIGHEST:
                 break
-            step = min(step * _GROWTH, _LONGEST_STEP)
+            step = min(step * (2.0 if flat else _GROWTH), _LONGEST_STEP)
     if len(walked) == 1:
         raise np.linalg.LinAlgError("no other focal length has an answer")
     walked.sort(key=lambda fit: float(fit.state.camera[0]))

@@ -14,12 +14,11 @@ from calib.geometry import Corner
 from calib.numerics import Floats
 from calib.refinement.focal_sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
 from calib.refinement.further_planes import mean_square, strained, unexplained, without
-from calib.refinement.lens_terms import LENS_CHOICES, most_probable
 from calib.refinement.likelihood import Fit, Knowledge, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.noise_model import Noise, noise_of
 from calib.refinement.parameters import SHARED, State, intrinsic_distance
-from calib.refinement.profile_likelihood import Valley, covariance_of, walk
+from calib.refinement.profile_likelihood import Valley, walk
 from calib.refinement.profile_minimiser import minimise
 from calib.refinement.shared_corner import Sameness, oriented, tie
 
@@ -29,6 +28,8 @@ Further = Callable[[Sequence[Cells], State], tuple[list[Cells], State]]
 _SAME_SOLUTION = 0.01  # of both focals and, relative to them, the projector's centre: minima this close are one
 _NOISE_ROUNDS = 3
 _ANY_ANGLE_DEG = 10.0
+CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
+_STRAINED = 9.0  # what an assumption on the angles may cost before it is asked where they would be without
 _ROUGH = 0.3  # tolerance in cost where only residuals or costs are looked at
 
 
@@ -107,26 +108,29 @@ def settle(
     None where none of them is left with all cells.
     """
     # Nor what other data say of the rig: what contradicts them may not pass for noise either.
-    every = knowledge.with_all_terms(_views(fits[0].state, len(captures)))
-    unassuming = replace(every, squareness_deg=_ANY_ANGLE_DEG, rig=None).prior(fits[0].state)
+    unassuming = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG, rig=None).prior(fits[0].state)
     noise = _measured(captures, fits[0], unassuming)
     variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
-    fits = _fitted(captures, [fit.state for fit in fits], knowledge, variances)
+    prior = knowledge.prior(fits[0].state)
+    fits = _distinct([minimise(captures, fit.state, prior, variances) for fit in fits])
     if not fits:
         return None
-    knowledge, fits, spread = _with_lens_terms(captures, fits, knowledge, variances)
-    prior = knowledge.prior(fits[0].state)
+    with_angles = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG).prior(fits[0].state)
+    loose = minimise(captures, fits[0].state, with_angles, variances, tolerance=_ROUGH)
+    # From where the angles have led, their prior may be met at another minimum.
+    square = _squared(loose.state) if knowledge.squareness_deg == 0 else loose.state
+    if fits[0].cost - loose.cost > _STRAINED:
+        fits = _distinct([*fits, minimise(captures, square, prior, variances)])
     best, *others = fits
-    with_angles = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG).prior(best.state)
-    tension = best.cost - minimise(captures, best.state, with_angles, variances, tolerance=_ROUGH).cost
+    tension = best.cost - loose.cost
 
-    if further is not None and not others:
+    if further is not None and not any(other.cost < best.cost + CLEARLY_WORSE for other in others):
+        others = []
         captures, best, prior = _with_planes(captures, best, knowledge, noise, further)
         variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
 
     valley = walk(captures, best, prior, variances)
     covariance = valley.covariance(best, prior.free)
-    covariance[:SHARED, :SHARED] += spread
     if sameness and sameness.same:
         covariance[:SHARED, :SHARED] += sameness.spread
     apart = None
@@ -134,7 +138,7 @@ def settle(
         usual = replace(knowledge, rig=None).prior(best.state)
         apart = minimise(captures, best.state, usual, variances)
         # What holds for any lens is no part of what the captures say.
-        apart = replace(apart, cost=apart.cost - float(np.sum(usual.deviation(apart.state)[:SHARED] ** 2)))
+        apart = replace(apart, cost=apart.cost - float(np.sum(usual.misfit(apart.state)[0][:SHARED])))
     return Refinement(
         tuple(captures),
         noise,
@@ -149,40 +153,9 @@ def settle(
     )
 
 
-def _fitted(
-    captures: Sequence[Cells], starts: Sequence[State], knowledge: Knowledge, variances: Sequence[Floats]
-) -> list[Fit]:
-    prior = knowledge.prior(starts[0])
-    return _distinct([minimise(captures, start, prior, variances) for start in starts])
-
-
-def _with_lens_terms(
-    captures: Sequence[Cells], fits: list[Fit], knowledge: Knowledge, variances: Sequence[Floats]
-) -> tuple[Knowledge, list[Fit], Floats]:
-    """Knowledge and fits with the further lens terms that the cells give evidence for; and what the other choices'
-    answers add to the covariance, (SHARED, SHARED).
-    """
-    every = knowledge.with_all_terms(_views(fits[0].state, len(captures)))
-    if every.terms == knowledge.terms:
-        return knowledge, fits, np.zeros((SHARED, SHARED))
-    free = _fitted(captures, [fit.state for fit in fits], every, variances)
-    if not free:
-        return knowledge, fits, np.zeros((SHARED, SHARED))
-    best, prior = free[0], every.prior(fits[0].state)
-    covariance = covariance_of(best.information, prior.free)
-    terms = most_probable(best.state.additive(), covariance, prior.sigma, LENS_CHOICES)
-    kept = tuple(column for column in every.terms if column not in terms.zero)
-    if kept:
-        knowledge = replace(knowledge, terms=kept)
-        fits = _fitted(captures, [_without(fit.state, terms.zero) for fit in free], knowledge, variances) or fits
-    return knowledge, fits, terms.spread[:SHARED, :SHARED]
-
-
-def _without(state: State, zero: Sequence[int]) -> State:
-    """A state without some lens terms."""
-    step = np.zeros(state.size)
-    step[list(zero)] = -state.additive()[list(zero)]
-    return state.moved(step)
+def _squared(state: State) -> State:
+    """A state with exactly square corners."""
+    return replace(state, off_square=np.zeros_like(state.off_square))
 
 
 def _of_all_columns(covariance: Floats, state: State) -> Floats:
@@ -244,11 +217,6 @@ def _repeats(state: State, count: int) -> tuple[int, ...]:
     if state.one_camera:
         return (1,) * count
     return tuple(sum(state.same_place(i, j) for j in range(count)) for i in range(count))
-
-
-def _views(state: State, count: int) -> int:
-    """From how many places so many captures were taken."""
-    return round(sum(1 / times for times in _repeats(state, count)))
 
 
 def _levels(fit: Fit) -> list[Floats]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.geometry import Matches, Motion
 from calib.numerics import Floats
-from calib.refinement import SHARED, SQUARENESS_DEG, Cells, Shifts, State, covariance_of
+from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, State, covariance_of
 from calib.rooms.contacts import Contact, find_contacts
 from calib.rooms.flatness import covariance_of_waves
 from calib.rooms.followed import Sight, find_tracks
@@ -141,8 +141,8 @@ def estimate_room(
     room = Room(rig_of(start), tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
     reach = _reach(room, in_front(room, patches))
-    # Lens terms that there may not be would make up for ties that are wrong.
-    known = RoomPrior.of(prior.holding(prior.terms), square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
+    # Lens terms of which matches tell little would make up for ties that are wrong.
+    known = RoomPrior.of(prior.holding(WEAK_TERMS), square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
     patches, known, fit, variances = without_wrong_ties(*fit_roughly(patches, room, known))
     known = replace(known, rig=prior)
     free = known.free(seen(fit.room, patches))
@@ -151,11 +151,6 @@ def estimate_room(
         variances = levels.variances(patches)
         fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.room, known, variances, free)
-    rig, without, of_terms = known.rig.chosen(fit.room.rig, covariance_of(fit.information, free))
-    if prior.terms:
-        known = replace(known, rig=rig)
-        free = known.free(seen(fit.room, patches))
-        fit = minimise(patches, replace(fit.room, rig=without), known, variances, free)
     tracks: tuple[Track, ...] = ()
     for _ in range(_FOLLOWED) if sights else ():
         tracks = find_tracks(sights, _planes_of_labels(patches, plane_of), fit.room)
@@ -166,7 +161,7 @@ def estimate_room(
         fit = minimise(patches, fit.room, known, variances, free, joints=(*contacts, *tracks))
 
     of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
-    covariance = levels.alike * (covariance_of(fit.information, free) + of_terms + of_waves)
+    covariance = levels.alike * (covariance_of(fit.information, free) + of_waves)
     covariance += covariance_of_shifts(patches, fit, variances, free, levels, shifts)
     for plane in range(len(fit.room.planes)):
         columns = fit.room.plane_columns(plane)

@@ -11,8 +11,6 @@ import numpy as np
 from calib.geometry import tangent_basis
 from calib.numerics import Bools, Damping, Floats, Quadratic, descend
 from calib.refinement import (
-    FURTHER_TERMS,
-    LENS_CHOICES,
     SHARED,
     TRANSLATION,
     Knowledge,
@@ -21,7 +19,6 @@ from calib.refinement import (
     State,
     inverse_of,
     misfit,
-    most_probable,
 )
 from calib.rooms.contacts import Contact
 from calib.rooms.patches import PER_PATCH, Patch, carried, columns_of, predict_patch
@@ -38,14 +35,12 @@ _BEHIND = 100.0  # the cost of a cell of a patch behind a device, like one ten s
 @dataclass(frozen=True, eq=False)
 class RigPrior:
     """Gaussian prior on the rig: its `mean`, the `precision` (21, 21) of the step from there, and which columns (21,)
-    are `known`, that is, held where the start has them. `terms`: those lens terms that are zero unless the matches tell
-    of them, which they have not been asked yet.
+    are `known`, that is, held where the start has them.
     """
 
     mean: State
     precision: Floats
     known: Bools
-    terms: tuple[int, ...] = ()
 
     @classmethod
     def from_knowledge(cls, knowledge: Knowledge, start: State) -> "RigPrior":
@@ -57,8 +52,7 @@ class RigPrior:
         prior = knowledge.prior(layout)
         mean = start.moved(_to_mean(start, prior.mean[:SHARED], prior.sigma[:SHARED]))
         precision = np.diag(prior.root_precision[:SHARED] ** 2)
-        terms = tuple(column for column in FURTHER_TERMS if prior.sigma[column] > 0)
-        return cls(mean, precision, prior.sigma[:SHARED] == 0, terms)
+        return cls(mean, precision, prior.sigma[:SHARED] == 0)
 
     @classmethod
     def from_calibration(cls, calibrated: State, covariance: Floats) -> "RigPrior":
@@ -76,20 +70,6 @@ class RigPrior:
     def exactly(cls, calibrated: State) -> "RigPrior":
         """The rig as it was calibrated, all of it held."""
         return cls(rig_of(calibrated), np.zeros((SHARED, SHARED)), np.ones(SHARED, np.bool_))
-
-    def chosen(self, found: State, covariance: Floats) -> tuple["RigPrior", State, Floats]:
-        """The same without those `terms` that an estimate with all of them, and its `covariance` (size, size), gives no
-        evidence for; the rig without them; and what the other choices add to the covariance, (size, size).
-        """
-        if not self.terms:
-            return self, found, np.zeros_like(covariance)
-        sigma = np.zeros(SHARED)
-        sigma[list(self.terms)] = np.diag(self.precision)[list(self.terms)] ** -0.5
-        told = most_probable(found.additive(), covariance, sigma, LENS_CHOICES)
-        left_out = list(told.zero)
-        step = np.zeros(SHARED)
-        step[left_out] = -found.additive()[left_out]
-        return replace(self.holding(told.zero), terms=()), found.moved(step), told.spread
 
     def holding(self, columns: Sequence[int]) -> "RigPrior":
         """The same with some columns held where the start has them."""

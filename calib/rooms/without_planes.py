@@ -31,7 +31,7 @@ def estimate_without_planes(
     """
     room = Room(rig_of(start), tuple(places), ())
     reach = _reach(loose, room.rig)
-    known = RoomPrior.of(prior.holding(prior.terms), (), 0.0, room, (_ANY_TURN, reach))
+    known = RoomPrior.of(prior, (), 0.0, room, (_ANY_TURN, reach))
     free = known.free(np.zeros(0, np.bool_))
     contacts: tuple[Contact, ...] = ()
     fit = minimise((), room, known, (), free)

@@ -5,50 +5,42 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.diagnostics import Uncertainty, with_further_terms
+from calib.diagnostics import Uncertainty, with_pixels_of
 from calib.geometry import Calibration, Intrinsics, Matches
 from calib.numerics import Floats
-from calib.refinement import FURTHER_TERMS, SHARED, KnownRig
-from calib.refinement.parameters import TANGENTIAL, THIRD_RADIAL
+from calib.refinement import SHARED, KnownRig
 
 
 @dataclass(frozen=True)
 class KnownCalibration:
     """A Gaussian summary: the most likely `calibration`, and the covariance of its columns and its length.
 
-    Lens terms beyond these columns, and the shape of the pixels, stay as they are. How unsure they are has to be in
-    the covariance, as what the columns would do in their place. `freer`: the same with lens terms that those data left
-    out, for captures that contradict their being left out.
+    The shape of the pixels stays as it is. How unsure it is has to be in the covariance, as what the columns would do
+    in its place.
     """
 
     calibration: Calibration
     uncertainty: Uncertainty
-    freer: "KnownCalibration | None" = None
 
     @cached_property
     def rig(self) -> KnownRig:
-        """As a prior on what all captures share, for matches `without_further_terms`."""
-        rig = self.uncertainty.rig
-        camera, projector = (device.copy() for device in (rig.camera, rig.projector))
-        camera[[*TANGENTIAL, *THIRD_RADIAL]] = projector[[*TANGENTIAL, *THIRD_RADIAL]] = 0.0
-        covariance, further = self.uncertainty.covariance.copy(), list(FURTHER_TERMS)
-        covariance[further] = covariance[:, further] = 0.0
-        return KnownRig(replace(rig, camera=camera, projector=projector), covariance)
+        """As a prior on what all captures share, for matches `with_square_pixels`."""
+        return KnownRig(self.uncertainty.rig, self.uncertainty.covariance)
 
-    def without_further_terms(self, matches: Matches) -> Matches:
-        """The matches as devices with square pixels and two radial terms would have them."""
+    def with_square_pixels(self, matches: Matches) -> Matches:
+        """The matches as devices with square pixels would have them."""
         return replace(
             matches,
-            camera_px=_simplified(self.calibration.camera, matches.camera_px),
-            projector_px=_simplified(self.calibration.projector, matches.projector_px),
+            camera_px=_squared(self.calibration.camera, matches.camera_px),
+            projector_px=_squared(self.calibration.projector, matches.projector_px),
         )
 
-    def with_further_terms(self, found: Calibration) -> Calibration:
+    def with_own_pixels(self, found: Calibration) -> Calibration:
         """What was found from such matches, for the matches as they are."""
         return replace(
             found,
-            camera=with_further_terms(found.camera, self.calibration.camera),
-            projector=with_further_terms(found.projector, self.calibration.projector),
+            camera=with_pixels_of(found.camera, self.calibration.camera),
+            projector=with_pixels_of(found.projector, self.calibration.projector),
         )
 
     def with_log_baseline(self, covariance: Floats) -> Floats:
@@ -77,12 +69,8 @@ class KnownCalibration:
         )
 
 
-def simplified(device: Intrinsics) -> Intrinsics:
-    """The same device with square pixels and its first two radial terms."""
-    focal, (k1, k2, *_) = device.focal_px[0], device.distortion
-    return replace(device, focal_px=(focal, focal), distortion=(k1, k2, 0.0, 0.0, 0.0))
-
-
-def _simplified(device: Intrinsics, pixels: Floats) -> Floats:
-    plain = simplified(device)
-    return pixels if plain == device else plain.project(device.unproject(pixels))
+def _squared(device: Intrinsics, pixels: Floats) -> Floats:
+    (along_x, along_y), (_, y) = device.focal_px, device.principal_point_px
+    if along_x == along_y:
+        return pixels
+    return np.stack([pixels[:, 0], y + (pixels[:, 1] - y) * along_x / along_y], axis=1)

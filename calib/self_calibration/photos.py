@@ -23,6 +23,7 @@ from calib.diagnostics import (
 from calib.geometry import Corner, Matches, Motion, TooFewMatchesError, before_the_matches, unproject
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
+    ORDINARY_LENSES,
     PER_CORNER,
     PER_POSE,
     SHARED,
@@ -30,6 +31,7 @@ from calib.refinement import (
     Cells,
     Fit,
     Knowledge,
+    LensPrior,
     Refinement,
     State,
     evaluate,
@@ -64,19 +66,20 @@ def calibrate_photos(
     *,
     principal_point: PrincipalPoint | None = None,
     squareness_deg: float = SQUARENESS_DEG,
+    lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
     focal_px: tuple[float, float] | None = None,
 ) -> tuple[SelfCalibration, ...]:
     """Calibrate the camera of photos of (width, height) from the matches of the first with each of the others.
 
     `pairs`: with faces 0, 1, 2 of one corner, `camera_px` in the first photo and `projector_px` in the other one.
-    `principal_point`: `anywhere` by default. `focal_px`: focal length and its standard deviation, where it is to be
-    used as a prior. Returns one solution for each pair, the camera being both of its devices, in that pair's own
-    baselines.
+    `principal_point`: `anywhere` by default. `lenses`: what is known of the camera's, twice. `focal_px`: focal length
+    and its standard deviation, where it is to be used as a prior. Returns one solution for each pair, the camera being
+    both of its devices, in that pair's own baselines.
 
     Raises RefusalError where no trustworthy answer can be had.
     """
     point = principal_point or anywhere(size)
-    knowledge = Knowledge(size, size, point.px, point.sigma_px, squareness_deg, one_camera=True, focal_px=focal_px)
+    knowledge = Knowledge(size, size, point.px, point.sigma_px, squareness_deg, True, focal_px, lenses=lenses)
     try:
         cells = [into_cells(matches) for matches in pairs]
         families = [photo_family(each, knowledge) for each in cells]

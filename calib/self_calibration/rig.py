@@ -8,7 +8,6 @@ import numpy as np
 
 from calib.closed_form import Objective, objective_for, search
 from calib.diagnostics import (
-    ContradictionError,
     NextView,
     Uncertainty,
     best_next_view,
@@ -26,8 +25,10 @@ from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatch
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     CAMERA,
+    ORDINARY_LENSES,
     SQUARENESS_DEG,
     Knowledge,
+    LensPrior,
     Refinement,
     Shift,
     Shifts,
@@ -118,6 +119,8 @@ def self_calibrate(
     principal_point: PrincipalPoint,
     method: Method = "refined",
     squareness_deg: float = SQUARENESS_DEG,
+    decentering: float | None = None,
+    lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
     plane: Ints | None = None,
     shifts: Shifts | None = None,
 ) -> SelfCalibration:
@@ -126,7 +129,7 @@ def self_calibrate(
     `method` 'paper' is the published one-dimensional search: it takes the principal point as exact and the corner as
     square and knows no sigma. 'refined' is the maximum-likelihood solution with lens terms; `squareness_deg` is the
     standard deviation of the angles between the faces around 90° (0: exactly square). `plane` (N,): which plane each
-    match is on, and `shifts` by what they may all be shifted, as at `self_calibrate_jointly`.
+    match is on, `shifts` by what they may all be shifted, `decentering` and `lenses` as at `self_calibrate_jointly`.
 
     Raises RefusalError where no trustworthy answer can be had.
     """
@@ -141,6 +144,8 @@ def self_calibrate(
         projector_size,
         principal_point=principal_point,
         squareness_deg=squareness_deg,
+        decentering=decentering,
+        lenses=lenses,
         planes=None if plane is None else [plane],
         shifts=[] if shifts is None else [shifts],
     )
@@ -155,6 +160,8 @@ def self_calibrate_jointly(
     *,
     principal_point: PrincipalPoint,
     squareness_deg: float = SQUARENESS_DEG,
+    decentering: float | None = None,
+    lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
     same: bool = True,
     planes: Sequence[Ints] | None = None,
     shifts: Sequence[Shifts] = (),
@@ -168,6 +175,9 @@ def self_calibrate_jointly(
     `same`: the captures show one corner, so they share its angles; tested, and dropped with a note where the matches
     refute it. The faces of all results are then numbered alike, so that their corners are one frame.
 
+    `lenses`: what is known of those of camera and projector; `decentering`: the same with this standard deviation of
+    p1 and p2 (0: neither lens is decentred at all).
+
     `shifts`: for each capture, by what its matches may be shifted; none is known if left out.
 
     `known`: what other data say of the rig, boards say; the estimate is then one over both. `principal_point` counts
@@ -175,19 +185,19 @@ def self_calibrate_jointly(
 
     Raises RefusalError where no trustworthy answer can be had, or captures and `known` cannot be of one rig.
     """
-    knowledge = Knowledge(camera_size, projector_size, principal_point.px, principal_point.sigma_px, squareness_deg)
-
-    def joined_with(known: KnownCalibration | None) -> tuple[SelfCalibration, ...]:
-        told = knowledge if known is None else _knowing(knowledge, known)
-        return _by_refinement(captures, told, same=same, planes=planes, shifts=shifts, known=known)
-
+    camera, projector = lenses
+    knowledge = Knowledge(
+        camera_size,
+        projector_size,
+        principal_point.px,
+        principal_point.sigma_px,
+        squareness_deg,
+        lenses=(camera.with_sigmas(decentering), projector.with_sigmas(decentering)),
+    )
+    if known is not None:
+        knowledge = _knowing(knowledge, known)
     try:
-        try:
-            return joined_with(known)
-        except ContradictionError:
-            if known is None or known.freer is None:
-                raise
-            return joined_with(known.freer)
+        return _by_refinement(captures, knowledge, same=same, planes=planes, shifts=shifts, known=known)
     except TooFewMatchesError as error:
         raise _too_few(error) from error
 
@@ -274,7 +284,7 @@ def _by_refinement(
     shifts: Sequence[Shifts],
     known: KnownCalibration | None,
 ) -> tuple[SelfCalibration, ...]:
-    plain = [known.without_further_terms(matches) if known else matches for matches in captures]
+    plain = [known.with_square_pixels(matches) if known else matches for matches in captures]
     cells = [into_cells(matches) for matches in plain]
     families = [family_of(each, knowledge) for each in cells]
     if len(captures) > 1:
@@ -305,7 +315,7 @@ def _by_refinement(
         sigmas_of(fit.state, refinement.covariance),
     )
     if known is not None:
-        calibration = known.with_further_terms(calibration)
+        calibration = known.with_own_pixels(calibration)
     next_view = best_next_view(refinement, knowledge)
     notes += notes_on(refinement, knowledge, next_view)
     profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")

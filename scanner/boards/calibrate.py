@@ -10,9 +10,11 @@ from calib.geometry import Matches, Size, TooFewMatchesError
 from calib.numerics import Image
 from calib.refinement import into_cells
 from scanner.capture import Recording
+from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.pipeline import decode
 from scanner.quantities import shown_unit
+from scanner.reconstruction import lenses_of
 from scanner.results import Decoded
 from scanner.targets.detection import Detected, NotFoundError, detect, on_board
 from scanner.targets.target import UNIT, Target
@@ -63,17 +65,27 @@ class FromBoards:
         return (*missing, *self.found.notes, *_on_scale(self))
 
 
-def calibrate_captures(recordings: Sequence[Recording], target: Target, progress: Progress) -> FromBoards:
-    """Decode, find the board, calibrate. Raises InputError if no capture has the board, RefusalError."""
+def calibrate_captures(
+    recordings: Sequence[Recording], target: Target, progress: Progress, config: Config | None = None
+) -> FromBoards:
+    """Decode, find the board, calibrate; `config` says what is known of the lenses. Raises InputError if no capture has
+    the board, RefusalError.
+    """
     looked = [
         _look_into(recording, name, target, progress)
         for name, recording in zip(_names(recordings), recordings, strict=True)
     ]
-    return calibrate_seen(looked, target, recordings[0].camera_size, recordings[0].projector_size, progress)
+    sizes = recordings[0].camera_size, recordings[0].projector_size
+    return calibrate_seen(looked, target, *sizes, progress, config)
 
 
 def calibrate_seen(
-    looked: Sequence[Seen | Missing], target: Target, camera_size: Size, projector_size: Size, progress: Progress
+    looked: Sequence[Seen | Missing],
+    target: Target,
+    camera_size: Size,
+    projector_size: Size,
+    progress: Progress,
+    config: Config | None = None,
 ) -> FromBoards:
     """Calibrate from captures that were looked at. Raises InputError if none has the board, RefusalError."""
     seen = [each for each in looked if isinstance(each, Seen)]
@@ -86,7 +98,11 @@ def calibrate_seen(
         raise InputError(f"three views of the board are the least, and it was found in {len(seen)} only:{told}")
     with progress.step("Calibrating"):
         found = calibrate_boards(
-            [each.view for each in seen], camera_size, projector_size, Board(target.reach, target.turns, UNIT)
+            [each.view for each in seen],
+            camera_size,
+            projector_size,
+            Board(target.reach, target.turns, UNIT),
+            lenses=lenses_of(config or Config(), camera_size, projector_size),
         )
     return FromBoards(target, tuple(seen), tuple(missing), found, camera_size, projector_size)
 

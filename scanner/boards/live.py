@@ -52,7 +52,7 @@ def capture_boards(config: Config, number: int, target: Target, folder: Path, te
         place.mkdir(parents=True)
         looked.append(look(take(rig, config, place, terminal, f"capture {step + 1}"), target, terminal))
         _tell(looked, config, target, terminal)
-    return calibrate_seen(looked, target, config.camera_size, config.projector_size, terminal)
+    return calibrate_seen(looked, target, config.camera_size, config.projector_size, terminal, config)
 
 
 def _rigs(settings: RigSettings) -> Iterator[tuple[int, RigSettings]]:
@@ -88,7 +88,7 @@ def _tell(looked: list[Seen | Missing], config: Config, target: Target, terminal
         terminal.show(f"{last.name}: the board was found. {FEWEST_VIEWS - count} more before anything can be said.")
         return
     try:
-        result = calibrate_seen(looked, target, config.camera_size, config.projector_size, terminal)
+        result = calibrate_seen(looked, target, config.camera_size, config.projector_size, terminal, config)
     except RefusalError as refusal:
         terminal.show(f"{last.name}: the board was found. Not yet enough: {refusal.reason} {refusal.advice}")
         return

@@ -6,12 +6,12 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from calib.boards import rig_uncertainty, with_radial_terms
+from calib.boards import rig_uncertainty
 from scanner.boards.calibrate import FromBoards
 from scanner.boards.page import rows, write_page
 from scanner.boards.verdict import verdict_on
 from scanner.io import write_calibration
-from scanner.results import CALIBRATION_FILE, FREER_FILE, REPORT_FILE, covariance_entries, verdict_entries
+from scanner.results import CALIBRATION_FILE, REPORT_FILE, covariance_entries, verdict_entries
 from scanner.targets.target import UNIT
 
 _NAMES = (
@@ -25,12 +25,8 @@ _NAMES = (
 
 
 def save_result(result: FromBoards, folder: Path) -> None:
-    """calibration.yaml and report.html, and what captures of a corner may need in its place. Raises OSError."""
+    """calibration.yaml and report.html. Raises OSError."""
     write_calibration(folder / CALIBRATION_FILE, result.found.calibration, _more(result))
-    freer = with_radial_terms(result.found, (result.camera_size, result.projector_size))
-    if freer is not None:
-        calibration, uncertainty = freer
-        write_calibration(folder / FREER_FILE, calibration, covariance_entries(uncertainty))
     write_page(folder / REPORT_FILE, result)
 
 

@@ -17,7 +17,7 @@ from scanner.boards import (
 )
 from scanner.boards.printing import printed_target, write_pdf
 from scanner.commands.outcome import conclusion
-from scanner.configuration import Config, load_config
+from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.io import new_file
 from scanner.quantities import calibration_table, parse_length
@@ -65,8 +65,9 @@ def _print(args: Namespace, terminal: Terminal) -> None:
 def _from_captures(args: Namespace, target: Target, out: Path, terminal: Terminal) -> FromBoards:
     if not args.overwrite:
         refuse_occupied(out, overwrite=False)
-    result = calibrate_captures(read_folders(args.captures), target, terminal)
-    with new_result(out, Config(), overwrite=args.overwrite) as folder:
+    config = load_config(None, args.set)
+    result = calibrate_captures(read_folders(args.captures), target, terminal, config)
+    with new_result(out, config, overwrite=args.overwrite) as folder:
         save_result(result, folder)
     return result
 

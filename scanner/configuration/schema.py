@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from calib.geometry import Size
-from calib.refinement import SQUARENESS_DEG
+from calib.refinement import DECENTERING, SQUARENESS_DEG, THIRD_RADIAL
 from calib.self_calibration import PrincipalPoint
 from hw.backends import RigSettings
 from hw.settings import CameraRigSettings
@@ -161,6 +161,33 @@ class CornerSettings(Section):
     same: Flag = Field(default=True, description="Whether several captures show the same corner.")
 
 
+class LensSettings(Section):
+    """What is known of both lenses before any match is seen; what is not given is as for ordinary ones."""
+
+    decentering: Number | None = Field(
+        default=None,
+        ge=0,
+        le=0.1,
+        description="Standard deviation of p1 and p2 of both devices; 0 for lenses that are not decentred at all; "
+        f"default {DECENTERING:g}.",
+    )
+    k3: Number | None = Field(
+        default=None, ge=0, le=10, description=f"Standard deviation of k3 of both devices; default {THIRD_RADIAL:g}."
+    )
+    source: Path | None = Field(
+        default=None,
+        alias="from",
+        description="A calibration.yaml, or a result that has one, by boards say, whose lens terms with their sigmas "
+        "are expected of devices with the same image size; paths relative to this file.",
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "LensSettings":
+        if self.source is not None and (self.decentering is not None or self.k3 is not None):
+            raise ValueError("give decentering and k3, or from: calibration.yaml, not both")
+        return self
+
+
 class CharucoSettings(Section):
     """A printed ChArUco board that lies flat somewhere in the scanned room, lit by the projector."""
 
@@ -233,6 +260,7 @@ class Config(Section):
         default="refined", description="Maximum likelihood with lens distortion, or the paper's objective alone."
     )
     corner: CornerSettings = Field(default=CornerSettings(), description="What is known of the corner.")
+    lens: LensSettings = Field(default=LensSettings(), description="What is known of both lenses.")
     scale: ScaleSettings | None = Field(default=None, description="A known length.")
     earlier: tuple[Path, ...] = Field(
         default=(),
@@ -258,7 +286,9 @@ class Config(Section):
     @property
     def recorded(self) -> dict[str, Any]:
         """What was set, as it is written into a recording, to be read back by `recorded_config`."""
-        data = self.model_dump(mode="json", exclude_unset=True)
+        data = self.model_dump(mode="json", exclude_unset=True, by_alias=True)
+        if self.lens.source is not None:
+            data["lens"] = {"from": str(self.lens.source.absolute())}
         return data | ({"earlier": [str(path.absolute()) for path in self.earlier]} if self.earlier else {})
 
     @property
@@ -326,9 +356,12 @@ def load_config(path: Path | None, overrides: Iterable[str] = ()) -> Config:
         _apply(override, data)
     where = "configuration" if path is None else str(path)
     config = validate(Config, data, where)
-    if path is None or not config.earlier:
+    if path is None:
         return config
-    return config.model_copy(update={"earlier": tuple(path.parent / earlier for earlier in config.earlier)})
+    found: dict[str, Any] = {"earlier": tuple(path.parent / earlier for earlier in config.earlier)}
+    if config.lens.source is not None:
+        found["lens"] = config.lens.model_copy(update={"source": path.parent / config.lens.source})
+    return config.model_copy(update=found)
 
 
 def recorded_config(metadata: Mapping[str, Any], where: str, overrides: Iterable[str] = ()) -> Config:

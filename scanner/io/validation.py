@@ -126,7 +126,8 @@ def _leaf(key: str) -> str:
 
 def known_keys(model: type[BaseModel], prefix: str = "", kinds: Sequence[int | str] = ()) -> Iterator[str]:
     """Every key of a model and of its sections, as dotted paths; of sections that come in kinds, those of `kinds`."""
-    for name, field in model.model_fields.items():
+    for attribute, field in model.model_fields.items():
+        name = field.alias or attribute
         yield prefix + name
         sections = list(_models_in(field.annotation))
         for section in [each for each in sections if _is_one_of(each, kinds)] or sections:

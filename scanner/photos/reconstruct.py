@@ -22,7 +22,15 @@ from scanner.io import write_ply
 from scanner.photos.dense import dense_cloud
 from scanner.photos.features import find_features, match_features, refuse_unrelated
 from scanner.photos.photo import Photo
-from scanner.reconstruction import label_by_masks, refusal_saved, refuse_few, refuse_misfit, save, scaled
+from scanner.reconstruction import (
+    label_by_masks,
+    lenses_of,
+    refusal_saved,
+    refuse_few,
+    refuse_misfit,
+    save,
+    scaled,
+)
 from scanner.results import DENSE_FILE, Decoded, GivenMatches, Reconstructed, Scan, SelfCalibrated, Stage, naming
 from scanner.ui import Terminal
 
@@ -156,6 +164,7 @@ def _calibrate(pairs: Sequence[Decoded], config: Config, focal_px: tuple[float, 
         size,
         principal_point=principal_point(config, size),
         squareness_deg=config.corner.squareness_deg,
+        lenses=lenses_of(config, size, size),
         focal_px=focal_px,
     )
     first = _scaled(pairs[-1], solutions[0], config.scale)

@@ -16,6 +16,7 @@ from scanner.reconstruction.face_margins import without_margins
 from scanner.reconstruction.face_masks import label_by_masks
 from scanner.reconstruction.keystone import on_panel
 from scanner.reconstruction.known_calibrations import is_calibration, read_known
+from scanner.reconstruction.lens_priors import lenses_of
 from scanner.reconstruction.metric_scale import scaled
 from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_doubt
 from scanner.reconstruction.sheet_scale import scaled_by_sheet
@@ -111,7 +112,7 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
     refuse_impossible(config, len(labelled))
     facts = labelled[-1].facts
     sizes, point = (facts.camera_size, facts.projector_size), config.principal_point(facts.camera_size)
-    squareness_deg = config.corner.squareness_deg
+    squareness_deg, lenses = config.corner.squareness_deg, lenses_of(config, *sizes)
     known = read_known(config.earlier, facts.camera_size, facts.projector_size)
     if len(labelled) == 1 and known is None:
         (alone,) = labelled
@@ -121,6 +122,7 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
             principal_point=point,
             method=config.method,
             squareness_deg=squareness_deg,
+            lenses=lenses,
             plane=alone.plane,
             shifts=shifts_of(alone),
         )
@@ -130,6 +132,7 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
         *sizes,
         principal_point=point,
         squareness_deg=squareness_deg,
+        lenses=lenses,
         same=config.corner.same,
         planes=[_planes_of(capture) for capture in labelled],
         shifts=[shifts_of(capture) for capture in labelled],

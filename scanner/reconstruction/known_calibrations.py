@@ -1,14 +1,13 @@
 """Results that are a calibration and no captures, as of boards: what they say of a rig is joined with captures."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from calib.geometry import Size
 from calib.self_calibration import KnownCalibration
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration
-from scanner.results import CALIBRATION_FILE, FREER_FILE, read_uncertainty
+from scanner.results import CALIBRATION_FILE, read_uncertainty
 
 _YAML = (".yaml", ".yml")
 
@@ -34,9 +33,7 @@ def read_known(paths: Sequence[Path], camera_size: Size, projector_size: Size) -
             "of boards to one scan board"
         )
     (path,) = given
-    freer = path / FREER_FILE
-    known = _read(path / CALIBRATION_FILE if path.is_dir() else path, camera_size, projector_size)
-    return replace(known, freer=_read(freer, camera_size, projector_size)) if freer.is_file() else known
+    return _read(path / CALIBRATION_FILE if path.is_dir() else path, camera_size, projector_size)
 
 
 def _read(file: Path, camera_size: Size, projector_size: Size) -> KnownCalibration:

@@ -9,7 +9,6 @@ from scanner.results.names import (
     CAPTURES_FOLDER,
     CLOUD_FILE,
     DENSE_FILE,
-    FREER_FILE,
     LOG_FILE,
     MERGED_FILE,
     OBJECT_CLOUD_FILE,

@@ -11,7 +11,6 @@ TRUTH_FILE = "truth.yaml"
 CLOUD_FILE = "cloud.ply"
 REPORT_FILE = "report.html"
 # Of boards: the calibration with lens terms that they left out, for captures of a corner that contradict that.
-FREER_FILE = "calibration-freer.yaml"
 REFUSAL_FILE = "refused.yaml"
 CAPTURE_FOLDER = "capture"
 CAPTURES_FOLDER = "captures"
@@ -44,7 +43,6 @@ _OURS = {
     PLAN_DXF_FILE,
     DENSE_FILE,
     REPORT_FILE,
-    FREER_FILE,
     REFUSAL_FILE,
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,

@@ -14,7 +14,7 @@ import numpy as np
 from calib.diagnostics import Uncertainty, calibration_of
 from calib.geometry import Calibration, Sigmas
 from calib.numerics import Bools, Floats
-from calib.refinement import FURTHER_TERMS, SHARED, State, inverse_of
+from calib.refinement import SHARED, State, inverse_of
 from calib.refusal import RefusalError
 from scanner.configuration import Config
 from scanner.errors import InputError
@@ -107,7 +107,7 @@ def _together(corners: dict[int, Uncertainty]) -> tuple[list[int], State, Floats
 
 
 def _combined(corners: Sequence[Uncertainty]) -> tuple[State, Floats]:
-    """The product of Gaussians, about the first one's rig; lens terms that not all of them have are means."""
+    """The product of Gaussians, about the first one's rig."""
     first = corners[0].rig
     precision, pull = np.zeros((SHARED, SHARED)), np.zeros(SHARED)
     free = _told(corners[0])
@@ -119,8 +119,6 @@ def _combined(corners: Sequence[Uncertainty]) -> tuple[State, Floats]:
     covariance, step = np.zeros_like(precision), np.zeros(SHARED)
     covariance[np.ix_(free, free)] = inverse_of(precision[np.ix_(free, free)])
     step[free] = covariance[np.ix_(free, free)] @ pull[free]
-    further = list(FURTHER_TERMS)
-    step[further] = np.mean([first.step_to(each.rig)[further] for each in corners], axis=0)
     return first.moved(step), covariance
 
 
@@ -141,7 +139,6 @@ def _in_sigmas(step: Floats, covariance: Floats, free: Bools) -> float:
 
 
 def _told(corner: Uncertainty) -> Bools:
-    """The columns that every corner tells of, (21,)."""
+    """The columns that a corner tells of, (21,)."""
     told: Bools = np.diag(corner.covariance) > _HELD**2
-    told[list(FURTHER_TERMS)] = False
     return told

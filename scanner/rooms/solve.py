@@ -30,7 +30,7 @@ from calib.rooms import (
 )
 from calib.rooms.lengths import vertex
 from scanner.configuration import Config
-from scanner.reconstruction import scaled, shifts_of
+from scanner.reconstruction import lenses_of, scaled, shifts_of
 from scanner.results import Decoded
 from scanner.rooms.contents import RigStart, SolvedRoom, Station
 from scanner.rooms.epipolar_lines import of_another_rig
@@ -188,8 +188,10 @@ def _estimated(members: Sequence[Seen], group: Group, start: RigStart, config: C
     if start.corners:
         point = config.principal_point(facts.camera_size)
         squareness_deg = config.corner.squareness_deg
-        knowledge = Knowledge(facts.camera_size, facts.projector_size, point.px, point.sigma_px, squareness_deg)
-        prior = RigPrior.from_knowledge(knowledge.with_all_terms(len(members)), state)
+        sizes = facts.camera_size, facts.projector_size
+        lenses = lenses_of(config, *sizes)
+        knowledge = Knowledge(*sizes, point.px, point.sigma_px, squareness_deg, lenses=lenses)
+        prior = RigPrior.from_knowledge(knowledge, state)
     elif start.uncertainty is not None:
         prior = RigPrior.from_calibration(state, start.uncertainty.covariance)
     else:

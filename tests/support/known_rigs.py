@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.boards import Board, BoardCalibration, calibrate_boards, rig_uncertainty, with_radial_terms
+from calib.boards import Board, BoardCalibration, calibrate_boards, rig_uncertainty
 from calib.diagnostics import SystematicErrors
 from calib.geometry import Calibration, Matches
 from calib.numerics import Floats
@@ -50,11 +50,7 @@ def from_boards(
     rig = boards.calibration
     sizes = rig.camera.size, rig.projector.size
     found = calibrate_boards(views_of(boards), *sizes, Board(boards.reach, 2, "m"))
-    freer = with_radial_terms(found, sizes)
-    known = KnownCalibration(
-        found.calibration, rig_uncertainty(found.estimate, sizes), KnownCalibration(*freer) if freer else None
-    )
-    return rig, found, known
+    return rig, found, KnownCalibration(found.calibration, rig_uncertainty(found.estimate, sizes))
 
 
 def corner_before(rng: np.random.Generator, rig: Calibration, zoom: float) -> Matches:

@@ -65,7 +65,6 @@ def disturbed(rng: np.random.Generator, room: Room, made: SyntheticRoom) -> Room
 
 
 def knowledge_of(made: SyntheticRoom) -> Knowledge:
-    """The images' sizes, the camera's principal point in its middle but for 50 px, and lenses of any terms."""
+    """The images' sizes, the camera's principal point in its middle but for 50 px, and ordinary lenses."""
     camera, projector = made.calibration.camera.size, made.calibration.projector.size
-    known = Knowledge(camera, projector, ((camera.width - 1) / 2, (camera.height - 1) / 2), 50.0, 0.3)
-    return known.with_all_terms(len(made.stations))
+    return Knowledge(camera, projector, ((camera.width - 1) / 2, (camera.height - 1) / 2), 50.0, 0.3)

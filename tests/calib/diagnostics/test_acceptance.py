@@ -27,7 +27,7 @@ KNOWLEDGE = Knowledge(
 @pytest.fixture(scope="module")
 def good() -> Refinement:
     """Of a capture that determines everything."""
-    capture = random_capture(np.random.default_rng(2), count=5000, distance=(1.5, 2.5))
+    capture = random_capture(np.random.default_rng(3), count=5000, distance=(1.5, 2.5))
     cells = into_cells(capture.matches)
     focals = np.geomspace(1200.0, 2700.0, 12)
     refinement = refine([cells], [family_of(cells, KNOWLEDGE)], focals, KNOWLEDGE, same=False)
@@ -149,12 +149,16 @@ def test_angles_that_are_not_those_assumed_are_refused(good: Refinement) -> None
 
     loose = replace(KNOWLEDGE, squareness_deg=0.3)
 
-    def skewed(off_deg: float) -> Refinement:
+    def skewed(off_deg: float, sigma_deg: float) -> Refinement:
         state = replace(good.fit.state, off_square=np.radians([[off_deg, 0.0, 0.0]]))
-        return replace(good, fit=replace(good.fit, state=state))
+        covariance, angles = good.covariance.copy(), state.angle_columns(0)
+        covariance[angles, angles] = np.radians(sigma_deg) ** 2 * np.eye(3)
+        return replace(good, fit=replace(good.fit, state=state), covariance=covariance)
 
-    refuse_untrustworthy(skewed(1.19), loose)
-    refusal = refusal_of(skewed(1.21), loose)
+    refuse_untrustworthy(skewed(1.19, 0.4), loose)
+    # What the matches tell is an answer; what they do not is refused.
+    refuse_untrustworthy(skewed(1.21, 0.29), loose)
+    refusal = refusal_of(skewed(1.21, 0.31), loose)
     assert "they seem to be off by +1.21, 0.00, 0.00 degrees" in refusal.reason
     assert "where 0.3 degrees were allowed for" in refusal.reason
 

@@ -52,8 +52,10 @@ def test_lens_terms_are_found_where_there_are_some(case: Case) -> None:
     assert np.abs(bent.found.rig.camera[5:7]).min() > 1e-4
     focals = [CAMERA.start, PROJECTOR.start]
     assert 0 < np.abs(bent.found.room.step_to(bent.truth)[focals]).max() < 2e-3
-    assert not case.found.rig.camera[5:].any()
-    assert not case.found.rig.projector[5:].any()
+    # Of centred lenses it finds none, and is no surer of it than the matches make it.
+    variance = np.diag(case.found.covariance)[tangential]
+    assert np.all(variance > 0)
+    assert np.all(np.abs(deviations(case)[tangential]) < 4)
 
 
 def test_a_far_start_ends_where_the_truth_does(case: Case) -> None:

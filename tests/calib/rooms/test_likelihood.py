@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calib.refinement import FURTHER_TERMS, ROTATION, SHARED, Knowledge, KnownRig
+from calib.refinement import ORDINARY_LENSES, ROTATION, SHARED, Knowledge, KnownRig
 from calib.rooms import RigPrior, Room
 from calib.rooms.likelihood import RoomPrior, evaluate
 from calib.rooms.patches import patches_of
@@ -43,11 +43,9 @@ def test_knowledge_of_a_rig_is_that_of_a_corner(case: Case) -> None:
     prior = RigPrior.from_knowledge(knowledge, case.start.rig)
     assert not prior.known.any()
     sigma = 1 / np.sqrt(np.diag(prior.precision)[1:8])
-    assert sigma == pytest.approx([knowledge.principal_point_sigma_px] * 2 + [0.1, 0.03, 1e-3, 1e-3, 0.01])
-    assert prior.terms == FURTHER_TERMS
-    assert np.diag(prior.precision)[[0, *range(ROTATION.start, SHARED)]] == pytest.approx(
-        0.0
-    )  # the camera's focal, the motion
+    assert sigma == pytest.approx([knowledge.principal_point_sigma_px] * 2 + [*ORDINARY_LENSES[0].sigma])
+    assert prior.precision[0, 0] == pytest.approx(0.7**-2)
+    assert np.diag(prior.precision)[ROTATION.start : SHARED] == pytest.approx(0.0)
     assert prior.mean.camera[1:3] == pytest.approx(knowledge.principal_point_px)
 
 
@@ -55,12 +53,12 @@ def test_what_is_exactly_known_is_held(case: Case) -> None:
     size = case.made.calibration.camera.size
     exact = Knowledge(size, case.made.calibration.projector.size, (600.0, 500.0), 0.0, 0.3)
     prior = RigPrior.from_knowledge(exact, case.start.rig)
-    assert np.flatnonzero(prior.known).tolist() == [1, 2, *FURTHER_TERMS]
+    assert np.flatnonzero(prior.known).tolist() == [1, 2]
     assert RigPrior.exactly(case.truth.rig).known.all()
     free = prior_of(case, prior).free(np.ones(len(case.truth.planes), np.bool_))
     assert not free[[1, 2]].any()
     assert not free[case.truth.place_columns(0)].any()
-    assert free.sum() == case.truth.size - 2 - len(FURTHER_TERMS) - 6
+    assert free.sum() == case.truth.size - 2 - 6
 
 
 def test_a_patch_behind_the_camera_costs_but_does_not_pull(case: Case) -> None:

@@ -18,7 +18,9 @@ LENSES = {
 }
 
 
-def _calibrate(capture: SyntheticCapture, method: Method, squareness_deg: float = 0.0) -> SelfCalibration:
+def _calibrate(
+    capture: SyntheticCapture, method: Method, squareness_deg: float = 0.0, decentering: float | None = None
+) -> SelfCalibration:
     return self_calibrate(
         capture.matches,
         (PAPER_CAMERA.width, PAPER_CAMERA.height),
@@ -26,6 +28,7 @@ def _calibrate(capture: SyntheticCapture, method: Method, squareness_deg: float 
         principal_point=KNOWN,
         method=method,
         squareness_deg=squareness_deg,
+        decentering=decentering,
     )
 
 
@@ -87,7 +90,7 @@ def test_refined_reaches_its_own_sigma_with_lens_distortion() -> None:
         error = _errors(found)
         errors.append(np.abs(error).mean())
         deviations.append(error[0] * PAPER_CAMERA.focal_px[0] / sigma.camera.focal_px[0])
-    assert 1e-5 < np.mean(errors) < 0.006  # one of the views determines the lenses poorly, and says so
+    assert 1e-5 < np.mean(errors) < 0.008  # one of the views determines the lenses poorly, and says so
     assert 0.3 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 
@@ -96,7 +99,7 @@ def test_walls_off_square_are_inside_the_sigma() -> None:
     deviations = []
     for _ in range(5):
         capture = random_capture(rng, **LENSES, walls_off_deg=0.3, distance=(1.5, 2.5))  # type: ignore[arg-type]
-        found = _calibrate(capture, "refined", squareness_deg=0.3)
+        found = _calibrate(capture, "refined", squareness_deg=0.3, decentering=0.0)
         sigma = found.calibration.sigma.camera.focal_px[0]
         assert 0.002 < sigma / PAPER_CAMERA.focal_px[0] < 0.2
         deviations.append(_errors(found)[0] * PAPER_CAMERA.focal_px[0] / sigma)

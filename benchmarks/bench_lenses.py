@@ -1,0 +1,138 @@
+"""Are the sigmas true where lenses are decentred, as all of them are a little? Random rigs before corners.
+
+    python benchmarks/bench_lenses.py --rigs 24 --seed 0
+
+Synthetic matches of the paper's devices (300,000 a capture before what a wall hides, 0.1 px of noise, k1 −0.02 and
+−0.01), no images. The projector stands 0.4 m beside the camera, toed in by 6 to 12°; both look into the corner, yawed
+by up to 18°. p1 and p2 of both devices are drawn with the standard deviation that begins a row. The calibration is told
+that one (`--told true`), or the same for all rows (`--told 0.0003`). 'error' is the mean absolute error of (f_c, f_p,
+x_p, y_p) relative to their size. An error/sigma of rms 1 says that the sigma is true.
+"""
+
+import argparse
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import repeat
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.geometry import Calibration, Intrinsics
+from calib.refusal import RefusalError
+from calib.self_calibration import PrincipalPoint, self_calibrate_jointly
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, CaptureOptions, random_captures
+
+SIZES = (PAPER_CAMERA.width, PAPER_CAMERA.height), (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height)
+KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
+UNKNOWN = PrincipalPoint(((SIZES[0][0] - 1) / 2, (SIZES[0][1] - 1) / 2), 70.0)
+K1 = (-0.02, -0.01)
+YAW_DEG, TOE_IN_DEG, BASELINE_M = 18.0, (6.0, 12.0), 0.4
+_SIDEWAYS = tuple(float(np.cos(np.radians(45 + yaw))) for yaw in (YAW_DEG, -YAW_DEG))
+VIEWS = CaptureOptions(count=300_000, distance=(1.5, 3.5), slants=(_SIDEWAYS, _SIDEWAYS, (0.3, 0.7)), roll=0.03)
+
+
+@dataclass(frozen=True)
+class Row:
+    decentering: float  # standard deviation of p1 and p2 of both devices
+    point: PrincipalPoint = KNOWN
+    captures: int = 1
+    off_deg: float = 0.0
+
+    @property
+    def name(self) -> str:
+        walls = f", walls {self.off_deg:g}°" if self.off_deg else ""
+        return f"{self.decentering:<7g} PP {'known' if self.point is KNOWN else 'unknown':8}{self.captures}{walls}"
+
+
+DECENTERINGS = (0.0, 0.0002, 0.001)
+ROWS = (
+    *(Row(size, point) for size in DECENTERINGS for point in (KNOWN, UNKNOWN)),
+    *(Row(size, UNKNOWN, captures) for captures in (2, 3) for size in DECENTERINGS),
+    *(Row(size, KNOWN, captures, 0.3) for captures in (1, 2) for size in DECENTERINGS),
+    *(Row(size, UNKNOWN, 3, 0.3) for size in DECENTERINGS),
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    seconds: float
+    refusal: str = ""
+    error: np.ndarray | None = None  # (4,), relative
+    deviation: np.ndarray | None = None  # (4,), in sigmas
+
+
+def toed_in(rng: np.random.Generator, camera: Intrinsics, projector: Intrinsics) -> Calibration:
+    """A projector beside the camera, to its left or its right."""
+    side = rng.choice([-1.0, 1.0])
+    turn = [rng.normal(0, 0.02), side * np.radians(rng.uniform(*TOE_IN_DEG)), rng.normal(0, 0.02)]
+    rotation = Rotation.from_rotvec(turn).as_matrix()
+    return Calibration(camera, projector, rotation, -rotation @ [side * BASELINE_M, 0.0, 0.0], unit="m")
+
+
+def outcome(row: Row, told: float | None, seed: int, number: int) -> Outcome:
+    rng = np.random.default_rng([seed, number])
+    terms = rng.normal(size=(2, 2)) * row.decentering
+    camera, projector = (
+        replace(device, distortion=(k1, 0.0, float(p1), float(p2), 0.0))
+        for device, k1, (p1, p2) in zip((PAPER_CAMERA, PAPER_PROJECTOR), K1, terms, strict=True)
+    )
+    rig = toed_in(rng, camera, projector)
+    captures = random_captures(
+        rng, row.captures, VIEWS, camera=camera, projector=projector, walls_off_deg=row.off_deg, rig=rig
+    )
+    start = time.process_time()
+    try:
+        found = self_calibrate_jointly(
+            [capture.matches for capture in captures],
+            *SIZES,
+            principal_point=row.point,
+            squareness_deg=row.off_deg,
+            decentering=row.decentering if told is None else told,
+        )[0].calibration
+    except RefusalError as error:
+        return Outcome(time.process_time() - start, str(error))
+    seconds = time.process_time() - start
+    sigma: Any = found.sigma
+    truth = np.array([PAPER_CAMERA.focal_px[0], PAPER_PROJECTOR.focal_px[0], *PAPER_PROJECTOR.principal_point_px])
+    values = [found.camera.focal_px[0], found.projector.focal_px[0], *found.projector.principal_point_px]
+    sigmas = [sigma.camera.focal_px[0], sigma.projector.focal_px[0], *sigma.projector.principal_point_px]
+    error = np.array(values) - truth
+    return Outcome(seconds, "", error / truth, error / np.array(sigmas))
+
+
+def line(row: Row, outcomes: list[Outcome]) -> str:
+    errors = [each.error for each in outcomes if each.error is not None]
+    deviations = np.array([each.deviation for each in outcomes if each.deviation is not None])
+    text = f"{row.name:32}{len(errors):4d}/{len(outcomes):<4d}"
+    if errors:
+        means = 100 * np.mean(np.abs(errors), axis=1)
+        text += f"{np.mean(means):8.3f} %{np.median(means):8.3f} %"
+        text += f"{np.sqrt(np.mean(deviations**2)):8.2f} ({np.abs(deviations).max():.1f})"
+    return f"{text:75}{np.median([each.seconds for each in outcomes]):6.2f} s"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rigs", type=int, default=24)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--told", default="true", help="the prior's standard deviation of p1 and p2, or 'true'")
+    parser.add_argument("--only", default="", help="rows whose name contains this")
+    parser.add_argument("--refusals", action="store_true", help="say why rigs were refused")
+    options = parser.parse_args()
+    told = None if options.told == "true" else float(options.told)
+    print(f"{'p1, p2':15}{'captures':17}answered   mean     median   error/sigma (largest)   CPU time")
+    with ProcessPoolExecutor() as pool:
+        for row in ROWS:
+            if options.only not in row.name:
+                continue
+            outcomes = list(pool.map(outcome, repeat(row), repeat(told), repeat(options.seed), range(options.rigs)))
+            print(line(row, outcomes), flush=True)
+            if options.refusals:
+                for number, each in enumerate(outcomes):
+                    print(f"    {number}: {each.refusal}" if each.refusal else "", end="\n" if each.refusal else "")
+
+
+if __name__ == "__main__":
+    main()
