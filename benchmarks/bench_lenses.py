@@ -29,7 +29,7 @@ KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
 UNKNOWN = PrincipalPoint(((SIZES[0][0] - 1) / 2, (SIZES[0][1] - 1) / 2), 70.0)
 K1 = (-0.02, -0.01)
 YAW_DEG, TOE_IN_DEG, BASELINE_M = 18.0, (6.0, 12.0), 0.4
-_SIDEWAYS = tuple(float(np.cos(np.radians(45 + yaw))) for yaw in (YAW_DEG, -YAW_DEG))
+_SIDEWAYS = float(np.cos(np.radians(45 + YAW_DEG))), float(np.cos(np.radians(45 - YAW_DEG)))
 VIEWS = CaptureOptions(count=300_000, distance=(1.5, 3.5), slants=(_SIDEWAYS, _SIDEWAYS, (0.3, 0.7)), roll=0.03)
 
 
@@ -91,8 +91,8 @@ def outcome(row: Row, told: float | None, seed: int, number: int) -> Outcome:
             squareness_deg=row.off_deg,
             decentering=row.decentering if told is None else told,
         )[0].calibration
-    except RefusalError as error:
-        return Outcome(time.process_time() - start, str(error))
+    except RefusalError as refusal:
+        return Outcome(time.process_time() - start, str(refusal))
     seconds = time.process_time() - start
     sigma: Any = found.sigma
     truth = np.array([PAPER_CAMERA.focal_px[0], PAPER_PROJECTOR.focal_px[0], *PAPER_PROJECTOR.principal_point_px])
