@@ -22,14 +22,13 @@ from filming.player import Played, play
 from rich.console import Console
 from rich.table import Table
 
-from calib.geometry import Size
+from calib.geometry import Calibration, Size
 from calib.numerics import Image
-from calib.plane_segmentation import find_faces
 from calib.refusal import RefusalError
-from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.simulation import SimulatedRoom
+from scanner import load_config, replay
 from scanner.capture import open_capture
 from scanner.decoding import Decoder
 from scanner.errors import InputError
@@ -140,23 +139,22 @@ def judged(stage: Stage, programme: Programme, recording: Path, folder: Path) ->
     told = " ".join(imported.notes)
     truth, calibration = stage.room.ground_truth(), stage.room.calibration
     assert calibration is not None
+    known = list(calibration.camera.principal_point_px)
+    overrides = [f"camera.principal_point={{known: {known}}}", "corner.squareness_deg=0"]
     try:
         matches = decoder.finish().matches
         x, y = np.rint(matches.camera_px).astype(int).T
         median = float(np.nanmedian(np.linalg.norm(matches.projector_px - truth.projector_px[y, x], axis=1)))
-        matches = find_faces(matches, capture.camera_size, capture.projector_size).matches
-        principal_point = PrincipalPoint(calibration.camera.principal_point_px, 0.0)
-        calibrated = self_calibrate(
-            matches, capture.camera_size, capture.projector_size, principal_point=principal_point, squareness_deg=0.0
-        )
+        config = load_config(None, overrides)
+        calibrated = replay(folder, folder.parent / "result", config=config, overwrite=True).newest.calibration
     except (InputError, RefusalError) as error:
         return Outcome(None, None, None, found, str(error), seconds)
-    errors = intrinsic_errors_percent(calibrated.calibration, calibration)
+    errors = intrinsic_errors_percent(calibrated, calibration)
     return Outcome(median, float(np.abs(errors).mean()), most_sigmas(calibrated, stage), found, told, seconds)
 
 
-def most_sigmas(calibrated: SelfCalibration, stage: Stage) -> float:
-    found, true = calibrated.calibration, stage.room.calibration
+def most_sigmas(found: Calibration, stage: Stage) -> float:
+    true = stage.room.calibration
     assert true is not None
     camera, projector = found.sigma.camera, found.sigma.projector
     assert camera.focal_px

@@ -29,6 +29,7 @@ from scanner.capture import (
     record,
     remarks_on_camera,
     remarks_on_lines,
+    smooth_of,
     take_up,
 )
 from scanner.configuration import CONFIGURATION_KEY, Config
@@ -227,6 +228,7 @@ def decode(
             exposures_us += [frame.exposure_us] if frame.exposure_us else []
     with progress.step("Matching"):
         decoding = decoder.finish()
+    decoding = replace(decoding, smooth_px=decoding.smooth_px * smooth_of(stream.metadata))
     about = identity({**stream.metadata, **stream.account()})
     facts = CaptureFacts(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
     return Decoded(facts, decoding.matches, decoding, name)
