@@ -28,7 +28,7 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.boards import FromBoards, Target, calibrate_captures, read_folders
 from scanner.boards.calibrate import calibrate_seen, look
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.decoding import Decoder
 from scanner.errors import InputError
 from scanner.results import Decoded
@@ -202,7 +202,7 @@ def rendered(seeds: int) -> None:
             for frame in capture.frames:
                 decoder.add(frame)
             decoding = decoder.finish()
-            facts = CaptureFacts(Size(*_RENDERED[0]), Size(*posed_size))
+            facts = CaptureMetadata(Size(*_RENDERED[0]), Size(*posed_size))
             looked.append(look(Decoded(facts, decoding.matches, decoding, f"pose {pose}"), _RIGS_TARGET, _QUIET))
         try:
             result = calibrate_seen(looked, _RIGS_TARGET, Size(*_RENDERED[0]), Size(*_RENDERED[1]), _QUIET)

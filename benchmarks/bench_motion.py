@@ -31,7 +31,7 @@ from calib.refusal import RefusalError
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.configuration import Config
 from scanner.decoding import Decoder
 from scanner.errors import InputError
@@ -151,7 +151,7 @@ def run(case: Case, footage: Footage) -> tuple[str, str]:
         for frame in footage.frames(case, patterns):
             decoder.add(frame)
         decoding = decoder.finish()
-        found = Decoded(CaptureFacts(CAMERA, PROJECTOR, patterns), decoding.matches, decoding)
+        found = Decoded(CaptureMetadata(CAMERA, PROJECTOR, patterns), decoding.matches, decoding)
         (calibrated,) = calibrate(label([found], [found]), config)
     except (RefusalError, InputError) as error:
         kind = "refused" if isinstance(error, RefusalError) else "input error"

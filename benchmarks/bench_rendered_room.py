@@ -259,7 +259,7 @@ def main() -> None:
             print(f"  refused: {refusal.reason}")
             continue
         ended = time.process_time()
-        for stranger in room.strangers:
+        for stranger in room.outlier_stations:
             print(f"  {stranger.name}: {stranger.reason}")
         report(room, order, truth)
         print(f"  seconds of one processor: corners {started - began:.1f}, rest {ended - started:.1f}", flush=True)

@@ -30,7 +30,7 @@ from calib.geometry import Size
 from calib.numerics import Floats
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.configuration import Config
 from scanner.results import Decoded, GivenMatches
 from scanner.rooms.blended_cloud import blended
@@ -65,7 +65,7 @@ class Row:
     in_sigmas: list[float]
     lengths_in_sigmas: list[float]
     focal_percent: float
-    strangers: list[str]
+    outlier_stations: list[str]
     start_s: float
     solve_s: float
 
@@ -83,7 +83,7 @@ def config_of(true: Sequence[TrueStation], camera: Size) -> Config:
 
 def measure(true: Sequence[TrueStation], camera: Size) -> Row:
     config, quiet = config_of(true, camera), Terminal(quiet=True)
-    facts = CaptureFacts(camera, Size(*PROJECTOR))
+    facts = CaptureMetadata(camera, Size(*PROJECTOR))
     captures = [
         Decoded(facts, each.matches, GivenMatches(each.picture, smooth_px=0.0), str(number))
         for number, each in enumerate(true)
@@ -145,7 +145,7 @@ def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_
         in_sigmas,
         list(lengths_in_sigmas(room, truth, best, shift)),
         100 * abs(room.calibration.camera.focal_px[0] / truth[0].calibration.camera.focal_px[0] - 1),
-        [f"{stranger.name}: {stranger.cause}" for stranger in room.strangers],
+        [f"{stranger.name}: {stranger.cause}" for stranger in room.outlier_stations],
         start_s,
         solve_s,
     )
@@ -228,7 +228,7 @@ def main() -> None:
             f"{seed:4d}{row.joined:5d}/{row.stations}{row.wrong:7d}{row.place_mm:10.2f}{row.turn_deg:9.4f}"
             f"{row.cloud_percent[0]:9.4f}{row.cloud_percent[1]:9.4f}{row.pixels_percent[0]:11.4f}"
             f"{row.pixels_percent[1]:9.4f}{row.balls_mm:10.2f}{row.focal_percent:9.4f}"
-            f"{row.start_s:10.1f}{row.solve_s:9.1f}  {', '.join(row.strangers)}",
+            f"{row.start_s:10.1f}{row.solve_s:9.1f}  {', '.join(row.outlier_stations)}",
             flush=True,
         )
     print(f"error/sigma of places, rms: {rms([x for row in rows for x in row.in_sigmas]):.2f}")

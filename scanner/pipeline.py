@@ -18,7 +18,7 @@ from hw.ahead import beside
 from hw.backends import RigSettings
 from hw.open_rig import open_rig
 from scanner.capture import (
-    CaptureFacts,
+    CaptureMetadata,
     Recording,
     Stream,
     capture,
@@ -230,7 +230,7 @@ def decode(
         decoding = decoder.finish()
     decoding = replace(decoding, smooth_px=decoding.smooth_px * smooth_of(stream.metadata))
     about = identity({**stream.metadata, **stream.account()})
-    facts = CaptureFacts(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
+    facts = CaptureMetadata(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
     return Decoded(facts, decoding.matches, decoding, name)
 
 

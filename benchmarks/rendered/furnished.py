@@ -27,7 +27,7 @@ def room(rng: np.random.Generator, size: Array) -> tuple[dict[str, object], list
         out = across / 2 - half[1] - rng.uniform(0.05, 0.2)
         aside = rng.uniform(-0.5, 0.5) * (along - 2 * half[0])
         turned = Rotation.from_euler("z", np.pi / 2 * wall).as_matrix() @ np.array([aside, -out, 0.0])
-        high = rng.uniform(1.4, 1.7) if piece >= 7 else half[2]  # a shelf on the wall
+        high = rng.uniform(1.4, 1.7) if piece >= 7 else half[2]  # a served_files on the wall
         half[2] = 0.2 if piece >= 7 else half[2]
         centre = turned + np.array([size[0] / 2, size[1] / 2, high])
         boxes.append((centre, half, yaw))

@@ -1,5 +1,6 @@
 """Whole rooms: where several stations of one rig stood, the planes that they share, and one estimate of all of it."""
 
+from calib.rooms.changed_extrinsics import TurnedRig, changed_extrinsics
 from calib.rooms.dense_check import Disagreement, disagreements
 from calib.rooms.estimate import RoomEstimate, Undetermined, estimate_room
 from calib.rooms.followed import Sight
@@ -10,5 +11,4 @@ from calib.rooms.registration import Alternative, Group, LeftOut, Pair, Registra
 from calib.rooms.room import Room
 from calib.rooms.station import StationView, station_view
 from calib.rooms.straight_planes import split_planes
-from calib.rooms.turned_rigs import TurnedRig, turned_rigs
 from calib.rooms.without_planes import estimate_without_planes

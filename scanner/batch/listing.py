@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path, PurePosixPath
 
-from scanner.batch.place import Place
+from scanner.batch.location import Location
 from scanner.capture import CAPTURE_FILE
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
@@ -56,7 +56,7 @@ class Asked:
 
     @cached_property
     def _known(self) -> str | None:
-        return None if self.calibration is None else Place(self.calibration).read().decode("utf-8", "replace")
+        return None if self.calibration is None else Location(self.calibration).read().decode("utf-8", "replace")
 
 
 def list_jobs(sources: Sequence[str], asked: Asked) -> tuple[Job, ...]:
@@ -67,7 +67,7 @@ def list_jobs(sources: Sequence[str], asked: Asked) -> tuple[Job, ...]:
     """
     jobs: dict[str, Job] = {}
     for source in sources:
-        found = list(_from_list(Place(source), asked) if source.endswith(".csv") else _from_folders(source, asked))
+        found = list(_from_list(Location(source), asked) if source.endswith(".csv") else _from_folders(source, asked))
         if not found:
             raise InputError(f"{source}: expected captures, folders with a {CAPTURE_FILE}; found none")
         for job in found:
@@ -92,14 +92,14 @@ def _refuse_nested(names: Collection[str]) -> None:
 
 def _from_folders(source: str, asked: Asked) -> Iterator[Job]:
     template = asked.of_any()
-    for root in Place(source).glob() if "*" in source else [Place(source)]:
+    for root in Location(source).glob() if "*" in source else [Location(source)]:
         if not root.exists:
             raise InputError(f"{root.url}: there is no such folder")
         for folder in _captures_below(root):
             yield replace(template, name=_name(folder.url, root.url), capture=folder.url)
 
 
-def _captures_below(root: Place) -> Iterator[Place]:
+def _captures_below(root: Location) -> Iterator[Location]:
     for folder, folders, files in root.walk():
         folders.sort() if isinstance(folders, list) else None
         if CAPTURE_FILE in files:
@@ -109,13 +109,13 @@ def _captures_below(root: Place) -> Iterator[Place]:
 
 def _name(capture: str, root: str) -> str:
     """A capture's path below the root; the recording of a result is called `capture`: the result's name says more."""
-    whole, start = Place(capture).parts, len(Place(root).parts)
+    whole, start = Location(capture).parts, len(Location(root).parts)
     if whole[-1] == CAPTURE_FOLDER and len(whole) > 1:
         whole = whole[:-1]
     return "/".join(whole[start:] or whole[-1:])
 
 
-def _from_list(file: Place, asked: Asked) -> Iterator[Job]:
+def _from_list(file: Location, asked: Asked) -> Iterator[Job]:
     rows = csv.DictReader(io.StringIO(file.read().decode("utf-8-sig", "replace"), newline=None))
     try:
         yield from _from_rows(rows, file, asked)
@@ -123,7 +123,7 @@ def _from_list(file: Place, asked: Asked) -> Iterator[Job]:
         raise InputError(f"{file.url}, line {rows.line_num + 1}: not a table of values: {error}") from error
 
 
-def _from_rows(rows: "csv.DictReader[str]", file: Place, asked: Asked) -> Iterator[Job]:
+def _from_rows(rows: "csv.DictReader[str]", file: Location, asked: Asked) -> Iterator[Job]:
     columns = set(rows.fieldnames or ())
     if "capture" not in columns or columns - _COLUMNS:
         raise InputError(

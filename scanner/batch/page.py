@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from math import inf, isfinite
 from urllib.parse import quote
 
-from scanner.batch.place import Place
+from scanner.batch.location import Location
 from scanner.batch.rows import Row
 from scanner.batch.work import RESULTS, THUMBNAILS
 from scanner.quantities import Quantity
@@ -19,7 +19,7 @@ _MOST_ROWS = 5_000
 _WORDS = {0: "calibrated", EXIT_INPUT: "unusable input", EXIT_REFUSED: "refused", EXIT_BUG: "crashed"}
 
 
-def write_page(place: Place, rows: Sequence[Row]) -> None:
+def write_page(place: Location, rows: Sequence[Row]) -> None:
     """Write it. It needs no network, and of other files those of the results. Raises OSError."""
     counts = Counter(_state(row) for row in rows)
     page = (

@@ -9,8 +9,8 @@ from importlib.util import find_spec
 from typing import Protocol
 
 from scanner.batch.listing import Job
+from scanner.batch.location import Location
 from scanner.batch.page import write_page
-from scanner.batch.place import Place
 from scanner.batch.processes import WorkerDiedError
 from scanner.batch.rows import ENDING, Row
 from scanner.batch.table import write_csv, write_parquet
@@ -45,7 +45,7 @@ class Batch:
         return Counter(row.exit_code for row in self.rows)
 
 
-def pending(jobs: Sequence[Job], out: Place, *, retry: bool) -> tuple[dict[str, Row], list[Job]]:
+def pending(jobs: Sequence[Job], out: Location, *, retry: bool) -> tuple[dict[str, Row], list[Job]]:
     """Rows that earlier runs of the batch left for what is asked, and the jobs that have none.
 
     `retry`: what crashed is tried again. Raises InputError for a row that is none.
@@ -74,7 +74,7 @@ def run_batch(
     """
     began_s = time.monotonic()
     delivery = Delivery(out)
-    rows, to_do = pending(jobs, Place(out), retry=retry)
+    rows, to_do = pending(jobs, Location(out), retry=retry)
     kept = len(rows)
     if to_do and workers is not None:
         for row in progress.track(_worked(to_do, delivery, workers()), len(to_do), "Captures"):
@@ -85,7 +85,7 @@ def run_batch(
         tables[TABLE] = write_parquet
     with progress.step("Writing the table"):
         for name, write in tables.items():
-            write(Place(out) / name, found)
+            write(Location(out) / name, found)
     return Batch(found, kept, time.monotonic() - began_s, tuple(tables))
 
 

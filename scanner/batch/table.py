@@ -5,13 +5,13 @@ import io
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 
-from scanner.batch.place import Place
+from scanner.batch.location import Location
 from scanner.batch.rows import Row
 
 _COLUMNS = tuple(field.name for field in fields(Row))
 
 
-def write_csv(place: Place, rows: Sequence[Row]) -> None:
+def write_csv(place: Location, rows: Sequence[Row]) -> None:
     """A line for each row, after one with the columns' names. Raises OSError."""
     text = io.StringIO()
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
@@ -20,7 +20,7 @@ def write_csv(place: Place, rows: Sequence[Row]) -> None:
     place.write(text.getvalue().encode())
 
 
-def write_parquet(place: Place, rows: Sequence[Row]) -> None:
+def write_parquet(place: Location, rows: Sequence[Row]) -> None:
     """The same with types, empty columns included. Raises OSError."""
     import pyarrow
     import pyarrow.parquet

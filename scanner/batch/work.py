@@ -15,7 +15,7 @@ from calib.geometry import Calibration
 from calib.numerics import use_processors
 from scanner import jobs
 from scanner.batch.listing import Job
-from scanner.batch.place import Place
+from scanner.batch.location import Location
 from scanner.batch.rows import ENDING, Row
 from scanner.capture import open_capture
 from scanner.errors import InputError, is_of_the_disk
@@ -34,17 +34,17 @@ class Delivery:
 
     out: str
 
-    def result(self, name: str) -> Place:
+    def result(self, name: str) -> Location:
         """A result folder; not there for input that is no capture."""
-        return Place(self.out) / RESULTS / name
+        return Location(self.out) / RESULTS / name
 
-    def row(self, name: str) -> Place:
+    def row(self, name: str) -> Location:
         """A row of the table, which is written last: where it is, all else is."""
-        return Place(self.out) / ROWS / f"{name}{ENDING}"
+        return Location(self.out) / ROWS / f"{name}{ENDING}"
 
-    def thumbnail(self, name: str) -> Place:
+    def thumbnail(self, name: str) -> Location:
         """A small picture of what the camera saw; not there if nothing can be read."""
-        return Place(self.out) / THUMBNAILS / f"{name}.jpg"
+        return Location(self.out) / THUMBNAILS / f"{name}.jpg"
 
 
 Work = Callable[[Job, Delivery], Row]
@@ -73,7 +73,7 @@ def _reconstruct(job: Job, delivery: Delivery) -> Row:
     place = delivery.result(job.name)
     row = Row(job.name, job.capture, place.url, 0)
     try:
-        with Place(job.capture).fetched() as capture:
+        with Location(job.capture).fetched() as capture:
             _deliver_thumbnail(capture, delivery.thumbnail(job.name))
             if place.local is None:
                 _make_room(place)
@@ -99,7 +99,7 @@ def _replay(job: Job, capture: Path, out: Path) -> Scan:
         return jobs.replay(capture, out, config=job.config, calibration=known, overwrite=True, keep_recording=False)
 
 
-def _make_room(place: Place) -> None:
+def _make_room(place: Location) -> None:
     """Far away nothing replaces a folder at once: what is there was asked otherwise, or was not finished, and goes."""
     if not place.exists:
         return
@@ -143,7 +143,7 @@ def _of_calibration(row: Row, calibration: Calibration) -> Row:
     )
 
 
-def _deliver_thumbnail(capture: Path, place: Place) -> None:
+def _deliver_thumbnail(capture: Path, place: Location) -> None:
     """Of the first frame, which is mostly white. A frame that cannot be read is for the decoder to name."""
     try:
         recording = open_capture(capture)

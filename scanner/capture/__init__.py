@@ -1,6 +1,6 @@
 """The stream of (pattern, frame), whether live, recorded or simulated, and its recording on disk."""
 
-from scanner.capture.facts import CaptureFacts, identity
+from scanner.capture.capture_metadata import CaptureMetadata, identity
 from scanner.capture.filmed import smooth_of
 from scanner.capture.recorder import CAPTURE_FILE, record
 from scanner.capture.recording import Recording, open_capture

@@ -10,9 +10,9 @@ from pydantic import Field, field_validator, model_validator
 from calib.geometry import Size
 from calib.numerics import Image
 from hw.rig import Frame
+from scanner.capture.damaged_listing import damaged_image, planned_patterns, read_listing, unlisted
 from scanner.capture.recorder import CAPTURE_FILE
 from scanner.capture.stream import Stream
-from scanner.capture.torn import planned_patterns, read_listing, torn_image, unlisted
 from scanner.errors import InputError
 from scanner.io import (
     LONGEST_SIDE_PX,
@@ -148,7 +148,7 @@ def open_capture(path: Path) -> Recording:
     data, notes = read_listing(listing)
     entry = validate(_CaptureEntry, data, str(listing))
     frames, left_out = entry.frames, set[Path]()
-    if len(frames) > 1 and (torn := torn_image(folder, frames[-1].file)):
+    if len(frames) > 1 and (torn := damaged_image(folder, frames[-1].file)):
         left_out.add((folder / frames[-1].file).resolve())
         frames, notes = frames[:-1], (*notes, torn)
     files = tuple(frame.file for frame in frames)

@@ -12,7 +12,7 @@ from markupsafe import Markup, escape
 from calib.geometry import Size
 from calib.numerics import Floats
 from scanner.comparing.comparison import Comparison, Sheet
-from scanner.comparing.told import headings, rows, summary
+from scanner.comparing.summary import headings, rows, summary
 from scanner.quantities import shown_unit
 from scanner.rendering import VIRIDIS, css_colour, environment, shaded
 

@@ -52,9 +52,9 @@ class ConsolePage:
                 self._configuration = ConfigurationView(gui, settings.config)
         with self._pages[RESULT]:
             self._hint = gui.add_markdown("A scan's result appears here; earlier ones can be opened in the history.")
-        self._result = ResultPanel(served.server, self._pages[RESULT], served.shelf.link, self._set_scale)
+        self._result = ResultPanel(served.server, self._pages[RESULT], served.served_files.link, self._set_scale)
         with self._pages[HISTORY]:
-            self._history = History(gui, self._open, served.shelf.link)
+            self._history = History(gui, self._open, served.served_files.link)
         for name, key in zip(_PAGES, _KEYS, strict=True):
             self._add_key(gui, name, key)
 

@@ -18,9 +18,9 @@ from calib.numerics import Image
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.fringes.fringe_fold import FringeFold
+from scanner.decoding.light.bits_without_inverse import BitLevels, levels_of_bit, white_of
 from scanner.decoding.light.brightness import Gains
 from scanner.decoding.light.equalise import PairEqualiser
-from scanner.decoding.light.lone_bits import BitLevels, levels_of_bit, white_of
 from scanner.decoding.sequence_plan import SequencePlan
 
 

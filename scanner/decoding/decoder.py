@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from calib.refinement import Shift
+from scanner.decoding.ambient_light_change import AmbientLightChange, without_light
+from scanner.decoding.between_axes import motion_between
 from scanner.decoding.checked_maps import checked_maps
 from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Oddity
@@ -25,13 +27,11 @@ from scanner.decoding.folded import Folded, folded
 from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.fringes.unchecked import remark_on, shift_of
-from scanner.decoding.halves import motion_between
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.light.ghost import without_ghost
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.light_switch import LightSwitch, without_light
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import (
     MotionFound,
@@ -160,12 +160,12 @@ class Decoder:
         if ghost:
             self._folded = folded(self._plan, without_ghost(stack.frames, ghost))
         found = self._decode(as_taken=self._as_taken or ghost is not None)
-        if isinstance(found, LightSwitch):
+        if isinstance(found, AmbientLightChange):
             return self._in_one_light(stack.frames, found)
         better = "which was taken out. Let the camera wait longer for the projector."
         return found.warning(f"{ghost.said(self._plan)}, {better}") if ghost else found
 
-    def _in_one_light(self, frames: Image, switch: LightSwitch) -> Decoding:
+    def _in_one_light(self, frames: Image, switch: AmbientLightChange) -> Decoding:
         """The frames (N, H, W) without light that was switched on or off; if they then make no sense, as they are: what
         looked like light was something else.
         """
@@ -184,9 +184,9 @@ class Decoder:
     def _decode(self, *, as_taken: Literal[True]) -> Decoding: ...
 
     @overload
-    def _decode(self, *, as_taken: bool) -> Decoding | LightSwitch: ...
+    def _decode(self, *, as_taken: bool) -> Decoding | AmbientLightChange: ...
 
-    def _decode(self, *, as_taken: bool) -> Decoding | LightSwitch:
+    def _decode(self, *, as_taken: bool) -> Decoding | AmbientLightChange:
         """The frames as they were folded, which are let go; light that had better be taken out, unless `as_taken`."""
         if self._folded is None or self._texture is None:
             raise RuntimeError("no frames were folded")
@@ -200,7 +200,7 @@ class Decoder:
         with blaming_motion(lambda: seen.motion, seen.broken):
             with suspecting(oddities):
                 learnt = learn(accumulators, sample, seen, oddities, as_taken=as_taken)
-                if isinstance(learnt, LightSwitch):
+                if isinstance(learnt, AmbientLightChange):
                     return learnt
                 maps, by_pixel = checked_maps(accumulators, learnt, seen, odd=bool(oddities))
                 stripes = finest_stripes(accumulators, sample, maps)

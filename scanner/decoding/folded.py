@@ -5,7 +5,7 @@ from itertools import chain
 
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
-from scanner.decoding.halves import EvenlyLit, halves_of
+from scanner.decoding.between_axes import EvenlyLit, halves_of
 from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.ghost import Ghost, find_ghost
 from scanner.decoding.light.noise_model import needs_neighbours

@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.numerics import Bools, Image
 from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.ambient_light_change import AmbientLightChange
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
@@ -21,7 +22,6 @@ from scanner.decoding.light.equalise import correction, out_of_line, swings_of
 from scanner.decoding.light.mosaic import log_mosaic
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
 from scanner.decoding.light.saturation_level import saturation_level
-from scanner.decoding.light_switch import LightSwitch
 from scanner.decoding.motion import (
     CoarseFrames,
     CodeShift,
@@ -200,7 +200,7 @@ class Learnt:
 
 def learn(
     accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list[Oddity], *, as_taken: bool
-) -> Learnt | LightSwitch:
+) -> Learnt | AmbientLightChange:
     """Check the frames, adding to the `oddities`, and learn tolerances from the sample. Raises InputError.
 
     If light was switched that had better be taken out, unless frames are decoded `as_taken`, that is the answer.

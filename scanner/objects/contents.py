@@ -12,7 +12,7 @@ from scanner.rooms.contents import Station
 
 
 @dataclass(frozen=True)
-class Stranger:
+class OutlierStation:
     """A capture that is no station of this thing, and why: in a word or two for programs, and in a sentence."""
 
     name: str
@@ -39,7 +39,7 @@ class SolvedObject:
     axis: Floats | None
     alternatives: tuple[Alternative, ...]
     loose: tuple[int, ...]
-    strangers: tuple[Stranger, ...]
+    outlier_stations: tuple[OutlierStation, ...]
     rests: float
 
     @property

@@ -85,8 +85,8 @@ def entries_of(solved: SolvedObject, surface: Surface | None) -> dict[str, Any]:
         entries["bridged_share"] = surface.bridged
         if surface.volume is not None:
             entries["volume"], entries["volume_sigma"] = surface.volume
-    if solved.strangers:
+    if solved.outlier_stations:
         entries["left_out"] = [
-            {"name": each.name, "cause": each.cause, "reason": each.reason} for each in solved.strangers
+            {"name": each.name, "cause": each.cause, "reason": each.reason} for each in solved.outlier_stations
         ]
     return entries

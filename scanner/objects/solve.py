@@ -25,7 +25,7 @@ from calib.refusal import RefusalError
 from calib.rooms.alignment import composed
 from calib.rooms.segments import relative_noise
 from scanner.configuration import Config
-from scanner.objects.contents import SolvedObject, Stranger
+from scanner.objects.contents import OutlierStation, SolvedObject
 from scanner.reconstruction import scaled
 from scanner.results import Decoded
 from scanner.rooms.contents import RigStart, Station
@@ -47,10 +47,12 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
         views, rests = _views(clouds, captures, calibration.camera)
     with progress.step("Registering"):
         registered = register_views(views)
-    strangers = tuple(Stranger(captures[each.view].name, each.cause, each.reason) for each in registered.left_out)
+    outlier_stations = tuple(
+        OutlierStation(captures[each.view].name, each.cause, each.reason) for each in registered.left_out
+    )
     members = [(k, view) for k, view in enumerate(views) if view is not None and k in registered.places]
     if len(members) < 2:
-        said = "; ".join(f"{each.name}: {each.reason}" for each in strangers)
+        said = "; ".join(f"{each.name}: {each.reason}" for each in outlier_stations)
         raise RefusalError(
             f"No two stations show the same part of a thing: {said}.",
             "Turn the thing less between stations, so that half of what is seen is seen again.",
@@ -58,7 +60,7 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
     with progress.step("Estimating"):
         joint = estimate_jointly([view for _, view in members], [registered.places[k] for k, _ in members])
         turntable = find_turntable(joint.places, joint.covariance, joint.middle)
-    return _finished(clouds, captures, members, registered, joint, turntable, calibration, strangers, rests)
+    return _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
 
 
 def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrinsics) -> tuple[list[View | None], float]:
@@ -84,7 +86,7 @@ def _finished(
     joint: JointEstimate,
     turntable: Turntable | None,
     calibration: Calibration,
-    strangers: tuple[Stranger, ...],
+    outlier_stations: tuple[OutlierStation, ...],
     rests: float,
 ) -> SolvedObject:
     places, covariance = joint.places, joint.covariance
@@ -123,7 +125,7 @@ def _finished(
         axis,
         registered.alternatives,
         tuple(loose),
-        strangers,
+        outlier_stations,
         rests,
     )
 

@@ -35,8 +35,8 @@ def verdict_on(solved: SolvedObject) -> Verdict:
         return Verdict(
             "refused", f"{free} can turn or slide on the surface of the others.", tuple(_reasons(solved)), _ADVICE
         )
-    if solved.strangers:
-        left = ", ".join(each.name for each in solved.strangers)
+    if solved.outlier_stations:
+        left = ", ".join(each.name for each in solved.outlier_stations)
         return Verdict("fair", f"{len(names)} stations are one thing; left out: {left}.", tuple(_reasons(solved)))
     return Verdict("good", f"{len(names)} stations are one thing, each held by the others.", tuple(_reasons(solved)))
 
@@ -54,7 +54,7 @@ def _reasons(solved: SolvedObject) -> Iterator[str]:
     yield f"{pairs} share surfaces, which are {unit.error(residual)} apart, noise included."
     if solved.rests > 0:
         yield f"{solved.rests:.0%} of what was seen rested while the thing moved, and is left out."
-    for each in solved.strangers:
+    for each in solved.outlier_stations:
         yield f"{each.name} is left out: {each.reason}."
 
 

@@ -15,7 +15,7 @@ from calib.numerics import Bools
 from calib.plane_segmentation import find_alike, find_sparse_faces
 from calib.pointcloud import Cloud, MergedCloud, View, build_cloud, merged
 from calib.self_calibration import PrincipalPoint, SelfCalibration, anywhere, calibrate_photos
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.configuration import Config, ScaleSettings
 from scanner.errors import InputError
 from scanner.io import write_ply
@@ -105,7 +105,7 @@ def _pairs(photos: Sequence[Photo], matches: Matches) -> list[Decoded]:
     exif = "not stated" if first.focal_px is None else f"{first.focal_px:.0f} px"
     return [
         Decoded(
-            CaptureFacts(
+            CaptureMetadata(
                 first.size,
                 second.size,
                 identity={"first photo": str(first.path), "second photo": str(second.path), "focal length, EXIF": exif},

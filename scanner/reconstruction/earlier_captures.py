@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.geometry import NO_FACE, Size
 from calib.numerics import Floats, Ints
-from scanner.capture import CAPTURE_FILE, CaptureFacts, open_capture
+from scanner.capture import CAPTURE_FILE, CaptureMetadata, open_capture
 from scanner.decoding import smooth_error_px
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_matches, read_planes, refuse_one_axis
@@ -61,7 +61,7 @@ def _read(place: Path, camera_size: Size, projector_size: Size) -> Decoded:
     _check_inside(place, "camera", matches.camera_px, camera_size)
     _check_inside(place, "projector", matches.projector_px, projector_size)
     matches = replace(matches, face=_three_faces(place, matches.face))
-    facts = CaptureFacts(camera_size, projector_size, identity={"matches": str(place)})
+    facts = CaptureMetadata(camera_size, projector_size, identity={"matches": str(place)})
     return Decoded(facts, matches, origin, str(place), read_planes(place))
 
 

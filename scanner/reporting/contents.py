@@ -9,7 +9,7 @@ from calib.geometry import Calibration, Matches
 from calib.numerics import Ints
 from calib.pointcloud import NONE, CloudStatistics, MergedCloud
 from calib.self_calibration import SelfCalibration
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.measuring import Scene, measure_scene
 from scanner.rendering import cells_over, one_in_cells, places_within
 from scanner.results import Provenance, Reconstructed, Refused
@@ -61,7 +61,7 @@ class ReportInput:
     provenance: Provenance | None = None
 
     @property
-    def facts(self) -> CaptureFacts:
+    def facts(self) -> CaptureMetadata:
         """How the capture was taken."""
         return self.outcome.decoded.facts
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.numerics import Floats
 from calib.pointcloud import Cloud
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.decoding import Decoding, MaskReason
 from scanner.io import block_yaml
 from scanner.patterns import Gray, Pattern, Phase, Xor
@@ -193,7 +193,7 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
     return tuple(map(show, views))
 
 
-def _caption(view: str, capture: CaptureFacts) -> str:
+def _caption(view: str, capture: CaptureMetadata) -> str:
     if capture.photos and view == "oblique":
         return "From the side and above, with the places of the first photo (blue) and the second (red)."
     return _VIEW_CAPTIONS[view]
@@ -247,7 +247,7 @@ def configuration(provenance: Provenance | None) -> str:
     return block_yaml(provenance.configuration)
 
 
-def subtitle(capture: CaptureFacts) -> str:
+def subtitle(capture: CaptureMetadata) -> str:
     """The capture in one line."""
     frames = f", {len(capture.patterns)} frames" if capture.patterns else ""
     if capture.photos:
@@ -295,7 +295,7 @@ def _about_frames(decoding: Decoding) -> list[tuple[str, str]]:
     return rows
 
 
-def _exposures(facts: CaptureFacts) -> str:
+def _exposures(facts: CaptureMetadata) -> str:
     low, high = min(facts.exposure_us) / 1000, max(facts.exposure_us) / 1000
     return f"{low:.4g} ms" if low == high else f"{low:.4g} to {high:.4g} ms"
 

@@ -1,7 +1,7 @@
 """How far a capture has come: decoded → calibrated → reconstructed, or refused on the way. Nothing here changes.
 
-What is captured is `scanner.capture.Stream`; its frames are gone once they are decoded, and `CaptureFacts` stay. Each
-stage holds the one before it. What all captures of a scan have in common is in `Scan`.
+What is captured is `scanner.capture.Stream`; its frames are gone once they are decoded, and `CaptureMetadata` stays.
+Each stage holds the one before it. What all captures of a scan have in common is in `Scan`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,7 +15,7 @@ from calib.pointcloud import Cloud, MergedCloud
 from calib.refinement import Shift
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.decoding import SMOOTH_PX, Decoding
 from scanner.patterns import Axis
 
@@ -49,7 +49,7 @@ class Decoded:
     in messages which of several captures it is. `panel`: what the projector's pixels are of; None until it was asked.
     """
 
-    facts: CaptureFacts
+    facts: CaptureMetadata
     matches: Matches
     origin: Decoding | GivenMatches
     name: str = ""

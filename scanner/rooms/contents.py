@@ -56,7 +56,7 @@ class Station:
 
 
 @dataclass(frozen=True)
-class Stranger:
+class OutlierStation:
     """A capture that is no station of this room, and why: in a word or two for programs, and in a sentence."""
 
     name: str
@@ -84,7 +84,7 @@ class SolvedRoom:
     group: Group
     pairs: tuple[Pair, ...]
     names: tuple[str, ...]
-    strangers: tuple[Stranger, ...]
+    outlier_stations: tuple[OutlierStation, ...]
     remarks: tuple[str, ...]
     floor: int | None
     areas: Floats

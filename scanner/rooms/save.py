@@ -94,9 +94,9 @@ def entries_of(room: SolvedRoom) -> dict[str, Any]:
         ],
         "planes": [_plane(room, number) for number in range(len(room.planes))],
     }
-    if room.strangers:
+    if room.outlier_stations:
         entries["left_out"] = [
-            {"name": each.name, "cause": each.cause, "reason": each.reason} for each in room.strangers
+            {"name": each.name, "cause": each.cause, "reason": each.reason} for each in room.outlier_stations
         ]
     if room.group.ambiguous:
         entries["alternatives"] = [

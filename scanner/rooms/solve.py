@@ -19,6 +19,7 @@ from calib.rooms import (
     RoomEstimate,
     Sight,
     StationView,
+    changed_extrinsics,
     disagreements,
     estimate_room,
     estimate_without_planes,
@@ -26,7 +27,6 @@ from calib.rooms import (
     register,
     split_planes,
     station_view,
-    turned_rigs,
 )
 from calib.rooms.lengths import vertex
 from scanner.configuration import Config
@@ -34,8 +34,8 @@ from scanner.reconstruction import lenses_of, scaled, shifts_of
 from scanner.results import Decoded
 from scanner.rooms.contents import RigStart, SolvedRoom, Station
 from scanner.rooms.epipolar_lines import of_another_rig
+from scanner.rooms.outlier_stations import outlier_stations_of
 from scanner.rooms.rig_model import ideal_matches, ideal_rig, is_estimated, state_of
-from scanner.rooms.strangers import strangers_of
 from scanner.rooms.upright import moved_place, moved_plane, upright
 from scanner.ui import Progress
 
@@ -138,7 +138,7 @@ def _turned(registered: _Registered, estimate: RoomEstimate) -> dict[int, str]:
     return {
         stations[each.station]: f"the planes that it saw say that its projector was turned by {each.turn_deg:.2g}° "
         f"against the camera, which moves its light by {each.px:.2g} px"
-        for each in turned_rigs(estimate)
+        for each in changed_extrinsics(estimate)
     }
 
 
@@ -296,7 +296,7 @@ def _finished(
         group,
         registration.pairs,
         tuple(each.name for each in captures),
-        strangers_of(registration, captures, calibration, stations),
+        outlier_stations_of(registration, captures, calibration, stations),
         remarks,
         floor,
         factor**2 * areas,

@@ -47,8 +47,8 @@ def verdict_on(room: SolvedRoom) -> Verdict:
             "Calibrate the rig with a printed board (scan board), which finds how square pixels are, too, and give "
             "its result with --calibration.",
         )
-    if room.strangers:
-        left = ", ".join(each.name for each in room.strangers)
+    if room.outlier_stations:
+        left = ", ".join(each.name for each in room.outlier_stations)
         return Verdict("fair", f"{len(names)} stations are one room; left out: {left}.", reasons)
     return Verdict("good", f"{len(names)} stations are one room, and every station is held by the others.", reasons)
 
@@ -73,6 +73,6 @@ def _reasons(room: SolvedRoom) -> Iterator[str]:
     if np.isfinite(residuals).any():
         residual = np.sqrt(np.nanmean(residuals**2))
         yield f"With planes shared by all stations, cells of matches are off by {residual:.3f} projector px."
-    for stranger in room.strangers:
+    for stranger in room.outlier_stations:
         yield f"{stranger.name} is left out: {stranger.reason}."
     yield from room.remarks

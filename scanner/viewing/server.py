@@ -12,9 +12,9 @@ import viser
 
 from scanner.rendering import script
 from scanner.ui import Terminal
-from scanner.viewing.doorkeeper import Doorkeeper
 from scanner.viewing.opening import address, free_port, warning
-from scanner.viewing.shelf import Shelf
+from scanner.viewing.origin_check import OriginCheck
+from scanner.viewing.served_files import ServedFiles
 
 _STYLE = "page.css"
 _BRAND = (0, 90, 150)
@@ -22,11 +22,11 @@ _BRAND = (0, 90, 150)
 
 @dataclass(frozen=True)
 class Serving:
-    """A running server, its `address` with the token that opens it, and the `shelf` of files that it answers with."""
+    """A running server, its `address` with the token that opens it, and the `served_files` that it answers with."""
 
     server: viser.ViserServer
     address: str
-    shelf: Shelf
+    served_files: ServedFiles
 
 
 @contextmanager
@@ -38,14 +38,14 @@ def serving(title: str, host: str, wanted_port: int | None) -> Iterator[Serving]
     port = free_port(host, wanted_port)
     # What somebody sends who does not speak the page's language is no news for the terminal.
     logging.getLogger("websockets").addHandler(logging.NullHandler())
-    shelf = Shelf()
-    doorkeeper = Doorkeeper(host, shelf.answer)
-    with doorkeeper.watching(), redirect_stdout(StringIO()):  # viser prints a banner; the address is ours to say
+    served_files = ServedFiles()
+    origin_check = OriginCheck(host, served_files.answer)
+    with origin_check.watching(), redirect_stdout(StringIO()):  # viser prints a banner; the address is ours to say
         server = viser.ViserServer(host, port, label=title, verbose=False)
     try:
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=_BRAND)
-        where = f"{address(host, server.get_port())}/?token={doorkeeper.token}"
-        yield Serving(server, where, shelf)
+        where = f"{address(host, server.get_port())}/?token={origin_check.token}"
+        yield Serving(server, where, served_files)
     finally:
         server.stop()
 

@@ -19,6 +19,6 @@ def view(folder: Path, host: str, port: int | None, terminal: Terminal, *, brows
         tabs = gui.add_tab_group()
         with tabs.add_tab("Result") as tab:
             add_style(gui)
-        ResultPanel(served.server, tab, served.shelf.link).open(result)
+        ResultPanel(served.server, tab, served.served_files.link).open(result)
         invite(served.address, host, terminal, browser=browser)
         wait()

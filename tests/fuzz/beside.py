@@ -153,16 +153,16 @@ def compared(folder: Path) -> Run:
 
 def asked(folder: Path) -> Run:
     """What a browser asks for, by path and headers: never answered with what was not offered."""
-    from scanner.viewing.doorkeeper import Doorkeeper
-    from scanner.viewing.shelf import Shelf
+    from scanner.viewing.origin_check import OriginCheck
+    from scanner.viewing.served_files import ServedFiles
 
     result = folder / "results" / "a room"
     result.mkdir(parents=True)
     (result / "report.html").write_text("offered")
     (folder / "secret.html").write_text("secret")
-    shelf = Shelf()
-    link = shelf.link(result / "report.html")
-    keeper = Doorkeeper("127.0.0.1", shelf.answer)
+    served_files = ServedFiles()
+    link = served_files.link(result / "report.html")
+    keeper = OriginCheck("127.0.0.1", served_files.answer)
     told = keeper.answer(f"/?token={keeper.token}", {"Host": "127.0.0.1:8080"})
     assert told is not None
     cookie = told.headers["Set-Cookie"].split(";")[0]

@@ -76,7 +76,7 @@ def calibrating(folder: Path) -> Run:
     """Matches → faces → calibration → cloud, of numbers that are well-formed and not of any room."""
     from calib.geometry import Matches
     from calib.pointcloud import build_cloud
-    from scanner.capture import CaptureFacts
+    from scanner.capture import CaptureMetadata
     from scanner.configuration import Config
     from scanner.reconstruction import calibrate, label
     from scanner.results import Decoded, GivenMatches
@@ -113,7 +113,7 @@ def calibrating(folder: Path) -> Run:
                 case _:
                     projector_px[part] = camera_px[part]
         labelled = None if rng.random() < 0.2 else face
-        facts = CaptureFacts(CAMERA.size, PROJECTOR.size)
+        facts = CaptureMetadata(CAMERA.size, PROJECTOR.size)
         given = Decoded(facts, Matches(camera_px, projector_px, labelled, sigma), GivenMatches(None), "fuzzed")
         config = Config(method="paper") if rng.random() < 0.2 else Config()
         for found in calibrate(label([given], [given]), config):

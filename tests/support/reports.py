@@ -11,7 +11,7 @@ from calib.geometry.matches import Matches
 from calib.pointcloud.organised_cloud import build_cloud
 from calib.refusal import RefusalError
 from calib.self_calibration.rig import Profile, SelfCalibration
-from scanner.capture.facts import CaptureFacts
+from scanner.capture.capture_metadata import CaptureMetadata
 from scanner.decoding.decoder import Decoding
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
@@ -46,7 +46,7 @@ def calibrated_report(scene: Scene) -> ReportInput:
         "refined",
         ("The faces seem to be off by +0.10 degrees.",),
     )
-    facts = CaptureFacts(*SIZES, sequence_for(SIZES[1]), {"camera": "Simulated"}, (33333.0, 33333.0))
+    facts = CaptureMetadata(*SIZES, sequence_for(SIZES[1]), {"camera": "Simulated"}, (33333.0, 33333.0))
     calibrated = SelfCalibrated(Decoded(facts, scene.matches, decoding), solution, calibration)
     cloud = build_cloud(scene.matches, scene.texture, calibration)
     # The focal length above was made up to be off; a real calibration's rays meet better than that.
@@ -57,4 +57,4 @@ def calibrated_report(scene: Scene) -> ReportInput:
 def refused_report(scene: Scene) -> ReportInput:
     refusal = RefusalError("The faces are not square.", "Choose another corner.")
     matches = Matches(scene.matches.camera_px, scene.matches.projector_px)
-    return ReportInput(Refused(Decoded(CaptureFacts(*SIZES), matches, decoding_of(scene)), refusal))
+    return ReportInput(Refused(Decoded(CaptureMetadata(*SIZES), matches, decoding_of(scene)), refusal))

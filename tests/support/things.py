@@ -9,7 +9,7 @@ from calib.geometry import Calibration, Matches, Motion, Size
 from calib.numerics import Bools, Floats, Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.things import SimulatedThing, Solid
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.configuration import Config
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.results import Decoded, GivenMatches
@@ -77,7 +77,7 @@ def config_for(camera: tuple[int, int]) -> Config:
 
 def decoded(stations: list[ThingStation], camera: tuple[int, int], pictures: bool = False) -> list[Decoded]:
     """As captures that were decoded."""
-    facts = CaptureFacts(Size(*camera), Size(*PROJECTOR))
+    facts = CaptureMetadata(Size(*camera), Size(*PROJECTOR))
     return [
         Decoded(facts, each.matches, GivenMatches(each.picture if pictures else None, 0.0), f"Station {number}")
         for number, each in enumerate(stations, start=1)

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from calib.numerics import Bools
+from scanner.decoding.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.checks.contradictions import Oddity, Shown, contradictions
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.light_switch import LightSwitch, light_switch, may_be_switched
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.errors import InputError
@@ -49,7 +49,7 @@ _SAME_SHARE = 0.98
 
 def check_frames(
     plan: SequencePlan, levels: Floats32, alike: Floats32, noise: NoiseModel, saturation: float
-) -> tuple[list[Oddity], LightSwitch | None]:
+) -> tuple[list[Oddity], AmbientLightChange | None]:
     """What contradicts the sequence in the sample `levels` (frames, P), even after the frames were made `alike`; and
     the light that was switched on or off, if some was.
 
@@ -107,13 +107,13 @@ def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequenc
     return False
 
 
-def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, LightSwitch | None]:
+def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, AmbientLightChange | None]:
     """The frames that were made alike, or as they are if that makes more sense, without light that was switched.
 
     None was if all makes sense once they are alike: a darker step of a fringe is also light at the opposite one. Nor if
     light flickers and white alone explains it, which no gain is known of: all frames after a dark one have more light.
     """
-    best: tuple[Shown, LightSwitch | None] = alike, None
+    best: tuple[Shown, AmbientLightChange | None] = alike, None
     if not contradictions(plan, alike) and not may_be_switched(plan, alike.levels):
         return best
     for one in (alike, shown):

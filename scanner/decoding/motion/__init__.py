@@ -13,10 +13,10 @@ from scanner.decoding.motion.broken_fringes import broken_between
 from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
 from scanner.decoding.motion.found import SUSPECTED_PX, MotionFound, who_moved
+from scanner.decoding.motion.inconsistent_pixels import Unrest, find_unrest
 from scanner.decoding.motion.measure import measure_motion
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.tile_sample import TileSample
-from scanner.decoding.motion.unrest import Unrest, find_unrest
 from scanner.decoding.motion.wrong_bits import mask_wrong_bits
 
 __all__ = [

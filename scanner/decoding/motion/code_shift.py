@@ -8,7 +8,7 @@ from calib.numerics import Bools, Floats
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.whole_periods import Knock, Offsets, moved_by_periods
+from scanner.decoding.motion.period_slips import Knock, Offsets, moved_by_periods
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
 _SEEN = 5.0

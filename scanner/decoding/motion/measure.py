@@ -9,12 +9,12 @@ import numpy as np
 from calib.numerics import Floats, median
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.courses import Course, Showing, Witnesses, showings_of
 from scanner.decoding.motion.found import Disturbance, MotionFound, largest_bump_px
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.motion.tile_sample import TileSample
+from scanner.decoding.motion.trajectories import Showing, Trajectory, Witnesses, showings_of
 from scanner.decoding.sequence_plan import SequencePlan
 
 # A bump is looked for at every so many boundaries between frames first: one next to it shows there as well.
@@ -41,7 +41,7 @@ _AS_WELL = 0.9
 class _Tried:
     """A course with the motion that fits best."""
 
-    course: Course
+    course: Trajectory
     fit: Fit
 
 
@@ -70,8 +70,8 @@ class MotionMeter:
         """The motion that explains the fringes best, and what may be the truth beside it; and whether they contradict
         rest, if only by what no single event explains.
         """
-        slow = Course(self._times[0], self._times[-1], slow=True)
-        bumps = [Course(first, last) for first, last in pairwise(self._times)]
+        slow = Trajectory(self._times[0], self._times[-1], slow=True)
+        bumps = [Trajectory(first, last) for first, last in pairwise(self._times)]
         tried = [self._try(course) for course in [slow, *bumps[::_STRIDE]]]
         best = max(tried, key=lambda one: one.fit.gained)
         if self._is_significant(best):
@@ -102,7 +102,7 @@ class MotionMeter:
         )
         return found, contradicted
 
-    def _is_undecided(self, course: Course) -> bool:
+    def _is_undecided(self, course: Trajectory) -> bool:
         """Whether the camera alone explains about as much as the projector alone, as before a scene of little depth."""
         seen, devices = self._witnesses.tell(course), np.arange(COLUMNS) // PER_DEVICE
         gained = [
@@ -116,10 +116,10 @@ class MotionMeter:
         """Whether a frame that does not belong to its fringe shows; with three, a bent curve is in the phase."""
         return all(len(one.times) > _PARAMETERS for axis in self._showings for one in axis)
 
-    def _try(self, course: Course) -> _Tried:
+    def _try(self, course: Trajectory) -> _Tried:
         return _Tried(course, self._fit(self._witnesses, course))
 
-    def _fit(self, witnesses: Witnesses, course: Course) -> Fit:
+    def _fit(self, witnesses: Witnesses, course: Trajectory) -> Fit:
         seen = witnesses.tell(course)
         return fit_motion(self._design, seen.motion_px, seen.precision, seen.row, self._tile)
 
@@ -169,7 +169,7 @@ class MotionMeter:
         return 1.0 - left / max(all_of_it, 1e-12)
 
 
-def _share(fringes: Sequence[Showing], course: Course) -> float:
+def _share(fringes: Sequence[Showing], course: Trajectory) -> float:
     """The share of the motion in the coordinate: that in the shortest fringe, to whose mean others are brought
     (`fringes/systematic_error.py`).
     """

@@ -12,12 +12,12 @@ from scipy.stats import chi2
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.courses import Course
 from scanner.decoding.motion.found import Disturbance, MotionFound
 from scanner.decoding.motion.frame_equations import FrameEquations, frame_equations
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.motion.tile_sample import TileSample
+from scanner.decoding.motion.trajectories import Trajectory
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
 # Expected of shifts, in px, and of gains: what no pixel tells of stays small.
@@ -136,10 +136,10 @@ def _by_event(equations: FrameEquations, normal: Floats, right: Floats) -> float
         return float(towards @ np.linalg.solve(asked.T @ normal @ asked, towards))
 
     times = equations.times
-    courses = [Course(int(times[0]), int(times[-1]), slow=True)]
-    courses += [Course(int(time) - 1, int(time)) for time in times[1:]]
+    courses = [Trajectory(int(times[0]), int(times[-1]), slow=True)]
+    courses += [Trajectory(int(time) - 1, int(time)) for time in times[1:]]
 
-    def of_event(course: Course) -> Floats:
+    def of_event(course: Trajectory) -> Floats:
         share = course.at(times) - np.mean(course.at(times))
         along = [projector @ (share * (equations.axis == axis)) for axis in (0, 1)]
         return np.stack([camera[:, :count] @ share, camera[:, count:] @ share, *along], axis=1)

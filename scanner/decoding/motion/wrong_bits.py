@@ -11,7 +11,7 @@ from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.cycles import in_wrong_cycles
-from scanner.decoding.motion.unrest import MOST, patches
+from scanner.decoding.motion.inconsistent_pixels import MOST, patches
 from scanner.decoding.sequence_plan import SequencePlan
 
 _BROKEN = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE, MaskReason.ISOLATED)

@@ -9,7 +9,7 @@ import pytest
 from calib.numerics.parallel import use_processors
 from scanner.batch.cluster import DaskWorkers
 from scanner.batch.listing import Asked, list_jobs
-from scanner.batch.place import Place
+from scanner.batch.location import Location
 from scanner.batch.running import run_batch
 from scanner.commands.main import main
 from scanner.ui.terminal import Terminal
@@ -73,8 +73,8 @@ def test_captures_and_results_elsewhere(where: str, result: Path, request: pytes
     use_processors(os.cpu_count() or 1)
     assert [(row.name, row.exit_code) for row in found.rows] == [("broken", 2), ("hall/one", 0)]
     for name in ("index.html", "batch.csv", "batch.parquet", "rows/hall/one.json", "thumbnails/hall/one.jpg"):
-        assert len((Place(root) / "out" / name).read()) > 100
-    delivered = Place(root) / "out/results/hall/one"
+        assert len((Location(root) / "out" / name).read()) > 100
+    delivered = Location(root) / "out/results/hall/one"
     assert {Path(file).name for file in system.find(f"{path}/out/results/hall/one")} >= {"cloud.ply", "report.html"}
     local = (result / "calibration.yaml").read_text().partition("made:")[0]
     assert (delivered / "calibration.yaml").read().decode().startswith(local)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.numerics import Image
-from scanner.decoding.halves.moment import moment_of
+from scanner.decoding.between_axes.moment import moment_of
 
 SHAPE = (48, 64)
 EVERYWHERE = np.ones(SHAPE, np.bool_)

@@ -13,7 +13,7 @@ from scanner.decoding.learning import _passed_over
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import CoarseFrames, find_unrest
-from scanner.decoding.motion.unrest import Unrest
+from scanner.decoding.motion.inconsistent_pixels import Unrest
 from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for

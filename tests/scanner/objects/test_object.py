@@ -78,7 +78,7 @@ def test_another_thing_is_named_and_left_out() -> None:
     stations = thing_stations([0, 1, 2], CAMERA, seed=2, steps=12, background=False)
     stranger = thing_stations([0], CAMERA, seed=2, steps=12, background=False, kind="box")
     found = solved([*stations, *stranger])
-    assert [each.name for each in found.strangers] == ["Station 4"]
+    assert [each.name for each in found.outlier_stations] == ["Station 4"]
     assert verdict_on(found).grade == "fair"
 
 

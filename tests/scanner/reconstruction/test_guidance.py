@@ -12,7 +12,7 @@ from calib.geometry.calibration import Calibration
 from calib.geometry.matches import Matches
 from calib.refinement.parameters import Pose
 from calib.synthetic.captures import PAPER_CAMERA, random_captures
-from scanner.capture.facts import CaptureFacts
+from scanner.capture.capture_metadata import CaptureMetadata
 from scanner.configuration.schema import Config
 from scanner.reconstruction.guidance import Guidance, guide, where_to
 from scanner.results.stages import Decoded, GivenMatches
@@ -23,7 +23,7 @@ CONFIG = Config.model_validate(
 
 
 def told(captures: Sequence[Matches], calibration: Calibration) -> Guidance:
-    facts = CaptureFacts(calibration.camera.size, calibration.projector.size)
+    facts = CaptureMetadata(calibration.camera.size, calibration.projector.size)
     decoded = [Decoded(facts, matches, GivenMatches(), f"Capture {n}") for n, matches in enumerate(captures, start=1)]
     return guide(decoded, CONFIG)[0]
 

@@ -10,7 +10,7 @@ from calib.pointcloud.corner_view import View, cells_of
 from calib.pointcloud.merged_cloud import merged
 from calib.pointcloud.organised_cloud import Cloud, build_cloud
 from calib.self_calibration.rig import Profile, SelfCalibration
-from scanner.capture.facts import CaptureFacts
+from scanner.capture.capture_metadata import CaptureMetadata
 from scanner.reconstruction.merge_clouds import consistency, merge
 from scanner.results.stages import Decoded, GivenMatches, SelfCalibrated
 from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
@@ -92,7 +92,7 @@ def found_in(scene: Scene, corner: Corner, photograph: np.ndarray | None) -> Sel
         0.1,
         "refined",
     )
-    decoded = Decoded(CaptureFacts(CAMERA.size, PROJECTOR.size), scene.matches, GivenMatches(photograph))
+    decoded = Decoded(CaptureMetadata(CAMERA.size, PROJECTOR.size), scene.matches, GivenMatches(photograph))
     return SelfCalibrated(decoded, solution, scene.calibration)
 
 

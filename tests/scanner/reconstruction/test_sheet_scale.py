@@ -10,7 +10,7 @@ from calib.refusal import RefusalError
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.configuration import CharucoSettings, ScaleSettings
 from scanner.errors import InputError
 from scanner.reconstruction import scaled
@@ -48,7 +48,7 @@ def capture(room: SimulatedRoom) -> Decoded:
     row, column = np.nonzero(np.isfinite(projected).all(axis=2))
     noise = np.random.default_rng(0).normal(0, NOISE_PX, (len(row), 2))
     matches = Matches(np.stack([column, row], axis=1).astype(np.float64), projected[row, column] + noise)
-    facts = CaptureFacts(Size(*CAMERA), Size(*PROJECTOR))
+    facts = CaptureMetadata(Size(*CAMERA), Size(*PROJECTOR))
     return Decoded(facts, matches, GivenMatches(picture), "the room")
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from calib.geometry.calibration import DeviceSigmas, Sigmas
 from calib.pointcloud.organised_cloud import Cloud
-from scanner.capture.facts import CaptureFacts
+from scanner.capture.capture_metadata import CaptureMetadata
 from scanner.decoding.fringes.unchecked import UNCHECKED
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns.pattern import sequence_for
@@ -161,7 +161,7 @@ def test_a_given_calibration_has_no_sigmas_and_no_profile(calibrated: ReportInpu
 
 def test_matches_alone_make_a_report(calibrated: ReportInput, tmp_path: Path) -> None:
     decoded, cloud = _parts(calibrated)
-    bare = Decoded(CaptureFacts(*SIZES), decoded.matches, GivenMatches())
+    bare = Decoded(CaptureMetadata(*SIZES), decoded.matches, GivenMatches())
     found = Reconstructed(replace(_calibrated(calibrated), decoded=bare), cloud)
     _, page = page_of(ReportInput(found), tmp_path)
     assert "face C" in page.text

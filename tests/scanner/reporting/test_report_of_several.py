@@ -19,7 +19,7 @@ from calib.refinement import CAMERA as CAMERA_COLUMNS
 from calib.refinement import PROJECTOR as PROJECTOR_COLUMNS
 from calib.refinement.parameters import SHARED, State
 from calib.self_calibration.rig import Profile, SelfCalibration
-from scanner.capture.facts import CaptureFacts
+from scanner.capture.capture_metadata import CaptureMetadata
 from scanner.reporting.contents import CaptureRow, Company, ReportInput
 from scanner.reporting.focal import focal_length
 from scanner.reporting.page import write_report
@@ -67,7 +67,7 @@ def report(scene: Scene) -> ReportInput:
     )
     cloud = build_cloud(scene.matches, scene.texture, calibration)
     view = View(cloud.points, None, CAMERA, solution.corner)
-    decoded = Decoded(CaptureFacts(CAMERA.size, PROJECTOR.size), scene.matches, GivenMatches(scene.texture))
+    decoded = Decoded(CaptureMetadata(CAMERA.size, PROJECTOR.size), scene.matches, GivenMatches(scene.texture))
     rows = (
         CaptureRow("capture 1", "captures/1/report.html", 1234, 0.0712, cloud.statistics, calibration),
         CaptureRow("capture <2>", "", 5678, None, None),

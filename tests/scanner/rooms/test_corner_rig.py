@@ -2,7 +2,7 @@
 
 import pytest
 
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.results import Decoded, GivenMatches
 from scanner.rooms.corner_rig import corner_in, rig_of
 from scanner.rooms.document import read_stations
@@ -21,7 +21,9 @@ def test_of_two_corners_at_odds_the_one_counts_that_explains_most_stations(
     station = example.true[changed]
     rig = station.calibration
     matches = with_turned_projector(station, (0.2, 0.3, -0.4)).matches
-    captures[changed] = Decoded(CaptureFacts(rig.camera.size, rig.projector.size), matches, GivenMatches(), "changed")
+    captures[changed] = Decoded(
+        CaptureMetadata(rig.camera.size, rig.projector.size), matches, GivenMatches(), "changed"
+    )
     corners = {k: corner_in(captures[k], example.config) for k in _CORNERS}
     start = rig_of(corners, captures)
     (kept,) = start.corners

@@ -31,7 +31,7 @@ def to_world(example: SolvedExample) -> Motion:
 
 def test_all_stations_are_where_they_stood(example: SolvedExample) -> None:
     assert example.solved.group.stations == tuple(range(len(ORDER)))
-    assert example.solved.strangers == ()
+    assert example.solved.outlier_stations == ()
     world = to_world(example)
     for found, true in zip(example.solved.stations[1:], example.true[1:], strict=True):
         off = world.rotation @ found.place.translation + world.translation - true.place.translation

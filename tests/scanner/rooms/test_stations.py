@@ -9,7 +9,7 @@ import pytest
 
 from calib.geometry import Calibration, Size
 from calib.rooms import Registration, StationView, register
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.commands.main import main
 from scanner.configuration import Config
 from scanner.io import write_calibration, write_matches
@@ -47,8 +47,8 @@ def test_a_station_of_another_room_is_named_and_left_out(example: SolvedExample,
     write_matches(tmp_path / "elsewhere.npz", matches)
     captures = read_stations([*example.files[:2], tmp_path / "elsewhere.npz", example.files[3]], example.config, QUIET)
     solved = solve_room(captures, given_rig(tmp_path / "rig.yaml", example.config), example.config, QUIET)
-    assert [stranger.name for stranger in solved.strangers] == [str(tmp_path / "elsewhere.npz")]
-    assert solved.strangers[0].cause in ("another room", "no overlap")  # and of the same rig
+    assert [stranger.name for stranger in solved.outlier_stations] == [str(tmp_path / "elsewhere.npz")]
+    assert solved.outlier_stations[0].cause in ("another room", "no overlap")  # and of the same rig
     assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 1, 3)}
 
 
@@ -83,7 +83,9 @@ def test_a_changed_rig_is_left_out_though_its_surfaces_would_fit(example: Solved
     write_matches(tmp_path / "changed.npz", with_turned_projector(example.true[3], (0.1, 0.0, 0.1)).matches)
     captures = read_stations([example.files[0], tmp_path / "changed.npz", example.files[2]], example.config, QUIET)
     solved = solve_room(captures, given_rig(tmp_path / "rig.yaml", example.config), example.config, QUIET)
-    assert [(each.name, each.cause) for each in solved.strangers] == [(str(tmp_path / "changed.npz"), "changed rig")]
+    assert [(each.name, each.cause) for each in solved.outlier_stations] == [
+        (str(tmp_path / "changed.npz"), "changed rig")
+    ]
     assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 2)}
     (told,) = live._told(captures[:2], truth)
     assert "was taken with another rig" in told
@@ -140,7 +142,7 @@ def test_live_says_what_overlaps_and_where_to_turn(
 
     def take(rig: object, config: object, folder: Path, progress: object, name: str) -> Decoded:
         station: TrueStation = true[len(list(folder.parent.iterdir())) - 1]
-        return Decoded(CaptureFacts(Size(*CAMERA), Size(*PROJECTOR)), station.matches, GivenMatches(), name)
+        return Decoded(CaptureMetadata(Size(*CAMERA), Size(*PROJECTOR)), station.matches, GivenMatches(), name)
 
     monkeypatch.setattr(live, "take", take)
     captures, start = live.take_stations(config, 3, tmp_path, Terminal())

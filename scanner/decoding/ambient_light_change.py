@@ -31,7 +31,7 @@ _UNEVEN = 0.1
 
 
 @dataclass(frozen=True)
-class LightSwitch:
+class AmbientLightChange:
     """From `frame` on there is more light, as much as all frames make with these `weights` (frames,); the median pixel
     has this `share` of the patterns' more, or less. `beside`: the frame next to it that explains the frames as well, as
     where the light came up while one was exposed; None if there is none.
@@ -64,7 +64,7 @@ class LightSwitch:
         return f"light of {abs(self.share):.0%} of the pattern's was switched {went} before {when}"
 
 
-def without_light(frames: Image, plan: SequencePlan, switch: LightSwitch) -> Iterator[Image]:
+def without_light(frames: Image, plan: SequencePlan, switch: AmbientLightChange) -> Iterator[Image]:
     """The frames (N, H, W) of a capture, one by one, as they would be in the first light."""
     light = np.zeros(frames[0].shape, np.float32)
     for number, weight in enumerate(switch.weights.tolist()):
@@ -90,7 +90,7 @@ def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:
 
 def light_switch(
     plan: SequencePlan, levels: Floats32, swing: Floats32, contradiction: Callable[[Floats32], float]
-) -> LightSwitch | None:
+) -> AmbientLightChange | None:
     """The one that explains most of what is contradictory about the `levels` (frames, P); None if none does.
 
     `swing` (P,): how far the levels of a pixel are apart. `contradiction` measures frames (frames, P).
@@ -102,7 +102,7 @@ def light_switch(
         return None
     explained = np.array([precision * np.mean((of_light @ levels / swing) ** 2) for _, of_light, precision in weighted])
     candidates = [
-        LightSwitch(frame, of_light, median(of_light @ levels / swing))
+        AmbientLightChange(frame, of_light, median(of_light @ levels / swing))
         for (frame, of_light, _), much in zip(weighted, explained, strict=True)
         if much >= _AS_GOOD * explained.max()
     ]

@@ -8,10 +8,10 @@ import pytest
 
 from calib.geometry import Motion
 from calib.rooms import Group, LeftOut, Registration
-from scanner.capture import CaptureFacts
+from scanner.capture import CaptureMetadata
 from scanner.results import Decoded, GivenMatches
-from scanner.rooms.contents import Station, Stranger
-from scanner.rooms.strangers import strangers_of, widest_unseen_deg
+from scanner.rooms.contents import OutlierStation, Station
+from scanner.rooms.outlier_stations import outlier_stations_of, widest_unseen_deg
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
 from tests.support.whole_room import TrueStation, stations
 
@@ -26,14 +26,14 @@ def other() -> TrueStation:
 
 def decoded(station: TrueStation) -> Decoded:
     rig = station.calibration
-    return Decoded(CaptureFacts(rig.camera.size, rig.projector.size), station.matches, GivenMatches(), "odd")
+    return Decoded(CaptureMetadata(rig.camera.size, rig.projector.size), station.matches, GivenMatches(), "odd")
 
 
 def said(
     example: SolvedExample, capture: Decoded, left: LeftOut = NOTHING, of: Sequence[Station] | None = None
-) -> Stranger:
+) -> OutlierStation:
     registration = Registration((), (), (left,))
-    (found,) = strangers_of(registration, [capture], example.solved.calibration, of or example.solved.stations)
+    (found,) = outlier_stations_of(registration, [capture], example.solved.calibration, of or example.solved.stations)
     return found
 
 
@@ -79,6 +79,6 @@ def test_of_another_group_is_said_with_whom(example: SolvedExample, other: TrueS
     second = Group((0, 1), group.places[:2], (), ((), ()), (), np.inf, (1.0, 1.0))
     captures = [decoded(other), decoded(other)]
     registration = Registration((group, second), (), ())
-    found = strangers_of(registration, captures, example.solved.calibration, example.solved.stations)
+    found = outlier_stations_of(registration, captures, example.solved.calibration, example.solved.stations)
     assert [each.cause for each in found] == ["no overlap", "no overlap"]
     assert all("with odd, odd" in each.reason for each in found)

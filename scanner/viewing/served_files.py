@@ -21,7 +21,7 @@ _PREFIX = "results"
 _VIEWER = "viewer.js"
 
 
-class Shelf:
+class ServedFiles:
     """The folders that were offered so far."""
 
     def __init__(self) -> None:

@@ -20,13 +20,13 @@ _MOST_BYTES = 200_000_000  # a list of a million captures
 
 
 @dataclass(frozen=True)
-class Place:
+class Location:
     """A folder or a file, by its URL or its path."""
 
     url: str
 
-    def __truediv__(self, name: str) -> "Place":
-        return Place(f"{self.url.rstrip('/')}/{name}")
+    def __truediv__(self, name: str) -> "Location":
+        return Location(f"{self.url.rstrip('/')}/{name}")
 
     @property
     def local(self) -> Path | None:
@@ -42,22 +42,22 @@ class Place:
         path = str(self.local) if self.local else self._resolved()[1]
         return tuple(path.strip("/").split("/"))
 
-    def walk(self) -> Iterator[tuple["Place", list[str], list[str]]]:
+    def walk(self) -> Iterator[tuple["Location", list[str], list[str]]]:
         """As `os.walk`, from the top: folders that are taken out of the list are not gone into."""
         if self.local:
             for folder, folders, files in os.walk(self.local):
-                yield Place(folder), folders, files
+                yield Location(folder), folders, files
             return
         system, path = self._resolved()
         for folder, folders, files in cast(Any, system).walk(path, topdown=True):
-            yield Place(str(system.unstrip_protocol(folder))), folders, files
+            yield Location(str(system.unstrip_protocol(folder))), folders, files
 
-    def glob(self) -> list["Place"]:
+    def glob(self) -> list["Location"]:
         """What a URL with * in it means, sorted."""
         if self.local:
-            return [Place(found) for found in sorted(glob.glob(str(self.local), recursive=True))]  # noqa: PTH207
+            return [Location(found) for found in sorted(glob.glob(str(self.local), recursive=True))]  # noqa: PTH207
         system, path = self._resolved()
-        return [Place(str(system.unstrip_protocol(found))) for found in sorted(system.glob(path))]
+        return [Location(str(system.unstrip_protocol(found))) for found in sorted(system.glob(path))]
 
     @property
     def exists(self) -> bool:
@@ -81,7 +81,7 @@ class Place:
         """All files below a folder whose names end so: their content by their path in it, without the ending."""
         if local := self.local:
             return {
-                str(file.relative_to(local))[: -len(ending)]: Place(str(file)).read()
+                str(file.relative_to(local))[: -len(ending)]: Location(str(file)).read()
                 for file in local.rglob(f"*{ending}")
                 if file.is_file()
             }

@@ -9,8 +9,8 @@ import numpy as np
 
 from calib.numerics import Bools, Floats
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.halves.borders import Places, going_on, lit_in, near_border, seen_border
-from scanner.decoding.halves.registration import Warp, centres_of_tiles
+from scanner.decoding.between_axes.borders import Places, going_on, lit_in, near_border, seen_border
+from scanner.decoding.between_axes.registration import Warp, centres_of_tiles
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 
 # Where a camera pixel covers less of the projector's picture, in its pixels, its coordinates stand still.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.rooms import turned_rigs
+from calib.rooms import changed_extrinsics
 from tests.calib.rooms.conftest import Case
 from tests.support.rooms import cells_of
 
@@ -25,12 +25,12 @@ def turned(case: Case, station: int, turn_deg: tuple[float, float, float]) -> Ca
 
 
 def test_rigs_that_are_the_same_are_not_turned(case: Case) -> None:
-    assert turned_rigs(case.found) == ()
+    assert changed_extrinsics(case.found) == ()
 
 
 @pytest.mark.parametrize(("station", "turn_deg"), [(2, (0.0, 0.02, 0.0)), (4, (0.01, 0.0, 0.03))])
 def test_a_small_turn_is_found_with_its_size(case: Case, station: int, turn_deg: tuple[float, float, float]) -> None:
-    (found,) = turned_rigs(turned(case, station, turn_deg).found)
+    (found,) = changed_extrinsics(turned(case, station, turn_deg).found)
     assert found.station == station
     assert found.turn_deg == pytest.approx(float(np.linalg.norm(turn_deg)), rel=0.2)
     assert 0.01 < found.px < 0.5

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.halves.registration import TILE_PX, centres_of_tiles, moments_of_tiles
+from scanner.decoding.between_axes.registration import TILE_PX, centres_of_tiles, moments_of_tiles
 
 # Decoded pixels so near to the border, in projector px, tell that it passes, within so many camera px.
 _NEAR_PX = 6.0

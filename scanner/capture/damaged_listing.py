@@ -23,7 +23,7 @@ def read_listing(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The mapping in a `capture.yaml`, without a last line that is torn, and a sentence on that. Raises InputError."""
     text = read_text(path)
     whole, newline, last = text.rpartition("\n")
-    torn = _is_torn(last)
+    torn = _is_damaged(last)
     if torn:
         text = whole + newline
     value = parse_mapping(text, str(path))
@@ -32,14 +32,14 @@ def read_listing(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     return value, ((f"The last line of {path.name} is torn, and left out.",) if torn else ())
 
 
-def _is_torn(last: str) -> bool:
+def _is_damaged(last: str) -> bool:
     """Whether a last line without an end is the beginning of one that we write."""
     if _BRACKETED.fullmatch(last):
         return last.count("{") != last.count("}")
     return bool(last) and _BEGUN.fullmatch(last) is not None
 
 
-def torn_image(folder: Path, file: str) -> str:
+def damaged_image(folder: Path, file: str) -> str:
     """A sentence on the last frame's image if it is missing or damaged; nothing if it is whole, or no file in there."""
     path = folder / file
     if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file:

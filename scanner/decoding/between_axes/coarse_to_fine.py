@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.halves.edges import Edges, Shown
-from scanner.decoding.halves.registration import differences, shifts_of_tiles
+from scanner.decoding.between_axes.edges import Edges, Shown
+from scanner.decoding.between_axes.registration import differences, shifts_of_tiles
 from scanner.decoding.motion.found import SUSPECTED_PX
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
 

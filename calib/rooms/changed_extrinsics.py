@@ -33,7 +33,7 @@ class TurnedRig:
     px: float
 
 
-def turned_rigs(estimate: RoomEstimate) -> tuple[TurnedRig, ...]:
+def changed_extrinsics(estimate: RoomEstimate) -> tuple[TurnedRig, ...]:
     """Stations that a rig of their own would explain far better, as measured by those that it explains least."""
     patches, fit = estimate.patches, estimate.fit
     stations = sorted({patch.station for patch in patches})

@@ -13,16 +13,16 @@ from calib.geometry import Calibration
 from calib.numerics import Floats
 from calib.rooms import LeftOut, Registration
 from scanner.results import Decoded
-from scanner.rooms.contents import Station, Stranger
+from scanner.rooms.contents import OutlierStation, Station
 
 _SAMPLE = 20_000  # points of a station
 _OF_ITS_VIEW = 0.5  # the rest of what it saw would be in view of others, wherever it stood
 _ALL_ROUND = "the stations saw this one all round"
 
 
-def strangers_of(
+def outlier_stations_of(
     registration: Registration, captures: Sequence[Decoded], calibration: Calibration, stations: Sequence[Station]
-) -> tuple[Stranger, ...]:
+) -> tuple[OutlierStation, ...]:
     """All captures that are not of the largest group, and what is known of why.
 
     `calibration`: the rig that this group has measured; `stations`: of it, in the room's frame, z up.
@@ -52,27 +52,27 @@ def widest_unseen_deg(stations: Sequence[Station]) -> float:
     return float(np.degrees(np.max(np.diff(np.append(angles, angles[0] + 2 * np.pi)))))
 
 
-def _left_out(name: str, left: LeftOut, all_round: bool) -> Stranger:
+def _left_out(name: str, left: LeftOut, all_round: bool) -> OutlierStation:
     if left.cause == "another rig":
-        return Stranger(name, "changed rig", f"its rig was changed: {left.reason}")
+        return OutlierStation(name, "changed rig", f"its rig was changed: {left.reason}")
     if left.cause == "empty":
-        return Stranger(name, "nothing seen", left.reason)
+        return OutlierStation(name, "nothing seen", left.reason)
     if left.cause == "looked through":
         seen, _, _ = left.reason.partition(":")
-        return Stranger(name, "another room", f"{seen}: it is of another room, or something was moved")
+        return OutlierStation(name, "another room", f"{seen}: it is of another room, or something was moved")
     if left.cause == "another shape":
-        return Stranger(name, "something moved", left.reason)
+        return OutlierStation(name, "something moved", left.reason)
     if all_round:
         reason = f"it is of another room, for {_ALL_ROUND}, and next to nothing that it shows"
-        return Stranger(name, "another room", reason)
-    return Stranger(name, "no overlap", left.reason)
+        return OutlierStation(name, "another room", reason)
+    return OutlierStation(name, "no overlap", left.reason)
 
 
-def _of_another_group(name: str, together: str, all_round: bool) -> Stranger:
+def _of_another_group(name: str, together: str, all_round: bool) -> OutlierStation:
     if all_round:
-        return Stranger(name, "another room", f"it is of another room, with {together}, for {_ALL_ROUND}")
+        return OutlierStation(name, "another room", f"it is of another room, with {together}, for {_ALL_ROUND}")
     reason = f"it is of another part, or of another room, with {together}: nothing seen connects it"
-    return Stranger(name, "no overlap", reason)
+    return OutlierStation(name, "no overlap", reason)
 
 
 def _some_points(station: Station) -> Floats:

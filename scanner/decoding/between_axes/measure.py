@@ -12,11 +12,11 @@ import numpy as np
 
 from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.halves.borders import part_around, places_of_tiles
-from scanner.decoding.halves.coarse_to_fine import COARSE_REACH_PX, SIGNIFICANT, motion_of
-from scanner.decoding.halves.edges import Edges
-from scanner.decoding.halves.evenly_lit import EvenlyLit, pairs_of
-from scanner.decoding.halves.moment import Moment, moment_of
+from scanner.decoding.between_axes.borders import part_around, places_of_tiles
+from scanner.decoding.between_axes.coarse_to_fine import COARSE_REACH_PX, SIGNIFICANT, motion_of
+from scanner.decoding.between_axes.edges import Edges
+from scanner.decoding.between_axes.evenly_lit import EvenlyLit, pairs_of
+from scanner.decoding.between_axes.moment import Moment, moment_of
 from scanner.decoding.motion.found import SUSPECTED_PX, Disturbance, MotionFound, turns_px
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.sequence_plan import SequencePlan

@@ -10,7 +10,7 @@ from scanner.shown_text import shortened, shown
 
 
 @dataclass(frozen=True)
-class CaptureFacts:
+class CaptureMetadata:
     """How the capture was taken; what is not known is left out.
 
     `identity` names devices and whatever else the recording says about itself. `exposure_us`: the frames' exposures.

@@ -33,7 +33,7 @@ _TO_THE_PAGE = """<!DOCTYPE html><meta charset="utf-8"><title>Opening …</title
 """
 
 
-class Doorkeeper:
+class OriginCheck:
     """Of one server; `host` is the address that it serves at, `token` what the printed address has.
 
     `inside` may answer who was let in, in place of the page.
@@ -81,7 +81,7 @@ class Doorkeeper:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Servers that are started within ask this doorkeeper first.
+        """Servers that are started within ask this origin_check first.
 
         viser has no hook for it, but starts its server by this function of websockets.
         """
@@ -95,14 +95,14 @@ class Doorkeeper:
 
 def _serve(
     serve: Callable[..., Any],
-    doorkeeper: Doorkeeper,
+    origin_check: OriginCheck,
     *arguments: Any,
     process_request: Callable[[ServerConnection, Request], Any],
     **options: Any,
 ) -> Any:
     def asked(connection: ServerConnection, request: Request) -> Any:
         try:
-            refused = doorkeeper.answer(request.path, request.headers)
+            refused = origin_check.answer(request.path, request.headers)
             return process_request(connection, request) if refused is None else refused
         except (LookupError, OSError, ValueError):  # a header that is there twice, a name that no file can have
             return _response(http.HTTPStatus.BAD_REQUEST, _NO_REQUEST)

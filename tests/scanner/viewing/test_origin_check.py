@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
-from scanner.viewing.doorkeeper import Doorkeeper
+from scanner.viewing.origin_check import OriginCheck
 from scanner.viewing.server import Serving, serving
 
 
@@ -145,7 +145,7 @@ def report(served: Serving, tmp_path_factory: pytest.TempPathFactory) -> str:
     (folder / "out.html").symlink_to(folder.parent / "secret.html")
     (folder / "room.glb").touch()
     os.truncate(folder / "room.glb", 50_000_000_000)
-    return served.shelf.link(folder / "report.html")
+    return served.served_files.link(folder / "report.html")
 
 
 def test_a_report_is_shown_without_foreign_scripts_and_its_files_are_downloaded(where: str, report: str) -> None:
@@ -189,7 +189,7 @@ def test_only_files_of_offered_folders_are_answered(where: str, report: str, nam
 
 @given(st.text(max_size=40), st.text(max_size=40), st.text(max_size=40))
 def test_nothing_that_is_sent_breaks_it_or_guesses_the_token(asked: str, query: str, cookies: str) -> None:
-    doorkeeper = Doorkeeper("127.0.0.1")
-    refused = doorkeeper.answer(f"/?token={query}", {"Host": asked, "Cookie": cookies})
+    origin_check = OriginCheck("127.0.0.1")
+    refused = origin_check.answer(f"/?token={query}", {"Host": asked, "Cookie": cookies})
     assert refused is not None
     assert refused.status_code == 403

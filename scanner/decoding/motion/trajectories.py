@@ -20,7 +20,7 @@ _COMPARABLE = 4.0
 
 
 @dataclass(frozen=True)
-class Course:
+class Trajectory:
     """How far a motion has come: from 0 to 1 at once between the frames `first` and `last`, or evenly from the one to
     the other if it is `slow`.
     """
@@ -44,7 +44,7 @@ class Showing:
     fit: FringeFit
     times: Ints
 
-    def moved(self, course: Course, motion_px: Floats) -> "Showing":
+    def moved(self, course: Trajectory, motion_px: Floats) -> "Showing":
         """The same, told of a motion (P,) of its pixels."""
         return replace(self, fit=replace(self.fit, moved_px=course.at(self.times)[:, None] * motion_px))
 
@@ -89,7 +89,7 @@ class Witnesses:
     showings: Showings
     pixels: Pixels
 
-    def tell(self, course: Course) -> Seen:
+    def tell(self, course: Trajectory) -> Seen:
         """What they say of a motion of this course, beyond that of which they were told."""
         parts = []
         every = np.arange(len(self.pixels))
