@@ -9,7 +9,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cv2
-import numba
 
 from calib.geometry import Calibration
 from calib.numerics import use_processors
@@ -156,5 +155,4 @@ def _deliver_thumbnail(capture: Path, place: Location) -> None:
 def _use_one_processor() -> None:
     """Side by side with other workers, threads of one are in the way of another's."""
     use_processors(1)
-    numba.set_num_threads(1)
     cv2.setNumThreads(1)

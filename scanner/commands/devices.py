@@ -50,9 +50,9 @@ def run(args: Namespace) -> None:
         raise DeviceError("neither cameras nor screens were found: " + "; ".join(dict.fromkeys(found.problems)))
     if found.lines:
         terminal.show("\nTo paste into a configuration:\n", "\n".join(found.lines))
-        terminal.show("\n→ scan new my-rig.yaml --rig NAME writes a whole configuration with such lines in it.")
+        terminal.note("→ scan new my-rig.yaml --rig NAME writes a whole configuration with such lines in it.")
     else:
-        terminal.show("→ Connect and switch on a camera and a projector, then run scan devices again.")
+        terminal.note("→ Connect and switch on a camera and a projector, then run scan devices again.")
 
 
 def find_devices(terminal: Terminal, backends: Sequence[Backend] = BACKENDS) -> Found:

@@ -358,7 +358,9 @@ def load_config(path: Path | None, overrides: Iterable[str] = ()) -> Config:
     config = validate(Config, data, where)
     if path is None:
         return config
-    found: dict[str, Any] = {"earlier": tuple(path.parent / earlier for earlier in config.earlier)}
+    found: dict[str, Any] = {}
+    if config.earlier:
+        found["earlier"] = tuple(path.parent / earlier for earlier in config.earlier)
     if config.lens.source is not None:
         found["lens"] = config.lens.model_copy(update={"source": path.parent / config.lens.source})
     return config.model_copy(update=found)

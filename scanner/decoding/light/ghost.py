@@ -24,6 +24,9 @@ from scanner.decoding.sequence_plan import SequencePlan
 _LEAST, _MOST = 0.02, 0.45
 # What taking it out may leave of the unevenness: of a ghost a sixth is left, of other causes a half, or they want most.
 _LEFT = 0.4
+# The same where two sums are all there is to compare, as with codes without inverses and one fringe an axis: frames
+# that are each exposed anew come to a quarter by chance.
+_LEFT_OF_TWO = 0.2
 _TRIED = 0.03
 # How far apart the shares of even and odd rows are, if they are not the same.
 _INTERLACED, _OF_THE_OTHER = 0.05, 0.3
@@ -120,7 +123,8 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: floa
         return None, at_first
     found = minimize_scalar(left, bounds=(0, _MOST), method="bounded", options={"xatol": 1e-3})
     share = float(found.x)
-    is_ghost = _LEAST < share < _MOST - _LEAST and found.fun < _LEFT * at_first
+    most = _LEFT if sum(map(len, _sums(plan))) > 2 else _LEFT_OF_TWO
+    is_ghost = _LEAST < share < _MOST - _LEAST and found.fun < most * at_first
     return (share if is_ghost else 0.0), at_first
 
 
@@ -137,11 +141,14 @@ def _uneven(plan: SequencePlan, pictures: Floats32) -> float:
     of the pixels. The one that is furthest off does not count, for a ghost is in all of them, a brighter frame in one.
     What steps leave of a cosine is no measure: a bent brightness curve leaves more.
     """
-    fringes = [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
-    kinds: tuple[Sequence[Sequence[int]], ...] = plan.complements, fringes
     off = [0.0]
-    for groups in kinds:
-        if len(groups) > 1:
-            light = np.stack([np.sum(pictures[list(frames)], axis=0) for frames in groups])
-            off += np.sum(((light - medians(light, axis=0)) / np.ptp(pictures, axis=0)) ** 2, axis=1).tolist()
+    for groups in _sums(plan):
+        light = np.stack([np.sum(pictures[list(frames)], axis=0) for frames in groups])
+        off += np.sum(((light - medians(light, axis=0)) / np.ptp(pictures, axis=0)) ** 2, axis=1).tolist()
     return sum(off) - max(off)
+
+
+def _sums(plan: SequencePlan) -> list[Sequence[Sequence[int]]]:
+    """Groups of frames whose sums are to be the same, by kind: pairs, and fringes."""
+    kinds = plan.complements, [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
+    return [groups for groups in kinds if len(groups) > 1]

@@ -244,7 +244,7 @@ def test_what_is_written_is_what_is_read(tmp_path_factory: pytest.TempPathFactor
     path.write_text(yaml.safe_dump(settings))
     read = load_config(path)
     assert read.model_dump(mode="json", exclude_unset=True) == settings
-    path.write_text(yaml.safe_dump(read.model_dump(mode="json")))
+    path.write_text(yaml.safe_dump(read.model_dump(mode="json", by_alias=True)))
     assert load_config(path) == read
 
 

@@ -96,7 +96,7 @@ def test_what_looks_right_and_does_not_decode_is_taken_at_ones_word(
     """`scan replay` will say what is wrong with them; but whose they are is clear."""
 
     class Decoder:
-        def __init__(self, *_: object) -> None:
+        def __init__(self, *_: object, **__: object) -> None:
             raise InputError("something is odd about frame 3")
 
     monkeypatch.setattr("scanner.importing.recognition.Decoder", Decoder)

@@ -42,6 +42,7 @@ def example(tmp_path_factory: pytest.TempPathFactory) -> SolvedExample:
         {
             "camera": {"width": CAMERA[0], "height": CAMERA[1], "principal_point": {"prior": "centre", "sigma_px": 18}},
             "projector": {"width": PROJECTOR[0], "height": PROJECTOR[1]},
+            "lens": {"decentering": 0.0, "k3": 0.0},
             "scale": {"baseline_m": calibration.baseline},
         }
     )

@@ -55,6 +55,7 @@ camera: {{width: {CAMERA[0]}, height: {CAMERA[1]}}}
 projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
 sequence: {{preset: quick, cell: 12, inverses: true}}
 corner: {{squareness_deg: 0}}
+lens: {{decentering: 0}}
 """
     )
     return path
