@@ -5,7 +5,7 @@ from math import floor
 
 import numpy as np
 
-from calib.numerics import robust_sigma
+from calib.numerics import grey, robust_sigma
 from hw.rig import Rig, settable_exposure
 from scanner.checking.light import CLIPPED, Light, flicker_of, photograph_light
 from scanner.checking.limits import LEAST_SHARE
@@ -75,7 +75,7 @@ def look(light: Light, exposure_us: float) -> Seen:
     bright = light.well_lit & (light.mean_white > LEAST_SHARE * brightest)
     noise = 0.0
     if bright.any():
-        difference = light.white[1].astype(np.float64)[bright] - light.white[0].astype(np.float64)[bright]
+        difference = grey(light.white[1])[bright] - grey(light.white[0])[bright]
         noise = robust_sigma(difference - np.median(difference)) / float(np.sqrt(2))
     return Seen(
         exposure_us,
