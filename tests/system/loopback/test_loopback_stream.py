@@ -68,7 +68,8 @@ def test_a_webcam_scans_a_room(config: Path, webcam: CameraProcess, room: Simula
     code, capture = scan(config, *more)
     assert code == 0
     found = read_calibration(capture.parent / "calibration.yaml")
-    assert 0.005 < np.abs(intrinsic_errors_percent(found, room.calibration)).mean() < 1
+    # Of 306 × 256 pixels; within 1 % is what 640 × 480 of them come to (make scan-loopback-stream).
+    assert 0.005 < np.abs(intrinsic_errors_percent(found, room.calibration)).mean() < 2
     known = [each for device in ("camera", "projector") for each in device_quantities(device, found, room.calibration)]
     sigmas = [abs(each.error_sigmas) for each in known if each.error_sigmas is not None]
     assert len(sigmas) >= 6
