@@ -224,9 +224,9 @@ def _notes(found: Estimate, left_out: Sequence[OddView], enlarged: float, tested
         notes.append(f"It bends otherwise from pose to pose, by some {1000 * found.prior.flex:.2g} thousandths.")
     if enlarged > 1:
         notes.append(
-            f"All sigmas are told {enlarged:.2g} times as large as the residuals say: the boards predict each other "
-            "worse than they would allow."
+            f"All sigmas are {enlarged:.2g} times those of the residuals: the boards predict each other "
+            "worse than the residuals allow."
         )
     if tested is None:
-        notes.append("These boards are too few to be split in two halves that could be compared.")
+        notes.append("There are too few boards to compare one half with the other.")
     return notes

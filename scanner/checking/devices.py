@@ -70,4 +70,4 @@ def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
         yield CheckRow("transfer", State.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
     else:
         lost = f"{per_frame}, {again} of {taken} frames were lost first"
-        yield CheckRow("transfer", State.POOR, lost, f"{LOST_ADVICE} Keep the computer free of other work.")
+        yield CheckRow("transfer", State.POOR, lost, f"{LOST_ADVICE} Stop other work on this computer.")

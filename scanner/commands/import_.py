@@ -81,7 +81,7 @@ def _only_one(
     if not found:
         told = [each for each in rejected if each.certain] or [each for each in rejected if each.lacking] or rejected
         reasons = "".join(f"\n  {each.layout.name}: {each.why}" for each in told)
-        raise InputError(f"{files.folder}: {files}; in no order that is known they are a capture:{reasons}")
+        raise InputError(f"{files.folder}: {files}; they fit no known order of frames:{reasons}")
     likely = [each for each in found if each.likely == max(other.likely for other in found)]
     differ = [*{(each.patterns, each.projector_size): each for each in likely[::-1]}.values()][::-1]
     if len(differ) == 1 or (order is not None and order <= len(differ)):

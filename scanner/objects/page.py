@@ -24,7 +24,7 @@ _FILES = {
     "object.yaml": "where every station stood against the thing, with sigmas; its volume and area",
     "calibration.yaml": "the rig, as it was given",
     "captures": "the stations, each a result of its own",
-    "truth.yaml": "the calibration of the simulated rig, as it really is",
+    "truth.yaml": "the simulated rig's true calibration",
     "scan.log": "what the program did, step by step",
 }
 

@@ -29,7 +29,7 @@ _FILES = {
     "floorplan.svg": "the plan below",
     "floorplan.dxf": "the same for CAD programs",
     "captures": "the stations, each a result of its own",
-    "truth.yaml": "the calibration of the simulated rig, as it really is",
+    "truth.yaml": "the simulated rig's true calibration",
     "scan.log": "what the program did, step by step",
 }
 
