@@ -1,4 +1,4 @@
-"""Whether frames of a stream are alike, under noise that depends on brightness and is alike within blocks, as JPEG's."""
+"""Whether frames of a stream are alike, under noise that depends on brightness and is alike within blocks."""
 
 from types import SimpleNamespace
 from typing import Any, cast
