@@ -56,7 +56,7 @@ class _Run:
 
 
 class StandingFrames:
-    """Shows pictures and takes the mean of some frames of each. `missed`: pictures on their way of which it had none."""
+    """Shows pictures and takes the mean of some frames of each. `missed`: how many in flight it has caught none of."""
 
     def __init__(
         self, projector: FlippingProjector, camera: StreamingCamera, timing: StreamTiming, rest: RestingLight

@@ -12,6 +12,7 @@ from hw.timing.stream_calibration import StreamTiming, calibrate_stream
 from hw.timing.streaming import StreamAcquisition
 from hw.timing.timed_rig import Tally, TimedRig
 
+
 @dataclass
 class _Changes:
     """What the camera did by itself during the last capture."""

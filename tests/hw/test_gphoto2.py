@@ -176,7 +176,10 @@ def test_another_size_and_another_camera_are_named(device: Device) -> None:
     with pytest.raises(DeviceError, match=r"no single photo camera is called 'Nikon'.*Canon EOS 700D at usb:001,005"):
         opened(camera="Nikon")
     device.see = lambda: np.zeros((10, 20, 3), np.uint8)
-    with opened() as camera, pytest.raises(DeviceError, match=r"it takes 20 × 10.*camera: \{width: 20, height: 10\}"):
+    with (
+        opened() as camera,
+        pytest.raises(DeviceError, match=r"delivers 20 × 10.*camera: \{width: 20, height: 10\}"),
+    ):
         camera.grab()
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from hw import opencv
 from hw.errors import DeviceError
@@ -149,10 +150,23 @@ def test_automatics_are_turned_off_where_the_driver_can(monkeypatch: pytest.Monk
         with connected(monkeypatch, capture) as camera:
             assert camera.capabilities.exposure == "unknown"
             assert camera.identity["automatic exposure"] == "not in the driver's hand"
-        with pytest.raises(DeviceError, match=r"wanted an exposure of 33333 µs.*driver made it 50"):
+        with pytest.raises(DeviceError, match=r"wanted 33333.3 as exposure in µs.*made it 50.*tool or app"):
             connected(monkeypatch, Capture(picture(), obeys=False), exposure_us=33_000)
         return
     with connected(monkeypatch, capture, exposure_us=33_000) as camera:
         assert camera.exposure_us == pytest.approx(2e6 / 60)
         assert camera.capabilities.exposure == "settable"
         assert camera.identity["automatic exposure"] == "off"
+
+
+@pytest.mark.parametrize("key", ["exposure_us", "gain", "codec"])
+def test_what_no_stream_can_be_told_is_refused(key: str) -> None:
+    value = "MJPG" if key == "codec" else 10.0
+    assert OpenCVRigSettings(backend="opencv", camera=0, **{key: value}).has_gain
+    with pytest.raises(ValidationError, match=f"{key}: of a stream it cannot be set"):
+        OpenCVRigSettings(backend="opencv", camera="http://phone/video", **{key: value})
+
+
+def test_a_gain_that_a_driver_ignores_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DeviceError, match=r"wanted 3 as gain, but the camera made it 0.5"):
+        connected(monkeypatch, Capture(picture(), fixed={cv2.CAP_PROP_GAIN}), gain=3.0)
