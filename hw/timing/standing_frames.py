@@ -32,8 +32,8 @@ _PATIENCE_S = 5.0  # automatic exposure comes to rest in one or two
 _PATIENCE_FRAMES = 60  # on a busy computer few come
 _UNSEEN_S = 0.5  # so much later than any flash's a picture's light may come, before it counts as like the one before
 _MOST_FROZEN = 3  # pictures that changed nothing, byte by byte
-_SPARE = 0.5  # of a frame period, by which a picture stays longer after each that was missed
-_RELAXED = 1 / 64  # of a period, by which it stays shorter after each that was caught
+_LATELY = 16  # pictures, by which it is judged how long the next ones stay
+_SPARE = 0.5  # of a frame period: flashes ask for so much too much, if all goes well; after a miss, so much is added
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,9 @@ class StandingFrames:
         self._sums = rest.sums
         self._standing = standing(rest)
         spread_s = max(0.0, timing.latest_s - timing.soonest_s)
-        self._hold_s = spread_s + camera.average * timing.period_s
-        self._least_s = self._hold_s - _SPARE * timing.period_s
+        usual_s = spread_s + camera.average * timing.period_s
+        self._least_s = usual_s - _SPARE * timing.period_s
+        self._needed_s = deque([usual_s], _LATELY)
         self._number = -1
         self._shown: Image | None = None
         self._before: Floats | None = None
@@ -120,6 +121,13 @@ class StandingFrames:
             self._waiting.clear()
             self._upcoming, self._prepared = iter(()), None
 
+    @property
+    def hold_s(self) -> float:
+        """How long a picture stays when others follow: as long as any of the last ones had to. One that is missed costs
+        the time of several.
+        """
+        return max(self._least_s, *self._needed_s)
+
     def forget(self) -> None:
         """What is on the wall is not known, or looks otherwise by now."""
         self._shown = self._before = None
@@ -130,7 +138,7 @@ class StandingFrames:
         for compared, (run, came_s) in enumerate(self._runs(showing)):
             late_s = came_s - showing.latest_s
             if self._is_whole(run) and (late_s > _UNSEEN_S or self._has_come(run)):
-                return run
+                return self._noted(run, showing)
             if not self._is_whole(run) and late_s > _PATIENCE_S and compared > _PATIENCE_FRAMES:
                 break
         raise DeviceError(
@@ -142,12 +150,12 @@ class StandingFrames:
     def _caught(self, showing: _Showing) -> _Run | None:
         """Frames of a picture on its way, before any may show the next one; None if there are too few."""
         for run, came_s in self._runs(showing):
-            end_s = self._waiting[1].soonest_s if len(self._waiting) > 1 else showing.latest_s + self._hold_s
+            end_s = self._waiting[1].soonest_s if len(self._waiting) > 1 else showing.latest_s + self.hold_s
             if came_s >= end_s:
                 break
             late = came_s > showing.latest_s - _SPARE * self._timing.period_s
             if self._is_whole(run) and (late or self._has_come(run)):
-                return run
+                return self._noted(run, showing)
         return None
 
     def _runs(self, showing: _Showing) -> Iterator[tuple[_Run, float]]:
@@ -163,6 +171,12 @@ class StandingFrames:
             count = 1 - self._camera.average
             run = _Run([*alike.frames[count:], arrival], [*alike.seen[count:], seen])
             yield run, arrival.came_s
+
+    def _noted(self, run: _Run, showing: _Showing) -> _Run:
+        """How long the picture had to stay for these frames, if they do not show the one before as well."""
+        if self._has_come(run):
+            self._needed_s.append(run.frames[-1].came_s - showing.soonest_s)
+        return run
 
     def _is_whole(self, run: _Run) -> bool:
         return len(run.frames) == self._camera.average
@@ -185,9 +199,9 @@ class StandingFrames:
 
     def _due_s(self) -> float:
         """When the next picture leaves: none while more are on their way than the latency holds."""
-        most = ceil(self._timing.latest_s / self._hold_s) + 1
+        most = ceil(self._timing.latest_s / self.hold_s) + 1
         waits = self._prepared is None or not 0 < len(self._waiting) <= most
-        return inf if waits else self._waiting[-1].begun_s + self._hold_s
+        return inf if waits else self._waiting[-1].begun_s + self.hold_s
 
     def _show_next(self) -> None:
         assert self._prepared is not None
@@ -214,10 +228,9 @@ class StandingFrames:
         return Frame(mean, self._camera.exposure_us, run.frames[0].timestamp_ns)
 
     def _counted(self, frame: Frame | None) -> Frame | None:
-        """Pictures that are missed stay longer from then on."""
-        period_s = self._timing.period_s
-        self.missed += frame is None
-        self._hold_s = max(self._least_s, self._hold_s + (-_RELAXED if frame else _SPARE) * period_s)
+        if frame is None:
+            self.missed += 1
+            self._needed_s.append(self.hold_s + _SPARE * self._timing.period_s)
         return frame
 
     def _refuse_frozen(self, kept: list[Image]) -> None:
