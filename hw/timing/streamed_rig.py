@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 from calib.numerics import Image
 from hw.rig import Frame
-from hw.timing.automatics import Appearance, appearance, changes, reference_picture
 from hw.timing.devices import FlippingProjector, StreamingCamera
 from hw.timing.resting import RestingLight
 from hw.timing.stream_calibration import StreamTiming, calibrate_stream
@@ -14,25 +13,22 @@ from hw.timing.timed_rig import Tally, TimedRig
 
 
 @dataclass
-class _Changes:
-    """What the camera did by itself during the last capture."""
+class _Lost:
+    """How many frames had been repeated and dropped when the last capture began."""
 
     repeated: int = 0
     dropped: int = 0
-    percent: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class StreamedRig(TimedRig):
-    """A rig whose camera streams: frames are taken as pictures stand. A capture begins and ends with one picture that
-    shows what the camera has changed by itself in between.
-    """
+    """A rig whose camera streams: frames are taken as pictures stand."""
 
     streaming: StreamingCamera
     timing: StreamTiming
     rest: RestingLight
     acquisition: StreamAcquisition
-    _changes: _Changes = field(default_factory=_Changes)
+    _before: _Lost = field(default_factory=_Lost)
 
     @property
     def latency_s(self) -> float:
@@ -51,16 +47,17 @@ class StreamedRig(TimedRig):
 
     def account(self) -> Mapping[str, object]:
         """The same, and what the camera changed by itself."""
-        changed = {"after_white_percent": round(100 * self.timing.adapted, 1), **self._changes.percent}
+        changed = {"after_white_percent": round(100 * self.timing.adapted, 1), **self.acquisition.changes}
         return {**super().account(), "camera_changed": changed}
 
     def _measured(self) -> Mapping[str, object]:
+        reader = self.streaming.reader
         return {
             "frame_period_ms": round(1e3 * self.timing.period_s, 2),
             "missed_in_flight": self.acquisition.standing.missed,
             "doubted_frames": self.acquisition.doubted,
-            "repeated_frames": self._changes.repeated,
-            "dropped_frames": self._changes.dropped,
+            "repeated_frames": reader.repeated - self._before.repeated,
+            "dropped_frames": reader.dropped - self._before.dropped,
             "averaged_frames": self.streaming.average,
         }
 
@@ -71,18 +68,9 @@ class StreamedRig(TimedRig):
         level: Sequence[Sequence[int]],
         unpaired: Sequence[Sequence[int]],
     ) -> Iterator[Frame]:
-        if not (level or unpaired):
-            yield from self.acquisition.frames(images, exposures_us)
-            return
         reader = self.streaming.reader
-        repeated, dropped, first = reader.repeated, reader.dropped, self._reference()
-        yield from self.acquisition.frames(images, exposures_us, level, unpaired)
-        self._changes.percent = changes(first, self._reference())
-        self._changes.repeated, self._changes.dropped = reader.repeated - repeated, reader.dropped - dropped
-
-    def _reference(self) -> Appearance:
-        frame = self.acquisition.standing.at_rest(reference_picture(self.projector.size))
-        return appearance(frame.image, self.rest.lit)
+        self._before.repeated, self._before.dropped = reader.repeated, reader.dropped
+        return self.acquisition.frames(images, exposures_us, level, unpaired)
 
 
 def streamed(

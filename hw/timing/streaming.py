@@ -6,14 +6,16 @@ was missed, or frames do not add up, all land, and it is taken at rest. What not
 """
 
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from itertools import cycle
 
 import numpy as np
 
 from calib.numerics import Image
+from hw.errors import DeviceError
 from hw.rig import Frame, exposure_control
+from hw.timing.automatics import Appearance, appearance, changes, is_another_view, reference_picture
 from hw.timing.devices import ATTEMPTS, FlippingProjector, StreamingCamera
 from hw.timing.numbered_pictures import NumberedPictures
 from hw.timing.parity_check import with_parity
@@ -30,7 +32,8 @@ _MOST_UNFOUNDED = 3  # doubts that were the scene's own: where sums are never le
 
 class StreamAcquisition:
     """Takes the frames; `tally` is what they cost, `doubted` how many did not add up with others at first, `standing`
-    how they are taken.
+    how they are taken. A capture begins and ends with one picture that shows the `changes` that the camera has made by
+    itself in between, in per cent.
     """
 
     def __init__(
@@ -38,9 +41,11 @@ class StreamAcquisition:
     ) -> None:
         self.standing = StandingFrames(projector, camera, timing, rest)
         self._camera = camera
-        self._sums = rest.sums
+        self._rest = rest
         width, height = projector.size
         self._blank = np.zeros((height, width), np.uint8)
+        self._reference = reference_picture(projector.size)
+        self.changes: Mapping[str, float] = {}
         self._unfounded = 0
         self.tally = Tally()
         self.doubted = 0
@@ -67,13 +72,14 @@ class StreamAcquisition:
                 self.tally.take()
                 yield self.standing.at_rest(image)
             return
+        first = self._appearance() if level or unpaired else None
         shown = with_parity(images, level, unpaired)
         self._pictures = NumberedPictures(shown.images)
-        self._verification = FrameVerification(self._sums, self._pictures, shown.level, shown.even)
+        self._verification = FrameVerification(self._rest.sums, self._pictures, shown.level, shown.even)
         self._even = {each for group in shown.even for each in group}
         self._taken: dict[int, Frame] = {}
         following = 0
-        for _ in self._all():
+        for _ in self._all(first):
             while following in self._taken and not self._verification.lacks(following):
                 frame = self._taken.pop(following)
                 if following not in shown.added:
@@ -81,8 +87,13 @@ class StreamAcquisition:
                     yield frame
                 following += 1
                 self._pictures.forget(following)
+        if first is not None:
+            self.changes = changes(first, self._appearance())
 
-    def _all(self) -> Iterator[None]:
+    def _appearance(self) -> Appearance:
+        return appearance(self.standing.at_rest(self._reference).image, self._rest.lit)
+
+    def _all(self, first: Appearance | None) -> Iterator[None]:
         """Take them in their order; after each one, and what had to be taken again."""
         number = 0
         while self._pictures.has(number):
@@ -96,14 +107,14 @@ class StreamAcquisition:
                     number += 1
                     if self._is_doubtful():
                         break
-                    self._verify()
+                    self._verify(first)
                     yield
             if frame is None and self._pictures.has(number):
                 self.tally.retriggered += self._may_fly(number)
                 self._note(number, self.standing.at_rest(self._pictures[number]), number - 1)
                 self._verification.judge()
                 number += 1
-            self._verify()
+            self._verify(first)
             yield
 
     def _flying(self, number: int) -> Iterator[Image]:
@@ -129,12 +140,14 @@ class StreamAcquisition:
         verification = self._verification
         return any(verification.foreign_share(group) > verification.tolerance for group in verification.judged)
 
-    def _verify(self) -> None:
+    def _verify(self, first: Appearance | None) -> None:
         for group in [*self._verification.judged]:
-            self._prove(group)
+            self._prove(group, first)
 
-    def _prove(self, group: Group) -> None:
-        """Take frames again that do not add up, unless it is the scene that makes them so."""
+    def _prove(self, group: Group, first: Appearance | None) -> None:
+        """Take frames again that do not add up, unless it is the scene that makes them so, as the camera sees it at
+        `first`.
+        """
         verification = self._verification
         for attempt in range(ATTEMPTS):
             foreign = verification.foreign_share(group)
@@ -151,6 +164,15 @@ class StreamAcquisition:
                 self._note(number, self.standing.at_rest(self._pictures[number]), last)
                 last = number
             if verification.is_as_before(looked):
+                self._refuse_another_view(first)
                 self._unfounded += 1
                 break
         verification.settle(group)
+
+    def _refuse_another_view(self, first: Appearance | None) -> None:
+        """OpenCV makes frames of a stream that changes its size as large as the first ones were, and tells nobody."""
+        if first is not None and is_another_view(first, self._appearance()):
+            raise DeviceError(
+                f"camera {self._camera.name}: it sees another picture than when the capture began: it was moved or "
+                "turned, or it sends frames of another size or shape. Put it back as it was, then rerun."
+            )

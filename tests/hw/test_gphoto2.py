@@ -3,7 +3,6 @@
 import importlib
 import re
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,12 +16,10 @@ from hw.backends import BACKENDS
 from hw.errors import DeviceError
 from hw.gphoto2 import GPhotoCamera, GPhotoRigSettings
 from hw.optional_parts import GPHOTO2
-from hw.projector.screens import Screen
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from hw.timing import latency, synchronisation
-from hw.timing.devices import Swap
 from scanner.capture.recording import open_capture
 from scanner.commands import devices
 from scanner.commands.main import main
@@ -30,6 +27,7 @@ from scanner.configuration.schema import load_config
 from scanner.ui import Terminal
 from tests.support import fake_gphoto2
 from tests.support.fake_gphoto2 import Device, GPhoto2Error
+from tests.support.simulated_window import SimulatedWindow
 
 SIZE, PROJECTOR = (306, 256), (160, 96)
 CONFIG = f"""
@@ -38,29 +36,6 @@ camera: {{width: {SIZE[0]}, height: {SIZE[1]}}}
 projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
 corner: {{squareness_deg: 0}}
 """
-
-
-class Window:
-    """A simulated projector that is flipped."""
-
-    screen = Screen(0, "screen", 0, 0, *PROJECTOR, 60.0)
-    renderer = "none"
-    size = PROJECTOR
-
-    def __init__(self, projector: SimulatedProjector) -> None:
-        self._projector = projector
-        self._prepared = np.zeros(PROJECTOR[::-1], np.uint8)
-
-    def prepare(self, image: np.ndarray) -> None:
-        self._prepared = image
-
-    def flip(self) -> Swap:
-        self._projector.show(self._prepared)
-        return Swap(time.monotonic(), time.monotonic())
-
-    def show(self, image: np.ndarray) -> None:
-        self.prepare(image)
-        self.flip()
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +50,8 @@ def device(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Device:
     camera = SimulatedCamera(room, projector)
 
     @contextmanager
-    def window(*_: object) -> Iterator[Window]:
-        yield Window(projector)
+    def window(*_: object) -> Iterator[SimulatedWindow]:
+        yield SimulatedWindow(PROJECTOR, projector.show)
 
     monkeypatch.setitem(sys.modules, "gphoto2", fake_gphoto2)
     monkeypatch.setattr(open_rig, "ScreenProjector", window)
@@ -184,7 +159,7 @@ def test_another_size_and_another_camera_are_named(device: Device) -> None:
 
 
 def test_it_is_listed_with_lines_to_paste(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(devices, "list_screens", lambda: [Window.screen])
+    monkeypatch.setattr(devices, "list_screens", lambda: [SimulatedWindow(PROJECTOR, list).screen])
     found = devices.find_devices(Terminal(quiet=True), [each for each in BACKENDS if each.name == "gphoto2"])
     assert found.told["Cameras"][:2] == [device.model, "  photo camera at usb:001,005"]
     pasted = tmp_path / "pasted.yaml"
