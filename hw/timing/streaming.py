@@ -88,10 +88,22 @@ class StreamAcquisition:
                 following += 1
                 self._pictures.forget(following)
         if first is not None:
-            self.changes = changes(first, self._appearance())
+            self.changes = changes(first, self._same_view(first))
 
     def _appearance(self) -> Appearance:
         return appearance(self.standing.at_rest(self._reference).image, self._rest.lit)
+
+    def _same_view(self, first: Appearance) -> Appearance:
+        """How the reference picture looks by now. Raises DeviceError if the camera sees another one. That is not seen
+        in the size of its frames: OpenCV makes those of a stream as large as the first were, and tells nobody.
+        """
+        now = self._appearance()
+        if is_another_view(first, now):
+            raise DeviceError(
+                f"camera {self._camera.name}: it sees another picture than when the capture began: it was moved or "
+                "turned, or it sends frames of another size or shape. Put it back as it was, then rerun."
+            )
+        return now
 
     def _all(self, first: Appearance | None) -> Iterator[None]:
         """Take them in their order; after each one, and what had to be taken again."""
@@ -164,15 +176,8 @@ class StreamAcquisition:
                 self._note(number, self.standing.at_rest(self._pictures[number]), last)
                 last = number
             if verification.is_as_before(looked):
-                self._refuse_another_view(first)
+                if first is not None:
+                    self._same_view(first)
                 self._unfounded += 1
                 break
         verification.settle(group)
-
-    def _refuse_another_view(self, first: Appearance | None) -> None:
-        """OpenCV makes frames of a stream that changes its size as large as the first ones were, and tells nobody."""
-        if first is not None and is_another_view(first, self._appearance()):
-            raise DeviceError(
-                f"camera {self._camera.name}: it sees another picture than when the capture began: it was moved or "
-                "turned, or it sends frames of another size or shape. Put it back as it was, then rerun."
-            )

@@ -2,6 +2,8 @@
 nothing is lost, and what is missing is taken when it is there again.
 """
 
+import os
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hw import open_rig
+from hw import open_rig, opencv
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from hw.timing import frame_reader, stream_calibration
@@ -18,11 +20,13 @@ from scanner import pipeline
 from scanner.capture.recording import open_capture
 from scanner.commands import scan as scan_command
 from scanner.commands.main import main
+from scanner.patterns import draw
+from tests.support.loopback_bench import after_frames
 from tests.support.phone import Phone
 from tests.support.simulated_window import SimulatedWindow
 
 SIZE, PROJECTOR = (160, 120), (160, 96)
-BEFORE = 7  # pictures that are shown before the capture's own, or are its first
+BEFORE = 4  # frames that are captured before anything happens
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +48,7 @@ def phone(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Iterator[Phon
         monkeypatch.setattr(stream_calibration, "_LONGEST_LATENCY_S", 0.3)
         monkeypatch.setattr(stream_calibration, "_WATCHED_S", 0.5)
         monkeypatch.setattr(frame_reader, "_NOTHING_S", 0.8)
+        monkeypatch.setattr(opencv, "_OPENING_MS", 1500)
         monkeypatch.setattr(pipeline, "reconstruct", lambda found, *_, **__: found)
         monkeypatch.setattr(scan_command, "show_outcome", lambda *_: None)
         phone.shown = 0
@@ -70,11 +75,6 @@ def scan(config: Path, *more: str) -> tuple[int, Path]:
     return code, (out if code == 0 else out.with_name("result-incomplete")) / "capture"
 
 
-def later(phone: Phone, change: Callable[[np.ndarray], np.ndarray | None]) -> Callable[[np.ndarray], np.ndarray | None]:
-    """The change, from the capture's 14th picture on."""
-    return lambda image: change(image) if phone.shown > BEFORE + 14 else image
-
-
 def repeated() -> Callable[[np.ndarray], np.ndarray]:
     kept: list[np.ndarray] = []
 
@@ -88,30 +88,65 @@ def repeated() -> Callable[[np.ndarray], np.ndarray]:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda image: cv2.rotate(image, cv2.ROTATE_90_CLOCKWISE), "sees another picture than when the capture began"),
-        (lambda _: None, "no frame for 1 s"),
+        (
+            lambda image: cv2.rotate(image, cv2.ROTATE_90_CLOCKWISE),
+            "it sees another picture than when the capture began",
+        ),
         (repeated(), "its picture is frozen"),
     ],
-    ids=["rotated", "silent", "frozen"],
+    ids=["rotated", "frozen"],
 )
-def test_what_goes_wrong_amid_a_scan_is_named_and_the_rest_is_taken(
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_picture_that_goes_wrong_amid_a_scan_is_named(
     config: Path,
     phone: Phone,
+    room: SimulatedRoom,
     capsys: pytest.CaptureFixture[str],
     change: Callable[[np.ndarray], np.ndarray | None],
     words: str,
 ) -> None:
-    phone.changed = later(phone, change)
+    after_frames(BEFORE, config, lambda: setattr(phone, "changed", change))
     code, capture = scan(config)
     assert code == 3
-    message = " ".join(capsys.readouterr().err.split())
-    assert words in message
-    assert phone.address in message
-    taken = len(open_capture(capture).patterns)
-    assert taken >= 3
+    assert_named(capsys, phone, words)
+    assert captured(capture, room) >= BEFORE
+
+
+@pytest.mark.parametrize("way", ["silent", "gone", "interrupted"])
+def test_what_is_missing_is_taken_when_the_camera_is_there_again(
+    config: Path, phone: Phone, room: SimulatedRoom, capsys: pytest.CaptureFixture[str], way: str
+) -> None:
+    fail = {
+        "silent": lambda: setattr(phone, "changed", lambda _: None),
+        "gone": phone.stop,
+        "interrupted": lambda: os.kill(os.getpid(), signal.SIGINT),
+    }
+    after_frames(BEFORE, config, fail[way])
+    code, capture = scan(config)
+    assert code == (130 if way == "interrupted" else 3)
+    if way != "interrupted":
+        assert_named(capsys, phone, {"silent": "no frame for 1 s", "gone": "its stream has ended"}[way])
+    taken = captured(capture, room)
+    assert taken >= BEFORE
     phone.changed = lambda image: image
-    assert main(["--resume", str(capture.parent), "--out", str(config.with_name("whole")), "--quiet"]) == 0
-    recording = open_capture(config.with_name("whole") / "capture")
+    if way == "gone":
+        phone.connect()
+    whole = config.with_name("whole")
+    assert main(["--resume", str(capture.parent), "--out", str(whole), "--quiet"]) == 0
+    recording = open_capture(whole / "capture")
     assert recording.metadata["resumed"]["after_frames"] == taken
-    assert len(recording.patterns) >= len(recording.planned)
+    assert captured(whole / "capture", room) >= len(recording.planned)
+
+
+def assert_named(capsys: pytest.CaptureFixture[str], phone: Phone, words: str) -> None:
+    message = " ".join(capsys.readouterr().err.split())
+    assert f"camera {phone.address}: {words}" in message
+    assert "Traceback" not in message
+
+
+def captured(capture: Path, room: SimulatedRoom) -> int:
+    """How many frames there are, each of its own pattern."""
+    recording = open_capture(capture)
+    for pattern, frame in recording.stream().frames:
+        own = room.electrons(draw(pattern, PROJECTOR)) * (255 / room.sensor.full_well_electrons)
+        assert np.sqrt(np.mean((frame.image[:, :, 1] - own) ** 2)) < 3, pattern
+    return len(recording.patterns)

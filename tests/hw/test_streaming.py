@@ -1,8 +1,9 @@
 """Frames of a camera that streams, on a bench whose clock stands still while nothing happens."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 
+import cv2
 import numpy as np
 import pytest
 
@@ -85,17 +86,35 @@ def test_a_picture_that_comes_late_is_waited_for_or_found_out(
     assert 1 <= rig.acquisition.doubted <= 8
 
 
-def test_what_a_camera_changes_by_itself_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def blurred(image: Image) -> Image:
+    return cv2.GaussianBlur(image, (0, 0), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("key", "change", "least"),
+    [
+        ("exposure", lambda image: image * 1.1, 8),
+        ("white_balance", lambda image: image * (1.06, 1.0, 0.95), 8),
+        ("focus", blurred, 20),
+    ],
+)
+def test_what_a_camera_changes_by_itself_is_named(
+    monkeypatch: pytest.MonkeyPatch, key: str, change: Callable[[Image], np.ndarray], least: float
+) -> None:
     bench = StreamBench().install(monkeypatch)
+    bench.changed = lambda _, image: np.repeat(image[:, :, None], 3, axis=2)
     rig = streamed(bench, bench, {})
-    assert worst_deviation(rig, INVERSES) < 1.0
+    assert len([*photographed(rig, INVERSES)]) == len(INVERSES)
     assert [*remarks_on_camera(rig.account())] == []
     begun_s = bench.now
-    bench.changed = lambda now, image: (image * (1.0 if now < begun_s + 2 else 1.1)).astype(np.uint8)
+    bench.changed = lambda now, image: np.rint(
+        (change if now > begun_s + 2 else np.asarray)(np.repeat(image[:, :, None], 3, axis=2))
+    ).astype(np.uint8)
     assert len([*photographed(rig, INVERSES)]) == len(INVERSES)
-    assert cast(dict[str, float], rig.account()["camera_changed"])["exposure_percent"] == pytest.approx(10, abs=1.5)
+    percent = cast(dict[str, float], rig.account()["camera_changed"])
+    assert least < abs(percent[f"{key}_percent"]) < 3 * least
     (remark,) = remarks_on_camera(rig.account())
-    assert "exposure" in remark
+    assert key.replace("_", " ") in remark
 
 
 @pytest.mark.parametrize("most_gain", [1.1, 2.0])
@@ -136,3 +155,12 @@ def test_a_frozen_picture_is_named(monkeypatch: pytest.MonkeyPatch, amid: bool) 
     bench.changed = lambda _, image: still
     with pytest.raises(DeviceError, match="frozen"):
         [*photographed(rig if amid else streamed(bench, bench, {}), INVERSES)]
+
+
+def test_a_camera_that_is_turned_amid_a_capture_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = StreamBench().install(monkeypatch)
+    rig = streamed(bench, bench, {})
+    begun_s = bench.now
+    bench.changed = lambda now, image: image if now < begun_s + 1.2 else np.fliplr(image).copy()
+    with pytest.raises(DeviceError, match="camera bench: it sees another picture than when the capture began"):
+        [*photographed(rig, INVERSES)]
