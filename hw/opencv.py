@@ -1,5 +1,6 @@
 """Cameras that OpenCV opens: webcams by number (V4L2, UVC), network streams and pipelines by address."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -28,7 +29,7 @@ _EXPOSURE_UNIT_US = 100.0  # of V4L2's exposure_time_absolute
 _LIMITS_US = (100.0, 1e6)  # OpenCV does not tell the driver's own
 _TOLERANCE = 0.1  # of exposures, which drivers round
 _BY_HAND = "Leave it out of the rig, set it with the camera's own tool or app, and turn its automatic off there."
-_V4L = Path("/sys/class/video4linux")
+_V4L, _DEVICES = Path("/sys/class/video4linux"), Path("/dev")
 
 
 class OpenCVRigSettings(CameraRigSettings):
@@ -87,6 +88,9 @@ def list_cameras() -> list[CameraInfo]:
 def _looked_at(number: int) -> CameraInfo | None:
     told = _V4L / f"video{number}" / "name"
     name = f"webcam {number}" + (f" ({told.read_text().strip()})" if told.is_file() else "")
+    device = _DEVICES / f"video{number}"
+    if device.exists() and not os.access(device, os.R_OK | os.W_OK):
+        return CameraInfo(name, f"it may not be opened: {device} belongs to group {device.group()}, so join that")
     capture = cv2.VideoCapture(number)
     try:
         if not capture.isOpened():

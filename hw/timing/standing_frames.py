@@ -13,7 +13,7 @@ finer than a pixel do, a picture stands some time after its light should have co
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from math import ceil, inf
 
@@ -90,7 +90,7 @@ class StandingFrames:
         self._refuse_frozen([each.image for each in run.frames])
         return self._frame(run)
 
-    def in_flight(self, images: Iterator[Image]) -> Iterator[Frame | None]:
+    def in_flight(self, images: Iterator[Image]) -> Generator[Frame | None]:
         """Of each image, while others are on their way; ends with None for one that was missed. Raises DeviceError.
 
         What is on its way when the iterator is closed has to be shown again.

@@ -24,9 +24,12 @@ from scanner.capture.recording import open_capture
 from scanner.commands import devices
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
+from scanner.console.settings import Picture, Settings
+from scanner.console.worker import Activity, Worker
 from scanner.ui import Terminal
 from tests.support import fake_gphoto2
 from tests.support.fake_gphoto2 import Device, GPhoto2Error
+from tests.support.notebook import Notebook, until
 from tests.support.simulated_window import SimulatedWindow
 
 SIZE, PROJECTOR = (306, 256), (160, 96)
@@ -103,6 +106,23 @@ def test_a_capture_is_of_few_patterns_and_can_be_taken_up(
     assert recording.metadata["devices"]["exposure"] == "33.33 ms"
     assert device.settings["imageformat"][0] == "Large Fine JPEG"
     assert device.settings["capturetarget"][0] == "Internal RAM"
+
+
+def test_the_console_shows_what_the_camera_sees(config: Path, device: Device) -> None:
+    page = Notebook()
+    worker = Worker(Settings(config), page)
+    worker.start()
+    try:
+        assert worker.request(Activity.LIVE)
+        until(lambda: page.frames)
+        white = page.frames[-1].image.mean()
+        worker.change(picture=Picture.BLACK)
+        until(lambda: page.frames[-1].image.mean() < white / 2)
+        worker.change(exposure_us=500_000.0)
+        until(lambda: page.frames[-1].exposure_us == 5e5)
+    finally:
+        assert worker.close().message == ""
+    assert not device.open
 
 
 def test_the_shutter_speed_is_the_nearest_to_whole_refresh_periods(device: Device) -> None:

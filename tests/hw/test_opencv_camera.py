@@ -1,8 +1,11 @@
 """What OpenCV's capture delivers, or does not: each is named. The capture is a fake; loopback tests have a real one."""
 
+import os
+import sys
 import time
 from collections.abc import Collection
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -170,3 +173,21 @@ def test_what_no_stream_can_be_told_is_refused(key: str) -> None:
 def test_a_gain_that_a_driver_ignores_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DeviceError, match=r"wanted 3 as gain, but the camera made it 0.5"):
         connected(monkeypatch, Capture(picture(), fixed={cv2.CAP_PROP_GAIN}), gain=3.0)
+
+
+def test_webcams_are_listed_with_lines_to_paste_or_with_what_is_in_the_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in (0, 2):
+        (tmp_path / f"video{number}").mkdir()
+        (tmp_path / f"video{number}" / "name").write_text("USB camera\n")
+    monkeypatch.setattr(opencv, "_V4L", tmp_path)
+    monkeypatch.setattr(opencv, "_DEVICES", tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, _: path.name != "video2")
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Capture())
+    first, second = opencv.list_cameras()
+    assert first.name == "webcam 0 (USB camera)"
+    assert first.rig == ("backend: opencv", "camera: 0")
+    assert second.rig == ()
+    assert f"belongs to group {tmp_path.group()}" in second.about

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from hw import open_rig, opencv
+from hw.rig import settable_exposure
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from hw.timing import frame_reader, stream_calibration
@@ -20,8 +21,11 @@ from scanner import pipeline
 from scanner.capture.recording import open_capture
 from scanner.commands import scan as scan_command
 from scanner.commands.main import main
+from scanner.console.settings import Picture, Settings
+from scanner.console.worker import Activity, Worker
 from scanner.patterns import draw
 from tests.support.loopback_bench import after_frames
+from tests.support.notebook import Notebook, until
 from tests.support.phone import Phone
 from tests.support.simulated_window import SimulatedWindow
 
@@ -150,3 +154,19 @@ def captured(capture: Path, room: SimulatedRoom) -> int:
         own = room.electrons(draw(pattern, PROJECTOR)) * (255 / room.sensor.full_well_electrons)
         assert np.sqrt(np.mean((frame.image[:, :, 1] - own) ** 2)) < 3, pattern
     return len(recording.patterns)
+
+
+def test_the_console_shows_what_the_camera_sees(config: Path, phone: Phone) -> None:
+    page = Notebook()
+    worker = Worker(Settings(config), page)
+    worker.start()
+    try:
+        assert worker.request(Activity.LIVE)
+        until(lambda: page.frames)
+        assert settable_exposure(page.rigs[0].camera) is None
+        white = page.frames[-1].image.mean()
+        worker.change(picture=Picture.BLACK)
+        until(lambda: page.frames[-1].image.mean() < white / 2)
+    finally:
+        status = worker.close()
+    assert status.message == ""

@@ -86,8 +86,8 @@ def test_a_picture_that_comes_late_is_waited_for_or_found_out(
     assert 1 <= rig.acquisition.doubted <= 8
 
 
-def blurred(image: Image) -> Image:
-    return cv2.GaussianBlur(image, (0, 0), 0.5)
+def blurred(image: np.ndarray) -> np.ndarray:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5))
 
 
 @pytest.mark.parametrize(
@@ -99,17 +99,20 @@ def blurred(image: Image) -> Image:
     ],
 )
 def test_what_a_camera_changes_by_itself_is_named(
-    monkeypatch: pytest.MonkeyPatch, key: str, change: Callable[[Image], np.ndarray], least: float
+    monkeypatch: pytest.MonkeyPatch, key: str, change: Callable[[np.ndarray], np.ndarray], least: float
 ) -> None:
     bench = StreamBench().install(monkeypatch)
-    bench.changed = lambda _, image: np.repeat(image[:, :, None], 3, axis=2)
+    bad_s = np.inf
+
+    def coloured(now: float, image: Image) -> Image:
+        seen = image[:, :, None].astype(float) * (1.0, 1.0, 1.0)
+        return np.rint(change(seen) if now > bad_s else seen).astype(np.uint8)
+
+    bench.changed = coloured
     rig = streamed(bench, bench, {})
     assert len([*photographed(rig, INVERSES)]) == len(INVERSES)
     assert [*remarks_on_camera(rig.account())] == []
-    begun_s = bench.now
-    bench.changed = lambda now, image: np.rint(
-        (change if now > begun_s + 2 else np.asarray)(np.repeat(image[:, :, None], 3, axis=2))
-    ).astype(np.uint8)
+    bad_s = bench.now + 2
     assert len([*photographed(rig, INVERSES)]) == len(INVERSES)
     percent = cast(dict[str, float], rig.account()["camera_changed"])
     assert least < abs(percent[f"{key}_percent"]) < 3 * least

@@ -3,7 +3,7 @@
 import socket
 from collections import deque
 from collections.abc import Callable
-from threading import Event, Thread
+from threading import Event, Lock, Thread
 from typing import Self
 
 import cv2
@@ -30,11 +30,12 @@ class Phone:
             self._port = int(probe.getsockname()[1])
         self.address = f"http://127.0.0.1:{self._port}/video"
         self._server: MjpegServer | None = None
+        self._changing = Lock()
         self._ending = Event()
         self._thread = Thread(target=self._run, daemon=True)
         self.changed: Callable[[np.ndarray], np.ndarray | None] = lambda image: image
         self.shown = 0
-        self._light = np.zeros((1, 1))
+        self._light: np.ndarray = np.zeros((1, 1))
 
     def __enter__(self) -> Self:
         self.connect()
@@ -47,12 +48,14 @@ class Phone:
         self.stop()
 
     def connect(self) -> None:
-        self._server = MjpegServer("127.0.0.1", self._port, 3).__enter__()
+        with self._changing:  # one thread may stop it, and another want it back at once
+            self._server = MjpegServer("127.0.0.1", self._port, 3).__enter__()
 
     def stop(self) -> None:
-        if self._server is not None:
-            self._server.__exit__()
-        self._server = None
+        with self._changing:
+            if self._server is not None:
+                self._server.__exit__()
+            self._server = None
 
     def light(self, picture: np.ndarray) -> None:
         """What the projector shows from now on."""

@@ -97,7 +97,9 @@ class StreamBench:
         return len(self._arrivals) - 1
 
     def following(self, number: int) -> Arrival:
-        return cast(Arrival, self.following_until(number, inf))
+        found = self.following_until(number, inf)
+        assert found is not None
+        return found
 
     def following_until(self, number: int, until_s: float) -> Arrival | None:
         found = None
