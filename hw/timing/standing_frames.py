@@ -104,11 +104,11 @@ class StandingFrames:
             while self._waiting:
                 run = self._caught(self._waiting[0])
                 if last is not None:
-                    clean = run is not None and self._standing.stands(run.seen[-1], last[0].seen[-1], last[0].seen[0])
-                    yield self._counted(last[1] if clean else None)
-                    if not clean:
+                    frame = self._counted(last[1] if self._is_clean(last[0], run) else None)
+                    yield frame
+                    if frame is None:
                         return
-                if run is None:
+                if not self._is_whole(run):
                     yield self._counted(None)
                     return
                 self._waiting.popleft()
@@ -147,8 +147,9 @@ class StandingFrames:
             "rerun."
         )
 
-    def _caught(self, showing: _Showing) -> _Run | None:
-        """Frames of a picture on its way, before any may show the next one; None if there are too few."""
+    def _caught(self, showing: _Showing) -> _Run:
+        """Frames of a picture on its way, before any may show the next one; too few if there are no more."""
+        found = _Run([], [])
         for run, came_s in self._runs(showing):
             end_s = self._waiting[1].soonest_s if len(self._waiting) > 1 else showing.latest_s + self.hold_s
             if came_s >= end_s:
@@ -156,7 +157,18 @@ class StandingFrames:
             late = came_s > showing.latest_s - _SPARE * self._timing.period_s
             if self._is_whole(run) and (late or self._has_come(run)):
                 return self._noted(run, showing)
-        return None
+            found = _Run(run.frames[-1:], run.seen[-1:])
+        return found
+
+    def _is_clean(self, run: _Run, following: _Run) -> bool:
+        """Whether nothing of the next picture is in these frames, so far as its own tell, if there are any. Of those that
+        still show both the share seems larger than it is.
+        """
+        if not following.seen:
+            return False
+        after = following.seen[-1]
+        told = self._is_whole(following) or self._standing.differs(run.seen[-1], after)
+        return told and self._standing.stands(after, run.seen[-1], run.seen[0])
 
     def _runs(self, showing: _Showing) -> Iterator[tuple[_Run, float]]:
         """After each frame that may show a picture, the last ones that are alike, and when it came."""

@@ -24,6 +24,8 @@ class _Lost:
 class StreamedRig(TimedRig):
     """A rig whose camera streams: frames are taken as pictures stand."""
 
+    lost_advice = "Send smaller or fewer frames, by cable where there is one."
+
     streaming: StreamingCamera
     timing: StreamTiming
     rest: RestingLight

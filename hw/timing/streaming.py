@@ -63,6 +63,7 @@ class StreamAcquisition:
 
         Raises DeviceError, and whatever `images` raises.
         """
+        first = self._appearance() if (level or unpaired) and not exposures_us else None
         self.tally.begin()
         self.doubted = self._unfounded = self.standing.missed = 0
         if exposures_us:
@@ -72,7 +73,6 @@ class StreamAcquisition:
                 self.tally.take()
                 yield self.standing.at_rest(image)
             return
-        first = self._appearance() if level or unpaired else None
         shown = with_parity(images, level, unpaired)
         self._pictures = NumberedPictures(shown.images)
         self._verification = FrameVerification(self._rest.sums, self._pictures, shown.level, shown.even)

@@ -14,7 +14,7 @@ from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Frame
 from hw.timing.devices import TRIGGER_LAG_S, BufferedProjector, TriggeredCamera
-from hw.timing.latency import LONGEST_LATENCY_S, Latency, LatencyCalibration
+from hw.timing.latency import LONGEST_LATENCY_S, LOST_ADVICE, Latency, LatencyCalibration
 from hw.timing.pipelined import PipelinedAcquisition
 from hw.timing.sequential import SequentialAcquisition, Timing
 from hw.timing.timed_rig import Tally, TimedRig
@@ -93,6 +93,8 @@ class SynchronisedRig(TimedRig):
     """A rig whose camera is triggered, with sequential acquisition, or pipelined, where that was found to work: for one
     frame of each picture of a capture.
     """
+
+    lost_advice = LOST_ADVICE
 
     timing: Timing
     sequential: SequentialAcquisition

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from calib.numerics import Image
 from hw.ahead import Ahead
@@ -48,6 +49,9 @@ class TimedRig(Rig):
     """A rig of real devices, of which it was measured how late light follows a picture. What kind of camera it has,
     subclasses know.
     """
+
+    lost_advice: ClassVar[str]
+    """What to do where many frames have to be taken again."""
 
     _lately: _Lately = field(default_factory=_Lately)
 
