@@ -161,8 +161,8 @@ class StandingFrames:
         return found
 
     def _is_clean(self, run: _Run, following: _Run) -> bool:
-        """Whether nothing of the next picture is in these frames, so far as its own tell, if there are any. Of those that
-        still show both the share seems larger than it is.
+        """Whether nothing of the next picture is in these frames, as its own tell, if there are any. If those show
+        both, the share seems larger than it is.
         """
         if not following.seen:
             return False
