@@ -31,6 +31,7 @@ from hw.timing.stream_calibration import StreamTiming, frozen
 _PATIENCE_S = 5.0  # automatic exposure comes to rest in one or two
 _PATIENCE_FRAMES = 60  # on a busy computer few come
 _UNSEEN_S = 0.5  # so much later than any flash's a picture's light may come, before it counts as like the one before
+_FLAT, _GREY = 0.2, (0.15, 0.85)  # relative to black and white
 _MOST_FROZEN = 3  # pictures that changed nothing, byte by byte
 _LATELY = 16  # pictures, by which it is judged how long the next ones stay
 _SPARE = 0.5  # of a frame period: flashes ask for so much too much, if all goes well; after a miss, so much is added
@@ -53,6 +54,11 @@ class _Run:
 
     frames: list[Arrival]
     seen: list[Floats]
+
+
+def _is_unresolved(seen: Floats) -> bool:
+    """Whether a frame may be of stripes that no camera pixel resolves; two such pictures look alike, others do not."""
+    return bool(seen.std() < _FLAT and _GREY[0] < seen.mean() < _GREY[1])
 
 
 class StandingFrames:
@@ -154,8 +160,8 @@ class StandingFrames:
             end_s = self._waiting[1].soonest_s if len(self._waiting) > 1 else showing.latest_s + self.hold_s
             if came_s >= end_s:
                 break
-            late = came_s > showing.latest_s - _SPARE * self._timing.period_s
-            if self._is_whole(run) and (late or self._has_come(run)):
+            unseen = came_s > showing.latest_s - _SPARE * self._timing.period_s and _is_unresolved(run.seen[-1])
+            if self._is_whole(run) and (unseen or self._has_come(run)):
                 return self._noted(run, showing)
             found = _Run(run.frames[-1:], run.seen[-1:])
         return found
