@@ -12,7 +12,7 @@ import numpy as np
 from hw.loopback.mjpeg_server import MjpegServer
 from hw.simulated.simulation import SimulatedRoom
 
-PERIOD_S = 1 / 30
+PERIOD_S = 1 / 60
 _NOISE = 1.0  # grey levels
 _QUEUE = 2  # frames that wait before one leaves
 
