@@ -7,7 +7,7 @@ picture from top to bottom, at refreshes of its own clock; the camera integrates
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import av
@@ -20,6 +20,7 @@ from hw.simulated.arrays import Light
 
 _STEPS = 60_000  # of light, as pictures are kept
 _TICKS = 90_000
+_CODES = 65_535  # of light, of which a tone curve is a table
 # Light 0 … 1 → level 0 … 1.
 _TONES: dict[str, Callable[[Floats], Floats]] = {
     "linear": lambda light: light,
@@ -36,6 +37,12 @@ def _hable(x: Floats) -> Floats:
     a, b, c, d, e, f = 0.15, 0.50, 0.10, 0.20, 0.02, 0.30
     curve: Floats = (x * (a * x + c * b) + d * e) / (x * (a * x + b) + d * f) - e / f
     return curve
+
+
+@cache
+def _curve(tone: str) -> Light:
+    """(codes,): the level 0 … 1 of each code of light."""
+    return np.asarray(_TONES[tone]((np.arange(_CODES + 1) + 0.5) / (_CODES + 1)), np.float32)
 
 
 @dataclass(frozen=True)
@@ -170,7 +177,8 @@ def _levels(light: Light, time_s: float, camera: Camera, rng: np.random.Generato
     noise = rng.standard_normal(light.shape, dtype=np.float32)
     electrons = electrons + noise * np.sqrt(np.maximum(electrons, 0) + np.float32(camera.read_noise**2))
     gain = 1.0 if camera.gain is None else camera.gain(time_s)
-    level = np.asarray(_TONES[camera.tone](np.clip(electrons * (gain / camera.full_well), 0, 1)), np.float32)
+    scaled = np.clip(electrons * np.float32(gain * _CODES / camera.full_well), 0, _CODES)
+    level = _curve(camera.tone)[scaled.astype(np.uint16)]
     if camera.sharpening:
         soft = cv2.GaussianBlur(level, (0, 0), 1.0)
         level = np.asarray(level + np.float32(camera.sharpening) * (level - soft), np.float32)

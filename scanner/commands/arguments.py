@@ -133,7 +133,7 @@ def of_patterns(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     parser.add_argument("--video", metavar="NAME", help="also write a video for any player, as in sequence.mp4")
     parser.add_argument("--hold", metavar="TIME", help="with --video: of a picture, as in 0.2s (default)")
-    parser.add_argument("--loops", type=int, metavar="N", help="with --video: show the sequence so often (default: 2)")
+    parser.add_argument("--loops", type=int, metavar="N", help="with --video: there and back so often (default: 1)")
     add_out(parser)
     add_quiet(parser)
 

@@ -44,7 +44,10 @@ def test_a_phones_clocks_are_found_and_its_film_decodes(filmed: FilmedRoom, reco
     assert 2.0 < found["tone_exponent"] < 2.6
     assert 0.01 < median_error_px(filmed, tmp_path / "capture") < 0.12
     frames = yaml.safe_load((tmp_path / "capture" / "capture.yaml").read_text(encoding="utf-8"))["frames"]
-    assert all(4 <= frame["averaged"] <= 6 and frame["alone"] == 1 and 1e-4 < frame["noise"] < 0.02 for frame in frames)
+    assert 1e-4 < found["smooth_px"] < 5e-3
+    assert all(
+        9 <= frame["averaged"] <= 11 and frame["alone"] == 1 and 1e-4 < frame["noise"] < 0.02 for frame in frames
+    )
 
 
 def test_a_film_in_ten_bits_with_repeated_frames(filmed: FilmedRoom, tmp_path: Path) -> None:
