@@ -81,7 +81,9 @@ def films() -> dict[str, Filmed]:
         "times ± 4 ms": of(jitter_s=0.004),
         "dimming": of(gain=dimming),
         "hunting exposure": of(gain=hunting),
-        "shaking": of(shift=shaking),
+        "shaking": of(motion=shaking),
+        "stabilised": of(motion=stabilised),
+        "settling": of(motion=settling),
         "a pause": of(pause=(8.0, 1.0)),
     }
 
@@ -109,7 +111,8 @@ def drawn(seed: int) -> Filmed:
         {"jitter_s": 0.1 / rate},
         {"gain": dimming},
         {"gain": hunting},
-        {"shift": shaking},
+        {"motion": shaking},
+        {"motion": settling},
         {"pause": (float(rng.uniform(2, 10)), 0.7)},
     ]
     if rng.random() < 0.35:
@@ -125,8 +128,18 @@ def hunting(time_s: float) -> float:
     return 1 + 0.1 * float(np.sin(2 * time_s))
 
 
-def shaking(time_s: float) -> tuple[float, float]:
-    return 0.5 * float(np.sin(3 * time_s)), 0.3 * float(np.sin(5 * time_s))
+def shaking(time_s: float) -> tuple[float, float, float]:
+    return 0.5 * float(np.sin(3 * time_s)), 0.3 * float(np.sin(5 * time_s)), 0.0
+
+
+def stabilised(time_s: float) -> tuple[float, float, float]:
+    """As stabilisation turns each frame of a camera that stands on a vibrating table."""
+    return 0.3 * float(np.sin(40 * time_s)), 0.3 * float(np.sin(50 * time_s)), 0.05 * float(np.sin(31 * time_s))
+
+
+def settling(time_s: float) -> tuple[float, float, float]:
+    """As focus that breathes, or a tripod that sinks."""
+    return 0.02 * time_s, 0.03 * time_s, 0.0
 
 
 @dataclass

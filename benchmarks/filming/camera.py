@@ -49,7 +49,8 @@ def _curve(tone: str) -> Light:
 class Camera:
     """A camera and what it films. Times in seconds; `fast`: how much faster than the player its clock runs.
 
-    `repeated` and `dropped`: numbers of frames. `gain`: brightness over the film's time; `shift`: the picture's, in px.
+    `repeated` and `dropped`: numbers of frames. `gain`: brightness over the film's time; `motion`: the picture's,
+    in px along x and y and degrees about its centre.
     """
 
     rate: float = 30.0
@@ -70,7 +71,7 @@ class Camera:
     repeated: tuple[int, ...] = ()
     dropped: tuple[int, ...] = ()
     gain: Callable[[float], float] | None = None
-    shift: Callable[[float], tuple[float, float]] | None = None
+    motion: Callable[[float], tuple[float, float, float]] | None = None
     pause: tuple[float, float] | None = None  # of the player: at which second of the video, for how long
     seed: int = 0
 
@@ -169,9 +170,10 @@ def _lit(since: Floats, change: float, camera: Camera) -> Floats:
 
 def _levels(light: Light, time_s: float, camera: Camera, rng: np.random.Generator) -> Light:
     """Levels 0 … 1 (H, W) of a frame: gain, motion, noise, tone curve, sharpening."""
-    if camera.shift is not None:
-        x, y = camera.shift(time_s)
-        by = np.array([[1, 0, x], [0, 1, y]])
+    if camera.motion is not None:
+        x, y, turn_deg = camera.motion(time_s)
+        by = cv2.getRotationMatrix2D((light.shape[1] / 2, light.shape[0] / 2), turn_deg, 1.0)
+        by[:, 2] += x, y
         light = np.asarray(cv2.warpAffine(light, by, light.shape[::-1], borderMode=cv2.BORDER_REPLICATE), np.float32)
     electrons = light * camera.full_well
     noise = rng.standard_normal(light.shape, dtype=np.float32)

@@ -15,5 +15,6 @@ def with_smooth_errors_of_film(smooth_px: float, metadata: Mapping[str, object])
     if not isinstance(recording, Mapping):
         return smooth_px
     of_film = recording.get(SMOOTH_KEY)
-    known = isinstance(of_film, float | int) and 0 <= of_film < 1
-    return hypot(smooth_px, of_film) if known else _UNKNOWN * smooth_px
+    if isinstance(of_film, float | int) and 0 <= of_film < 1:
+        return hypot(smooth_px, of_film)
+    return _UNKNOWN * smooth_px

@@ -32,7 +32,8 @@ def shown_back(samples: VideoSamples, programme: Programme, clocks: Clocks, numb
     """Which of the frames (n,) show pictures in reverse order."""
     times = samples.times_s[numbers]
     loops = [clocks.changes(loop)[[programme.turn, programme.slots_between_marks]] for loop in range(len(clocks.loops))]
-    return np.any([(times > turn) & (times < end) for turn, end in loops], axis=0)
+    back: Bools = np.any([(times > turn) & (times < end) for turn, end in loops], axis=0)
+    return back
 
 
 def near(samples: VideoSamples, clocks: Clocks, begins: float, ends: float) -> Ints:

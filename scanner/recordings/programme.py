@@ -67,7 +67,8 @@ class Programme:
         """What each slot shows from a start mark to the end of the next one: WHITE, BLACK, or a pattern's number.
 
         There and back: encoders, cameras that take noise off, and slow panels leave a share of each picture in the next
-        one, which shifts fringes of successive steps all to the same side, and back in reverse order.
+        one, which shifts fringes of successive steps all to the same side, and back in reverse order. All pictures are
+        shown at the same time on average, so that slow drift shifts none of them against another.
         """
         there = range(len(self.patterns))
         return (*self.mark, *there, *reversed(there), *self.mark)

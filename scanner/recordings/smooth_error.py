@@ -4,6 +4,7 @@ An encoder errs anew each time that a picture is shown, and what it leaves of a 
 sign in reverse order. So half of what separates the two passes is as large as the error of their mean.
 """
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.refinement import CUBIC, monomials
-from scanner.patterns import Phase
+from scanner.patterns import Axis, Phase
 from scanner.recordings.averaging import Averaged
 from scanner.recordings.programme import Programme
 from scanner.recordings.weights import PictureWeights
@@ -28,7 +29,7 @@ _WELL_LIT = 98.0
 
 def smooth_px(programme: Programme, weights: Sequence[PictureWeights], averaged: Averaged) -> float | None:
     """As of `calib.refinement.Shifts`, in projector pixels, for the shortest fringes; None where there are none."""
-    fringes = defaultdict[tuple[str, float], list[tuple[int, Phase]]](list)
+    fringes = defaultdict[tuple[Axis, float], list[tuple[int, Phase]]](list)
     for number, pattern in enumerate(programme.patterns):
         if isinstance(pattern, Phase):
             fringes[pattern.axis, pattern.period].append((number, pattern))
@@ -36,8 +37,9 @@ def smooth_px(programme: Programme, weights: Sequence[PictureWeights], averaged:
     squares = list[float]()
     for axis, period in shortest.items():
         phasors = _of_passes(fringes[axis, period], weights, averaged)
-        squares += [(period / (2 * np.pi)) ** 2 * square for square in _squares_of_modes(phasors)]
-    return _UNSEEN * float(np.sqrt(max(np.mean(squares), 0.0))) if squares else None
+        px_per_radian = period / (2 * math.pi)
+        squares += [px_per_radian**2 * square for square in _squares_of_modes(phasors)]
+    return _UNSEEN * math.sqrt(max(float(np.mean(squares)), 0.0)) if squares else None
 
 
 def _of_passes(

@@ -52,7 +52,7 @@ def find_loops(samples: VideoSamples, programme: Programme) -> FoundLoops:
     if len(starts) < 2:
         raise InputError(
             f"{path}: one start mark was filmed, at {starts[0]:.1f} s, where a loop lies between two: "
-            "film until the projector stays black, or write the video with more --loops"
+            "film from before the video begins until it stays black, or write the video with more --loops"
         )
     loops, notes = list[Loop](), list[str]()
     if programme.hold_s / samples.frame_interval_s < _GOOD_FRAMES_PER_SLOT:

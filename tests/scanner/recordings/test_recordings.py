@@ -61,7 +61,7 @@ def test_a_film_in_ten_bits_with_repeated_frames(filmed: FilmedRoom, tmp_path: P
 
 def test_a_camera_that_moves_and_changes_its_exposure_is_told(filmed: FilmedRoom, tmp_path: Path) -> None:
     unsteady = Camera(
-        bit_rate=BIT_RATE, gain=lambda time_s: 1 - 0.012 * time_s, shift=lambda time_s: (0.1 * time_s, 0.0)
+        bit_rate=BIT_RATE, gain=lambda time_s: 1 - 0.012 * time_s, motion=lambda time_s: (0.1 * time_s, 0.0, 0.0)
     )
     found = imported(filmed, filmed.film("unsteady.mp4", unsteady), tmp_path / "capture")
     notes = str(found["notes"])
