@@ -29,8 +29,8 @@ from scanner.capture import (
     record,
     remarks_on_camera,
     remarks_on_lines,
-    smooth_of,
     take_up,
+    with_smooth_errors_of_film,
 )
 from scanner.configuration import CONFIGURATION_KEY, Config
 from scanner.decoding import Decoder, usable
@@ -228,7 +228,7 @@ def decode(
             exposures_us += [frame.exposure_us] if frame.exposure_us else []
     with progress.step("Matching"):
         decoding = decoder.finish()
-    decoding = replace(decoding, smooth_px=decoding.smooth_px * smooth_of(stream.metadata))
+    decoding = replace(decoding, smooth_px=with_smooth_errors_of_film(decoding.smooth_px, stream.metadata))
     about = identity({**stream.metadata, **stream.account()})
     facts = CaptureMetadata(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
     return Decoded(facts, decoding.matches, decoding, name)
