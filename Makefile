@@ -72,8 +72,9 @@ lint: $(VENV)/.dev
 check-types: $(VENV)/.dev
 	$(BIN)/mypy
 
+# One process more than there are processors: tests of devices, pages and workers mostly wait.
 unit: $(VENV)/.dev $(VENV)/.compiled
-	$(BIN)/pytest -n auto --dist loadgroup
+	$(BIN)/pytest -n $$(($$(getconf _NPROCESSORS_ONLN) + 1)) --dist loadgroup
 
 benchmark: $(VENV)/.dev try-rig
 	@for file in benchmarks/bench_*.py; do \
