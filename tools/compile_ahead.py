@@ -79,7 +79,8 @@ def _from_frames() -> None:
         for preset in PRESETS.values():
             matches = decode(capture(opened.rig, preset.patterns(_PROJECTOR_SIZE)), _QUIET, "Decoding").matches
         planes_at(matches.camera_px, matches.camera_px, np.zeros(len(matches.camera_px), np.int32))  # as keystone asks
-        codes = [pattern for pattern in PRESETS["standard"].patterns(_PROJECTOR_SIZE) if not isinstance(pattern, Phase)]
+        standard = PRESETS["standard"].patterns(_PROJECTOR_SIZE)
+        codes = tuple(pattern for pattern in standard if not isinstance(pattern, Phase))
         decode(capture(opened.rig, codes), _QUIET, "Decoding", calibration=opened.truth)
 
 

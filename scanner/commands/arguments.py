@@ -95,6 +95,9 @@ def of_import(parser: ArgumentParser) -> None:
     parser.add_argument("--from", dest="layout", metavar="FORMAT", help="whose order of frames it is (default: any)")
     parser.add_argument("--projector", metavar="WxH", help="the projector's size, as in 1024x768")
     parser.add_argument("--cell", metavar="PX", help="projector pixels to a cell of the Gray code (default: 1)")
+    parser.add_argument(
+        "--periods", metavar="N,…", help="of fringes, to a picture, in the order of the frames, as in 59,64,70"
+    )
     parser.add_argument("--order", metavar="N", help="of several orders that fit, the one with this number in the list")
     parser.add_argument("--frames", metavar="GLOB", help="take only files of such a name, as in 'cam1_*.png'")
     parser.add_argument(
