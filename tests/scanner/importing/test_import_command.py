@@ -1,5 +1,6 @@
 """Folders as other programs leave them become capture folders, whose sequence is the one that was shown."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from calib.numerics import Image
 from scanner.capture.recording import open_capture
 from scanner.decoding.decoder import Decoder
 from scanner.patterns.pattern import Axis, Black, Gray, Pattern, White
-from tests.support.foreign_captures import ENDS, Photographer, bits, named
+from tests.support.foreign_captures import ENDS, Photographer, bits, named, steps
 from tests.support.foreign_folders import CAMERA, CENTRED, FOREIGN, PAIRS, PROJECTOR, imported, same
 from tests.support.places import REAL_CAPTURES
 
@@ -157,6 +158,18 @@ def test_periods_that_are_not_those_of_the_frames_are_refused(
     assert imported(source, *chosen, "--out", tmp_path / "capture") == 2
     assert names in capsys.readouterr().err
     assert not (tmp_path / "capture").exists()
+
+
+def test_two_close_periods_do_not_tell_where_they_begin(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    patterns = [p for count in (20, 21) for p in steps("x", 640 / count, (0.25, 0.0, -0.25, -0.5))]
+    source = camera.write(tmp_path / "frames", patterns, named("{}.png"))
+    chosen = ("--from", "heterodyne", "--projector", "640x360", "--periods", "20,21")
+    assert imported(source, *chosen) == 2
+    (number,) = re.findall(r"(\d)\. heterodyne: .*shifted from 0.25 cycles back", capsys.readouterr().err)
+    assert imported(source, *chosen, "--order", number, "--out", tmp_path / "capture", "--quiet") == 0
+    assert all(map(same, open_capture(tmp_path / "capture").patterns, patterns))
 
 
 def test_fringes_of_close_periods_decode_to_the_truth(
