@@ -69,10 +69,25 @@ def _is_beside_another(waves: "dict[float, _Wave]", codes: dict[tuple[int, int],
     certain = np.logical_and.reduce([code.certain for code in codes.values()])
     middles = [(code.values + 0.5) * cell - offset - 0.5 for (cell, offset), code in codes.items()]
     told = max(cell for cell, _ in codes) / len(codes)
-    middle = np.mean(middles, axis=0)[certain]
-    return len(middle) >= _FEWEST and any(
-        period == 2 * told and off_code(wave.cycles()[certain], period, middle) for period, wave in waves.items()
+    middle = np.mean(middles, axis=0)
+    beside = {period: wave.cycles() for period, wave in waves.items() if period == 2 * told}
+    return np.count_nonzero(certain) >= _FEWEST and any(
+        off_code(cycles[certain], period, middle[certain]) or _runs_back(cycles, middle, certain)
+        for period, cycles in beside.items()
     )
+
+
+def _runs_back(cycles: Floats, middle: Floats, certain: Bools) -> bool:
+    """Whether a fringe's phase (H, W) falls from pixel to pixel where the coordinate grows; at middles of cells it
+    tells neither.
+    """
+    both = 0.0
+    for axis in (0, 1):
+        there = np.minimum.reduce([np.delete(certain, end, axis) for end in (0, -1)])
+        both += float(
+            np.sum((np.sin(2 * np.pi * np.diff(cycles, axis=axis)) * np.sign(np.diff(middle, axis=axis)))[there])
+        )
+    return both < 0
 
 
 class _Wave:
