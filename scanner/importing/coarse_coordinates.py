@@ -71,7 +71,7 @@ def _is_beside_another(waves: "dict[float, _Wave]", codes: dict[tuple[int, int],
     told = max(cell for cell, _ in codes) / len(codes)
     middle = np.mean(middles, axis=0)
     beside = {period: wave.cycles() for period, wave in waves.items() if period == 2 * told}
-    return np.count_nonzero(certain) >= _FEWEST and any(
+    return int(np.count_nonzero(certain)) >= _FEWEST and any(
         off_code(cycles[certain], period, middle[certain]) or _runs_back(cycles, middle, certain)
         for period, cycles in beside.items()
     )
