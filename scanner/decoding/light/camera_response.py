@@ -18,19 +18,25 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.brightness import lit_by
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.patterns import Xor
 
-# g is linear between so many levels; how much its second differences weigh, and what is given, against the sums.
-_LEVELS, _STIFFNESS, _HELD = 17, 1e-3, 10.0
+# g is linear between so many levels; how much its second differences weigh against one pixel's sums, and what is given
+# against all.
+_LEVELS, _STIFFNESS, _HELD = 17, 1.0, 10.0
+_LINEAR = np.linspace(0, 1, _LEVELS)
 _ROUNDS = 4
 # Farther off the sums than so many times what most are counts less: something moves there, or flickers.
 _OUTLYING = 4.5
 _FEWEST_PAIRS, _FEWEST_PIXELS, _MOST_PIXELS = 3, 200, 1000
+# So many bits of a code have stripes of which many are in view; in so many groups of pixels half are lit of each.
+_FINE_BITS, _GROUPS = 4, 16
 # The squares of what sums are off, in swings, added up over pairs: less is no matter. The right curve leaves a tenth of
 # them; nothing else that bends sums leaves so little to a curve that rises everywhere, by this part of its mean slope.
-_NOTABLE, _LEFT, _LEAST_SLOPE = 0.006, 0.2, 0.03
+_NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
+_SWITCHED = 0.5  # what light that was switched leaves where it is why sums differ
 _RARE = 0.001  # levels that are hardly there say nothing of their slope
-# The light is told in numbers of so many bits: 8 would be too few in the dark, where the curve is steep.
-_FULL_SCALE = 4095
+# Light is told in 10 bits: in the dark, where a photograph spreads it, differences of a few are a few grey levels still.
+_FULL_SCALE = 1023
 
 
 @dataclass(frozen=True)
@@ -58,25 +64,75 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     """
     lit = lit_by(np.ptp(levels, axis=0))
     lit = lit[levels[:, lit].max(axis=0) < saturation]
-    if len(plan.complements) < _FEWEST_PAIRS or len(lit) < _FEWEST_PIXELS:
+    seen = levels[:, lit] / np.float32(top)
+    if len(lit) < _FEWEST_PIXELS:
         return None
-    seen = levels[:, lit[:: -(-len(lit) // _MOST_PIXELS)]] / np.float32(top)
-    swing = _interpolation(seen.max(axis=0)) - _interpolation(seen.min(axis=0))
-    first, second = np.array(plan.complements).T
-    sums = _interpolation(seen)
-    sums = sums[first] + sums[second]
-    linear = np.linspace(0, 1, _LEVELS)
-    before = _unevenness(sums @ linear, swing @ linear)
-    if before < _NOTABLE:
+    pairs = len(plan.complements) >= _FEWEST_PAIRS
+    found = _of_pairs(plan, seen) if pairs else _of_bits_alone(plan, seen)
+    if found is None:
         return None
-    light = _levelling(sums - sums.mean(axis=0), swing)
-    slopes = np.diff(light) / np.mean(np.diff(light))
-    count, _ = np.histogram(seen, linear)
-    is_rising = bool(np.all(slopes[count > _RARE * seen.size] > _LEAST_SLOPE))
-    if not is_rising or _unevenness(sums @ light, swing @ light) > _LEFT * before:
+    sums, swing, notable = found
+    if _unevenness(sums @ _LINEAR, swing @ _LINEAR) < notable:
+        return None
+    # Light that is switched on makes sums differ, too: those before it from those after it.
+    order = sorted(range(len(sums)), key=lambda number: plan.shown.index(plan.complements[number][1])) if pairs else []
+    fits = [_fit([sums], swing)]
+    for count in range(1, len(order)):
+        fits.append(_fit([sums[order[:count]], sums[order[count:]]], swing))
+    best = min(fits, key=lambda fit: fit.after)
+    fit = best if best.after < _SWITCHED * fits[0].after and best.before > notable else fits[0]
+    slopes = np.diff(fit.light) / np.mean(np.diff(fit.light))
+    count, _ = np.histogram(seen, _LINEAR)
+    if fit.after > _LEFT * fit.before or np.any(slopes[count > _RARE * seen.size] < _LEAST_SLOPE):
         return None
     light = np.concatenate([[0.0], np.cumsum(np.maximum(slopes, _LEAST_SLOPE))])
     return CameraResponse(light / light[-1], top, saturation)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Light at each level (_LEVELS,), and how uneven sums are `before` it is told and `after`."""
+
+    light: Floats
+    before: float
+    after: float
+
+
+def _fit(groups: list[Floats], swing: Floats) -> _Fit:
+    """Of groups of sums (sums, P, _LEVELS), each of which are to be alike."""
+    light = _levelling(np.concatenate([sums - sums.mean(axis=0) for sums in groups]), swing)
+    before, after = (sum(_unevenness(sums @ g, swing @ g) for sums in groups) for g in (_LINEAR, light))
+    return _Fit(light, before, after)
+
+
+def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, float]:
+    """What makes the sums of pairs (pairs, P, _LEVELS) and the swings (P, _LEVELS) of g, at pixels `seen` (frames, P),
+    and what unevenness is notable.
+    """
+    some = seen[:, :: -(-seen.shape[1] // _MOST_PIXELS)]
+    of_levels = _interpolation(some)
+    first, second = np.array(plan.complements).T
+    swing = _interpolation(some.max(axis=0)) - _interpolation(some.min(axis=0))
+    return of_levels[first] + of_levels[second], swing, _NOTABLE
+
+
+def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, float] | None:
+    """The same of white with black, and of fine bits without inverses with themselves, over pixels that are as bright:
+    half of them are lit. None without any, or without white and black, or of darker bits.
+    """
+    bits = [frame for code in plan.codes for bit, frame in code.unpaired.items() if bit >= code.bits - _FINE_BITS]
+    bits = [frame for frame in bits if not isinstance(plan.patterns[frame], Xor)]
+    if not bits or plan.white is None or plan.black is None:
+        return None
+    ordered = _interpolation(seen[[plan.white, plan.black, *bits]][:, np.argsort(seen[plan.white])])
+    starts = np.arange(_GROUPS) * seen.shape[1] // _GROUPS
+    counts = np.diff(starts, append=seen.shape[1])
+    white, black, *of_bits = np.add.reduceat(ordered, starts, axis=1) / counts[:, None]
+    sums, swing = 2 * np.stack(of_bits), white - black
+    # If they are darker, stripes lose light, or white is another one than in patterns.
+    if np.sum((sums - white - black) @ _LINEAR) <= 0:
+        return None
+    return np.concatenate([[white + black], sums]), swing, _NOTABLE_OF_BITS
 
 
 def _interpolation(levels: Floats32) -> Floats:
@@ -88,18 +144,19 @@ def _interpolation(levels: Floats32) -> Floats:
 def _levelling(off: Floats, swing: Floats) -> Floats:
     """The values (_LEVELS,) of g that make `off` @ g least, in swings; in the mean these are as they are without g.
 
-    `off` (pairs, P, _LEVELS): sums of pairs less those of all; `swing` (P, _LEVELS): what makes the swings.
+    `off` (sums, P, _LEVELS): what makes the sums, less that of all; `swing` (P, _LEVELS): what makes the swings.
     """
     rows, mean = off.reshape(-1, _LEVELS), swing.mean(axis=0)
     bends = np.diff(np.eye(_LEVELS), 2, axis=0)
-    light, weights = np.linspace(0, 1, _LEVELS), np.ones(len(rows))
+    stiff = _STIFFNESS / len(swing) * bends.T @ bends
+    light, weights = _LINEAR, np.ones(len(rows))
     given, offset = np.outer(mean, mean), np.outer(np.eye(_LEVELS)[0], np.eye(_LEVELS)[0])
-    as_it_is = mean * float(mean @ light)
+    as_it_is = mean * float(mean @ _LINEAR)
     for _ in range(_ROUNDS):
         of_swing = swing @ light
         of_swing = np.maximum(of_swing, _LEAST_SLOPE * median(of_swing))
         relative = rows / np.tile(of_swing, len(off))[:, None]
-        normal = relative.T @ (weights[:, None] * relative) / len(rows) + _STIFFNESS * bends.T @ bends
+        normal = relative.T @ (weights[:, None] * relative) / len(rows) + stiff
         light = np.linalg.solve(normal + _HELD * (given + offset), _HELD * as_it_is).astype(np.float64)
         away = np.abs(relative @ light)
         weights = 1 / (1 + (away / (_OUTLYING * median(away) + 1e-4)) ** 2)
@@ -107,5 +164,5 @@ def _levelling(off: Floats, swing: Floats) -> Floats:
 
 
 def _unevenness(sums: Floats, swing: Floats) -> float:
-    """How far sums (pairs, P) are from those of most pairs, squared, in swings (P,): of the median pixel, added up."""
+    """How far sums (sums, P) are from most at a pixel, squared, in swings (P,): of the median pixel, added up."""
     return float(np.sum(medians(((sums - medians(sums, axis=0)) / swing) ** 2, axis=1)))
