@@ -16,7 +16,6 @@ import numpy as np
 from calib.numerics import Floats, Image, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.brightness import lit_by
-from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.patterns import Xor
 
@@ -35,7 +34,7 @@ _FINE_BITS, _GROUPS = 4, 16
 _NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
 _SWITCHED = 0.5  # what light that was switched leaves where it is why sums differ
 _RARE = 0.001  # levels that are hardly there say nothing of their slope
-# Light is told in 10 bits: in the dark, where a photograph spreads it, differences of a few are a few grey levels still.
+# In the dark, where photographs spread the light, differences of a few of 10 bits are still a few grey levels.
 _FULL_SCALE = 1023
 
 
@@ -62,25 +61,26 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     """That which a sample `levels` (frames, P) of all frames tells, up to a level `top`; None if sums are even without
     one, or one does not make them so.
     """
-    lit = lit_by(np.ptp(levels, axis=0))
-    lit = lit[levels[:, lit].max(axis=0) < saturation]
-    seen = levels[:, lit] / np.float32(top)
+    swing = np.ptp(levels, axis=0)
+    lit = lit_by(swing)
+    lit = lit[(swing[lit] > 0) & (levels[:, lit].max(axis=0) < saturation)]
     if len(lit) < _FEWEST_PIXELS:
         return None
-    pairs = len(plan.complements) >= _FEWEST_PAIRS
-    found = _of_pairs(plan, seen) if pairs else _of_bits_alone(plan, seen)
+    seen = levels[:, lit] / np.float32(top)
+    has_pairs = len(plan.complements) >= _FEWEST_PAIRS
+    found = _of_pairs(plan, seen) if has_pairs else _of_bits_alone(plan, seen)
     if found is None:
         return None
-    sums, swing, notable = found
-    if _unevenness(sums @ _LINEAR, swing @ _LINEAR) < notable:
+    sums, of_swing, notable = found
+    fit = _fit([sums], of_swing)
+    if fit.before < notable:
         return None
     # Light that is switched on makes sums differ, too: those before it from those after it.
-    order = sorted(range(len(sums)), key=lambda number: plan.shown.index(plan.complements[number][1])) if pairs else []
-    fits = [_fit([sums], swing)]
-    for count in range(1, len(order)):
-        fits.append(_fit([sums[order[:count]], sums[order[count:]]], swing))
-    best = min(fits, key=lambda fit: fit.after)
-    fit = best if best.after < _SWITCHED * fits[0].after and best.before > notable else fits[0]
+    if has_pairs:
+        split = (_fit([sums[:place], sums[place:]], of_swing) for place in range(1, len(sums)))
+        switched = min(split, key=lambda each: each.after)
+        if switched.after < _SWITCHED * fit.after and switched.before > notable:
+            fit = switched
     slopes = np.diff(fit.light) / np.mean(np.diff(fit.light))
     count, _ = np.histogram(seen, _LINEAR)
     if fit.after > _LEFT * fit.before or np.any(slopes[count > _RARE * seen.size] < _LEAST_SLOPE):
@@ -91,7 +91,7 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
 
 @dataclass(frozen=True)
 class _Fit:
-    """Light at each level (_LEVELS,), and how uneven sums are `before` it is told and `after`."""
+    """The values of g (_LEVELS,), and how uneven sums of light are `before` and `after` it."""
 
     light: Floats
     before: float
@@ -106,12 +106,12 @@ def _fit(groups: list[Floats], swing: Floats) -> _Fit:
 
 
 def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, float]:
-    """What makes the sums of pairs (pairs, P, _LEVELS) and the swings (P, _LEVELS) of g, at pixels `seen` (frames, P),
-    and what unevenness is notable.
+    """What makes the sums of pairs, in the order in which they were shown, (pairs, P, _LEVELS), and the swings
+    (P, _LEVELS) of g, at pixels `seen` (frames, P); and what unevenness is notable.
     """
     some = seen[:, :: -(-seen.shape[1] // _MOST_PIXELS)]
     of_levels = _interpolation(some)
-    first, second = np.array(plan.complements).T
+    first, second = np.array(sorted(plan.complements, key=lambda pair: plan.shown.index(pair[1]))).T
     swing = _interpolation(some.max(axis=0)) - _interpolation(some.min(axis=0))
     return of_levels[first] + of_levels[second], swing, _NOTABLE
 
@@ -130,7 +130,7 @@ def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, 
     white, black, *of_bits = np.add.reduceat(ordered, starts, axis=1) / counts[:, None]
     sums, swing = 2 * np.stack(of_bits), white - black
     # If they are darker, stripes lose light, or white is another one than in patterns.
-    if np.sum((sums - white - black) @ _LINEAR) <= 0:
+    if np.any(swing @ _LINEAR <= 0) or np.sum((sums - white - black) @ _LINEAR) <= 0:
         return None
     return np.concatenate([[white + black], sums]), swing, _NOTABLE_OF_BITS
 
@@ -138,7 +138,8 @@ def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, 
 def _interpolation(levels: Floats32) -> Floats:
     """The weights (…, _LEVELS) with which the values of g make g(I), for I (…) from 0 to 1."""
     place = np.clip(levels, 0, 1) * (_LEVELS - 1)
-    return np.maximum(0, 1 - np.abs(place[..., None] - np.arange(_LEVELS)))
+    weights: Floats = np.maximum(0, 1 - np.abs(place[..., None] - np.arange(_LEVELS)))
+    return weights
 
 
 def _levelling(off: Floats, swing: Floats) -> Floats:
@@ -165,4 +166,5 @@ def _levelling(off: Floats, swing: Floats) -> Floats:
 
 def _unevenness(sums: Floats, swing: Floats) -> float:
     """How far sums (sums, P) are from most at a pixel, squared, in swings (P,): of the median pixel, added up."""
-    return float(np.sum(medians(((sums - medians(sums, axis=0)) / swing) ** 2, axis=1)))
+    off = (sums - np.median(sums, axis=0)) / swing
+    return float(np.sum(np.median(off**2, axis=1)))
