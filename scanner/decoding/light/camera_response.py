@@ -33,6 +33,8 @@ _FINE_BITS, _GROUPS = 4, 16
 # them; nothing else that bends sums leaves so little to a curve that rises everywhere, by this part of its mean slope.
 _NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
 _SWITCHED = 0.5  # what light that was switched leaves where it is why sums differ
+# Where a curve leaves pairs off by more of their swing, contrast is faint, and light in 10 bits would lose some of it.
+_FAINT = 0.025
 _RARE = 0.001  # levels that are hardly there say nothing of their slope
 # In the dark, where photographs spread the light, differences of a few of 10 bits are still a few grey levels.
 _FULL_SCALE = 1023
@@ -81,6 +83,8 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
         switched = min(split, key=lambda each: each.after)
         if switched.after < _SWITCHED * fit.after and switched.before > notable:
             fit = switched
+        if fit.after > _FAINT**2 * len(sums):
+            return None
     slopes = np.diff(fit.light) / np.mean(np.diff(fit.light))
     count, _ = np.histogram(seen, _LINEAR)
     if fit.after > _LEFT * fit.before or np.any(slopes[count > _RARE * seen.size] < _LEAST_SLOPE):
