@@ -61,7 +61,7 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
     return "\n".join([*lines, "", measured, "", *_totals(outcomes)])
 
 
-def write_into(page: Path, text: str, *, rows_alone: bool) -> None:
+def write_into(page: Path, text: str, *, rows_alone: bool = False) -> None:
     """Put a text between the marks of a page; or only the rows of its table into the table that is there."""
     before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
     there, _, after = rest.partition(END)
