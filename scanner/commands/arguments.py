@@ -96,7 +96,7 @@ def of_import(parser: ArgumentParser) -> None:
     parser.add_argument("--projector", metavar="WxH", help="the projector's size, as in 1024x768")
     parser.add_argument("--cell", metavar="PX", help="projector pixels to a cell of the Gray code (default: 1)")
     parser.add_argument(
-        "--periods", metavar="N,…", help="periods of the fringes in the order of the frames, as in 59,64,70"
+        "--periods", metavar="N,…", help="periods to a picture, in the order of the frames, as in 59,64,70"
     )
     parser.add_argument("--order", metavar="N", help="if several orders fit: the number of one in the list")
     parser.add_argument("--frames", metavar="GLOB", help="take only files that match a pattern, as in 'cam1_*.png'")

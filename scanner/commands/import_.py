@@ -88,15 +88,17 @@ def _only_one(
         raise InputError(f"{files.folder}: {files}; they fit no known order of frames:{reasons}")
     likely = [each for each in found if each.likely == max(other.likely for other in found)]
     differ = [*{(each.patterns, each.projector_size): each for each in likely[::-1]}.values()][::-1]
-    if len(differ) == 1 or (order is not None and order <= len(differ)):
-        return differ[0 if len(differ) == 1 or order is None else order - 1]
+    if order is None and len(differ) == 1:
+        return differ[0]
+    if order is not None and order <= len(differ):
+        return differ[order - 1]
+    fit = f"{len(differ)} orders fit" if len(differ) > 1 else "one order fits"
     names = "".join(
         f"\n  {number}. {each.layout.name}: {_shown(each.projector_size)}; {described(each.patterns)} ({each.how})"
         for number, each in enumerate(differ, 1)
     )
     raise InputError(
-        f"{files.folder}: {files}; {len(differ)} orders fit, say which with --order and its number, or with --from or "
-        f"--projector:{names}"
+        f"{files.folder}: {files}; {fit}, say which with --order and its number, or with --from or --projector:{names}"
     )
 
 
