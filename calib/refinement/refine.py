@@ -18,7 +18,7 @@ from calib.refinement.likelihood import Fit, Knowledge, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.noise_model import Noise, noise_of
 from calib.refinement.parameters import SHARED, State, intrinsic_distance
-from calib.refinement.profile_likelihood import Valley, walk
+from calib.refinement.profile_likelihood import Valley, centred, walk
 from calib.refinement.profile_minimiser import minimise
 from calib.refinement.shared_corner import Sameness, oriented, tie
 
@@ -130,6 +130,7 @@ def settle(
         variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
 
     valley = walk(captures, best, prior, variances)
+    best = centred(captures, best, valley, prior, variances)
     covariance = valley.covariance(best, prior.free)
     if sameness and sameness.same:
         covariance[:SHARED, :SHARED] += sameness.spread

@@ -54,7 +54,7 @@ def test_what_is_far_off_and_improbable_does_not_widen_the_sigma(case: Case) -> 
     density = (1 - share) * np.exp(-((t / sigma) ** 2) / 2) + share * np.exp(-(((t - apart) / sigma) ** 2) / 2)
     states = tuple(at_focal(case.truth, case.truth.camera[0] * float(np.exp(step))) for step in t)
     cost = -2 * np.log(np.maximum(density, 1e-12))
-    valley = Valley(np.array([state.camera[0] for state in states]), cost - cost.min(), states)
+    valley = Valley(np.array([state.camera[0] for state in states]), cost - cost.min(), states, np.zeros(len(states)))
     none = Fit(0.0, np.zeros(case.truth.size), np.eye(case.truth.size), case.truth, ())
     found = valley.covariance(none, np.arange(case.truth.size) == CAMERA.start)
     low, high = np.interp([0.1587 / (1 - share), 0.8413 / (1 - share)], [norm.cdf(z) for z in _Z], _Z) * sigma
@@ -70,7 +70,7 @@ def test_a_curved_valley_spreads_by_its_own_moments(case: Case) -> None:
     steps = np.zeros((len(t), case.truth.size))
     steps[:, CAMERA.start], steps[:, PROJECTOR.start + 1] = t, bend * t**2
     states = tuple(case.truth.moved(step) for step in steps)
-    valley = Valley(np.array([state.camera[0] for state in states]), (t / sigma) ** 2, states)
+    valley = Valley(np.array([state.camera[0] for state in states]), (t / sigma) ** 2, states, np.zeros(len(states)))
     none = Fit(0.0, np.zeros(case.truth.size), np.eye(case.truth.size), case.truth, ())
     only_focal = np.arange(case.truth.size) == CAMERA.start
     found = valley.covariance(none, only_focal)
