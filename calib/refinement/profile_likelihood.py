@@ -21,6 +21,7 @@ from calib.refinement.profile_minimiser import relax
 _STEP_SIGMAS = 0.7
 _LONGEST_STEP = 0.08  # of log f
 _STEPS = 14
+_HALVINGS = 3
 _HIGHEST = 14.0
 _GROWTH = 1.15
 _FLAT = 0.2  # in cost, of a step: the next is twice as long
@@ -35,13 +36,20 @@ _FLATTEST = 1e-15  # of a Hessian of unit diagonal: what is less is rounding
 class Valley:
     """States along the valley, by growing focal: `focal_px` (n,), `cost` (n,) above the lowest, and the states.
 
-    `log_volume` (n,): how much of the posterior is across the valley there, its density at the floor being 1.
+    `log_volume` (n,): how much of the posterior is across the valley there, its density at the floor being 1. `gain`:
+    by how much the lowest cost is below that of the fit from which the valley was walked.
     """
 
     focal_px: Floats
     cost: Floats
     states: tuple[State, ...]
     log_volume: Floats
+    gain: float = 0.0
+
+    @property
+    def lowest(self) -> State:
+        """The state of the lowest cost."""
+        return self.states[int(np.argmin(self.cost))]
 
     @property
     def posterior_cost(self) -> Floats:
@@ -104,9 +112,13 @@ def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence
         fit, step = best, min(_STEP_SIGMAS * sigma, _LONGEST_STEP)
         for _ in range(_STEPS):
             last = fit
-            ahead = covariance_of(fit.information, prior.free)[:, CAMERA.start]
-            along = fit.state.moved(direction * step / ahead[CAMERA.start] * ahead)
-            fit = relax(captures, along, anchored, variances, tolerance=_TOLERANCE, steps=_RELAXED)
+            ahead = covariance_of(last.information, prior.free)[:, CAMERA.start]
+            for _ in range(_HALVINGS):
+                along = last.state.moved(direction * step / ahead[CAMERA.start] * ahead)
+                fit = relax(captures, along, anchored, variances, tolerance=_TOLERANCE, steps=_RELAXED)
+                if fit.cost - last.cost < _HIGHEST:
+                    break
+                step /= 2  # too long for the bend, or else a wall
             if not np.isfinite(fit.cost):
                 break
             flat = fit.cost - last.cost < _FLAT
@@ -119,9 +131,9 @@ def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence
     walked.sort(key=lambda fit: float(fit.state.camera[0]))
     cost = np.array([fit.cost for fit in walked])
     states = tuple(fit.state for fit in walked)
-    log_volume = np.array([_log_volume(fit, best.state, prior) for fit in walked])
+    log_volume = np.array([log_volume_across(fit, best.state, prior) for fit in walked])
     focal_px = np.array([state.camera[0] for state in states])
-    return Valley(focal_px, cost - cost.min(), states, log_volume - log_volume.max())
+    return Valley(focal_px, cost - cost.min(), states, log_volume - log_volume.max(), float(best.cost - cost.min()))
 
 
 def centred(captures: Sequence[Cells], best: Fit, valley: Valley, prior: Prior, variances: Sequence[Floats]) -> Fit:
@@ -138,7 +150,7 @@ def centred(captures: Sequence[Cells], best: Fit, valley: Valley, prior: Prior, 
     return relax(captures, nearest.moved(step), anchored, variances, tolerance=_TOLERANCE, steps=_RELAXED)
 
 
-def _log_volume(fit: Fit, best: State, prior: Prior) -> float:
+def log_volume_across(fit: Fit, best: State, prior: Prior) -> float:
     """How much of the posterior is across the valley at a fit: Laplace's approximation, −½ log det of the Hessian.
 
     Radial terms bend the image in proportion to k1 / f², k2 / f⁴ and k3 / f⁶, and short and long lenses bend theirs
