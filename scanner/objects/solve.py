@@ -59,7 +59,7 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
         )
     with progress.step("Estimating"):
         joint = estimate_jointly([view for _, view in members], [registered.places[k] for k, _ in members])
-        turntable = find_turntable(joint.places, joint.covariance, joint.middle)
+        turntable = find_turntable(joint.places, joint.covariance, joint.information, joint.middle)
     return _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
 
 
