@@ -9,22 +9,25 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.numerics import Floats
+from calib.objects.joint import WIDE, settled
 from calib.objects.meeting import mark_pairs
 from calib.objects.pose_search import near_each_other, searched_poses
 from calib.objects.view import View
 
 _SEARCHED = 8
+_SOME = 250  # patches
 _COMPATIBLE, _FAR = 1.5, 5.0  # grains: how much distances may differ, and how far apart points are at least
 _SEEDS, _VOTERS, _KEPT = 30, 12, 6
 _FEWEST = 3
 
 
 def supposed_poses(first: View, second: View) -> list[Motion]:
-    """X_first = R X_second + t, most probable first; and that hardly anything moved."""
+    """X_first = R X_second + t, within a grain or so; and that hardly anything moved."""
     still = Motion(np.eye(3), np.zeros(3))
     own, other = mark_pairs(first, second)
     by_marks = _voted(first.marks.points[own], second.marks.points[other], first.grain)
-    return [still, *by_marks, *searched_poses(first, second, _SEARCHED)]
+    rough = [settled(first, second, pose, (WIDE, 1.0), _SOME) for pose in (still, *by_marks)]
+    return [*rough, *searched_poses(first, second, _SEARCHED)]
 
 
 def _voted(here: Floats, there: Floats, grain: float) -> list[Motion]:

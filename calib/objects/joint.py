@@ -153,7 +153,9 @@ def _with_marks(surface: Residuals, first: View, second: View, here: Motion, the
     sigma = max(SIGMA_PER_MEDIAN * median(np.abs(off).ravel()), 1e-3 * first.grain)
     axes = np.broadcast_to(np.eye(3), (len(off), 3, 3))
     by_first = np.concatenate([np.cross(((points + others) / 2)[:, None], axes), axes], axis=2).reshape(-1, 6)
-    part = np.stack([first.parts(first.marks.pixels[own][near]), second.parts(second.marks.pixels[other][near])], axis=1)
+    part = np.stack(
+        [first.parts(first.marks.pixels[own][near]), second.parts(second.marks.pixels[other][near])], axis=1
+    )
     return Residuals(
         surface.first,
         surface.second,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Motion, rotation_about
-from calib.numerics import Floats, compiled
+from calib.numerics import Bools, Floats, compiled
 from calib.objects.view import View
 from calib.rooms.projection import pixel_under, rotated
 
@@ -20,6 +20,7 @@ _TURNS = 1200  # about 17° from any turn to the nearest of them
 _WIDELY, _WIDE = 200, np.array([8.0, 8.0, 6.0, 6.0, 4.0, 4.0, 3.0, 3.0, 2.0, 2.0])
 _CLOSELY, _CLOSE = 500, np.array([2.0, 1.5, 1.5, 1.0, 1.0, 0.7, 0.5, 0.5])
 _FOLLOWED, _DISTINCT = 600, 60
+_SAME_TURN, _SAME_GRAINS = float(np.cos(np.radians(6.0))), 8.0
 _LIKE = float(np.cos(np.radians(50.0)))
 _DAMPING = 1e-3
 _TOWARDS_MIDDLE = 0.1  # of a patch's weight, that a centre is drawn to a point behind the middle of what was seen
@@ -37,9 +38,7 @@ def searched_poses(first: View, second: View, most: int) -> list[Motion]:
     return _distinct(_descended(first, second, turns, shifts, _CLOSELY, _CLOSE), first.grain, most)
 
 
-def _descended(
-    first: View, second: View, turns: Floats, shifts: Floats, patches: int, rounds: Floats
-) -> list[Motion]:
+def _descended(first: View, second: View, turns: Floats, shifts: Floats, patches: int, rounds: Floats) -> list[Motion]:
     """The best first."""
     worth = np.zeros(len(turns))
     _descend(
@@ -60,16 +59,25 @@ def _descended(
 
 def _distinct(poses: Sequence[Motion], grain: float, most: int) -> list[Motion]:
     found: list[Motion] = []
-    for pose in poses:
-        if len(found) < most and not any(near_each_other(pose, other, grain) for other in found):
-            found.append(pose)
+    turns, shifts = np.stack([pose.rotation for pose in poses]), np.stack([pose.translation for pose in poses])
+    left = np.ones(len(poses), np.bool_)
+    while left.any() and len(found) < most:
+        best = int(np.argmax(left))
+        found.append(poses[best])
+        left &= ~_near(turns, shifts, poses[best], grain)
     return found
+
+
+def _near(turns: Floats, shifts: Floats, pose: Motion, grain: float) -> Bools:
+    """Which of K poses are about the same as one, (K,)."""
+    cosine = (np.einsum("kij,ij->k", turns, pose.rotation) - 1) / 2
+    near: Bools = (cosine > _SAME_TURN) & (np.linalg.norm(shifts - pose.translation, axis=1) < _SAME_GRAINS * grain)
+    return near
 
 
 def near_each_other(one: Motion, other: Motion, grain: float) -> bool:
     """Whether two poses are about the same."""
-    cosine = (float(np.trace(one.rotation.T @ other.rotation)) - 1) / 2
-    return cosine > np.cos(np.radians(6.0)) and float(np.linalg.norm(one.translation - other.translation)) < 8 * grain
+    return bool(_near(one.rotation[None], one.translation[None], other, grain)[0])
 
 
 def even_turns(count: int) -> Floats:
@@ -152,7 +160,7 @@ def _descend(
             for a in range(3):
                 matrix[a, a] += _DAMPING * trace_turn
                 matrix[a + 3, a + 3] += _DAMPING * trace_shift
-            twist = -np.linalg.solve(matrix, gradient)
+            twist: Floats = -np.linalg.solve(matrix, gradient).astype(np.float64)
             turn = rotation_about(twist[:3])
             turns[k] = turn @ r
             shifts[k] = turn @ (t - centre) + centre + twist[3:]

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.objects.candidates import supposed_poses
-from calib.objects.joint import NARROW, WIDE, settled
+from calib.objects.joint import NARROW, settled
 from calib.objects.meeting import Evidence, evidence, tolerance
 from calib.objects.pose_search import near_each_other
 from calib.objects.view import View
@@ -97,7 +97,7 @@ def register_views(views: Sequence[View | None]) -> Registered:
 
 def _supposed(first: View, second: View) -> list[Supposed]:
     """The places of a pair that are worth following up, best first."""
-    poses = [settled(first, second, pose, (WIDE, 1.0), _SOME) for pose in supposed_poses(first, second)]
+    poses = supposed_poses(first, second)
     rated = sorted(
         ((evidence(first, second, pose, NARROW * first.grain, _SOME).worth, k) for k, pose in enumerate(poses)),
         reverse=True,

@@ -67,10 +67,15 @@ class View:
         row, column = np.divmod(flat, self.depth.shape[1])
         return np.stack([column, row], axis=1).astype(np.float64)
 
+    @cached_property
+    def _extent(self) -> tuple[Floats, Floats]:
+        """The patches' least pixel (2,), and how far they spread (2,)."""
+        seen = self.pixels(self.patches)
+        return seen.min(axis=0), np.ptp(seen, axis=0) + 1
+
     def parts(self, pixels: Floats) -> Ints:
         """Which of PARTS parts of the picture pixels (N, 2) are in, (N,)."""
-        seen = self.pixels(self.patches)
-        low, size = seen.min(axis=0), np.ptp(seen, axis=0) + 1
+        low, size = self._extent
         column, row = np.clip((pixels - low) / size * _PARTS_ACROSS, 0, _PARTS_ACROSS - 1).astype(np.int64).T
         number: Ints = row * _PARTS_ACROSS + column
         return number
