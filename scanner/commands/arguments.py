@@ -134,7 +134,9 @@ def of_patterns(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     parser.add_argument("--video", metavar="NAME", help="also write a video for any player, as in sequence.mp4")
     parser.add_argument("--hold", metavar="TIME", help="with --video: how long each picture stands (default: 0.2s)")
-    parser.add_argument("--loops", type=int, metavar="N", help="with --video: how often it is shown there and back (default: 1)")
+    parser.add_argument(
+        "--loops", type=int, metavar="N", help="with --video: how often it is shown there and back (default: 1)"
+    )
     add_out(parser)
     add_quiet(parser)
 
