@@ -173,7 +173,7 @@ def _levels(light: Light, time_s: float, camera: Camera, rng: np.random.Generato
     if camera.motion is not None:
         x, y, turn_deg = camera.motion(time_s)
         by = cv2.getRotationMatrix2D((light.shape[1] / 2, light.shape[0] / 2), turn_deg, 1.0)
-        by[:, 2] += x, y
+        by[:, 2] += np.array((x, y))
         light = np.asarray(cv2.warpAffine(light, by, light.shape[::-1], borderMode=cv2.BORDER_REPLICATE), np.float32)
     electrons = light * camera.full_well
     noise = rng.standard_normal(light.shape, dtype=np.float32)

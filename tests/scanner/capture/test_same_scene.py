@@ -55,7 +55,7 @@ def test_at_rest_nothing_differs(before: list[np.ndarray], after: list[np.ndarra
 def test_the_cameras_motion_is_measured(before: list[np.ndarray], after: list[np.ndarray], px: float) -> None:
     along_x = compare(before[1], shifted(after[1], px))
     assert 0.7 * px < along_x.moved_px < 1.3 * px
-    with pytest.raises(InputError, match=r"frame 2 was shown again, and it lies .* camera px elsewhere"):
+    with pytest.raises(InputError, match=r"frame 2 was shown again, and it is shifted by .* camera px"):
         refuse_another_scene("frame 2", before[1], shifted(after[1], px), scale_of(before[0], PROJECTOR))
 
 
