@@ -138,7 +138,7 @@ def test_automatic_exposure_is_named_or_refused(monkeypatch: pytest.MonkeyPatch,
         return
     rig = streamed(bench, bench, {})
     assert len([*photographed(rig, INVERSES)]) == len(INVERSES)
-    assert any("adapts by itself" in remark for remark in remarks_on_camera(rig.account()))
+    assert any("adapts automatically" in remark for remark in remarks_on_camera(rig.account()))
 
 
 def test_a_picture_that_never_rests_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,6 +32,7 @@ _FINE_BITS, _GROUPS = 4, 16
 # The squares of what sums are off, in swings, added up over pairs: less is no matter. The right curve leaves a tenth of
 # them; nothing else that bends sums leaves so little to a curve that rises everywhere, by this part of its mean slope.
 _NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
+_MOST_UNEVEN = 1e12  # squared swings: of a pixel that does not swing
 _SWITCHED = 0.5  # what light that was switched leaves where it is why sums differ
 # Where a curve leaves pairs off by more of their swing, contrast is faint, and light in 10 bits would lose some of it.
 _FAINT = 0.025
@@ -170,5 +171,6 @@ def _levelling(off: Floats, swing: Floats) -> Floats:
 
 def _unevenness(sums: Floats, swing: Floats) -> float:
     """How far sums (sums, P) are from most at a pixel, squared, in swings (P,): of the median pixel, added up."""
-    off = (sums - np.median(sums, axis=0)) / swing
-    return float(np.sum(np.median(off**2, axis=1)))
+    with np.errstate(invalid="ignore", divide="ignore"):  # where nothing swings nothing is known
+        off = (sums - np.median(sums, axis=0)) / swing
+    return float(np.sum(np.median(np.nan_to_num(off**2, posinf=_MOST_UNEVEN), axis=1)))
