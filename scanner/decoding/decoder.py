@@ -139,7 +139,7 @@ class Decoder:
     def _fold(self, image: Image) -> None:
         grey = _grey(image)
         if self._stack is None or self._folded is None:
-            self._stack = Stack(len(self._plan.shown), grey, codes_alone=not self._plan.fringes)
+            self._stack = self._stack_like(grey)
             self._folded = Folded(self._plan, grey)
         self._folded.add(self._stack.keep(grey))
         number = self._plan.shown[self._count]
@@ -176,10 +176,14 @@ class Decoder:
         better = "which was taken out. Let the camera wait longer for the projector."
         return found.warning(f"{ghost.said(self._plan)}, {better}") if ghost else found
 
+    def _stack_like(self, frame: Image) -> Stack:
+        """For all frames of the capture, of the size and type of one (H, W)."""
+        return Stack(len(self._plan.shown), frame, codes_alone=not self._plan.fringes)
+
     def _kept(self, frames: Iterator[Image]) -> Stack:
         """All frames of the capture (H, W)."""
         first = next(frames)
-        stack = Stack(len(self._plan.shown), first, codes_alone=not self._plan.fringes)
+        stack = self._stack_like(first)
         for frame in chain([first], frames):
             stack.keep(frame)
         return stack
