@@ -22,6 +22,7 @@ _STEP = 4.0  # of the projector's pixels that neighbours are apart on a surface 
 _MOST_CONTRADICTING = 0.4
 # How much more one frame differs from that of the round before than any other: noise and motion are in all of them.
 _MOST_FOREIGN = 1.3
+_BY_CHANCE = 4.0  # standard deviations of a mean of squares
 _SAMPLED, _CLIPPED = 5, 9.0  # every fifth row and column; squares of larger differences are alike
 
 
@@ -42,7 +43,7 @@ class LiveCloud:
     """What a round shows. `coordinate` (H, W) along the sequence's axis, NaN where there is none, `variance` (H, W);
     `reason` (H, W): a `MaskReason`; `moving` (H, W): 1 where its brightness is not what it was in the round before.
 
-    `foreign`: how much more one frame has changed since then than any other of the six.
+    `foreign`: how much more, beyond chance, one frame has changed since then than any other of the six.
 
     `pixel` (N,) is the place of each point in (H, W); `points` (N, 3) in the camera's frame and the calibration's unit;
     `sigma` (N,): standard deviation along its ray, from noise and motion.
@@ -140,7 +141,7 @@ class Decoder:
         now *= np.sum(now * then, axis=1, keepdims=True) / np.maximum(np.sum(now * now, axis=1, keepdims=True), 1.0)
         changes = (now - then) ** 2 / (2 * (at_black + gain * then))
         second, most = np.sort(np.minimum(changes, _CLIPPED).mean(axis=1))[-2:]
-        return float(most / max(second, 1e-6))
+        return float(most / max(second, 1e-6) - _BY_CHANCE * np.sqrt(2 / np.count_nonzero(lit)))
 
     def _triangulated(
         self, taken: Round, coordinate: Map, variance: Map, reason: Reasons, moving: Reasons, foreign: float

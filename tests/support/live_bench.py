@@ -116,7 +116,7 @@ class _Camera:
 
     def __init__(self, bench: LiveBench) -> None:
         self._bench = bench
-        self.size = tuple(bench.calibration.camera.size)
+        self.size: tuple[int, int] = bench.calibration.camera.size
 
     def grab(self) -> Frame:
         return self._bench.take()

@@ -85,7 +85,8 @@ def test_so_many_clouds_are_kept_as_stations_of_a_thing(tmp_path: Path, bench: L
     for station, kept, place in zip(stations, found.kept, places, strict=True):
         np.testing.assert_array_equal(station.matches.projector_px, kept.matches.projector_px)
         assert station.texture is not None
-        assert 0.8 < np.corrcoef(station.texture.ravel(), np.asarray(kept.texture).ravel())[0, 1] <= 1
+        assert kept.texture is not None
+        assert 0.8 < np.corrcoef(station.texture.ravel(), kept.texture.ravel())[0, 1] <= 1
         assert len(read_matches(place)) > 5000
     with pytest.raises(InputError, match="only one of the projector's coordinates"):
         read_stations(places, config, Terminal(quiet=True))
@@ -182,7 +183,7 @@ def test_ten_thousand_clouds_leave_the_memory_as_it_is() -> None:
     def taken() -> Generator[Round | None]:
         for number, each in enumerate(islice(cycle(still), 10_000)):
             yield Round(number, each.frames, each.grey.copy(), time.monotonic())
-            ready.wait(1.0)
+            ready.wait(0.01)  # the first round makes no cloud
             ready.clear()
             if number in (1000, 9_999):
                 pages.append(int(Path("/proc/self/statm").read_text().split()[1]))
