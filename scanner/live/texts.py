@@ -1,4 +1,4 @@
-"""What is said of a live image, the same on the terminal and on the page."""
+"""What is said of clouds while one looks."""
 
 from collections.abc import Iterator
 
