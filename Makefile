@@ -19,7 +19,9 @@ help:
 	@echo "make fuzz           damage files at random for hours, and watch every reader (SEED=, INPUTS=, SECONDS=)"
 	@echo "make clean          remove $(VENV)/ and caches; scans/ is kept"
 
-setup: $(VENV)/.compiled
+# Installing waits for the network and the compiler for the processor: side by side.
+setup: $(VENV)/.core
+	@$(MAKE) --no-print-directory --jobs 2 $(VENV)/.runtime $(VENV)/.compiled
 
 scan: setup
 	$(BIN)/scan --config configs/room-sim.yaml --captures 3 --out scans/room-sim --overwrite
@@ -55,7 +57,12 @@ try-browser:
 		echo "* scan view and scan console will be SKIPPED.                                 *"; \
 		echo "*******************************************************************************"; }
 
-test: lint check-types unit
+# What is checked needs one processor of two while the tests run.
+test: $(VENV)/.core
+	@$(MAKE) --no-print-directory --jobs 2 $(VENV)/.dev $(VENV)/.compiled
+	@$(MAKE) --no-print-directory --jobs 2 lint try-rig
+	@$(MAKE) --no-print-directory try-browser
+	@$(MAKE) --no-print-directory --jobs 2 unit check-types
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -65,8 +72,9 @@ lint: $(VENV)/.dev
 check-types: $(VENV)/.dev
 	$(BIN)/mypy
 
-unit: $(VENV)/.dev setup try-rig try-browser
-	$(BIN)/pytest -n auto --dist loadgroup
+# One process more than there are processors: tests of devices, pages and workers mostly wait.
+unit: $(VENV)/.dev $(VENV)/.compiled
+	$(BIN)/pytest -n $$(($$(getconf _NPROCESSORS_ONLN) + 1)) --dist loadgroup
 
 benchmark: $(VENV)/.dev try-rig
 	@for file in benchmarks/bench_*.py; do \
@@ -90,24 +98,33 @@ $(BIN)/pip:
 # found first: it goes, and the program is installed anew.
 PACKAGES := calib hw scanner
 COPIES   := $(wildcard $(addprefix $(VENV)/lib/python*/site-packages/,$(PACKAGES)))
-install   = $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.$(1)' && rm -rf $(COPIES)
+# Bytecode is made of what is imported; pip would make it of everything, which takes half of the installation.
+pip       = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+install   = $(pip) --editable '.$(1)' && rm -rf $(COPIES)
 
 .PHONY: a-copy
 a-copy:
 
-$(VENV)/.runtime: pyproject.toml $(if $(COPIES),a-copy) | $(BIN)/pip
+# All but Open3D, which takes as long as all the rest and which few commands need: enough to compile with.
+$(VENV)/.core: pyproject.toml | $(BIN)/pip
+	$(BIN)/python -c 'import tomllib; print(*(package for package in tomllib.load(open("pyproject.toml", "rb"))["project"] \
+		["dependencies"] if not package.startswith("open3d")), sep="\n")' > $(VENV)/core.txt
+	$(pip) --requirement $(VENV)/core.txt
+	@touch $@
+
+$(VENV)/.runtime: pyproject.toml $(if $(COPIES),a-copy) | $(VENV)/.core
 	$(call install,)
 	@tools/system-packages --open3d || echo "Everything but scan room works without them."
 	@touch $@
 
 # Machine code is kept for each file, in the user's cache folder, so a change costs only what it touches. Earlier versions
 # kept it beside the sources.
-$(VENV)/.compiled: $(shell grep -rl '^@compiled' calib hw scanner --include=*.py) | $(VENV)/.runtime
+$(VENV)/.compiled: $(shell grep -rl '^@compiled' calib hw scanner --include=*.py) | $(VENV)/.core
 	@find $(PACKAGES) -name '*.nb[ic]' -delete
-	$(BIN)/python tools/compile_ahead.py
+	PYTHONPATH=. $(BIN)/python tools/compile_ahead.py
 	@touch $@
 
-$(VENV)/.dev: pyproject.toml | $(BIN)/pip
+$(VENV)/.dev: pyproject.toml | $(VENV)/.core
 	$(call install,[dev])
 	@tools/system-packages --open3d || echo "Everything but scan room works without them; its tests will be SKIPPED."
 	@touch $@ $(VENV)/.runtime

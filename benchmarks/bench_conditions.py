@@ -8,8 +8,9 @@ Each capture is taken of a simulated room, written as a capture folder, and repl
 process; the principal point is given, and the walls are known to be square, as they are. Two totals matter:
 
 - *refused that could be decoded*: the exit code is not 0, but the matches of a page of plain code without checks
-  (`conditions/plain_decoder.py`) have a median error of at most 0.5 px, and calibrating with them errs by at most
-  4 sigma or by at most 2 %;
+  (`conditions/plain_decoder.py`: a bit against its inverse, or half-way between white and black; fringes by least
+  squares; at most three of the finest bits left out) have a median error of at most 0.5 px, and calibrating with
+  them errs by at most 4 sigma or by at most 2 %;
 - *confident and wrong*: the exit code is 0, and one of f_c, f_p, x_p, y_p errs by more than 4 sigma; or by more than
   2 % where the report does not say that the result is good for a first look only. With patterns along one axis, for
   which the true calibration is given: the matches err by more than 2 sigma in the median.
@@ -64,7 +65,7 @@ def main() -> None:
     text = markdown(outcomes)
     print(text)
     if options.write:
-        write_into(PAGE, text)
+        write_into(PAGE, text, rows_alone=options.only != [""])
 
 
 def _options() -> argparse.Namespace:
@@ -80,7 +81,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--results", type=Path, metavar="FILE", help="keep outcomes here, and go on where it ends")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep captures and results in this folder")
-    parser.add_argument("--write", action="store_true", help=f"write the table into {PAGE.relative_to(ROOT)}")
+    parser.add_argument(
+        "--write", action="store_true", help=f"write the table, or the rows chosen, into {PAGE.relative_to(ROOT)}"
+    )
     parser.add_argument("-v", "--verbose", action="store_true", help="say what came of each capture")
     return parser.parse_args()
 

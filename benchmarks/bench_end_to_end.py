@@ -45,7 +45,7 @@ CAMERA = replace(PAPER_CAMERA, distortion=(-0.02, 0.0, 0.0, 0.0, 0.0))
 PROJECTOR = Intrinsics(1920, 1200, (950.0, 950.0), (955.0, 640.0), (-0.01, 0.0, 0.0, 0.0, 0.0))
 # In plain copies of all frames, in the same run.
 TO_CLOUD, TOTAL = "from the last frame to the cloud", "from the last frame to everything saved"
-LIMITS = {TO_CLOUD: 8.0, TOTAL: 20.0}
+LIMITS = {TO_CLOUD: 12.0, TOTAL: 20.0}
 WRITING = "Writing the result"
 ALONE = {
     "coordinates of all pixels": "scanner.decoding.checked_maps.coordinate_maps",

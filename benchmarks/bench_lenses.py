@@ -1,16 +1,21 @@
 """Are the sigmas true where lenses are decentred, as all of them are a little? Random rigs before corners.
 
     python benchmarks/bench_lenses.py --rigs 24 --seed 0
+    python benchmarks/bench_lenses.py --random-rigs 1000
 
 Synthetic matches of the paper's devices (300,000 a capture before what a wall hides, 0.1 px of noise, k1 −0.02 and
 −0.01), no images. The projector stands 0.4 m beside the camera, toed in by 6 to 12°; both look into the corner, yawed
 by up to 18°. p1 and p2 of both devices are drawn with the standard deviation that begins a row. The calibration is told
 that one (`--told true`), or the same for all rows (`--told 0.0003`). 'error' is the mean absolute error of (f_c, f_p,
 x_p, y_p) relative to their size. An error/sigma of rms 1 says that the sigma is true.
+
+`--random-rigs` asks another thing of so many of these rigs, before exactly square corners with 20,000 matches: whether
+any is refused for walls that are not square, as one is whose search ends in another basin.
 """
 
 import argparse
 import time
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import repeat
@@ -39,6 +44,8 @@ class Row:
     point: PrincipalPoint = KNOWN
     captures: int = 1
     off_deg: float = 0.0
+    squareness_deg: float | None = None  # what is told of the walls; the truth if left out
+    matches: int = VIEWS.count
 
     @property
     def name(self) -> str:
@@ -80,7 +87,14 @@ def outcome(row: Row, told: float | None, seed: int, number: int) -> Outcome:
     )
     rig = toed_in(rng, camera, projector)
     captures = random_captures(
-        rng, row.captures, VIEWS, camera=camera, projector=projector, walls_off_deg=row.off_deg, rig=rig
+        rng,
+        row.captures,
+        VIEWS,
+        count=row.matches,
+        camera=camera,
+        projector=projector,
+        walls_off_deg=row.off_deg,
+        rig=rig,
     )
     start = time.process_time()
     try:
@@ -88,7 +102,7 @@ def outcome(row: Row, told: float | None, seed: int, number: int) -> Outcome:
             [capture.matches for capture in captures],
             *SIZES,
             principal_point=row.point,
-            squareness_deg=row.off_deg,
+            squareness_deg=row.off_deg if row.squareness_deg is None else row.squareness_deg,
             decentering=row.decentering if told is None else told,
         )[0].calibration
     except RefusalError as refusal:
@@ -113,6 +127,18 @@ def line(row: Row, outcomes: list[Outcome]) -> str:
     return f"{text:75}{np.median([each.seconds for each in outcomes]):6.2f} s"
 
 
+def not_square(rigs: int, seed: int, pool: ProcessPoolExecutor) -> None:
+    """Tell how many of so many rigs before square corners were refused, and for what, by what was told of the walls."""
+    for squareness_deg in (0.0, 0.3):
+        row = Row(0.0003, squareness_deg=squareness_deg, matches=20_000)
+        outcomes = list(pool.map(outcome, repeat(row), repeat(None), repeat(seed), range(rigs)))
+        reasons = Counter(each.refusal.split(":")[0].split(",")[0] for each in outcomes if each.refusal)
+        wrong = [number for number, each in enumerate(outcomes) if "not square" in each.refusal]
+        print(f"squareness_deg {squareness_deg:g}: {len(wrong)} of {rigs} refused as not square {wrong or ''}")
+        for reason, count in reasons.most_common():
+            print(f"    {count}: {reason}", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", type=int, default=24)
@@ -120,10 +146,16 @@ def main() -> None:
     parser.add_argument("--told", default="true", help="the prior's standard deviation of p1 and p2, or 'true'")
     parser.add_argument("--only", default="", help="rows whose name contains this")
     parser.add_argument("--refusals", action="store_true", help="say why rigs were refused")
+    parser.add_argument("--random-rigs", type=int, default=0, help="look for square corners refused as not square")
+    parser.add_argument("--processes", type=int, default=None, help="all processors by default")
     options = parser.parse_args()
+    if options.random_rigs:
+        with ProcessPoolExecutor(options.processes) as pool:
+            not_square(options.random_rigs, options.seed, pool)
+        return
     told = None if options.told == "true" else float(options.told)
     print(f"{'p1, p2':15}{'captures':17}answered   mean     median   error/sigma (largest)   CPU time")
-    with ProcessPoolExecutor() as pool:
+    with ProcessPoolExecutor(options.processes) as pool:
         for row in ROWS:
             if options.only not in row.name:
                 continue

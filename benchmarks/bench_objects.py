@@ -47,7 +47,7 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.05)
     args = parser.parse_args()
     camera = (args.camera[0], args.camera[1])
-    print("thing  joined  wrong  turn °   shift mm  surface mm  by true places  verdict  s a station")
+    print("thing  joined  wrong  turn °   shift mm  surface mm  by true places  verdict  s a station  error/sigma")
     ratios: list[Floats] = []
     for seed in range(args.first, args.first + args.things):
         order = np.random.default_rng(seed).permutation(args.steps).tolist()
@@ -64,18 +64,23 @@ def main() -> None:
         errors, relative = _errors(found, places)
         grade = verdict_on(found).grade
         ratios += [relative] if grade != "refused" else []
+        turns, shifts = _over_sigma(relative)
         wrong = 0 if grade == "refused" else int(np.count_nonzero(errors[:, 0] > _WRONG_DEG))
         surfaces = [_from_surface(each, stations[0].solid, places[0]) for each in (found, _with_true(found, places))]
         print(
             f"{seed:5d}  {len(places):3d}/{args.steps:<2d}  {wrong:5d}  {errors[:, 0].max():7.4f}  "
             f"{1e3 * errors[:, 1].max():8.4f}  {1e3 * surfaces[0]:10.4f}  {1e3 * surfaces[1]:14.4f}  "
-            f"{grade:>7s}  {seconds:.1f}",
+            f"{grade:>7s}  {seconds:11.1f}  {turns:.2f}, {shifts:.2f}",
             flush=True,
         )
     if ratios:
-        every = np.concatenate(ratios)
-        turns, shifts = (float(np.sqrt(np.mean(every[:, part] ** 2))) for part in (slice(0, 3), slice(3, 6)))
+        turns, shifts = _over_sigma(np.concatenate(ratios))
         print(f"error/sigma, rms: turns {turns:.2f}, shifts {shifts:.2f}")
+
+
+def _over_sigma(relative: Floats) -> tuple[float, float]:
+    """Root mean squares of errors over sigmas (n, 6), of turns and of shifts."""
+    return float(np.sqrt(np.mean(relative[:, :3] ** 2))), float(np.sqrt(np.mean(relative[:, 3:] ** 2)))
 
 
 def _errors(found: SolvedObject, places: list[Motion]) -> tuple[Floats, Floats]:

@@ -27,7 +27,7 @@ from calib.geometry import Size
 from calib.numerics import Image
 from hw.ahead import Ahead, beside
 from hw.rig import Frame
-from hw.timing.synchronisation import MOST_AHEAD
+from hw.timing.timed_rig import MOST_AHEAD
 from scanner.capture import Stream, record
 from scanner.capture import recorder as recorder_module
 from scanner.decoding import Decoder

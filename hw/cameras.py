@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from hw.errors import DeviceError
 from hw.rig import Camera
 
 
@@ -48,6 +49,42 @@ class CameraDriver(Protocol):
         Exposures are whole refresh periods of the projector as far as the camera can make them. Raises DeviceError if
         there is no such camera, or it cannot be used so.
         """
+
+
+_STEPS = 0.01  # cameras round
+_ADVICE = "Change the configuration to what the camera can do."
+
+
+def differs(wanted: float, found: float, tolerance: float = _STEPS) -> bool:
+    """Whether a number is another one, beyond the camera's steps."""
+    return abs(found - wanted) > tolerance * abs(wanted)
+
+
+def refuse_other_setting(
+    name: str,
+    what: str,
+    wanted: float | str,
+    found: float | str | None,
+    tolerance: float = _STEPS,
+    advice: str = _ADVICE,
+) -> None:
+    """Raise DeviceError if the camera made something else of a setting."""
+    if isinstance(wanted, str) or isinstance(found, str) or found is None:
+        same, told, made = wanted == found, repr(wanted), repr(found)
+    else:
+        same, told, made = not differs(wanted, found, tolerance), f"{wanted:g}", f"{found:g}"
+    if not same:
+        raise DeviceError(f"camera {name}: wanted {told} as {what}, but the camera made it {made}. {advice}")
+
+
+def refuse_other_size(name: str, expected: tuple[int, int], found: tuple[int, int]) -> None:
+    """Raise DeviceError if frames have another (width, height) than the configuration says."""
+    if found != expected:
+        raise DeviceError(
+            f"camera {name}: expected frames of {expected[0]} × {expected[1]}, but it delivers {found[0]} × "
+            f"{found[1]}. Set the configuration's camera: {{width: {found[0]}, height: {found[1]}}}, or the camera's "
+            "own size, then rerun."
+        )
 
 
 def not_found(problem: str, there: Sequence[str]) -> str:

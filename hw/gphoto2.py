@@ -17,11 +17,11 @@ import numpy as np
 from pydantic import Field
 
 from calib.numerics import Image
-from hw.cameras import CameraInfo, not_found
+from hw.cameras import CameraInfo, not_found, refuse_other_setting, refuse_other_size
 from hw.errors import DeviceError, FrameLostError
 from hw.optional_parts import GPHOTO2
 from hw.rig import Capabilities, Frame
-from hw.settings import CameraRigSettings
+from hw.settings import USUAL_EXPOSURE_US, CameraRigSettings
 from hw.timing.devices import nothing
 from hw.timing.exposures import whole_periods
 
@@ -45,14 +45,13 @@ class GPhotoRigSettings(CameraRigSettings):
     """A tethered photo camera reached through gphoto2, and a projector that is a screen."""
 
     slow: ClassVar[bool] = True
-    has_gain: ClassVar[bool] = False
 
     backend: Literal["gphoto2"]
     camera: str | None = Field(
         None, min_length=1, description="Model or port as scan devices lists them; left out, the only one there is."
     )
     exposure_us: float = Field(
-        100_000 / 3,
+        USUAL_EXPOSURE_US,
         gt=0.0,
         le=30_000_000.0,
         description="Exposure in microseconds; the camera's shutter speed that is nearest to whole refresh periods.",
@@ -65,6 +64,11 @@ class GPhotoRigSettings(CameraRigSettings):
         None, coerce_numbers_to_str=True, description="F-number, one of the camera's; left out, it is kept."
     )
     format: Literal["jpeg", "raw"] = Field("jpeg", description="What the camera sends; raw frames are linear, 16 bit.")
+
+    @property
+    def has_gain(self) -> bool:
+        """They have iso."""
+        return False
 
     @property
     def bytes_per_pixel(self) -> int:
@@ -195,12 +199,7 @@ class GPhotoCamera:
         image = _developed(content) if self._raw else cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         if image is None:
             raise FrameLostError(f"{name} is no picture of the format {'raw' if self._raw else 'jpeg'}")
-        height, width = image.shape[:2]
-        if (width, height) != self.size:
-            raise DeviceError(
-                f"camera {self.name}: expected pictures of {self.size[0]} × {self.size[1]}, but it takes {width} × "
-                f"{height}. Set the configuration's camera: {{width: {width}, height: {height}}}, or the camera's size."
-            )
+        refuse_other_size(self.name, self.size, (image.shape[1], image.shape[0]))
         return np.asarray(image)
 
     def _found(self, wanted: str | None) -> tuple[str, str]:
@@ -270,8 +269,7 @@ class GPhotoCamera:
         with self._errors(f"does not take {value!r} as {names[0]}"):
             widget.set_value(value)
             self._camera.set_config(config)
-        if (now := self._get(names)) != value:
-            raise DeviceError(f"camera {self.name}: wanted {value!r} as {names[0]}, but the camera made it {now!r}.")
+        refuse_other_setting(self.name, names[0], value, self._get(names))
 
     def _set_if_there(self, names: Sequence[str], wanted: Sequence[str]) -> None:
         value = next((each for each in self._choices(names) if each in wanted), None)

@@ -1,15 +1,16 @@
 """Cameras that OpenCV opens: webcams by number (V4L2, UVC), network streams and pipelines by address."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import cv2
 import numpy as np
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, model_validator
 
 from calib.numerics import Image
-from hw.cameras import CameraInfo
+from hw.cameras import CameraInfo, refuse_other_setting, refuse_other_size
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame
 from hw.settings import CameraRigSettings
@@ -26,8 +27,9 @@ _AUTOMATICS = {
 }
 _EXPOSURE_UNIT_US = 100.0  # of V4L2's exposure_time_absolute
 _LIMITS_US = (100.0, 1e6)  # OpenCV does not tell the driver's own
-_TOLERANCE = 0.1
-_V4L = Path("/sys/class/video4linux")
+_TOLERANCE = 0.1  # of exposures, which drivers round
+_BY_HAND = "Leave it out of the rig, set it with the camera's own tool or app, and turn its automatic off there."
+_V4L, _DEVICES = Path("/sys/class/video4linux"), Path("/dev")
 
 
 class OpenCVRigSettings(CameraRigSettings):
@@ -55,6 +57,20 @@ class OpenCVRigSettings(CameraRigSettings):
         2, ge=2, le=16, description="Frames of each picture whose mean is taken; the first two prove that it stands."
     )
 
+    @property
+    def has_gain(self) -> bool:
+        """Whether a driver can be asked to set it."""
+        return isinstance(self.camera, int)
+
+    @model_validator(mode="after")
+    def _only_drivers_are_told(self) -> Self:
+        told = [key for key in ("exposure_us", "gain", "codec") if getattr(self, key) is not None]
+        if told and not isinstance(self.camera, int):
+            raise ValueError(
+                f"{told[0]}: of a stream it cannot be set by this program; leave it out, and set it in the camera's app"
+            )
+        return self
+
 
 def load() -> Any:
     """This module: OpenCV is always there."""
@@ -72,6 +88,9 @@ def list_cameras() -> list[CameraInfo]:
 def _looked_at(number: int) -> CameraInfo | None:
     told = _V4L / f"video{number}" / "name"
     name = f"webcam {number}" + (f" ({told.read_text().strip()})" if told.is_file() else "")
+    device = _DEVICES / f"video{number}"
+    if device.exists() and not os.access(device, os.R_OK | os.W_OK):
+        return CameraInfo(name, f"it may not be opened: {device} belongs to group {device.group()}, so join that")
     capture = cv2.VideoCapture(number)
     try:
         if not capture.isOpened():
@@ -140,12 +159,7 @@ class OpenCVCamera:
         wanted_us, _ = whole_periods(exposure_us, self._refresh_hz)
         self._capture.set(cv2.CAP_PROP_EXPOSURE, wanted_us / _EXPOSURE_UNIT_US)
         found_us = _EXPOSURE_UNIT_US * self._capture.get(cv2.CAP_PROP_EXPOSURE)
-        if abs(found_us - wanted_us) > _TOLERANCE * wanted_us:
-            raise DeviceError(
-                f"camera {self.name}: wanted an exposure of {wanted_us:.0f} µs, but the driver made it {found_us:.0f}. "
-                "Leave out the rig's exposure_us, set the exposure with the camera's own tool or app, and turn its "
-                "automatic off there."
-            )
+        refuse_other_setting(self.name, "exposure in µs", wanted_us, found_us, _TOLERANCE, _BY_HAND)
         self._exposure, self._exposure_us = "settable", found_us
         return found_us
 
@@ -188,7 +202,9 @@ class OpenCVCamera:
             self.identity["exposure"] = f"{1e-3 * (self._exposure_us or 0):.4g} ms"
         if settings.gain is not None:
             self._capture.set(cv2.CAP_PROP_GAIN, settings.gain)
-            self.identity["gain"] = f"{self._capture.get(cv2.CAP_PROP_GAIN):g}"
+            found = self._capture.get(cv2.CAP_PROP_GAIN)
+            refuse_other_setting(self.name, "gain", settings.gain, found, advice=_BY_HAND)
+            self.identity["gain"] = f"{settings.gain:g}"
 
     def _learn_exposure(self, *, fixed: bool) -> None:
         """What the driver says of the exposure is true where it is not automatic."""
@@ -218,12 +234,7 @@ class OpenCVCamera:
 
     def _expected(self, image: np.ndarray) -> Image:
         height, width = image.shape[:2]
-        if (width, height) != self.size:
-            raise DeviceError(
-                f"camera {self.name}: expected frames of {self.size[0]} × {self.size[1]}, but it delivers {width} × "
-                f"{height}. Set the configuration's camera: {{width: {width}, height: {height}}}, or the camera's own "
-                "size, then rerun."
-            )
+        refuse_other_size(self.name, self.size, (width, height))
         if image.dtype != np.uint8 or image.shape[2:] not in ((), (3,)) or self._shape not in (None, image.shape):
             found = "grey" if image.ndim == 2 else f"{image.shape[2]} channels"
             raise DeviceError(

@@ -307,12 +307,14 @@ class SimulatedRigSettings(BaseModel):
         return 1 if self.bit_depth == 8 else 2
 
 
+USUAL_EXPOSURE_US = 2e6 / 60  # two refresh periods of most projectors
+
+
 class CameraRigSettings(BaseModel):
     """What all rigs of real devices have: a projector that is a screen, and a camera that a backend reaches."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    has_gain: ClassVar[bool] = True
     slow: ClassVar[bool] = False  # it takes a second a frame, or longer
 
     backend: str
@@ -326,6 +328,11 @@ class CameraRigSettings(BaseModel):
     refresh_hz: float | None = Field(
         None, ge=10.0, le=1000.0, description="Refresh rate of the projector; left out, that of the screen's mode."
     )
+
+    @property
+    def has_gain(self) -> bool:
+        """Whether it can be asked for."""
+        return True
 
     @property
     def bytes_per_pixel(self) -> int:

@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from math import prod
 from pathlib import Path
+from typing import Any
 
 from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration
@@ -16,7 +17,7 @@ from calib.numerics import Bools
 from calib.refusal import RefusalError
 from hw.ahead import beside
 from hw.backends import RigSettings
-from hw.open_rig import open_rig
+from hw.open_rig import OpenedRig, open_rig
 from scanner.capture import (
     CaptureMetadata,
     Recording,
@@ -29,8 +30,8 @@ from scanner.capture import (
     record,
     remarks_on_camera,
     remarks_on_lines,
-    smooth_of,
     take_up,
+    with_smooth_errors_of_film,
 )
 from scanner.configuration import CONFIGURATION_KEY, Config
 from scanner.decoding import Decoder, usable
@@ -105,6 +106,17 @@ def resume(
     return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
 
+def _truth_beside(opened: OpenedRig) -> dict[str, Any]:
+    """What truth.yaml says beside the calibration: where the rig stood, and the thing's volume and area, in metres."""
+    entries: dict[str, Any] = {}
+    if opened.place is not None:
+        place = opened.place
+        entries["place"] = {"rotation": place.rotation.tolist(), "translation": place.translation.tolist()}
+    if opened.thing is not None:
+        entries["thing"] = {"volume": opened.thing.volume, "area": opened.thing.area}
+    return entries
+
+
 def take(
     settings: RigSettings,
     config: Config,
@@ -128,11 +140,7 @@ def take(
             opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
             lines = measure_lines(opened.rig) if begun is None else known_of_lines(begun.metadata)
         if opened.truth:
-            stands = opened.place and {
-                "rotation": opened.place.rotation.tolist(),
-                "translation": opened.place.translation.tolist(),
-            }
-            write_calibration(folder / TRUTH_FILE, opened.truth, {"place": stands} if stands else None)
+            write_calibration(folder / TRUTH_FILE, opened.truth, _truth_beside(opened))
         how = patterns, config.sequence.exposures_us, config.projector.known_response
         live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
         live = replace(live, metadata={**live.metadata, **lines, CONFIGURATION_KEY: config.recorded})
@@ -228,7 +236,7 @@ def decode(
             exposures_us += [frame.exposure_us] if frame.exposure_us else []
     with progress.step("Matching"):
         decoding = decoder.finish()
-    decoding = replace(decoding, smooth_px=decoding.smooth_px * smooth_of(stream.metadata))
+    decoding = replace(decoding, smooth_px=with_smooth_errors_of_film(decoding.smooth_px, stream.metadata))
     about = identity({**stream.metadata, **stream.account()})
     facts = CaptureMetadata(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
     return Decoded(facts, decoding.matches, decoding, name)

@@ -1,96 +1,115 @@
 """Compile what the commands will need, so that the first of them does not wait for it: part of `make setup`.
 
-Numba compiles a function for the types that it is called with, so each way through the program is gone once, with a
-small picture of a simulated room. What is compiled already, and has not changed since, is not compiled again.
+Numba compiles a function for the types that it is called with, so each way through the program is gone once, with
+small pictures of a simulated room. Two processes share the work: one decodes frames, the other begins with matches
+that are true. What is compiled already, and has not changed since, is not compiled again.
 """
 
-import re
+import gc
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import redirect_stdout
-from io import StringIO
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 from numba.core import event
 
-from scanner.capture import CAPTURE_FILE
-from scanner.commands.main import main
+from calib.geometry import Matches, Size
+from hw.open_rig import open_rig
+from hw.settings import SimulatedRigSettings
+from hw.simulated.simulation import SimulatedRoom
+from scanner.capture import CaptureMetadata, capture
+from scanner.configuration import Config
+from scanner.exporting import FORMATS, Request
+from scanner.patterns import PRESETS, Phase
+from scanner.pipeline import decode, reconstruct
+from scanner.reconstruction.keystone.planes import planes_at
+from scanner.results import Decoded, GivenMatches, new_result
+from scanner.ui import Terminal
 
-_CONFIG = """
-rig: {backend: simulated, seed: 0}
-camera: {width: 306, height: 256, principal_point: {known: [157.0375, 131.7875]}}
-projector: {width: 427, height: 240}
-sequence: {preset: standard}
-corner: {squareness_deg: 0, same: true}
-"""
+_CAMERA_SIZE, _PROJECTOR_SIZE = Size(306, 256), Size(427, 240)
+_CONFIG = Config.model_validate(
+    {
+        "camera": {"width": 306, "height": 256, "principal_point": {"known": [157.0375, 131.7875]}},
+        "projector": {"width": 427, "height": 240},
+        "corner": {"squareness_deg": 0, "same": True},
+    }
+)
+_ERROR_PX = 0.05
+_QUIET = Terminal(quiet=True)
+
+
+def run() -> None:
+    """Do it."""
+    begun_s = time.monotonic()
+    if sys.stderr.isatty():
+        print("Compiling for this machine …", file=sys.stderr)
+    with ProcessPoolExecutor(2) as processes:
+        compiled = sum(processes.map(_counted, (_from_frames, _from_matches)))
+    print(f"Compiled for this machine: {compiled} functions, {time.monotonic() - begun_s:.0f} s", file=sys.stderr)
 
 
 class _Count(event.Listener):
-    """Counts compilations, and keeps a line about them up to date on a terminal."""
+    """Counts compilations."""
 
     def __init__(self) -> None:
         self.compiled = 0
-        self._begun_s = time.monotonic()
 
     def on_start(self, _event: event.Event) -> None:
         self.compiled += 1
-        if sys.stderr.isatty():
-            print(f"\rCompiling for this machine: {self}", end="", file=sys.stderr, flush=True)
 
     def on_end(self, _event: event.Event) -> None:
-        """Nothing: the next one tells."""
-
-    def __str__(self) -> str:
-        return f"{self.compiled} functions, {time.monotonic() - self._begun_s:.0f} s"
+        """It has been counted."""
 
 
-def _ways(folder: Path) -> Iterator[list[str]]:
-    """Arguments of commands, one after the other, that go through everything that is compiled."""
-    config = folder / "room.yaml"
-    config.write_text(_CONFIG, encoding="utf-8")
-
-    def scan(name: str, *more: str) -> list[str]:
-        return ["--config", str(config), "--out", str(folder / name), *more, "--quiet"]
-
-    def replay(capture: Path, name: str, *more: str) -> list[str]:
-        return ["replay", str(capture), "--out", str(folder / name), *more, "--quiet"]
-
-    yield scan("concave", "--set", "sequence={preset: concave}")
-    yield scan("quick", "--set", "sequence={preset: quick}")
-    yield scan("standard", "--captures", "2")
-    first = folder / "standard"
-    known = "--calibration", str(first / "calibration.yaml")
-    yield replay(first / "capture", "calibrated", *known)
-    yield ["export", str(first), "--to", "mesh", "--quiet"]
-    _drop_fringes(first / "capture" / CAPTURE_FILE)
-    yield replay(first / "capture", "gray", *known)
-
-
-def _drop_fringes(listing: Path) -> None:
-    kept = []
-    for line in listing.read_text(encoding="utf-8").splitlines(keepends=True):
-        if "kind: phase" not in line:
-            kept.append(line)
-        elif image := re.search(r"frames/\d+\.png", line):
-            (listing.parent / image[0]).unlink()
-    listing.write_text("".join(kept), encoding="utf-8")
-
-
-def run() -> int:
-    """Do it; the exit code of the command that failed, or 0."""
+def _counted(work: Callable[[], None]) -> int:
+    """How many functions the work had to be compiled for."""
+    gc.disable()  # the compiler makes millions of small objects, and the process ends soon
     listener = _Count()
     event.register("numba:compile", listener)  # type: ignore[no-untyped-call]
+    work()
+    return listener.compiled
+
+
+def _from_frames() -> None:
+    """Decode every preset, and codes without fringes, for which the calibration has to be known."""
+    with open_rig(SimulatedRigSettings(pose=1), _CAMERA_SIZE, _PROJECTOR_SIZE) as opened:
+        for preset in PRESETS.values():
+            matches = decode(capture(opened.rig, preset.patterns(_PROJECTOR_SIZE)), _QUIET, "Decoding").matches
+        planes_at(matches.camera_px, matches.camera_px, np.zeros(len(matches.camera_px), np.int32))  # as keystone asks
+        standard = PRESETS["standard"].patterns(_PROJECTOR_SIZE)
+        codes = tuple(pattern for pattern in standard if not isinstance(pattern, Phase))
+        decode(capture(opened.rig, codes), _QUIET, "Decoding", calibration=opened.truth)
+
+
+def _from_matches() -> None:
+    """Calibrate and reconstruct from two places, with reports, and export."""
     with TemporaryDirectory(prefix="roomscan-") as scratch:
-        for arguments in _ways(Path(scratch)):
-            with redirect_stdout(StringIO()):
-                code = main(arguments)
-            if code:
-                return code
-    print(f"\rCompiled for this machine: {listener}", file=sys.stderr)
-    return 0
+        out = Path(scratch) / "result"
+        with new_result(out, _CONFIG, overwrite=False, tell=_QUIET.note) as folder:
+            reconstruct([_true_matches(pose) for pose in range(2)], _CONFIG, folder, _QUIET)
+        FORMATS["mesh"].write(Request(out, out.with_suffix(".ply"), False))
+
+
+def _true_matches(pose: int) -> Decoded:
+    """What is to be decoded, with noise, in the types in which the decoder gives it."""
+    room = SimulatedRoom(SimulatedRigSettings(pose=pose), _CAMERA_SIZE, _PROJECTOR_SIZE)
+    pixels = room.ground_truth().projector_px
+    rows, columns = np.nonzero(np.isfinite(pixels).all(axis=2))
+    noise = np.random.default_rng(pose).normal(0, _ERROR_PX, (len(rows), 2))
+    matches = Matches(
+        np.stack([columns, rows], axis=1).astype(np.float32),
+        (pixels[rows, columns] + noise).astype(np.float32),
+        sigma_px=np.full(len(rows), _ERROR_PX, np.float32),
+    )
+    width, height = _PROJECTOR_SIZE
+    white = room.renderer.render(np.full((height, width), 255, np.uint8))
+    photograph = np.clip(255 / white.max() * white, 0, 255).astype(np.uint8)
+    facts = CaptureMetadata(_CAMERA_SIZE, _PROJECTOR_SIZE, PRESETS["standard"].patterns(_PROJECTOR_SIZE))
+    return Decoded(facts, matches, GivenMatches(photograph), f"Capture {pose + 1}")
 
 
 if __name__ == "__main__":
-    sys.exit(run())
+    run()

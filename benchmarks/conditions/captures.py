@@ -105,6 +105,13 @@ def xor_code(projector_size: tuple[int, int], *, above_finest: int) -> tuple[Pat
     return (White(), Black(), *of_x, *xor_sequence("y", height, 1, above_finest=above_finest))
 
 
+def bits_alone(projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
+    """White, black, and a Gray code down to a pixel along both axes, without inverses."""
+    width, height = projector_size
+    of_x = gray_sequence("x", width, 1, inverses=False)
+    return (White(), Black(), *of_x, *gray_sequence("y", height, 1, inverses=False))
+
+
 def bits_in_order(
     projector_size: tuple[int, int], *, axis: Axis, finest_first: bool, inverses: Inverses
 ) -> tuple[Pattern, ...]:

@@ -8,11 +8,12 @@ from typing import Any, get_args
 
 import numpy as np
 
-from conditions.captures import Inverses, bits_in_order, long_fringe, long_fringes, xor_along_x, xor_code
+from conditions.captures import Inverses, bits_alone, bits_in_order, long_fringe, long_fringes, xor_along_x, xor_code
 from conditions.changes import (
     OfFrames,
     Random,
     compressed,
+    developed,
     each_exposed,
     exchanged,
     finest_bit_twice,
@@ -107,6 +108,11 @@ def _optics() -> Iterator[Condition]:
 def _camera() -> Iterator[Condition]:
     for response in ("srgb", "photo"):
         yield Condition("camera's response", response, {"camera_response": response})
+    for contrast, blur in product((0.0, 1.0, 1.5), (0.5, 1.0, 1.5)):
+        photographs = {"bit_depth": 16, "camera_blur_px": blur}
+        strength, frames = f"S-curve of {contrast:g}, blur of {blur:g} px", developed(contrast, 90)
+        yield Condition("tone curve of photographs", strength, photographs, frames=frames)
+        yield Condition("tone curve, no inverses", strength, photographs, frames=frames, shown=bits_alone)
     for blur in (1.0, 2.0, 3.0):
         yield Condition("camera out of focus", f"{blur:g} px", {"camera_blur_px": blur})
     for darker in (2, 4, 8):

@@ -27,6 +27,22 @@ def compressed(quality: int, tint: tuple[float, float, float] | None = None) -> 
     return frames
 
 
+def developed(contrast: float, quality: int) -> OfFrames:
+    """Frames of 16 bits as photographs: sRGB's curve (IEC 61966-2-1), by a share `contrast` an S-curve on top of it,
+    and beyond 1 another one on top of that; saved as JPEG.
+    """
+    light = np.linspace(0, 1, 2**16)
+    level = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055)
+    for share in (min(contrast, 1.0), max(contrast - 1, 0.0)):
+        level += share * (level**2 * (3 - 2 * level) - level)
+    digits = np.rint(255 * level).astype(np.uint8)
+
+    def frames(capture: Capture, _: Random) -> Capture:
+        return replace(capture, frames=tuple(digits[frame] for frame in capture.frames), jpeg=quality)
+
+    return frames
+
+
 def any_frame(capture: Capture, rng: Random) -> int:
     """Not one of white and black, which are first."""
     return int(rng.integers(3, len(capture.frames)))

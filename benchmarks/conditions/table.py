@@ -61,11 +61,25 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
     return "\n".join([*lines, "", measured, "", *_totals(outcomes)])
 
 
-def write_into(page: Path, text: str) -> None:
-    """Put a text between the marks of a page."""
+def write_into(page: Path, text: str, *, rows_alone: bool = False) -> None:
+    """Put a text between the marks of a page; or only the rows of its table into the table that is there."""
     before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    _, _, after = rest.partition(END)
+    there, _, after = rest.partition(END)
+    text = _with_rows(there.strip(), text) if rows_alone else text
     page.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+
+
+def _with_rows(there: str, text: str) -> str:
+    """A text with a table, with the rows of another one, which has its rows of its own captures."""
+    table, _, totals = there.partition("\n\n")
+    rows = {_key(line): line for part in (table, text.partition("\n\n")[0]) for line in part.splitlines()[2:]}
+    known = [row for c in conditions() if (row := rows.get((c.name, c.strength)))]
+    return "\n".join([*table.splitlines()[:2], *known, "", totals])
+
+
+def _key(row: str) -> tuple[str, str]:
+    name, strength = row.split("|")[1:3]
+    return name.strip(), strength.strip()
 
 
 def _row(outcomes: Sequence[Outcome]) -> str:

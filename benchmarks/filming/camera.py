@@ -7,7 +7,7 @@ picture from top to bottom, at refreshes of its own clock; the camera integrates
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import av
@@ -20,6 +20,7 @@ from hw.simulated.arrays import Light
 
 _STEPS = 60_000  # of light, as pictures are kept
 _TICKS = 90_000
+_CODES = 65_535  # of light, of which a tone curve is a table
 # Light 0 … 1 → level 0 … 1.
 _TONES: dict[str, Callable[[Floats], Floats]] = {
     "linear": lambda light: light,
@@ -38,11 +39,18 @@ def _hable(x: Floats) -> Floats:
     return curve
 
 
+@cache
+def _curve(tone: str) -> Light:
+    """(codes,): the level 0 … 1 of each code of light."""
+    return np.asarray(_TONES[tone]((np.arange(_CODES + 1) + 0.5) / (_CODES + 1)), np.float32)
+
+
 @dataclass(frozen=True)
 class Camera:
     """A camera and what it films. Times in seconds; `fast`: how much faster than the player its clock runs.
 
-    `repeated` and `dropped`: numbers of frames. `gain`: brightness over the film's time; `shift`: the picture's, in px.
+    `repeated` and `dropped`: numbers of frames. `gain`: brightness over the film's time; `motion`: the picture's,
+    in px along x and y and degrees about its centre.
     """
 
     rate: float = 30.0
@@ -63,7 +71,7 @@ class Camera:
     repeated: tuple[int, ...] = ()
     dropped: tuple[int, ...] = ()
     gain: Callable[[float], float] | None = None
-    shift: Callable[[float], tuple[float, float]] | None = None
+    motion: Callable[[float], tuple[float, float, float]] | None = None
     pause: tuple[float, float] | None = None  # of the player: at which second of the video, for how long
     seed: int = 0
 
@@ -162,15 +170,17 @@ def _lit(since: Floats, change: float, camera: Camera) -> Floats:
 
 def _levels(light: Light, time_s: float, camera: Camera, rng: np.random.Generator) -> Light:
     """Levels 0 … 1 (H, W) of a frame: gain, motion, noise, tone curve, sharpening."""
-    if camera.shift is not None:
-        x, y = camera.shift(time_s)
-        by = np.array([[1, 0, x], [0, 1, y]])
+    if camera.motion is not None:
+        x, y, turn_deg = camera.motion(time_s)
+        by = cv2.getRotationMatrix2D((light.shape[1] / 2, light.shape[0] / 2), turn_deg, 1.0)
+        by[:, 2] += np.array((x, y))
         light = np.asarray(cv2.warpAffine(light, by, light.shape[::-1], borderMode=cv2.BORDER_REPLICATE), np.float32)
     electrons = light * camera.full_well
     noise = rng.standard_normal(light.shape, dtype=np.float32)
     electrons = electrons + noise * np.sqrt(np.maximum(electrons, 0) + np.float32(camera.read_noise**2))
     gain = 1.0 if camera.gain is None else camera.gain(time_s)
-    level = np.asarray(_TONES[camera.tone](np.clip(electrons * (gain / camera.full_well), 0, 1)), np.float32)
+    scaled = np.clip(electrons * np.float32(gain * _CODES / camera.full_well), 0, _CODES)
+    level = _curve(camera.tone)[scaled.astype(np.uint16)]
     if camera.sharpening:
         soft = cv2.GaussianBlur(level, (0, 0), 1.0)
         level = np.asarray(level + np.float32(camera.sharpening) * (level - soft), np.float32)

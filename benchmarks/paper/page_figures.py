@@ -73,8 +73,8 @@ def _triple(errors: Sequence[float] | None, none: str = NONE, *, signed: bool = 
 
 
 def beyond(parts: Parts) -> tuple[str, Pictures]:
-    """A curve for each thing that was varied, and below them the numbers."""
-    pictures, texts, rows = {}, [], []
+    """A curve for each thing that was varied. The numbers are in `results/beyond.json`."""
+    pictures, texts = {}, []
     for name in (name for name in CURVES if name in parts):
         curve, points = CURVES[name], parts[name]["points"]
         keys = [key for key in _NAMES if any(key in point for point in points)]
@@ -84,17 +84,7 @@ def beyond(parts: Parts) -> tuple[str, Pictures]:
         styles = {shown: _STYLES[key] for key, shown in _NAMES.items()}
         pictures[file] = curves(Axis(curve.label, log), "median error (%)", lines, f"error over {name}", styles)
         texts.append(f"**Error over {name}.**\n\n{image(f'images/results/{file}', f'error over {name}')}")
-        rows += [[name, f"{point['at']:g}", *(_value(point, key) for key in _NAMES)] for point in points]
-    numbers = table(["varied", "value", *_NAMES.values()], rows)
-    folded = (
-        f"<details><summary>the numbers: median error in %, refusals in brackets</summary>\n\n{numbers}\n\n</details>"
-    )
-    return "\n\n".join([*texts, folded]), pictures
-
-
-def _value(point: Figures, key: str) -> str:
-    refused = point.get(f"{key}: refused", 0)
-    return number(point.get(key)) + (f" ({refused} of {point['corners']})" if refused else "")
+    return "\n\n".join(texts), pictures
 
 
 def ratios_to_bound(parts: Parts) -> list[float]:

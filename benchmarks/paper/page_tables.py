@@ -35,7 +35,7 @@ TWO_VIEW_METHODS = (
 
 
 def table_1(own: Parts, two_views: Parts, many_views: Parts) -> str:
-    """Mean absolute errors of each method in each room, and below them each signed error."""
+    """Mean absolute errors of each method in each room. The signed errors are in `results/table1*.json`."""
     rooms = sorted(own)
     rows = [_method_row(own, rooms, *method) for method in OWN_METHODS]
     rows += [_method_row(two_views, rooms, *method) for method in TWO_VIEW_METHODS] if two_views else []
@@ -49,11 +49,7 @@ def table_1(own: Parts, two_views: Parts, many_views: Parts) -> str:
         ]
     )
     head = ["mean absolute error, %", *rooms, "mean", "f_c alone, mean", "the paper's own figure"]
-    details = [_details(own, rooms, OWN_METHODS)] + (
-        [_details(two_views, rooms, TWO_VIEW_METHODS)] if two_views else []
-    )
-    folded = "<details><summary>each error, signed (estimate − truth), in %</summary>\n\n{}\n\n</details>"
-    return "\n\n".join([table(head, rows), folded.format("\n\n".join(details))])
+    return table(head, rows)
 
 
 def _method_row(parts: Parts, rooms: Sequence[str], shown: str, key: str, in_paper: str) -> list[str]:
@@ -88,15 +84,6 @@ def _many_views_row(parts: Parts, rooms: Sequence[str]) -> list[str]:
     first = next(iter(parts.values()))
     shown = f"COLMAP, {first['views']} views of textured walls (f_c only)"
     return [shown, *cells, NONE, number(mean_of(sizes.values())), f"{published.MEAN_ERRORS['COLMAP, 20 views']}"]
-
-
-def _details(parts: Parts, rooms: Sequence[str], methods: Sequence[tuple[str, str, str]]) -> str:
-    rows = []
-    for room in (room for room in rooms if room in parts):
-        for index, name in enumerate(published.PER_CENT_OF):
-            errors = [parts[room].get(key) for _, key, _ in methods]
-            rows.append([room, name, *(number(e[index], signed=True) if e else NONE for e in errors)])
-    return table(["", "", *(method_name(key) for _, key, _ in methods)], rows)
 
 
 def paper_by_room() -> str:

@@ -1,6 +1,6 @@
 """Views of a board → a calibration with its uncertainty and what tests it, or a refusal with a reason."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from calib.boards.acceptance import (
 )
 from calib.boards.board_shape import flex_of, turned_alike
 from calib.boards.cross_validation import Halves, Prediction, halves, leave_one_out
-from calib.boards.estimate import Estimate, estimate, of_views
+from calib.boards.estimate import Estimate, estimate
 from calib.boards.likelihood import Fit, Prior, View, device_prior, minimise
 from calib.boards.parameters import (
     CAMERA,
@@ -99,7 +99,14 @@ def calibrate_boards(
     if not begun:
         raise no_rig(None)
     found = _estimated(views, begun[0].state, prior, board)
-    found, predictions, left_out = _without_odd(found, prior, board)
+    names, of_all = [view.name for view in found.views], found.state
+
+    def anew(some: Sequence[View]) -> Estimate:
+        again = starts(some, camera_size, projector_size, board.reach, prior)
+        start = again[0].state if again else of_all.of_views([names.index(view.name) for view in some])
+        return _estimated(some, start, prior, board)
+
+    found, predictions, left_out = _without_odd(found, anew)
     coverage = coverage_of(found.views, found.state, camera_size, projector_size)
     surprise = float(np.sqrt(np.mean([each.sigmas**2 for each in predictions])))
     enlarged = straightness(found) * (surprise if surprise > _SURPRISING else 1.0)
@@ -129,13 +136,13 @@ def _estimated(views: Sequence[View], start: State, prior: Prior, board: Board) 
 
 
 def _without_odd(
-    found: Estimate, prior: Prior, board: Board
+    found: Estimate, anew: Callable[[Sequence[View]], Estimate]
 ) -> tuple[Estimate, tuple[Prediction, ...], tuple[OddView, ...]]:
     """The estimate without views that the others mispredict by far: a board that moved, a view of something else."""
     left_out: list[OddView] = []
     most = int(_MOST_ODD * len(found.views))
     while True:
-        predictions = leave_one_out(found)
+        predictions = leave_one_out(found, anew)
         errors = np.array([prediction.error_px for prediction in predictions])
         worst = int(np.argmax(errors))
         usual = float(np.median(np.delete(errors, worst)))
@@ -150,8 +157,7 @@ def _without_odd(
                 "them.",
             )
         left_out.append(OddView(predictions[worst].name, float(errors[worst]), usual))
-        rest = of_views(found, [i for i in range(len(errors)) if i != worst])
-        found = _estimated(rest.views, rest.state, replace(prior, flex=0.0), replace(board, turns=1))
+        found = anew([*found.views[:worst], *found.views[worst + 1 :]])
 
 
 def _others(found: Estimate, begun: Sequence[Fit], views: Sequence[View]) -> list[Fit]:
@@ -224,9 +230,9 @@ def _notes(found: Estimate, left_out: Sequence[OddView], enlarged: float, tested
         notes.append(f"It bends otherwise from pose to pose, by some {1000 * found.prior.flex:.2g} thousandths.")
     if enlarged > 1:
         notes.append(
-            f"All sigmas are told {enlarged:.2g} times as large as the residuals say: the boards predict each other "
-            "worse than they would allow."
+            f"All sigmas are {enlarged:.2g} times those of the residuals: the boards predict each other "
+            "worse than the residuals allow."
         )
     if tested is None:
-        notes.append("These boards are too few to be split in two halves that could be compared.")
+        notes.append("There are too few boards to compare one half with the other.")
     return notes

@@ -4,13 +4,13 @@ Reprojection error is small wherever there are parameters enough; these are erro
 what the covariance promises, so that they test it too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.boards.estimate import Estimate, of_views
-from calib.boards.likelihood import Levels, minimise
+from calib.boards.likelihood import Levels, View, minimise
 from calib.boards.parameters import (
     CAMERA,
     INTRINSIC_COLUMNS,
@@ -65,16 +65,20 @@ class Halves:
         return float(np.sqrt(np.mean((self.difference / self.sigma) ** 2)))
 
 
-def leave_one_out(found: Estimate) -> tuple[Prediction, ...]:
-    """Each view predicted by the others; none for fewer than three."""
+def leave_one_out(found: Estimate, anew: Callable[[Sequence[View]], Estimate]) -> tuple[Prediction, ...]:
+    """Each view predicted by the others; none for fewer than three.
+
+    `anew`: the estimate from some views alone, from its starts on: levels of noise that began with those of all views
+    would stay near them.
+    """
     count = len(found.views)
     if count < 3:
         return ()
-    return tuple(_predicted(found, i, [j for j in range(count) if j != i]) for i in range(count))
+    return tuple(_predicted(found, i, anew([*found.views[:i], *found.views[i + 1 :]])) for i in range(count))
 
 
-def _predicted(found: Estimate, left_out: int, others: Sequence[int]) -> Prediction:
-    rest, view = of_views(found, others), found.views[left_out]
+def _predicted(found: Estimate, left_out: int, rest: Estimate) -> Prediction:
+    view = found.views[left_out]
     moved = rest.state.additive() - found.state.additive()
     board = found.state.boards[left_out]
     alone = replace(rest.state, boards=(Placed(board.rotation, board.middle),))

@@ -50,7 +50,7 @@ def refuse_degenerate(captures: Sequence[Cells], straightened: Sequence[Straight
         if reason := one_plane(cells, straight, words):
             raise RefusalError(
                 f"The faces{of} are not those of a corner: {reason}.",
-                f"Look for a corner with three planes, and keep {words.both} well apart. " + words.move,
+                f"Choose a corner with three planes, and keep {words.both} well apart. " + words.move,
             )
 
 
@@ -134,7 +134,7 @@ def on_repeats(refinement: Refinement) -> list[str]:
         return []
     groups = {tuple(j + 1 for j in range(count) if state.same_place(i, j)) for i in range(count)}
     return [
-        f"{FROM_ONE_PLACE} {', '.join(map(str, group[:-1]))} and {group[-1]}. What errs smoothly is the same in each, "
+        f"{FROM_ONE_PLACE} {', '.join(map(str, group[:-1]))} and {group[-1]}. Their smooth errors are the same, "
         "so together they count as one. Move the rig between captures."
         for group in sorted(groups)
         if len(group) > 1
@@ -161,7 +161,7 @@ def _refuse_misfit(refinement: Refinement, words: Wording) -> None:
             raise RefusalError(
                 f"No corner explains the matches{which}: {noise.smooth_px:.2g} {words.pixels} of smooth misfit remain "
                 f"over the faces, where {words.smooth} leave less than {limit_px:.2g}.",
-                "What was taken for faces may be bent or wrong, or the lenses bend more than two radial terms allow "
+                "The faces may be bent or wrong, or the lenses may have more distortion than the model allows "
                 "for. " + words.move + words.shape,
             )
 
@@ -213,7 +213,7 @@ def _given_centre(knowledge: Knowledge) -> str:
     (x, y), (width, height) = knowledge.principal_point_px, knowledge.camera_size
     inside = 0 <= x < width and 0 <= y < height
     place = "" if inside else f", outside of the image of {width} × {height} pixels"
-    return f" Make sure of the camera's principal point, too: ({x:.0f}, {y:.0f}) was given as known{place}."
+    return f" Verify the camera's principal point, too: ({x:.0f}, {y:.0f}) was given as known{place}."
 
 
 def signed(values: Floats) -> str:

@@ -287,7 +287,7 @@ def length_in_the_middle(points: Floats, errors: SystematicErrors) -> Budget:
     seen = rig.camera.project(ends), rig.projector.project(ends @ rig.rotation.T + rig.translation)
     if not np.isfinite(seen).all():
         raise NoMeasurementError(
-            "The lens terms bring the middle of the scene to no pixel.", "Calibrate the rig again."
+            "With these lens terms the middle of the scene has no pixel.", "Calibrate the rig again."
         )
     moved = errors.of_points(Matches(*seen), ends)
     strain = np.stack([moved[axis, axis] - moved[3 + axis, axis] for axis in range(3)]) / (2 * half)

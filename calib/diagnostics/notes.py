@@ -94,8 +94,8 @@ def _on_noise(refinement: Refinement, knowledge: Knowledge) -> list[str]:
         of = f"{knowledge.words.taken.capitalize()} {i + 1}: " if len(refinement.captures) > 1 else ""
         if noise.inflation > 1:
             notes.append(
-                f"{of}Residuals are wavy: smooth errors over a face, {np.sqrt(noise.inflation):.1f} times those that "
-                f"independent matches leave; the sigmas contain it."
+                f"{of}Residuals vary smoothly over a face, {np.sqrt(noise.inflation):.1f} times as much as "
+                "independent matches would; the sigmas contain that."
             )
         if cells.rejected > 0.01:
             notes.append(f"{of}{100 * cells.rejected:.1f} % of the matches on the faces were left out as outliers.")

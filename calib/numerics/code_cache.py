@@ -4,8 +4,9 @@ Never beside the sources: a package may be installed where nobody can write, and
 leave folders with nothing but machine code behind, which Python takes for packages.
 
 The folder's name is a digest of all that the machine code depends on and Numba does not look at itself: the source
-file, its module's name, the options of compilation, the versions of Numba and NumPy, the processor. Copies of the
-same source share it; another version has a folder of its own, so several on one machine do not overwrite each other's.
+file, those of compiled functions of other files that it calls, its module's name, the options of compilation, the
+versions of Numba and NumPy, the processor. Copies of the same source share it; another version has a folder of its
+own, so several on one machine do not overwrite each other's.
 """
 
 import hashlib
@@ -76,7 +77,7 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]
     def __init__(self, function: Callable[..., object], options: str) -> None:
         self._line = function.__code__.co_firstlineno
         self._py_file = inspect.getfile(function)  # Numba's warnings name it
-        self._digest = _digest(Path(self._py_file), function.__module__, options)
+        self._digest = _digest(_sources(function), function.__module__, options)
         self._folder = root() / self._digest
         _note_use(self._folder)
 
@@ -102,9 +103,19 @@ def root() -> Path:
     return folder / "machine-code"
 
 
+def _sources(function: Callable[..., object]) -> tuple[Path, ...]:
+    """The file of a function, and those of the compiled functions that it calls, and these in turn."""
+    found = {Path(inspect.getfile(function)): None}
+    for name in function.__code__.co_names:
+        called = getattr(function.__globals__.get(name), "py_func", None)
+        if called is not None and called is not function:
+            found |= dict.fromkeys(_sources(called))
+    return tuple(found)
+
+
 @cache
-def _digest(source: Path, module: str, options: str) -> str:
-    parts = (source.read_bytes(), module.encode(), options.encode(), _machine().encode())
+def _digest(sources: tuple[Path, ...], module: str, options: str) -> str:
+    parts = (*(each.read_bytes() for each in sources), module.encode(), options.encode(), _machine().encode())
     return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()[:24]
 
 

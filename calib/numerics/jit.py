@@ -4,8 +4,8 @@ NumPy passes over memory once for every operation. Where dozens of operations ma
 match, a compiled loop does all of them at once, many times as fast.
 
 The machine code is kept in the user's cache folder (`code_cache.py`), so only the first run after a change waits for
-the compiler. It is made anew when the file with the function changes, and only then: a compiled function therefore uses
-functions and constants of its own file only, and gets everything else as arguments (a test sees to it).
+the compiler. It is made anew when the file with the function changes, or that of a compiled function that it calls, and
+only then: all else that a compiled function uses is of its own file, or an argument (a test sees to it).
 """
 
 from collections.abc import Callable

@@ -22,7 +22,7 @@ _LEAST_TURN = np.radians(0.3)
 class Turntable:
     """`direction` (3,), unit, and a `point` (3,) on the axis, in the common frame; `angles_deg` (n,) of the places;
     `places` and `covariance` (6 n, 6 n), as of `JointEstimate`, of turns about it; `deviation`: of the places from
-    being that, χ² over its freedom.
+    being that, squared, over what the covariance allows.
     """
 
     direction: Floats
@@ -33,8 +33,13 @@ class Turntable:
     deviation: float
 
 
-def find_turntable(places: Sequence[Motion], covariance: Floats, middle: Floats) -> Turntable | None:
-    """Of places the first of which is the common frame's; None if their covariance does not allow for one axis."""
+def find_turntable(
+    places: Sequence[Motion], covariance: Floats, information: Floats, middle: Floats
+) -> Turntable | None:
+    """Of places the first of which is the common frame's; None if their covariance does not allow for one axis.
+
+    `information` weighs them; the covariance, which is estimated from few parts of pictures, is not inverted.
+    """
     count = len(places)
     vectors = np.array([Rotation.from_matrix(place.rotation).as_rotvec() for place in places])
     turning = np.linalg.norm(vectors, axis=1)
@@ -51,25 +56,30 @@ def find_turntable(places: Sequence[Motion], covariance: Floats, middle: Floats)
             np.concatenate(still) @ basis, np.concatenate([place.translation for place in places]), rcond=None
         )[0]
     )
-    information = np.linalg.pinv(covariance[6:, 6:], rcond=1e-10, hermitian=True)
+    weight, allowed = information[6:, 6:], covariance[6:, 6:]
     state = np.concatenate([np.zeros(4), angles[1:]])
     off = np.zeros(6 * (count - 1))
-    slopes = np.zeros((len(off), len(state)))
+    slopes, solver = np.zeros((len(off), len(state))), np.zeros((len(state), len(off)))
     for _ in range(_ROUNDS):
         off = _deviations(state, direction, point, basis, places, middle)
         for k in range(len(state)):
             ahead = state.copy()
             ahead[k] += _STEP
             slopes[:, k] = (_deviations(ahead, direction, point, basis, places, middle) - off) / _STEP
-        normal = slopes.T @ information @ slopes
-        state = state - np.linalg.lstsq(normal, slopes.T @ information @ off, rcond=1e-14)[0]
+        solver = np.linalg.pinv(slopes.T @ weight @ slopes, rcond=1e-14, hermitian=True) @ slopes.T @ weight
+        state = state - solver @ off
     off = _deviations(state, direction, point, basis, places, middle)
-    told, freedom = float(off @ information @ off), len(off) - len(state)
-    if told > _CALM**2 * float(chi2.isf(_DOUBT, freedom)):
+    # Satterthwaite's: the weighted square of what is left is that of χ² of a freedom that gives its mean and variance.
+    left = np.eye(len(off)) - slopes @ solver
+    expected = weight @ left @ allowed @ left.T
+    mean = float(np.trace(expected))
+    freedom = mean**2 / float(np.sum(expected * expected.T))
+    deviation = float(off @ weight @ off) / mean
+    if deviation > _CALM**2 * float(chi2.isf(_DOUBT, freedom)) / freedom:
         return None
     whole = np.zeros_like(covariance)
-    larger = max(1.0, told / freedom)
-    whole[6:, 6:] = larger * slopes @ np.linalg.pinv(slopes.T @ information @ slopes, hermitian=True) @ slopes.T
+    by_places = slopes @ solver
+    whole[6:, 6:] = max(1.0, deviation) * by_places @ allowed @ by_places.T
     turned, moved = _axis(state, direction, point, basis)
     return Turntable(
         turned,
@@ -77,7 +87,7 @@ def find_turntable(places: Sequence[Motion], covariance: Floats, middle: Floats)
         np.degrees(np.concatenate([[0.0], state[4:]])),
         _places(state, direction, point, basis),
         whole,
-        told / freedom,
+        deviation,
     )
 
 

@@ -1,8 +1,10 @@
 """What of each view other views confirm, once their places are known: the rest rested, or was never there."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.geometry import Motion
 from calib.numerics import Bools
@@ -14,22 +16,39 @@ from calib.rooms.alignment import composed, inverse
 _FEWEST = 4  # views, from which on a point has to be seen by another one, too
 
 
-def confirmed(views: Sequence[View], places: Sequence[Motion]) -> list[Bools]:
-    """For each view which of its pixels (H, W) are of the thing: seen by others where they should be.
-
-    `places`: X_common = R X_view + t.
+@dataclass(frozen=True, eq=False)
+class Confirmation:
+    """Of one view: `of_thing` (H, W), which pixels others see where they should be; `apart` (H, W), how far these are
+    before the others' surfaces on average, in the points' unit, NaN where nothing tells.
     """
+
+    of_thing: Bools
+    apart: NDArray[np.float32]
+
+
+def confirmed(views: Sequence[View], places: Sequence[Motion]) -> list[Confirmation]:
+    """For each view; `places`: X_common = R X_view + t."""
     found = []
     for k, (view, place) in enumerate(zip(views, places, strict=True)):
         there = np.isfinite(view.points[..., 2])
         points, normals = (each[there].astype(np.float64) for each in (view.points, view.normals))
         seen, through = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+        total = np.zeros(len(points))
         for other, (seen_by, at) in enumerate(zip(views, places, strict=True)):
             if other != k:
-                fate = meet_points(points, normals, seen_by, composed(inverse(at), place), NARROW * view.grain)
-                seen += fate >= 0
+                to_other = composed(inverse(at), place)
+                fate = meet_points(points, normals, seen_by, to_other, NARROW * view.grain)
+                met = np.flatnonzero(fate >= 0)
+                moved = points[met] @ to_other.rotation.T + to_other.translation
+                theirs, towards = (each.reshape(-1, 3)[fate[met]] for each in (seen_by.points, seen_by.normals))
+                total[met] += np.sum(towards * (moved - theirs), axis=1)
+                seen[met] += 1
                 through += fate == LOOKED_THROUGH
         kept = there.copy()
         kept[there] = (seen >= through) & (seen >= (1 if len(views) >= _FEWEST else 0))
-        found.append(without_crumbs(kept))
+        of_thing = without_crumbs(kept)
+        apart = np.full(there.shape, np.nan, np.float32)
+        with np.errstate(invalid="ignore"):
+            apart[there] = total / seen
+        found.append(Confirmation(of_thing, np.where(of_thing, apart, np.float32(np.nan))))
     return found

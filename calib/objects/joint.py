@@ -15,10 +15,9 @@ import numpy as np
 from calib.geometry import Motion
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from calib.objects.meeting import mark_pairs, meet
-from calib.objects.view import View
+from calib.objects.view import PARTS, STEEPEST, View
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.alignment import composed, inverse, twisted
-from calib.rooms.contacts import blocks_of
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
@@ -26,7 +25,6 @@ _STEPS = 4  # in each round
 _FEWEST = 60  # patches of a pair
 _DAMPING = 1e-9
 _MARK_GRAINS, _FEWEST_MARKS = 0.5, 6
-_BLOCKS = 36
 _CONVERGED = 1e-7
 
 
@@ -55,12 +53,14 @@ class Residuals:
 @dataclass(frozen=True, eq=False)
 class JointEstimate:
     """`places`: X_common = R X_view + t, the first view's being held. `covariance` (6 n, 6 n) of all: turn about
-    the common axes in radians, then shift of `middle`, a point (3,) of the thing. `overlap`: by pair, share of patches
+    the common axes in radians, then shift of `middle`, a point (3,) of the thing. `information` (6 n, 6 n): by what the
+    residuals weigh them, which is its inverse only if residuals are independent. `overlap`: by pair, share of patches
     that met; `residual`: by pair, robust root mean square along the normals, in the points' unit.
     """
 
     places: tuple[Motion, ...]
     covariance: Floats
+    information: Floats
     middle: Floats
     overlap: Mapping[tuple[int, int], float]
     residual: Mapping[tuple[int, int], float]
@@ -86,7 +86,7 @@ def estimate_jointly(views: Sequence[View], places: Sequence[Motion]) -> JointEs
     counts = {pair: len(views[pair[0]].patches) + len(views[pair[1]].patches) for pair in total}
     return JointEstimate(
         tuple(now),
-        _covariance(found, len(views), middle),
+        *_covariance(found, len(views), middle),
         middle,
         {pair: each.surface / counts[pair] for pair, each in total.items()},
         {pair: SIGMA_PER_MEDIAN * median(np.abs(each.off[: each.surface])) for pair, each in total.items()},
@@ -115,6 +115,8 @@ def residuals_of(
     for patches_of, seen_by, to_seen, back in ((second, first, pose, 1.0), (first, second, inverse(pose), -1.0)):
         pixel = meet(patches_of, seen_by, to_seen, within, count)
         met = np.flatnonzero(pixel >= 0)
+        # Half a pixel is a long way along a slanted surface, whose normals err towards the camera at its rim.
+        met = met[seen_by.facing(pixel[met]) > STEEPEST]
         own, other = patches_of.patches[met], pixel[met]
         parts.append((own, other) if back > 0 else (other, own))
     on_second, on_first = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
@@ -128,7 +130,7 @@ def residuals_of(
     sigma = np.hypot(first.sigma(on_first), second.sigma(on_second))
     sigma = sigma * max(1.0, SIGMA_PER_MEDIAN * median(np.abs(off) / sigma))
     by_first = np.hstack([np.cross((points + others) / 2, mean), mean])
-    part = np.stack([blocks_of(first.pixels(on_first)), blocks_of(second.pixels(on_second))], axis=1)
+    part = np.stack([first.parts(first.pixels(on_first)), second.parts(second.pixels(on_second))], axis=1)
     surface = Residuals(*names, off, sigma, by_first, part, len(off))
     return _with_marks(surface, first, second, here, there)
 
@@ -151,7 +153,9 @@ def _with_marks(surface: Residuals, first: View, second: View, here: Motion, the
     sigma = max(SIGMA_PER_MEDIAN * median(np.abs(off).ravel()), 1e-3 * first.grain)
     axes = np.broadcast_to(np.eye(3), (len(off), 3, 3))
     by_first = np.concatenate([np.cross(((points + others) / 2)[:, None], axes), axes], axis=2).reshape(-1, 6)
-    part = np.stack([blocks_of(first.marks.pixels[own][near]), blocks_of(second.marks.pixels[other][near])], axis=1)
+    part = np.stack(
+        [first.parts(first.marks.pixels[own][near]), second.parts(second.marks.pixels[other][near])], axis=1
+    )
     return Residuals(
         surface.first,
         surface.second,
@@ -196,8 +200,8 @@ def _step(found: Sequence[Residuals], count: int) -> Floats:
     return np.concatenate([np.zeros((1, 6)), step.reshape(-1, 6)])
 
 
-def _covariance(found: Sequence[Residuals], count: int, middle: Floats) -> Floats:
-    """About the middle: shifts of the thing's own points are known far better than those of the camera's centre."""
+def _covariance(found: Sequence[Residuals], count: int, middle: Floats) -> tuple[Floats, Floats]:
+    """And the information, about the middle: its shifts are known far better than those of the camera's centre."""
     about = np.eye(6)
     about[3:, :3] = -np.cross(np.eye(3), middle)
     turned = np.kron(np.eye(count), about)
@@ -207,8 +211,8 @@ def _covariance(found: Sequence[Residuals], count: int, middle: Floats) -> Float
     scale = np.sqrt(np.maximum(np.diag(free), 1e-30))
     bread[6:, 6:] = np.linalg.pinv(free / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
     filling = _filling(found, count)
-    covariance: Floats = turned @ (bread @ filling @ bread) @ turned.T
-    return covariance
+    back = np.linalg.inv(turned)
+    return turned @ (bread @ filling @ bread) @ turned.T, back.T @ matrix @ back
 
 
 def _filling(found: Sequence[Residuals], count: int) -> Floats:
@@ -217,14 +221,14 @@ def _filling(found: Sequence[Residuals], count: int) -> Floats:
     A part's sum holds its own error once for each pair k that it is in, and those of k other parts once: of its square
     k of k + 1 are its own.
     """
-    sums = np.zeros((count, _BLOCKS, 6 * count))
+    sums = np.zeros((count, PARTS, 6 * count))
     pairs = np.zeros(count)
     for each in found:
         pulls = each.by_first * (each.weight * each.off)[:, None]
         i, j = slice(6 * each.first, 6 * each.first + 6), slice(6 * each.second, 6 * each.second + 6)
         for side, view in enumerate((each.first, each.second)):
-            own = np.zeros((_BLOCKS, 6))
-            np.add.at(own, np.minimum(each.parts[:, side], _BLOCKS - 1), pulls)
+            own = np.zeros((PARTS, 6))
+            np.add.at(own, each.parts[:, side], pulls)
             sums[view, :, i] += own
             sums[view, :, j] -= own
             pairs[view] += 1

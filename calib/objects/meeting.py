@@ -9,6 +9,7 @@ from calib.geometry import Motion
 from calib.numerics import Floats, Ints, compiled
 from calib.objects.view import View
 from calib.rooms.marks import alike
+from calib.rooms.projection import pixel_under, rotated
 
 UNSEEN, HIDDEN, LOOKED_THROUGH, BESIDE = -1, -2, -3, -4
 _LIKE = float(np.cos(np.radians(40.0)))
@@ -26,15 +27,13 @@ def meet(patches_of: View, seen_by: View, pose: Motion, within: float, count: in
 
 def meet_points(points: Floats, normals: Floats, seen_by: View, pose: Motion, within: float) -> Ints:
     """The same for any points with normals, (N, 3) each."""
-    camera = seen_by.camera
     found = np.empty(len(points), np.int64)
-    lens = (*camera.focal_px, *camera.principal_point_px, *camera.distortion)
     _meet(
         points,
         normals,
         np.ascontiguousarray(pose.rotation),
         pose.translation,
-        np.array(lens),
+        seen_by.lens,
         seen_by.points,
         seen_by.normals,
         seen_by.depth,
@@ -64,25 +63,12 @@ def _meet(
     height, width = depth.shape
     for m in range(len(patches)):
         found[m] = -1
-        a, b, c = patches[m, 0], patches[m, 1], patches[m, 2]
-        z = r[2, 0] * a + r[2, 1] * b + r[2, 2] * c + t[2]
-        if not z > 1e-9:
+        x, y, z = rotated(r, patches[m])
+        x, y, z = x + t[0], y + t[1], z + t[2]
+        i, j = pixel_under(x, y, z, lens, height, width)
+        if i < 0:
             continue
-        x = r[0, 0] * a + r[0, 1] * b + r[0, 2] * c + t[0]
-        y = r[1, 0] * a + r[1, 1] * b + r[1, 2] * c + t[1]
-        u, v = x / z, y / z
-        q = u * u + v * v
-        radial = 1 + q * (lens[4] + q * (lens[5] + q * lens[8]))
-        across = u * radial + 2 * lens[6] * u * v + lens[7] * (q + 2 * u * u)
-        down = v * radial + lens[6] * (q + 2 * v * v) + 2 * lens[7] * u * v
-        column, row = np.floor(lens[0] * across + lens[2] + 0.5), np.floor(lens[1] * down + lens[3] + 0.5)
-        if not (0 <= column < width and 0 <= row < height):
-            continue
-        i, j = int(row), int(column)
-        e, f, g = patch_normals[m, 0], patch_normals[m, 1], patch_normals[m, 2]
-        n0 = r[0, 0] * e + r[0, 1] * f + r[0, 2] * g
-        n1 = r[1, 0] * e + r[1, 1] * f + r[1, 2] * g
-        n2 = r[2, 0] * e + r[2, 1] * f + r[2, 2] * g
+        n0, n1, n2 = rotated(r, patch_normals[m])
         if n0 * x + n1 * y + n2 * z >= 0:  # it faces away, and is the thing's back
             continue
         if points[i, j, 2] > 0:

@@ -13,9 +13,10 @@ from typing import Literal
 import numpy as np
 
 from calib.geometry import Motion
-from calib.objects.candidates import near_each_other, supposed_poses
-from calib.objects.joint import NARROW, WIDE, settled
+from calib.objects.candidates import supposed_poses
+from calib.objects.joint import NARROW, settled
 from calib.objects.meeting import Evidence, evidence, tolerance
+from calib.objects.pose_search import near_each_other
 from calib.objects.view import View
 from calib.rooms.alignment import composed, inverse
 
@@ -61,7 +62,7 @@ class Registered:
 
 
 def register_views(views: Sequence[View | None]) -> Registered:
-    """Of one thing by one rig; in any order. Raises ImportError where Open3D cannot be loaded."""
+    """Of one thing by one rig; in any order."""
     seen = {k: view for k, view in enumerate(views) if view is not None}
     edges = {(i, j): _supposed(seen[i], seen[j]) for i, j in combinations(seen, 2)}
     sure = {pair: found for pair, found in edges.items() if found}
@@ -96,7 +97,7 @@ def register_views(views: Sequence[View | None]) -> Registered:
 
 def _supposed(first: View, second: View) -> list[Supposed]:
     """The places of a pair that are worth following up, best first."""
-    poses = [settled(first, second, pose, (WIDE, 1.0), _SOME) for pose in supposed_poses(first, second)]
+    poses = supposed_poses(first, second)
     rated = sorted(
         ((evidence(first, second, pose, NARROW * first.grain, _SOME).worth, k) for k, pose in enumerate(poses)),
         reverse=True,

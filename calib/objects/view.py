@@ -14,7 +14,9 @@ from calib.rooms.marks import Marks, no_marks
 from calib.rooms.segments import relative_noise
 
 _PATCHES = 3000
-_STEEPEST = 0.35  # cosine of the slant beyond which a patch's area means little
+STEEPEST = 0.35  # cosine of the slant beyond which a patch's area means little
+_PARTS_ACROSS = 6
+PARTS = _PARTS_ACROSS**2
 _AROUND = 5  # pixels: edges of things are uncertain by about so many
 _MARKS, _CONTRAST = 500, 0.015
 _OF_SIZE = 1 / 60  # the grain: how far apart points are that features and coarse alignment look at
@@ -40,6 +42,12 @@ class View:
     marks: Marks
 
     @cached_property
+    def lens(self) -> Floats:
+        """Of the camera (9,), as `calib.rooms.projection` reads it."""
+        camera = self.camera
+        return np.array([*camera.focal_px, *camera.principal_point_px, *camera.distortion], np.float64)
+
+    @cached_property
     def patch_points(self) -> Floats:
         """(M, 3)."""
         return self.points.reshape(-1, 3)[self.patches].astype(np.float64)
@@ -59,11 +67,29 @@ class View:
         row, column = np.divmod(flat, self.depth.shape[1])
         return np.stack([column, row], axis=1).astype(np.float64)
 
+    @cached_property
+    def _extent(self) -> tuple[Floats, Floats]:
+        """The patches' least pixel (2,), and how far they spread (2,)."""
+        seen = self.pixels(self.patches)
+        return seen.min(axis=0), np.ptp(seen, axis=0) + 1
+
+    def parts(self, pixels: Floats) -> Ints:
+        """Which of PARTS parts of the picture pixels (N, 2) are in, (N,)."""
+        low, size = self._extent
+        column, row = np.clip((pixels - low) / size * _PARTS_ACROSS, 0, _PARTS_ACROSS - 1).astype(np.int64).T
+        number: Ints = row * _PARTS_ACROSS + column
+        return number
+
+    def facing(self, flat: Ints) -> Floats:
+        """Cosine of the slant (N,)."""
+        points, normals = (each.reshape(-1, 3)[flat].astype(np.float64) for each in (self.points, self.normals))
+        cosine: Floats = np.abs(np.sum(points * normals, axis=1)) / np.linalg.norm(points, axis=1)
+        return cosine
+
     def sigma(self, flat: Ints) -> Floats:
         """Standard deviation of points along their normals (N,)."""
-        points, normals = (each.reshape(-1, 3)[flat].astype(np.float64) for each in (self.points, self.normals))
-        facing = np.abs(np.sum(points * normals, axis=1)) / np.linalg.norm(points, axis=1)
-        sigma: Floats = self.noise * points[:, 2] ** 2 * np.maximum(facing, _STEEPEST)
+        depth = self.points.reshape(-1, 3)[flat, 2].astype(np.float64)
+        sigma: Floats = self.noise * depth**2 * np.maximum(self.facing(flat), STEEPEST)
         return sigma
 
 
@@ -114,7 +140,7 @@ def _spread(points: NDArray[np.float32], normals: NDArray[np.float32]) -> Ints:
     there = np.flatnonzero(np.isfinite(flat[:, 2]))
     seen = flat[there].astype(np.float64)
     slant = np.abs(np.sum(seen * towards[there], axis=1)) / np.linalg.norm(seen, axis=1)
-    there, seen, slant = there[slant > _STEEPEST], seen[slant > _STEEPEST], slant[slant > _STEEPEST]
+    there, seen, slant = there[slant > STEEPEST], seen[slant > STEEPEST], slant[slant > STEEPEST]
     area = np.cumsum(seen[:, 2] ** 2 / slant)
     rng = np.random.default_rng(0)
     places = (np.arange(_PATCHES) + rng.random(_PATCHES)) / _PATCHES * area[-1]

@@ -85,7 +85,7 @@ def find_sparse_planes(matches: Matches, size: tuple[int, int]) -> tuple[Ints, i
     if len(matches) < _FEWEST_MATCHES:
         raise RefusalError(
             f"Only {len(matches)} matches: too few to find planes in (at least {_FEWEST_MATCHES} are needed).",
-            "Take the photos closer together, sharper, and of surfaces with some texture on all three faces.",
+            "Take sharper photos closer together, with some texture on all three faces.",
         )
     limit_px = _OFF_OF_WIDTH * size[0]
     planes = _one_after_the_other(matches, limit_px)
@@ -197,7 +197,7 @@ def _area(pixels: Floats) -> float:
 def _too_few(plane: Ints, count: int) -> RefusalError:
     share = float(np.mean(plane >= 0))
     if count == 0:
-        return RefusalError("No plane was found in the matches.", "Look for a corner with little in front of it.")
+        return RefusalError("No plane was found in the matches.", "Choose a corner with little in front of it.")
     if count == 1:
         return RefusalError(
             f"Only one plane was found, with {share:.0%} of the matches: a flat wall, or photos from one place (a "

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 DECENTERING = 3e-4  # standard deviation of p1 and p2
 THIRD_RADIAL = 0.01  # of k3
 _RADIAL = 0.1, 0.03  # of k1, k2
+_POWERS = 2, 4, 0, 0, 6  # k1 / f², k2 / f⁴, k3 / f⁶ are of pixels; p1 and p2 are known as the numbers that they are
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,11 @@ class LensPrior:
 
     mean: tuple[float, ...] = (0.0,) * 5
     sigma: tuple[float, ...] = (*_RADIAL, DECENTERING, DECENTERING, THIRD_RADIAL)
+
+    @property
+    def powers(self) -> tuple[int, ...]:
+        """With which power of the focal length each term grows that bends the image alike; 0 for measured lenses."""
+        return _POWERS if not any(self.mean) else (0,) * len(_POWERS)
 
     def with_sigmas(self, decentering: float | None = None, k3: float | None = None) -> "LensPrior":
         """The same with another standard deviation of p1 and p2, or of k3, where it is given."""

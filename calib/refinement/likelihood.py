@@ -29,14 +29,16 @@ class Prior:
     """Prior on the additive columns of the model: `mean`, `sigma` (size,); 0 = known, infinity = unknown.
 
     Gaussian but for lens terms and angles, whose prior has tails: few lenses and walls are far off, and those that are
-    may be so by many sigmas. `tailed`: the columns of these, (size,). `held`: a column that stays where it is for now,
-    though it is not known, so that it costs what the prior says. `rig`: what other data say of the columns that all
-    captures share, together.
+    may be so by many sigmas. `tailed`: the columns of these, (size,). `powers` (size,): with which power of a device's
+    focal length a term grows that bends the image alike, where that is what is known of it. `held`: a column that stays
+    where it is for now, though it is not known, so that it costs what the prior says. `rig`: what other data say of the
+    columns that all captures share, together.
     """
 
     mean: Floats
     sigma: Floats
     tailed: Bools
+    powers: Ints
     held: int | None = None
     rig: KnownRig | None = None
 
@@ -65,6 +67,13 @@ class Prior:
         cost, slope, curvature = z**2, z.copy(), np.ones_like(z)
         cost[self.tailed], slope[self.tailed], curvature[self.tailed] = with_tails(z[self.tailed])
         return cost, slope * self.root_precision, curvature * self.root_precision**2
+
+    def radial_scale(self, state: State, other: State) -> Floats:
+        """By how much terms that bend the image alike are larger in a state than in another one, (size,)."""
+        ratio = np.ones(len(self.powers))
+        ratio[CAMERA], ratio[PROJECTOR] = state.camera[0] / other.camera[0], state.projector[0] / other.projector[0]
+        scale: Floats = ratio**self.powers
+        return scale
 
     def with_known(self, column: int) -> "Prior":
         """The same with one column held fixed."""
@@ -126,6 +135,10 @@ class Knowledge:
             sigma[PROJECTOR] = 0.0  # those columns move with the camera's
         angles = slice(SHARED, layout.pose_columns(0).start)
         sigma[angles] = np.radians(self.squareness_deg)
+        powers = np.zeros(layout.size, np.int32)
+        if self.rig is None:
+            for device, lens in zip((CAMERA, PROJECTOR), self.lenses, strict=True):
+                powers[device.start + 3 : device.stop] = lens.powers
         tailed = np.zeros(layout.size, np.bool_)
         for columns in (angles, *(slice(device.start + 3, device.stop) for device in (CAMERA, PROJECTOR))):
             tailed[columns] = True
@@ -133,7 +146,7 @@ class Knowledge:
             tilts = sigma[layout.pose_columns(i)][PER_POSE:].reshape(-1, PER_PLANE)
             for row, plane in zip(tilts, pose.planes, strict=True):
                 row[:2] = plane.tilt_sigma
-        return Prior(mean, sigma, tailed, rig=self.rig)
+        return Prior(mean, sigma, tailed, powers, rig=self.rig)
 
 
 @dataclass(frozen=True)

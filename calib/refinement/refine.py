@@ -18,7 +18,7 @@ from calib.refinement.likelihood import Fit, Knowledge, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.noise_model import Noise, noise_of
 from calib.refinement.parameters import SHARED, State, intrinsic_distance
-from calib.refinement.profile_likelihood import Valley, walk
+from calib.refinement.profile_likelihood import Valley, centred, walk
 from calib.refinement.profile_minimiser import minimise
 from calib.refinement.shared_corner import Sameness, oriented, tie
 
@@ -30,6 +30,7 @@ _NOISE_ROUNDS = 3
 _ANY_ANGLE_DEG = 10.0
 CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
 _STRAINED = 9.0  # what an assumption on the angles may cost before it is asked where they would be without
+_WALKS, _GAINED = 3, 0.3  # walks of a valley; what one has to gain in cost for another one
 _ROUGH = 0.3  # tolerance in cost where only residuals or costs are looked at
 
 
@@ -129,7 +130,9 @@ def settle(
         captures, best, prior = _with_planes(captures, best, knowledge, noise, further)
         variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
 
-    valley = walk(captures, best, prior, variances)
+    lowest, valley = _walked(captures, best, prior, variances)
+    tension -= best.cost - lowest.cost
+    best = centred(captures, lowest, valley, prior, variances)
     covariance = valley.covariance(best, prior.free)
     if sameness and sameness.same:
         covariance[:SHARED, :SHARED] += sameness.spread
@@ -151,6 +154,20 @@ def settle(
         sameness,
         apart,
     )
+
+
+def _walked(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> tuple[Fit, Valley]:
+    """The lowest fit of a valley, and the valley, walked from there.
+
+    Where it is nearly flat a descent ends early; whoever walks on finds where it goes down again.
+    """
+    for _ in range(_WALKS):
+        valley = walk(captures, best, prior, variances)
+        lower = minimise(captures, valley.lowest, prior, variances) if valley.gain > _GAINED else best
+        if not lower.cost < best.cost - _GAINED:
+            break
+        best = lower
+    return best, valley
 
 
 def _squared(state: State) -> State:

@@ -19,6 +19,7 @@ import numpy as np
 from calib.geometry import Motion
 from calib.numerics import Floats, Ints, compiled
 from calib.rooms.marks import alike
+from calib.rooms.projection import pixel_under, rotated
 from calib.rooms.surfaces import Surfaces
 
 # Of the depth, beyond three sigmas of noise: by what a calibration is off, and a pose before it is refined.
@@ -147,8 +148,7 @@ def _look(
         seen_by.normals,
         seen_by.labels,
         seen_by.near,
-        seen_by.focal_px,
-        seen_by.centre_px,
+        seen_by.lens,
         tolerance,
         3 * (seen_by.noise + patches_of.noise),
         matched,
@@ -167,8 +167,7 @@ def _look_through(
     normals: Floats,
     labels: Ints,
     near: Floats,
-    focal_px: float,
-    centre_px: tuple[float, float],
+    lens: Floats,
     tolerance: float,
     noise: float,
     matched: Ints,
@@ -178,31 +177,19 @@ def _look_through(
     for k in range(len(rotations)):
         r, t = rotations[k], translations[k]
         for m in range(len(patches)):
-            a, b, c = patches[m, 0], patches[m, 1], patches[m, 2]
-            z = r[2, 0] * a + r[2, 1] * b + r[2, 2] * c + t[2]
-            if not z > 1e-9:
+            x, y, z = rotated(r, patches[m])
+            x, y, z = x + t[0], y + t[1], z + t[2]
+            i, j = pixel_under(x, y, z, lens, height, width)
+            if i < 0:
                 continue
-            x = r[0, 0] * a + r[0, 1] * b + r[0, 2] * c + t[0]
-            y = r[1, 0] * a + r[1, 1] * b + r[1, 2] * c + t[1]
-            column, row = (
-                np.floor(focal_px * x / z + centre_px[0] + 0.5),
-                np.floor(focal_px * y / z + centre_px[1] + 0.5),
-            )
-            if not (0 <= column < width and 0 <= row < height):
-                continue
-            i, j = int(row), int(column)
             depth = points[i, j, 2]
             if not depth > 0:
                 continue
             within = depth * (tolerance + noise * depth)
             p, q, s = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
             off = p * (x - points[i, j, 0]) + q * (y - points[i, j, 1]) + s * (z - depth)
-            a, b, c = patch_normals[m, 0], patch_normals[m, 1], patch_normals[m, 2]
-            like = (
-                p * (r[0, 0] * a + r[0, 1] * b + r[0, 2] * c)
-                + q * (r[1, 0] * a + r[1, 1] * b + r[1, 2] * c)
-                + s * (r[2, 0] * a + r[2, 1] * b + r[2, 2] * c)
-            )
+            e, f, g = rotated(r, patch_normals[m])
+            like = p * e + q * f + s * g
             if np.abs(off) < within and np.abs(z - depth) < 6 * within:
                 if like > _LIKE:
                     matched[k, patch_labels[m], labels[i, j]] += 1

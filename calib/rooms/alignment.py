@@ -14,6 +14,7 @@ from calib.geometry import Motion, rotation_about
 from calib.numerics import Floats, compiled
 from calib.rooms.agreement import FINE
 from calib.rooms.marks import alike
+from calib.rooms.projection import pixel_under, rotated
 from calib.rooms.surfaces import Surfaces
 
 _LIKE = float(np.cos(np.radians(35.0)))
@@ -78,8 +79,7 @@ def normal_equations(
             at.translation,
             other.points,
             other.normals,
-            other.focal_px,
-            other.centre_px,
+            other.lens,
             other_at.rotation,
             other_at.translation,
             tolerance,
@@ -187,8 +187,7 @@ def _add_up(
     translation: Floats,
     points: Floats,
     normals: Floats,
-    focal_px: float,
-    centre_px: tuple[float, float],
+    lens: Floats,
     camera_rotation: Floats,
     camera_translation: Floats,
     tolerance: float,
@@ -204,16 +203,11 @@ def _add_up(
     t = camera_rotation.T @ (translation - camera_translation)
     j6 = np.empty(6)
     for m in range(len(patches)):
-        a, b, c = patches[m, 0], patches[m, 1], patches[m, 2]
-        z = r[2, 0] * a + r[2, 1] * b + r[2, 2] * c + t[2]
-        if not z > 1e-9:
+        x, y, z = rotated(r, patches[m])
+        x, y, z = x + t[0], y + t[1], z + t[2]
+        i, j = pixel_under(x, y, z, lens, height, width)
+        if i < 0:
             continue
-        x = r[0, 0] * a + r[0, 1] * b + r[0, 2] * c + t[0]
-        y = r[1, 0] * a + r[1, 1] * b + r[1, 2] * c + t[1]
-        column, row = np.floor(focal_px * x / z + centre_px[0] + 0.5), np.floor(focal_px * y / z + centre_px[1] + 0.5)
-        if not (0 <= column < width and 0 <= row < height):
-            continue
-        i, j = int(row), int(column)
         depth = points[i, j, 2]
         if not depth > 0:
             continue
@@ -222,12 +216,8 @@ def _add_up(
         off = p * (x - points[i, j, 0]) + q * (y - points[i, j, 1]) + s * (z - depth)
         if not (np.abs(off) < within and np.abs(z - depth) < 6 * within):
             continue
-        a, b, c = patch_normals[m, 0], patch_normals[m, 1], patch_normals[m, 2]
-        like = (
-            p * (r[0, 0] * a + r[0, 1] * b + r[0, 2] * c)
-            + q * (r[1, 0] * a + r[1, 1] * b + r[1, 2] * c)
-            + s * (r[2, 0] * a + r[2, 1] * b + r[2, 2] * c)
-        )
+        e0, e1, e2 = rotated(r, patch_normals[m])
+        like = p * e0 + q * e1 + s * e2
         if not like > _LIKE:
             continue
         # In the room's frame, where the patch is and where the normal points.

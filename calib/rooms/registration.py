@@ -22,7 +22,7 @@ _MOST_ALTERNATIVES = 4
 _LEAST_OVERLAP = 0.01
 _MOST_CONTRADICTION = 0.1
 Cause = Literal["empty", "another rig", "nothing shared", "too little shared", "looked through", "another shape"]
-_TOO_LITTLE = "it shares too little with the other stations to say where it stood, or it is of another room"
+_TOO_LITTLE = "it shares too little with the other stations to find its pose, or it shows another room"
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,12 +198,12 @@ def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> LeftOut:
     if k not in surfaces:
         return LeftOut(k, "empty", "it has no points")
     if best is None or best.nats < NATS_OF_POSE / 2:
-        return LeftOut(k, "nothing shared", "it shows nothing that any other station shows, too")
+        return LeftOut(k, "nothing shared", "it shows nothing that another station shows")
     if best.contradiction > _MOST_CONTRADICTION:
         return LeftOut(
             k,
             "looked through",
-            f"wherever its surfaces would fit, {best.contradiction:.0%} of what it saw is where others looked through: "
+            f"wherever its surfaces fit, {best.contradiction:.0%} of them are where others looked through: "
             "another room, something was moved, or the rig was changed",
         )
     return LeftOut(k, "too little shared", _TOO_LITTLE)

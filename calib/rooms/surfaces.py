@@ -43,6 +43,11 @@ class Surfaces:
     distance: float
     marks: Marks
 
+    @property
+    def lens(self) -> Floats:
+        """Of the pinhole camera (9,), as `calib.rooms.projection` reads it."""
+        return np.array([self.focal_px, self.focal_px, *self.centre_px, 0, 0, 0, 0, 0], np.float64)
+
 
 def surfaces_of(view: StationView) -> Surfaces:
     """Raises ValueError for a view without points."""

@@ -318,7 +318,7 @@ def _by_refinement(
         calibration = known.with_own_pixels(calibration)
     next_view = best_next_view(refinement, knowledge)
     notes += notes_on(refinement, knowledge, next_view)
-    profile = Profile(refinement.valley.focal_px, refinement.valley.cost, "−2 log likelihood above the best")
+    profile = Profile(refinement.valley.focal_px, refinement.valley.posterior_cost, "−2 log posterior above the best")
     sameness = refinement.sameness
     order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
     along = along_valley(*refinement.valley.along(fit))

@@ -15,7 +15,8 @@ from typing import Any, Self
 from hw.aravis.devices import Aravis, GLib, list_cameras, open_camera
 from hw.aravis.frame_clock import FrameClock
 from hw.aravis.settings import AravisRigSettings
-from hw.aravis.setup import configure, differs, expect, read_back, start
+from hw.aravis.setup import configure, read_back, start
+from hw.cameras import differs, refuse_other_setting
 from hw.errors import DeviceError, FrameLostError
 from hw.rig import Capabilities, Frame
 from hw.timing.devices import ATTEMPTS, TRIGGER_LAG_S, nothing
@@ -114,7 +115,7 @@ class AravisCamera:
         with self._errors("does not change its exposure"):
             self._camera.set_exposure_time(exposure_us)
             found_us = self._camera.get_exposure_time()
-        expect(self.name, "exposure in µs", exposure_us, found_us)
+        refuse_other_setting(self.name, "exposure in µs", exposure_us, found_us)
         self.exposure_s = found_us / 1e6
         self._discarded = _IN_FLIGHT + 1  # one more may have begun with the exposure before
         self._clock = FrameClock()

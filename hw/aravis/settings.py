@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from hw.settings import CameraRigSettings
+from hw.settings import USUAL_EXPOSURE_US, CameraRigSettings
 
 
 class AravisRigSettings(CameraRigSettings):
@@ -15,7 +15,7 @@ class AravisRigSettings(CameraRigSettings):
         None, min_length=1, description="Id, serial number or IP address; left out, the only camera there is."
     )
     exposure_us: float = Field(
-        100_000 / 3,
+        USUAL_EXPOSURE_US,
         gt=0.0,
         le=10_000_000.0,
         description="Exposure in microseconds, rounded to a whole number of the projector's refresh periods.",

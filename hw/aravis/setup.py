@@ -11,10 +11,9 @@ from hw.aravis.devices import Aravis
 from hw.aravis.pixel_formats import PixelFormat, pixel_format
 from hw.aravis.receive_buffer import receive_buffer
 from hw.aravis.settings import AravisRigSettings
-from hw.errors import DeviceError
+from hw.cameras import refuse_other_setting
 
 _BUFFERS = 4
-_TOLERANCE = 0.01
 _AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
 
 
@@ -34,10 +33,10 @@ def configure(
     if camera.is_feature_available("GammaEnable"):
         camera.set_boolean("GammaEnable", False)
     camera.set_exposure_time(exposure_us)
-    expect(name, "exposure in µs", exposure_us, camera.get_exposure_time())
+    refuse_other_setting(name, "exposure in µs", exposure_us, camera.get_exposure_time())
     if settings.gain is not None:
         camera.set_gain(settings.gain)
-        expect(name, "gain", settings.gain, camera.get_gain())
+        refuse_other_setting(name, "gain", settings.gain, camera.get_gain())
     if settings.trigger == "free-run":
         camera.clear_triggers()
     else:
@@ -56,22 +55,8 @@ def _set_region(camera: Any, name: str, size: tuple[int, int], offset_px: tuple[
     if offset_px != (0, 0):
         camera.set_region(*offset_px, width, height)
     region = camera.get_region()
-    expect(name, "width in pixels", width, region.width)
-    expect(name, "height in pixels", height, region.height)
-
-
-def differs(wanted: float, found: float) -> bool:
-    """Whether a setting is another one, beyond the camera's steps."""
-    return abs(found - wanted) > _TOLERANCE * abs(wanted)
-
-
-def expect(name: str, what: str, wanted: float, found: float) -> None:
-    """Raise DeviceError if the camera made something else of a setting."""
-    if differs(wanted, found):
-        raise DeviceError(
-            f"camera {name}: wanted {wanted:g} as {what}, but the camera made it {found:g}. "
-            "Change the configuration to what the camera can do."
-        )
+    refuse_other_setting(name, "width in pixels", width, region.width)
+    refuse_other_setting(name, "height in pixels", height, region.height)
 
 
 def start(camera: Any, name: str, settings: AravisRigSettings) -> Any:
@@ -81,7 +66,7 @@ def start(camera: Any, name: str, settings: AravisRigSettings) -> Any:
             camera.gv_auto_packet_size()
         else:
             camera.gv_set_packet_size(settings.packet_size)
-            expect(name, "packet size", settings.packet_size, camera.gv_get_packet_size())
+            refuse_other_setting(name, "packet size", settings.packet_size, camera.gv_get_packet_size())
         stream = _network_stream(camera)
     else:
         stream = camera.create_stream(None, None)

@@ -42,7 +42,9 @@ class MjpegServer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ended = True
+        with self._arrived:
+            self._ended = True
+            self._arrived.notify_all()
         self._server.shutdown()
         self._server.server_close()
 
@@ -63,18 +65,19 @@ class MjpegServer:
         request.end_headers()
         number = self._count - 1
         try:
-            while not self._ended:
-                number, jpeg = self._next(number)
+            while (found := self._next(number)) is not None:
+                number, jpeg = found
                 head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
                 request.wfile.write(head.encode() + jpeg + b"\r\n")
         except ConnectionError:
             return  # the client has gone
 
-    def _next(self, number: int) -> tuple[int, bytes]:
-        """The first frame after that one which is still there, waited for."""
+    def _next(self, number: int) -> tuple[int, bytes] | None:
+        """The first frame after that one which is still there, waited for; None when the server ends."""
         with self._arrived:
-            while True:
+            while not self._ended:
                 found = next((each for each in self._frames if each[0] > number), None)
                 if found is not None:
                     return found
                 self._arrived.wait()
+        return None

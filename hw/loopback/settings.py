@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hw.settings import SimulatedRigSettings
+from hw.settings import USUAL_EXPOSURE_US, SimulatedRigSettings
 
 
 class Conditions(BaseModel):
@@ -61,7 +61,9 @@ class LoopbackSettings(BaseModel):
     )
     conditions: Conditions = Field(default=Conditions(), description="Those at the start.")
     white_exposure_us: float = Field(
-        default=100_000 / 3, gt=0.0, description="Exposure at which white reaches 85 % of the range, without gain."
+        default=USUAL_EXPOSURE_US,
+        gt=0.0,
+        description="At it, white reaches 85 % of the range, without gain.",
     )
     address: str = Field(default="127.0.0.1", description="Where the camera answers.")
     serial: str = Field(default="loopback", description="Its serial number.")

@@ -5,17 +5,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Bools, Image, grey
+from calib.numerics import Bools, Floats, Image, grey
 
+_SAME_VIEW = 0.3  # correlation; blurred or dimmed, the picture is the same
 _CELLS = 32  # across the picture: edges that a camera resolves, and whose blur it sees
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """How the reference picture looks: mean level of each channel (C,) of lit pixels, and the contrast of its edges."""
+    """How the reference picture looks: mean level of each channel (C,) of lit pixels, the contrast of its edges, and
+    the brightness (N,) of each of these pixels.
+    """
 
     levels: np.ndarray
     contrast: float
+    lit: Floats
 
 
 def reference_picture(size: tuple[int, int]) -> Image:
@@ -32,7 +36,12 @@ def appearance(image: Image, lit: Bools) -> Appearance:
     light = grey(image)
     both = lit[:, 1:] & lit[:, :-1]
     contrast = float(np.sqrt(np.mean((np.diff(light, axis=1)[both]) ** 2))) if both.any() else 0.0
-    return Appearance(levels, contrast / max(float(levels.mean()), 1.0))
+    return Appearance(levels, contrast / max(float(levels.mean()), 1.0), light[lit])
+
+
+def is_another_view(first: Appearance, now: Appearance) -> bool:
+    """Whether a camera looks elsewhere, was turned, or sends its picture in another shape."""
+    return not float(np.corrcoef(first.lit, now.lit)[0, 1]) > _SAME_VIEW
 
 
 def changes(first: Appearance, last: Appearance) -> Mapping[str, float]:

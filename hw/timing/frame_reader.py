@@ -4,6 +4,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 from statistics import median
 from threading import Condition, Thread
 
@@ -81,6 +82,12 @@ class FrameReader:
 
         Raises DeviceError if none comes, or the stream has ended.
         """
+        found = self.following_until(number, inf)
+        assert found is not None
+        return found
+
+    def following_until(self, number: int, until_s: float) -> Arrival | None:
+        """The same; None if it has not come by then (monotonic clock)."""
         deadline_s = time.monotonic() + _NOTHING_S
         with self._arrived:
             while True:
@@ -94,7 +101,10 @@ class FrameReader:
                         f"camera {self._name}: no frame for {_NOTHING_S:.0f} s. Check that it is on and sends, its "
                         "cable or network, and that no other program uses it, then rerun."
                     )
-                self._arrived.wait(_SLICE_S)
+                left_s = until_s - time.monotonic()
+                if left_s <= 0:
+                    return None
+                self._arrived.wait(min(_SLICE_S, left_s))
 
     def close(self) -> None:
         """Read no more."""

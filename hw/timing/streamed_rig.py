@@ -4,39 +4,33 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from calib.numerics import Image
-from hw.ahead import Ahead
 from hw.rig import Frame
-from hw.timing.automatics import appearance, changes, reference_picture
 from hw.timing.devices import FlippingProjector, StreamingCamera
 from hw.timing.resting import RestingLight
 from hw.timing.stream_calibration import StreamTiming, calibrate_stream
 from hw.timing.streaming import StreamAcquisition
 from hw.timing.timed_rig import Tally, TimedRig
 
-_MOST_AHEAD = 16  # frames that wait for whoever records and decodes them
-
 
 @dataclass
-class _Lately:
-    """Of the last capture."""
+class _Lost:
+    """How many frames had been repeated and dropped when the last capture began."""
 
-    ahead: Ahead[Frame] | None = None
     repeated: int = 0
     dropped: int = 0
-    changes: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class StreamedRig(TimedRig):
-    """Its frames are taken as pictures stand; a capture begins and ends with one picture that shows what the camera has
-    changed by itself in between.
-    """
+    """A rig whose camera streams: frames are taken as pictures stand."""
+
+    lost_advice = "Send smaller or fewer frames, by cable where there is one."
 
     streaming: StreamingCamera
     timing: StreamTiming
     rest: RestingLight
     acquisition: StreamAcquisition
-    _lately: _Lately = field(default_factory=_Lately)
+    _before: _Lost = field(default_factory=_Lost)
 
     @property
     def latency_s(self) -> float:
@@ -48,63 +42,37 @@ class StreamedRig(TimedRig):
         """What the last frames cost."""
         return self.acquisition.tally
 
-    def photograph(
-        self,
-        images: Iterable[Image],
-        exposures_us: Sequence[float] = (),
-        level: Sequence[Sequence[int]] = (),
-        unpaired: Sequence[Sequence[int]] = (),
-    ) -> Iterator[Frame]:
-        """A frame of each image, taken while it stands. Those of a capture, of which some verify each other, are taken
-        some ahead of who asks for them. Raises DeviceError.
-        """
-        if not (level or unpaired):
-            self._lately.ahead = None
-            return self.acquisition.frames(images, exposures_us)
-        if exposures_us:
-            level = unpaired = ()
-        self._lately.ahead = Ahead(self._captured(images, exposures_us, level, unpaired), _MOST_AHEAD)
-        return iter(self._lately.ahead)
-
-    def stop(self) -> None:
-        """Return when no frame is being taken, before the devices are closed."""
-        if self._lately.ahead is not None:
-            self._lately.ahead.stop()
+    @property
+    def least_s(self) -> float:
+        """Latency and two frame periods: what a picture alone takes; on their way with others, pictures take less."""
+        return self.timing.soonest_s + 2 * self.timing.period_s
 
     def account(self) -> Mapping[str, object]:
-        """What was measured of the stream, what its frames cost, and what the camera changed by itself."""
-        tally, timing = self.tally, self.timing
-        limit_s = timing.soonest_s + 2 * timing.period_s
+        """The same, and what the camera changed by itself."""
+        changed = {"after_white_percent": round(100 * self.timing.adapted, 1), **self.acquisition.changes}
+        return {**super().account(), "camera_changed": changed}
+
+    def _measured(self) -> Mapping[str, object]:
+        reader = self.streaming.reader
         return {
-            "synchronisation": {
-                "latency_ms": round(1e3 * timing.soonest_s, 1),
-                "frame_period_ms": round(1e3 * timing.period_s, 2),
-                "retriggered_frames": tally.retriggered,
-                "doubted_frames": self.acquisition.doubted,
-                "repeated_frames": self._lately.repeated,
-                "dropped_frames": self._lately.dropped,
-                "averaged_frames": self.streaming.average,
-                "ms_per_frame": round(1e3 * tally.seconds_per_frame, 2),
-                "overhead_percent": round(100 * (tally.seconds_per_frame / limit_s - 1), 1),
-            },
-            "camera_changed": {"after_white_percent": round(100 * timing.adapted, 1), **self._lately.changes},
+            "frame_period_ms": round(1e3 * self.timing.period_s, 2),
+            "missed_in_flight": self.acquisition.standing.missed,
+            "doubted_frames": self.acquisition.doubted,
+            "repeated_frames": reader.repeated - self._before.repeated,
+            "dropped_frames": reader.dropped - self._before.dropped,
+            "averaged_frames": self.streaming.average,
         }
 
-    def _captured(
+    def _acquired(
         self,
         images: Iterable[Image],
         exposures_us: Sequence[float],
         level: Sequence[Sequence[int]],
         unpaired: Sequence[Sequence[int]],
     ) -> Iterator[Frame]:
-        reader, lit = self.streaming.reader, self.rest.lit
-        reference = reference_picture(self.projector.size)
-        repeated, dropped = reader.repeated, reader.dropped
-        first = appearance(self.acquisition.frame(reference).image, lit)
-        yield from self.acquisition.frames(images, exposures_us, level, unpaired)
-        last = appearance(self.acquisition.frame(reference).image, lit)
-        self._lately.changes = changes(first, last)
-        self._lately.repeated, self._lately.dropped = reader.repeated - repeated, reader.dropped - dropped
+        reader = self.streaming.reader
+        self._before.repeated, self._before.dropped = reader.repeated, reader.dropped
+        return self.acquisition.frames(images, exposures_us, level, unpaired)
 
 
 def streamed(

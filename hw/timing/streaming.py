@@ -1,63 +1,52 @@
-"""Frames of pictures from a camera that streams: a picture is shown until some frames prove that it stands.
+"""Frames of pictures from a camera that streams, each verified (`standing_frames.py` has how they are taken).
 
-    screen      ▏1                               ▏2
-    wall               ▏1                               ▏2
-    camera      ▐ … ▌▐ … ▌▐ 1 ▌▐ 1 ▌▐ 1 ▌▐ 1 ▌▐ 1 ▌▐ … ▌
-    frames               …     ▏…    ▏1    ▏1: the mean of both
-
-A picture stands when two frames that follow each other are alike, band by band, with nothing left in them of the
-picture before (`standing.py`). Where two pictures look alike, as stripes finer than a pixel do, it stands some
-time after its light should have come. That it is the right one, and not one that waited in a queue, prove the pictures
-that light every place alike together, or an even number of times (`verification.py`); frames that do not add up are
-taken again, the other way around.
+That a frame is of the right picture, and not of one that waited in a queue, prove the pictures that light every place
+alike together, or an even number of times (`verification.py`). Those are taken while others are on their way; where one
+was missed, or frames do not add up, all land, and it is taken at rest. What nothing proves is taken at rest.
 """
 
 import logging
-import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from itertools import cycle
 
 import numpy as np
 
-from calib.numerics import Floats, Image
+from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Frame, exposure_control
+from hw.timing.automatics import Appearance, appearance, changes, is_another_view, reference_picture
 from hw.timing.devices import ATTEMPTS, FlippingProjector, StreamingCamera
-from hw.timing.frame_reader import Arrival
 from hw.timing.numbered_pictures import NumberedPictures
 from hw.timing.parity_check import with_parity
 from hw.timing.resting import RestingLight
-from hw.timing.standing import standing
-from hw.timing.stream_calibration import StreamTiming, frozen
+from hw.timing.standing_frames import StandingFrames
+from hw.timing.stream_calibration import StreamTiming
 from hw.timing.timed_rig import Tally
 from hw.timing.verification import FrameVerification, Group
 
 log = logging.getLogger(__name__)
 
-_PATIENCE_S = 5.0  # automatic exposure comes to rest in one or two
-_UNSEEN_S = 0.5  # so much later than any flash's a picture's light may come, before it counts as like the one before
 _MOST_UNFOUNDED = 3  # doubts that were the scene's own: where sums are never level, they prove nothing
-_MOST_FROZEN = 3  # pictures that changed nothing, byte by byte
 
 
 class StreamAcquisition:
-    """Takes the frames; `tally` is what they cost, `doubted` how many did not add up with others at first."""
+    """Takes the frames; `tally` is what they cost, `doubted` how many did not add up with others at first, `standing`
+    how they are taken. A capture begins and ends with one picture that shows the `changes` that the camera has made by
+    itself in between, in per cent.
+    """
 
     def __init__(
         self, projector: FlippingProjector, camera: StreamingCamera, timing: StreamTiming, rest: RestingLight
     ) -> None:
-        self._projector = projector
+        self.standing = StandingFrames(projector, camera, timing, rest)
         self._camera = camera
-        self._timing = timing
-        self._sums = rest.sums
-        self._standing = standing(rest)
+        self._rest = rest
         width, height = projector.size
         self._blank = np.zeros((height, width), np.uint8)
-        self._shown: Image | None = None
-        self._prepared: Image | None = None
-        self._before: Floats | None = None
-        self._newest: Image | None = None
-        self._frozen = self._unfounded = 0
+        self._reference = reference_picture(projector.size)
+        self.changes: Mapping[str, float] = {}
+        self._unfounded = 0
         self.tally = Tally()
         self.doubted = 0
 
@@ -74,28 +63,23 @@ class StreamAcquisition:
 
         Raises DeviceError, and whatever `images` raises.
         """
+        first = self._appearance() if (level or unpaired) and not exposures_us else None
         self.tally.begin()
-        self.doubted = self._unfounded = 0
+        self.doubted = self._unfounded = self.standing.missed = 0
         if exposures_us:
             for image, exposure_us in zip(images, cycle(exposures_us)):  # cycle has no end
                 exposure_control(self._camera).expose_for(exposure_us)
-                self._before, self._shown = None, None  # of another exposure
+                self.standing.forget()
                 self.tally.take()
-                yield self.frame(image)
+                yield self.standing.at_rest(image)
             return
         shown = with_parity(images, level, unpaired)
         self._pictures = NumberedPictures(shown.images)
-        self._verification = FrameVerification(self._sums, self._pictures, shown.level, shown.even)
+        self._verification = FrameVerification(self._rest.sums, self._pictures, shown.level, shown.even)
         self._even = {each for group in shown.even for each in group}
         self._taken: dict[int, Frame] = {}
-        self._last: list[int] = []
-        number = following = 0
-        while self._pictures.has(number):
-            self._take(number)
-            self._verification.judge()
-            for group in [*self._verification.judged]:
-                self._verify(group)
-            number += 1
+        following = 0
+        for _ in self._all(first):
             while following in self._taken and not self._verification.lacks(following):
                 frame = self._taken.pop(following)
                 if following not in shown.added:
@@ -103,64 +87,79 @@ class StreamAcquisition:
                     yield frame
                 following += 1
                 self._pictures.forget(following)
+        if first is not None:
+            self.changes = changes(first, self._same_view(first))
 
-    def frame(self, image: Image, following: Image | None = None) -> Frame:
-        """The mean of some frames while an image stands; the `following` one is prepared meanwhile. Raises DeviceError.
+    def _appearance(self) -> Appearance:
+        return appearance(self.standing.at_rest(self._reference).image, self._rest.lit)
 
-        The same image (the same array) stays where it is.
+    def _same_view(self, first: Appearance) -> Appearance:
+        """How the reference picture looks by now. Raises DeviceError if the camera sees another one. That is not seen
+        in the size of its frames: OpenCV makes those of a stream as large as the first were, and tells nobody.
         """
-        other = image is not self._shown
-        earliest_s, latest_s = self._show(image) if other else (0.0, time.monotonic() - _UNSEEN_S)
-        if following is not None and following is not image:
-            self._projector.prepare(following)
-            self._prepared = following
-        kept: list[Arrival] = []
-        before, last, number = self._before, np.zeros(0), self._camera.reader.newest
-        while len(kept) < self._camera.average:
-            arrival = self._camera.reader.following(number)
-            number = arrival.number
-            if arrival.came_s < earliest_s:
-                continue
-            now = self._sums.seen(arrival.image)
-            if not kept or not self._standing.stands(before, last, now):
-                self._refuse_unrest(arrival.came_s - latest_s)
-                kept = []
-            changed = before is None or self._standing.differs(before, now)
-            if changed or arrival.came_s > latest_s + _UNSEEN_S:
-                kept.append(arrival)
-            last = now
-        if other:
-            self._refuse_frozen([each.image for each in kept])
-        mean = np.rint(np.mean([each.image for each in kept], axis=0)).astype(np.uint8)
-        self._before = self._sums.seen(mean)
-        return Frame(mean, self._camera.exposure_us, kept[0].timestamp_ns)
+        now = self._appearance()
+        if is_another_view(first, now):
+            raise DeviceError(
+                f"camera {self._camera.name}: it sees another picture than when the capture began: it was moved or "
+                "turned, or it sends frames of another size or shape. Put it back as it was, then rerun."
+            )
+        return now
 
-    def _show(self, image: Image) -> tuple[float, float]:
-        """From when on a frame may show the image alone, and by when at the latest each does: both are the same where
-        it is not known what frames showed before.
-        """
-        if image is not self._prepared:
-            self._projector.prepare(image)
-        swap = self._projector.flip()
-        self._prepared, self._shown = None, image
-        latest_s = swap.done_s + self._timing.latest_s + self._timing.period_s
-        return (latest_s if self._before is None else swap.begun_s + self._timing.soonest_s), latest_s
+    def _all(self, first: Appearance | None) -> Iterator[None]:
+        """Take them in their order; after each one, and what had to be taken again."""
+        number = 0
+        while self._pictures.has(number):
+            with closing(self.standing.in_flight(self._flying(number))) as flight:
+                frame = None
+                for frame in flight:
+                    if frame is None:
+                        break
+                    self._note(number, frame, number - 1)
+                    self._verification.judge()
+                    number += 1
+                    if self._is_doubtful():
+                        break
+                    self._verify(first)
+                    yield
+            if frame is None and self._pictures.has(number):
+                self.tally.retriggered += self._may_fly(number)
+                self._note(number, self.standing.at_rest(self._pictures[number]), number - 1)
+                self._verification.judge()
+                number += 1
+            self._verify(first)
+            yield
 
-    def _take(self, number: int) -> None:
-        following = self._pictures[number + 1] if self._pictures.has(number + 1) else None
-        self._note(number, self.frame(self._pictures[number], following))
+    def _flying(self, number: int) -> Iterator[Image]:
+        """Pictures in a row, from that one on, that others prove."""
+        while self._pictures.has(number) and self._may_fly(number):
+            yield self._pictures[number]
+            number += 1
 
-    def _note(self, number: int, frame: Frame) -> None:
-        """A frame that stood holds no share of another picture, but it may be another picture altogether. Of those
+    def _may_fly(self, number: int) -> bool:
+        return self._unfounded < _MOST_UNFOUNDED and self._verification.lacks(number)
+
+    def _note(self, number: int, frame: Frame, before: int) -> None:
+        """Take in the frame of a picture, which was shown after that of the number `before`, if there is one.
+
+        A frame that stood holds no share of another picture, but it may be another picture altogether. Of those
         without inverses that shows in the parity; edges of others are not looked for.
         """
         self._taken[number] = frame
-        self._verification.stood_beside(number, [] if number in self._even else self._last)
+        self._verification.stood_beside(number, [] if number in self._even or before < 0 else [before])
         self._verification.note(number, frame.image)
-        self._last = [number]
 
-    def _verify(self, group: Group) -> None:
-        """Take frames again that do not add up, unless it is the scene that makes them so."""
+    def _is_doubtful(self) -> bool:
+        verification = self._verification
+        return any(verification.foreign_share(group) > verification.tolerance for group in verification.judged)
+
+    def _verify(self, first: Appearance | None) -> None:
+        for group in [*self._verification.judged]:
+            self._prove(group, first)
+
+    def _prove(self, group: Group, first: Appearance | None) -> None:
+        """Take frames again that do not add up, unless it is the scene that makes them so, as the camera sees it at
+        `first`.
+        """
         verification = self._verification
         for attempt in range(ATTEMPTS):
             foreign = verification.foreign_share(group)
@@ -171,26 +170,14 @@ class StreamAcquisition:
             self.doubted += 0 if attempt else len(suspects)
             self.tally.retriggered += len(suspects)
             looked = verification.look(suspects)
-            self.frame(self._blank)  # what was late is there by then, or so late that it shows
+            self.standing.at_rest(self._blank)  # what was late is there by then, or so late that it shows
+            last = -1
             for number in suspects if attempt % 2 else suspects[::-1]:
-                self._note(number, self.frame(self._pictures[number]))
+                self._note(number, self.standing.at_rest(self._pictures[number]), last)
+                last = number
             if verification.is_as_before(looked):
+                if first is not None:
+                    self._same_view(first)
                 self._unfounded += 1
                 break
         verification.settle(group)
-
-    def _refuse_unrest(self, late_s: float) -> None:
-        if late_s > _PATIENCE_S:
-            raise DeviceError(
-                f"camera {self._camera.name}: {_PATIENCE_S:.0f} s after a picture came, its frames still change. Turn "
-                "off automatic exposure, focus and white balance in the camera or its app, keep daylight and people "
-                "out, then rerun."
-            )
-
-    def _refuse_frozen(self, kept: Sequence[Image]) -> None:
-        """Several pictures in a row whose frames are the last one's, byte by byte, are of no camera that works."""
-        same = self._newest is not None and all(np.array_equal(image, self._newest) for image in kept)
-        self._frozen = self._frozen + 1 if same else 0
-        self._newest = kept[-1]
-        if self._frozen >= _MOST_FROZEN:
-            raise DeviceError(frozen(self._camera.name))

@@ -11,11 +11,10 @@ from dataclasses import dataclass, field, replace
 from math import isfinite
 
 from calib.numerics import Image
-from hw.ahead import Ahead
 from hw.errors import DeviceError
 from hw.rig import Frame
 from hw.timing.devices import TRIGGER_LAG_S, BufferedProjector, TriggeredCamera
-from hw.timing.latency import LONGEST_LATENCY_S, Latency, LatencyCalibration
+from hw.timing.latency import LONGEST_LATENCY_S, LOST_ADVICE, Latency, LatencyCalibration
 from hw.timing.pipelined import PipelinedAcquisition
 from hw.timing.sequential import SequentialAcquisition, Timing
 from hw.timing.timed_rig import Tally, TimedRig
@@ -29,7 +28,6 @@ _ROUNDS = 8
 # Pipelined, a picture's time is short, and what it takes beside the exposure counts for every frame.
 _PIPELINED_MARGINS_S = (0.001, 0.003, 0.006, 0.012, 0.024)
 _REHEARSED_PIPELINED = 8
-MOST_AHEAD = 16  # frames that wait for whoever records and decodes them: eight may be proven by one, and come at once
 
 
 def _rehearsed_sequential(
@@ -84,21 +82,24 @@ def _rehearsed_pipelined(
 
 
 @dataclass
-class _Lately:
-    """How the last frames were taken."""
+class _Flown:
+    """Whether the acquisition of the last frames was pipelined."""
 
-    flew: bool = False
-    ahead: Ahead[Frame] | None = None
+    lately: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class SynchronisedRig(TimedRig):
-    """A rig of real devices, with sequential acquisition, or pipelined, where that was found to work."""
+    """A rig whose camera is triggered, with sequential acquisition, or pipelined, where that was found to work: for one
+    frame of each picture of a capture.
+    """
+
+    lost_advice = LOST_ADVICE
 
     timing: Timing
     sequential: SequentialAcquisition
     pipelined: PipelinedAcquisition | None = None
-    _lately: _Lately = field(default_factory=_Lately)
+    _flown: _Flown = field(default_factory=_Flown)
 
     @property
     def latency_s(self) -> float:
@@ -110,66 +111,36 @@ class SynchronisedRig(TimedRig):
         """What the last frames cost."""
         return self.sequential.tally
 
-    def photograph(
+    @property
+    def least_s(self) -> float:
+        """Exposure and, where acquisition is not pipelined, latency."""
+        return self.sequential.exposure_s + (0.0 if self._flown.lately else self.timing.latency_s)
+
+    def _acquired(
         self,
         images: Iterable[Image],
-        exposures_us: Sequence[float] = (),
-        level: Sequence[Sequence[int]] = (),
-        unpaired: Sequence[Sequence[int]] = (),
+        exposures_us: Sequence[float],
+        level: Sequence[Sequence[int]],
+        unpaired: Sequence[Sequence[int]],
     ) -> Iterator[Frame]:
-        """A frame of each image, taken when its light is on the wall. Raises DeviceError.
+        flying = self.pipelined if (level or unpaired) and not exposures_us else None
+        self._flown.lately = flying is not None and flying.possible
+        if flying is not None and self._flown.lately:
+            return flying.frames(images, level, unpaired)
+        return self.sequential.frames(images, exposures_us)
 
-        Images of which some prove each other are a capture: its frames are taken some ahead of who asks for them, and
-        its acquisition is pipelined, where that works, one frame of each picture. All others are taken sequentially,
-        when they are asked for.
-        """
-        captures = bool(level or unpaired)
-        flying = self.pipelined if captures and not exposures_us else None
-        self._lately.flew = flying is not None and flying.possible
-        if flying is not None and self._lately.flew:
-            frames = flying.frames(images, level, unpaired)
-        else:
-            frames = self.sequential.frames(images, exposures_us)
-        self._lately.ahead = Ahead(frames, MOST_AHEAD) if captures else None
-        return iter(self._lately.ahead or frames)
-
-    def stop(self) -> None:
-        """Return when no frame is being taken, before the devices are closed."""
-        if self._lately.ahead is not None:
-            self._lately.ahead.stop()
-
-    def account(self) -> Mapping[str, object]:
-        """What synchronisation measured, and what the frames so far cost over what was unavoidable."""
-        tally = self.sequential.tally
-        return {
-            "synchronisation": {
-                "latency_ms": round(1e3 * self.timing.latency_s, 2),
-                "delay_ms": round(1e3 * self.timing.delay_s, 2),
-                "overlapping": self.timing.overlaps,
-                "retriggered_frames": tally.retriggered,
-                "ms_per_frame": round(1e3 * tally.seconds_per_frame, 2),
-                "overhead_percent": round(100 * self.overhead, 1),
-                **self._of_pipelined(),
-            }
+    def _measured(self) -> Mapping[str, object]:
+        found: dict[str, object] = {
+            "delay_ms": round(1e3 * self.timing.delay_s, 2),
+            "overlapping": self.timing.overlaps,
         }
-
-    def _of_pipelined(self) -> dict[str, object]:
-        found: dict[str, object] = {}
-        if self.pipelined is not None and self._lately.flew:
+        if self.pipelined is not None and self._flown.lately:
             found |= {
                 "pictures_in_flight": self.pipelined.rhythm.outstanding,
                 "missed_in_flight": self.pipelined.missed,
                 "doubted_frames": self.pipelined.doubted,
             }
-        if self._lately.ahead is not None:
-            found["waited_for_computer_s"] = round(self._lately.ahead.waited_s, 3)
         return found
-
-    @property
-    def overhead(self) -> float:
-        """Time per frame beyond exposure and (where acquisition is not pipelined) latency, relative to these."""
-        waited_s = 0.0 if self._lately.flew else self.timing.latency_s
-        return self.sequential.tally.seconds_per_frame / (self.sequential.exposure_s + waited_s) - 1
 
 
 def synchronised(

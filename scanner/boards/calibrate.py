@@ -95,7 +95,7 @@ def calibrate_seen(
         raise InputError(f"--board {target}: in none of the captures is there such a board:{told}")
     if missing and len(seen) < FEWEST_VIEWS:
         told = "".join(f"\n  {each.name}: {each.why}" for each in missing)
-        raise InputError(f"three views of the board are the least, and it was found in {len(seen)} only:{told}")
+        raise InputError(f"expected the board in three views or more, found it in {len(seen)}:{told}")
     with progress.step("Calibrating"):
         found = calibrate_boards(
             [each.view for each in seen],
@@ -168,5 +168,5 @@ def _on_scale(result: FromBoards) -> list[str]:
         (baseline, _PLAUSIBLE_BASELINE_MM),
     )
     if not all(low < length < high for length, (low, high) in plausible):
-        told += " That is hardly so: measure the square again, and mind the unit. The intrinsics do not depend on it."
+        told += " That is unlikely: measure the square again, and mind the unit. The intrinsics do not depend on it."
     return [told]

@@ -85,7 +85,7 @@ def _tell(looked: list[Seen | Missing], config: Config, target: Target, terminal
         return
     count = sum(isinstance(each, Seen) for each in looked)
     if count < FEWEST_VIEWS:
-        terminal.show(f"{last.name}: the board was found. {FEWEST_VIEWS - count} more before anything can be said.")
+        terminal.show(f"{last.name}: the board was found. {FEWEST_VIEWS - count} more needed for a first estimate.")
         return
     try:
         result = calibrate_seen(looked, target, config.camera_size, config.projector_size, terminal, config)
@@ -97,7 +97,7 @@ def _tell(looked: list[Seen | Missing], config: Config, target: Target, terminal
     told = f"{last.name}: focal lengths are now known to {sigma[0]:.2g} % (camera) and {sigma[9]:.2g} % (projector)."
     pose = best_next_pose(estimate, sizes)
     if pose is not None and pose.gain > _WORTH_IT:
-        told += f" The most would add a board {pose.words}: sigmas lower by a factor of {pose.gain:.2f}."
+        told += f" Most useful next: a board {pose.words}, which lowers the sigmas by a factor of {pose.gain:.2f}."
     elif pose is not None:
         told += " No further board would add much."
     terminal.show(told)

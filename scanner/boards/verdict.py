@@ -35,18 +35,18 @@ def verdict_on(result: FromBoards) -> Verdict:
     reasons += found.coverage.reasons and [f"How the boards were held: {'; '.join(found.coverage.reasons)}."]
     doubtful = found.halves is not None and found.halves.sigmas > _SURPRISING
     if max(relative) < _MEASUREMENT_GRADE and max(rays) < _USEFUL_RAY_PX and not doubtful:
-        return Verdict("good", "Calibrated, and sure enough to measure with", tuple(reasons))
+        return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
     if doubtful:
         return Verdict(
             "fair",
             "Calibrated, but its halves disagree",
             tuple(reasons),
-            "Something changed between the captures, or the board is not what it is taken for: see that nothing moves "
+            "Something changed between the captures, or the board is another one: make sure that nothing moves "
             "or is refocused, and that the board is flat and firm.",
         )
     return Verdict(
         "fair",
-        "Calibrated, less surely than boards can",
+        "Calibrated, less precisely than boards can",
         tuple(reasons),
-        "More captures make it surer: boards at other tilts, and where the pictures are still empty.",
+        "More captures lower the sigmas: boards at other tilts, and where the pictures are still empty.",
     )

@@ -66,13 +66,13 @@ def _synchronisation(measured: object) -> dict[str, str]:
         "latency, from a flip to its light": _with_unit(measured.get("latency_ms"), "ms"),
         "frames dropped, and taken again": measured.get("retriggered_frames"),
         "frames repeated by the camera's driver": measured.get("repeated_frames"),
-        "frames of the stream that did not come": measured.get("dropped_frames"),
+        "frames that the stream dropped": measured.get("dropped_frames"),
         "frames averaged to one": measured.get("averaged_frames"),
         "time per frame": _with_unit(measured.get("ms_per_frame"), "ms"),
         "of it over exposure, and over latency where that is waited for": _with_unit(
             measured.get("overhead_percent"), "%"
         ),
-        "pictures on their way at once": measured.get("pictures_in_flight"),
+        "pictures in the pipeline": measured.get("pictures_in_flight"),
         "pictures that were missed, and shown again": measured.get("missed_in_flight"),
         "frames that did not fit their neighbours, and were taken again": measured.get("doubted_frames"),
         "camera waited for the computer": _with_unit(measured.get("waited_for_computer_s"), "s"),

@@ -28,8 +28,8 @@ def read_listing(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
         text = whole + newline
     value = parse_mapping(text, str(path))
     if "sequence" in value and not value.get("frames"):
-        raise InputError(f"{path}: no frame was recorded before the capture was broken off: capture again")
-    return value, ((f"The last line of {path.name} is torn, and left out.",) if torn else ())
+        raise InputError(f"{path}: no frame was recorded before the interruption: capture again")
+    return value, ((f"The last line of {path.name} is incomplete, and left out.",) if torn else ())
 
 
 def _is_damaged(last: str) -> bool:

@@ -51,11 +51,9 @@ def refuse_another_scene(shown: str, before: Image, now: Image, scale: float = 1
     """
     found = compare(before, now)
     if found.moved_px is not None and found.moved_px > max(_MOST_MOVED_PX * scale, _NOISE_PX):
-        said = f"it lies {found.moved_px:.2g} camera px elsewhere: camera, projector or scene have moved"
+        said = f"it is shifted by {found.moved_px:.2g} camera px: camera, projector or scene have moved"
     elif found.changed > _MOST_CHANGED:
-        said = (
-            f"{found.changed:.0%} of the picture show something else: something was moved by far, added or taken away"
-        )
+        said = f"{found.changed:.0%} of the picture show something else: something was moved, added or removed"
     elif not 1 / _MOST_BRIGHTER < found.gain < _MOST_BRIGHTER:
         said = f"it is {found.gain:.2f} times as bright: exposure, aperture, lamp or the projector's mode were changed"
     elif abs(found.offset) > _MOST_LIGHT_ADDED:
@@ -63,7 +61,7 @@ def refuse_another_scene(shown: str, before: Image, now: Image, scale: float = 1
     else:
         return
     raise InputError(
-        f"the capture cannot be taken up: {shown} was shown again, and {said}. Put it back as it was and try again, or "
+        f"the capture cannot be resumed: {shown} was shown again, and {said}. Put it back as it was and try again, or "
         "capture anew"
     )
 

@@ -16,7 +16,7 @@ from scanner.capture.stream import refuse_another_size
 from scanner.patterns import Axis
 
 LINES_KEY = "lines_of_one_pixel_keep"
-CHANGED_SHAPE = "The projector does not show single pixels as they are"
+CHANGED_SHAPE = "The projector does not show single pixels unchanged"
 _STRIPE_PX = 8
 _BLACK, _MIDDLE, _WHITE = 0, 128, 255
 # What is lit has so much of what the brightest few do.
@@ -78,7 +78,7 @@ def remarks_on_lines(metadata: Mapping[str, object]) -> Iterator[str]:
     kept = metadata.get(LINES_KEY)
     if isinstance(kept, int | float) and kept < _LEAST_KEPT:
         yield (
-            f"{CHANGED_SHAPE}: lines of one pixel keep {max(kept, 0):.0%} of what makes them differ from grey. "
+            f"{CHANGED_SHAPE}: lines of one pixel keep {max(kept, 0):.0%} of their contrast. "
             "It scales the picture, changes its shape, or lets pixels share their light. If it corrects for keystone, "
             "which the finest stripes do not show, the focal lengths are wrong, by 4 to 20 % for 1 % of "
             "it. Show the picture in the projector's own resolution, turn such corrections off, and move the projector "

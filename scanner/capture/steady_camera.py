@@ -15,7 +15,7 @@ def remarks_on_camera(metadata: Mapping[str, object]) -> Iterator[str]:
     changed = {str(key): abs(value) for key, value in found.items() if isinstance(value, int | float)}
     if (adapted := changed.get("after_white_percent", 0.0)) > _EXPOSURE:
         yield (
-            f"The camera adapts by itself: its picture went on to change by {adapted:.0f} % after white had come, so "
+            f"The camera adapts automatically: its picture kept changing by {adapted:.0f} % after white had come, so "
             f"that exposure or white balance differs between patterns. {_ADVICE}"
         )
     for key, most, what in (

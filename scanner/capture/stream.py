@@ -92,6 +92,6 @@ def _try_exposures(rig: Rig, exposures_us: tuple[float, ...]) -> None:
         if found in became[:number]:
             other = exposures_us[became.index(found)]
             raise DeviceError(
-                f"the camera makes the same of {other:g} and {wanted:g} µs in exposures_us, {found:.0f} µs: "
+                f"the camera sets {other:g} and {wanted:g} µs in exposures_us both to {found:.0f} µs: "
                 "exposures are whole numbers of the projector's refresh periods; choose some that are further apart"
             )

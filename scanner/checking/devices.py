@@ -8,7 +8,6 @@ from hw.errors import OverexposedError
 from hw.open_rig import open_rig
 from hw.rig import Rig
 from hw.settings import CameraRigSettings
-from hw.timing.latency import LOST_ADVICE
 from hw.timing.timed_rig import TimedRig
 from scanner.checking.report import CheckRow, State
 from scanner.configuration import Config
@@ -70,4 +69,4 @@ def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
         yield CheckRow("transfer", State.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
     else:
         lost = f"{per_frame}, {again} of {taken} frames were lost first"
-        yield CheckRow("transfer", State.POOR, lost, f"{LOST_ADVICE} Keep the computer free of other work.")
+        yield CheckRow("transfer", State.POOR, lost, f"{rig.lost_advice} Stop other work on this computer.")

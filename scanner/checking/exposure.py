@@ -29,6 +29,7 @@ _WHITES, _BLACKS = 4, 2
 _SAME = 0.02
 # Longer ones make a scan of 44 frames last more than a minute, and light is better had from the aperture or the gain.
 _LONGEST_US = 1e6
+_BY_HAND = "Set the camera's exposure by hand, in its driver's tool or its app: the program cannot."
 
 
 @dataclass(frozen=True)
@@ -57,11 +58,15 @@ class Seen:
 
 @dataclass(frozen=True)
 class Proposal:
-    """The exposure to use, None if the camera cannot make it; the looks at the `first` and at the `last` one tried."""
+    """The exposure to use, None if the camera cannot make it; the looks at the `first` and at the `last` one tried.
+
+    `settable`: whether others could be tried.
+    """
 
     exposure_us: float | None
     first: Seen
     last: Seen
+    settable: bool = True
 
 
 def look(light: Light, exposure_us: float) -> Seen:
@@ -94,7 +99,7 @@ def propose_exposure(rig: Rig) -> Proposal:
     camera = settable_exposure(rig.camera)
     if camera is None:
         first = look(photograph_light(rig, _WHITES, _BLACKS), 0.0)
-        return Proposal(None, first, first)
+        return Proposal(None, first, first, settable=False)
     first = seen = look(photograph_light(rig, _WHITES, _BLACKS), camera.exposure_us)
     too_long_us = float("inf")
     for _ in range(_ROUNDS):
@@ -129,6 +134,9 @@ def exposure_row(proposal: Proposal, refresh_hz: float | None, *, bracketed: boo
     finding = _described(first)
     if first.is_dark and proposal.exposure_us is None:
         return CheckRow(_NAME, State.FAILED, finding, "Check lens cap, aperture, and that the projector is on.")
+    if not proposal.settable:
+        well = not first.is_clipped and first.brightest >= LEAST_SHARE * (1 - first.headroom)
+        return CheckRow(_NAME, State.OK, finding) if well else CheckRow(_NAME, State.POOR, finding, _BY_HAND)
     if proposal.exposure_us is None:
         return CheckRow(_NAME, State.POOR, finding, _beyond_the_camera(proposal.last))
     better = f"{_shown(proposal.exposure_us, refresh_hz)}: {_described(proposal.last)}"
@@ -159,7 +167,7 @@ def _beyond_the_camera(last: Seen) -> str:
         return (
             "Even the shortest exposure for a whole refresh period is too bright: close the aperture, lower the gain."
         )
-    return "Set the camera's exposure by hand: the program cannot."
+    return _BY_HAND
 
 
 def _shown(exposure_us: float, refresh_hz: float | None) -> str:

@@ -18,7 +18,7 @@ class State(StrEnum):
 
     OK = "ok"
     POOR = "poor"
-    """A scan works, but with something better it would be clearly better."""
+    """A scan works, but the marked lines would make it clearly better."""
     FAILED = "failed"
     """A scan would fail."""
 

@@ -35,7 +35,7 @@ def of_scan(parser: ArgumentParser) -> None:
         type=Path,
         action=_InPlaceOfConfig,
         metavar="DIR",
-        help="take what is missing of a capture that was broken off, as in NAME-incomplete, with the rig as it was",
+        help="complete an interrupted capture, as in NAME-incomplete, with the rig unchanged",
     )
     parser.add_argument(
         "--captures",
@@ -51,7 +51,7 @@ def of_scan(parser: ArgumentParser) -> None:
         help="scan a whole room from N places, moving the rig as a whole in between, and put them together",
     )
     parser.add_argument(
-        "--object", action="store_true", help="with --stations and --calibration: a thing that is turned in between"
+        "--object", action="store_true", help="with --stations and --calibration: scan a thing that you turn in between"
     )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="with --object: the rig's")
     _add_fill(parser)
@@ -82,9 +82,9 @@ def of_batch(parser: ArgumentParser) -> None:
     add_calibration(parser, kind=str)  # may be far away, as the captures
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
-    parser.add_argument("--memory", metavar="SIZE", help="of each process, as in 4GB (default: an equal share of all)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a running Dask scheduler, as in tcp://10.0.0.1:8786")
-    parser.add_argument("--retry", action="store_true", help="try captures again that crashed in an earlier run")
+    parser.add_argument("--memory", metavar="SIZE", help="memory of each process, as in 4GB (default: an equal share)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, as in tcp://10.0.0.1:8786")
+    parser.add_argument("--retry", action="store_true", help="retry captures that crashed in an earlier run")
     add_quiet(parser)
 
 
@@ -92,15 +92,16 @@ def of_import(parser: ArgumentParser) -> None:
     parser.add_argument(
         "folder", type=Path, metavar="DIR", help="folder with the frames, or a recording (mp4, mov, mkv)"
     )
-    parser.add_argument("--from", dest="layout", metavar="FORMAT", help="whose order of frames it is (default: any)")
+    parser.add_argument("--from", dest="layout", metavar="FORMAT", help="program that took the frames (default: all)")
     parser.add_argument("--projector", metavar="WxH", help="the projector's size, as in 1024x768")
     parser.add_argument("--cell", metavar="PX", help="projector pixels to a cell of the Gray code (default: 1)")
-    parser.add_argument("--order", metavar="N", help="of several orders that fit, the one with this number in the list")
-    parser.add_argument("--frames", metavar="GLOB", help="take only files of such a name, as in 'cam1_*.png'")
     parser.add_argument(
-        "--sequence", type=Path, metavar="FILE", help="of a recording: the sequence.yaml of the video that was shown"
+        "--periods", metavar="N,…", help="periods to a picture, in the order of the frames, as in 59,64,70"
     )
-    parser.add_argument("--out", type=Path, metavar="CAPTURE", help="folder to make (default: only say what it is)")
+    parser.add_argument("--order", metavar="N", help="if several orders fit: the number of one in the list")
+    parser.add_argument("--frames", metavar="GLOB", help="take only files that match a pattern, as in 'cam1_*.png'")
+    parser.add_argument("--sequence", type=Path, metavar="FILE", help="for a recording: the sequence.yaml of its video")
+    parser.add_argument("--out", type=Path, metavar="CAPTURE", help="folder to make (default: only recognise)")
     add_quiet(parser)
 
 
@@ -132,8 +133,10 @@ def of_new(parser: ArgumentParser) -> None:
 def of_patterns(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     parser.add_argument("--video", metavar="NAME", help="also write a video for any player, as in sequence.mp4")
-    parser.add_argument("--hold", metavar="TIME", help="with --video: of a picture, as in 0.2s (default)")
-    parser.add_argument("--loops", type=int, metavar="N", help="with --video: show the sequence so often (default: 2)")
+    parser.add_argument("--hold", metavar="TIME", help="with --video: how long each picture stands (default: 0.2s)")
+    parser.add_argument(
+        "--loops", type=int, metavar="N", help="with --video: how often it is shown there and back (default: 1)"
+    )
     add_out(parser)
     add_quiet(parser)
 
@@ -155,7 +158,7 @@ def of_check(parser: ArgumentParser) -> None:
         type=_seconds,
         default=0.0,
         metavar="SECONDS",
-        help="look for drift over so long, 60 say (default: as long as the rest takes)",
+        help="seconds to look for drift, as in 60 (default: as long as the rest takes)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder to make, for check.yaml and pictures (default: nothing is kept)"
@@ -171,7 +174,7 @@ def of_export(parser: ArgumentParser) -> None:
         "--out", type=Path, metavar="PATH", help="file to write, a folder for colmap (default: beside the result)"
     )
     parser.add_argument(
-        "--points", type=int, metavar="N", help=f"colmap: at most so many points (default: {DEFAULT_POINTS:,})"
+        "--points", type=int, metavar="N", help=f"colmap: at most this many points (default: {DEFAULT_POINTS:,})"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier file of that name")
     add_quiet(parser)
@@ -198,7 +201,7 @@ def of_measure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for measure.json and measure.png (default: beside the result)"
     )
-    parser.add_argument("--shares", action="store_true", help="tell where each sigma comes from")
+    parser.add_argument("--shares", action="store_true", help="show where each sigma comes from")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier measurement there")
     add_quiet(parser)
 

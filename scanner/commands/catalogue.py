@@ -26,18 +26,18 @@ class Command:
 
 MAIN = Command("Scan with the configured rig: capture, calibrate, reconstruct.", arguments.of_scan, "scan")
 NAMED = {
-    "replay": Command("Reconstruct from a recorded capture, whoever made it.", arguments.of_replay, "replay"),
+    "replay": Command("Reconstruct from a recorded capture, also of another program.", arguments.of_replay, "replay"),
     "calibrate": Command(
         "Calibrate from matches of another decoder or of earlier results: one capture, or several of one rig at once.",
         arguments.of_calibrate,
         "calibrate",
     ),
     "batch": Command(
-        "Reconstruct many captures, on all processors of this machine or of many, with one table of all.",
+        "Reconstruct many captures, on one machine or many, into one table.",
         arguments.of_batch,
         "batch",
         """
-What a capture does, a refusal or a crash, is in its row; the others go on. Interrupted or repeated with the same
+A refusal or a crash is noted in the capture's row; the others go on. Interrupted or repeated with the same
 arguments, a batch does what is left. Sources and --out may be far away, as in s3://bucket/folder.
 """,
     ),
@@ -53,7 +53,7 @@ arguments, a batch does what is left. Sources and --out may be far away, as in s
     ),
     "devices": Command("List cameras and screens, with the lines to paste into a configuration.", add_quiet, "devices"),
     "check": Command(
-        "Look at the rig before a scan: devices, exposure, light, focus, and how well this view will calibrate.",
+        "Check the rig before a scan: devices, exposure, light, focus, and how well this view will calibrate.",
         arguments.of_check,
         "check",
         """
@@ -96,7 +96,7 @@ change between them. The second photo is the one that the result is about.
 """,
     ),
     "board": Command(
-        "Calibrate from captures of a printed board in different poses, and say how true that is.",
+        "Calibrate from captures of a printed board in different poses, and say how accurate that is.",
         arguments.of_board,
         "board",
         """
@@ -107,7 +107,7 @@ Exit codes: 2 if the board is not found; 4 if these boards do not determine a ca
 """,
     ),
     "room": Command(
-        "Put stations of one unchanged rig together to a whole room: where each stood, the walls, one cloud, a plan.",
+        "Join stations of one unchanged rig into a room: their poses, the walls, one cloud, a floor plan.",
         arguments.of_room,
         "room",
         """
@@ -118,7 +118,7 @@ Exit codes: 4 if no two stations belong together, or if they fit together in mor
 """,
     ),
     "object": Command(
-        "Put stations of one calibrated rig before a thing together: where each stood, one surface, its volume.",
+        "Join stations of a thing before one calibrated rig: their poses, one surface, its volume.",
         arguments.of_object,
         "object",
         """
@@ -148,6 +148,6 @@ is taken out that brings the two closest. Exit code 0 also where they differ: th
 """,
     ),
     "import": Command(
-        "Make a capture of another program's frames, whose order is recognised.", arguments.of_import, "import_"
+        "Make a capture from another program's frames, recognising their order.", arguments.of_import, "import_"
     ),
 }

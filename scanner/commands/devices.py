@@ -11,7 +11,7 @@ from hw.projector.process import list_screens
 from hw.projector.screens import Screen
 from scanner.ui import Terminal
 
-_ADDRESSES = "cameras in the network have no list: rig: {backend: opencv, camera: http://…} takes an address"
+_ADDRESSES = "network streams cannot be listed: rig: {backend: opencv, camera: http://…} takes an address"
 
 
 @dataclass(frozen=True)

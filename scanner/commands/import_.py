@@ -1,5 +1,6 @@
 """Make a capture folder of frames that another program took: their order is recognised, and checked by decoding."""
 
+import re
 from argparse import Namespace
 from collections.abc import Sequence
 from functools import cache
@@ -20,6 +21,7 @@ from scanner.importing import (
     Samples,
     described,
     find_frames,
+    fringe_layouts,
     recognise,
     take_samples,
     write_capture,
@@ -29,7 +31,7 @@ from scanner.shown_text import harmless
 from scanner.ui import Terminal
 
 _MOST_CELL_PX, _MOST_ORDERS = 4096, 99
-_NAMED = {layout.name: layout for layout in LAYOUTS}
+_MOST_PERIODS, _MOST_TO_A_PICTURE = 8, 1000
 
 
 def run(args: Namespace) -> None:
@@ -37,7 +39,8 @@ def run(args: Namespace) -> None:
     if args.sequence is not None or args.folder.is_file():
         import_recording.run(args)
         return
-    layouts = LAYOUTS if args.layout is None else (_layout(args.layout),)
+    every = (*LAYOUTS, *fringe_layouts(_periods(args.periods)))
+    layouts = every if args.layout is None else (_named(every, args.layout),)
     given = Given(_size(args.projector), _number(args.cell, "--cell", "a number of pixels", _MOST_CELL_PX))
     terminal = Terminal(quiet=args.quiet)
     output = OutputFolder(args.out) if args.out else None
@@ -51,7 +54,7 @@ def run(args: Namespace) -> None:
     found, rejected = recognise(files, layouts, given, look, terminal)
     chosen = _only_one(files, found, rejected, _number(args.order, "--order", "a number of the list", _MOST_ORDERS))
     if args.layout is None:
-        terminal.show(_table(chosen, found, rejected))
+        terminal.show(_table(every, chosen, found, rejected))
     unused = [*files.left_out, *(path for path in files.numbered if path not in chosen.files)]
     left_out = f"; left out: {', '.join(path.name for path in unused)}" if unused else ""
     terminal.show(f"{files}: {chosen.layout.title}, {_shown(chosen.projector_size)} ({chosen.how}){left_out}")
@@ -65,10 +68,11 @@ def run(args: Namespace) -> None:
     )
 
 
-def _layout(name: str) -> Layout:
-    if name not in _NAMED:
-        raise InputError(f"--from {name}: expected one of {', '.join(_NAMED)}")
-    return _NAMED[name]
+def _named(every: Sequence[Layout], name: str) -> Layout:
+    names = {layout.name: layout for layout in every}
+    if name not in names:
+        raise InputError(f"--from {name}: expected one of {', '.join(names)}")
+    return names[name]
 
 
 def _only_one(
@@ -81,18 +85,20 @@ def _only_one(
     if not found:
         told = [each for each in rejected if each.certain] or [each for each in rejected if each.lacking] or rejected
         reasons = "".join(f"\n  {each.layout.name}: {each.why}" for each in told)
-        raise InputError(f"{files.folder}: {files}; in no order that is known they are a capture:{reasons}")
+        raise InputError(f"{files.folder}: {files}; they fit no known order of frames:{reasons}")
     likely = [each for each in found if each.likely == max(other.likely for other in found)]
     differ = [*{(each.patterns, each.projector_size): each for each in likely[::-1]}.values()][::-1]
-    if len(differ) == 1 or (order is not None and order <= len(differ)):
-        return differ[0 if len(differ) == 1 or order is None else order - 1]
+    if order is None and len(differ) == 1:
+        return differ[0]
+    if order is not None and order <= len(differ):
+        return differ[order - 1]
+    fit = f"{len(differ)} orders fit" if len(differ) > 1 else "one order fits"
     names = "".join(
         f"\n  {number}. {each.layout.name}: {_shown(each.projector_size)}; {described(each.patterns)} ({each.how})"
         for number, each in enumerate(differ, 1)
     )
     raise InputError(
-        f"{files.folder}: {files}; {len(differ)} orders fit, say which with --order and its number, or with --from or "
-        f"--projector:{names}"
+        f"{files.folder}: {files}; {fit}, say which with --order and its number, or with --from or --projector:{names}"
     )
 
 
@@ -100,7 +106,9 @@ def _shown(size: tuple[int, int]) -> str:
     return f"projector {size[0]} × {size[1]}"
 
 
-def _table(chosen: Recognised, found: Sequence[Recognised], rejected: Sequence[Rejected]) -> Table:
+def _table(
+    every: Sequence[Layout], chosen: Recognised, found: Sequence[Recognised], rejected: Sequence[Rejected]
+) -> Table:
     """A line for each layout: whether it fits, and why, or why not."""
     table = Table(box=box.SIMPLE, pad_edge=False)
     for heading in ("format", "fits", ""):
@@ -109,7 +117,7 @@ def _table(chosen: Recognised, found: Sequence[Recognised], rejected: Sequence[R
     for each in found:
         same = (each.patterns, each.projector_size) == (chosen.patterns, chosen.projector_size)
         whys[each.layout.name] = ("yes" if same else "less", f"{_shown(each.projector_size)}, {each.how}")
-    for layout in LAYOUTS:
+    for layout in every:
         if layout.name in whys:
             table.add_row(layout.name, *(escape(harmless(words)) for words in whys[layout.name]))
     return table
@@ -130,3 +138,18 @@ def _number(text: str | None, option: str, what: str, most: int) -> int | None:
     if not (text.isdecimal() and 1 <= int(text) <= most):
         raise InputError(f"{option} {text}: expected {what} from 1 to {most}")
     return int(text)
+
+
+def _periods(text: str | None) -> tuple[float, ...] | None:
+    if text is None:
+        return None
+    words = text.split(",")
+    if len(words) > _MOST_PERIODS or not all(re.fullmatch(r"\d{1,4}(\.\d{1,6})?", word) for word in words):
+        raise InputError(
+            f"--periods {text}: expected the numbers of periods to a picture, at most {_MOST_PERIODS} of them, in the "
+            "order of the frames, as in 59,64,70"
+        )
+    counts = tuple(map(float, words))
+    if not 1 <= min(counts) <= max(counts) <= _MOST_TO_A_PICTURE or len({*counts}) < len(counts):
+        raise InputError(f"--periods {text}: expected different numbers from 1 to {_MOST_TO_A_PICTURE}")
+    return counts

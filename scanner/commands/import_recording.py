@@ -11,6 +11,7 @@ _OF_FRAMES = {
     "layout": "--from",
     "projector": "--projector",
     "cell": "--cell",
+    "periods": "--periods",
     "frames": "--frames",
     "order": "--order",
 }

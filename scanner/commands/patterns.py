@@ -14,7 +14,7 @@ from scanner.recordings import CONTAINERS, Programme, programme_of, write_player
 from scanner.results import OutputFolder
 from scanner.ui import Terminal
 
-_HOLD_S, _LOOPS = 0.2, 2
+_HOLD_S, _LOOPS = 0.2, 1
 
 
 def run(args: Namespace) -> None:

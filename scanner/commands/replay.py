@@ -1,4 +1,4 @@
-"""Reconstruct from a recorded capture, whoever made it."""
+"""Reconstruct from a recorded capture, also of another program."""
 
 from argparse import Namespace
 from pathlib import Path

@@ -4,8 +4,9 @@ Each frame is kept, and folded in as it arrives: into a few running images and a
 chosen: noise, saturation and tolerances are measured from the capture.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import hypot
 from typing import Literal, cast, overload
 
@@ -138,7 +139,7 @@ class Decoder:
     def _fold(self, image: Image) -> None:
         grey = _grey(image)
         if self._stack is None or self._folded is None:
-            self._stack = Stack(len(self._plan.shown), grey, codes_alone=not self._plan.fringes)
+            self._stack = self._stack_like(grey)
             self._folded = Folded(self._plan, grey)
         self._folded.add(self._stack.keep(grey))
         number = self._plan.shown[self._count]
@@ -156,14 +157,36 @@ class Decoder:
         if self._stack is None or self._folded is None:
             raise RuntimeError("this decoder has finished already")
         stack, self._stack = self._stack, None
-        ghost = None if self._as_taken else self._folded.ghost()
+        response = None if self._as_taken else self._folded.response()
+        noise = self._folded.noise() if response else None
+        if response:
+            stack = self._kept(response.linearised(stack.frames))
+            self._folded = folded(self._plan, stack.frames)
+        found = self._finish(stack.frames)
+        return replace(found, noise=noise) if noise else found
+
+    def _finish(self, frames: Image) -> Decoding:
+        """Of frames (N, H, W) that are as bright as the light was, and folded."""
+        ghost = None if self._as_taken or self._folded is None else self._folded.ghost()
         if ghost:
-            self._folded = folded(self._plan, without_ghost(stack.frames, ghost))
+            self._folded = folded(self._plan, without_ghost(frames, ghost))
         found = self._decode(as_taken=self._as_taken or ghost is not None)
         if isinstance(found, AmbientLightChange):
-            return self._in_one_light(stack.frames, found)
+            return self._in_one_light(frames, found)
         better = "which was taken out. Let the camera wait longer for the projector."
         return found.warning(f"{ghost.said(self._plan)}, {better}") if ghost else found
+
+    def _stack_like(self, frame: Image) -> Stack:
+        """For all frames of the capture, of the size and type of one (H, W)."""
+        return Stack(len(self._plan.shown), frame, codes_alone=not self._plan.fringes)
+
+    def _kept(self, frames: Iterator[Image]) -> Stack:
+        """All frames of the capture (H, W)."""
+        first = next(frames)
+        stack = self._stack_like(first)
+        for frame in chain([first], frames):
+            stack.keep(frame)
+        return stack
 
     def _in_one_light(self, frames: Image, switch: AmbientLightChange) -> Decoding:
         """The frames (N, H, W) without light that was switched on or off; if they then make no sense, as they are: what

@@ -3,12 +3,15 @@
 from collections.abc import Iterable
 from itertools import chain
 
+import numpy as np
+
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.between_axes import EvenlyLit, halves_of
+from scanner.decoding.light.camera_response import CameraResponse, camera_response
 from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.ghost import Ghost, find_ghost
-from scanner.decoding.light.noise_model import needs_neighbours
+from scanner.decoding.light.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.motion import CoarseFrames, TileSample
 from scanner.decoding.pixel_sample import Sample
@@ -45,6 +48,16 @@ class Folded:
                 if self.lit is not None:
                     self.lit.add(frame, made_alike)
         self._count += 1
+
+    def response(self) -> CameraResponse | None:
+        """The camera's, if it is not linear."""
+        saturation, top = saturation_level(self.accumulators.peak), self.accumulators.brightest.max()
+        top = np.iinfo(np.uint8).max if top.dtype == np.uint8 else top
+        return camera_response(self._plan, self.sample.levels, saturation, float(top))
+
+    def noise(self) -> NoiseModel:
+        """Of the frames as they were taken."""
+        return measure_noise(self._plan, self.sample, saturation_level(self.accumulators.peak))
 
     def ghost(self) -> Ghost | None:
         """What all frames show of the picture before."""

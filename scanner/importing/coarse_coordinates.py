@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats
 from scanner.importing.samples import Samples
+from scanner.importing.unwrapping import agreed, off_code, repeats_after
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
 
 # Of a pixel's own range of brightness: what decides a bit; how far fringes may be from each other and from cosines.
@@ -26,15 +27,21 @@ _STEPS_OF_CYCLE = 128  # a projector's gamma bends fringes of three steps by hun
 
 @dataclass(frozen=True)
 class Coordinates:
-    """`values` (H, W) along an axis, in cells or pixels, good to a few `steps`; where they are `certain`."""
+    """`values` (H, W) along an axis, in cells or pixels, good to a few `steps`; where they are `certain`.
+
+    `misfit`: of fringes that tell the coordinate together, which counted from the other end would be as good.
+    """
 
     values: Floats
     certain: Bools
     steps: float = 1.0
+    misfit: float | None = None
 
 
 def coordinates(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Coordinates | str | None:
-    """From the Gray code of an axis, else its longest fringe; None if it has neither; or what is wrong with them."""
+    """From the Gray code of an axis, else its longest fringe, or several close ones; None if it has neither; or what
+    is wrong with them.
+    """
     fringes: dict[float, list[tuple[float, int]]] = defaultdict(list)
     for index, pattern in enumerate(patterns):
         if isinstance(pattern, Phase) and pattern.axis == axis:
@@ -43,8 +50,44 @@ def coordinates(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Co
     wrong = _misfit(samples, list(waves.values()))
     if wrong:
         return f"the fringes of {axis} {wrong}"
-    codes = _codes(samples, patterns, axis)
-    return _phases(samples, waves, axis) if codes is None else codes
+    bits = [pattern for pattern in patterns if isinstance(pattern, Gray) and pattern.axis == axis]
+    codes: dict[tuple[int, int], Coordinates] = {}
+    for numbering in dict.fromkeys((bit.cell, bit.offset) for bit in bits):
+        code = _code(samples, patterns, axis, numbering)
+        if isinstance(code, str):
+            return code
+        codes[numbering] = code
+    if not codes:
+        return _phases(samples, waves, axis)
+    if _is_beside_another(waves, codes):
+        return f"the fringes of {axis} are beside another code"
+    return next(iter(codes.values()))
+
+
+def _is_beside_another(waves: "dict[float, _Wave]", codes: dict[tuple[int, int], Coordinates]) -> bool:
+    """Whether some fringe is off codes that together tell halves of its periods."""
+    certain = np.logical_and.reduce([code.certain for code in codes.values()])
+    middles = [(code.values + 0.5) * cell - offset - 0.5 for (cell, offset), code in codes.items()]
+    told = max(cell for cell, _ in codes) / len(codes)
+    middle = np.mean(middles, axis=0)
+    beside = {period: wave.cycles() for period, wave in waves.items() if period == 2 * told}
+    return int(np.count_nonzero(certain)) >= _FEWEST and any(
+        off_code(cycles[certain], period, middle[certain]) or _runs_back(cycles, middle, certain)
+        for period, cycles in beside.items()
+    )
+
+
+def _runs_back(cycles: Floats, middle: Floats, certain: Bools) -> bool:
+    """Whether a fringe's phase (H, W) falls from pixel to pixel where the coordinate grows; at middles of cells it
+    tells neither.
+    """
+    both = 0.0
+    for axis in (0, 1):
+        there = np.minimum.reduce([np.delete(certain, end, axis) for end in (0, -1)])
+        both += float(
+            np.sum((np.sin(2 * np.pi * np.diff(cycles, axis=axis)) * np.sign(np.diff(middle, axis=axis)))[there])
+        )
+    return both < 0
 
 
 class _Wave:
@@ -56,6 +99,11 @@ class _Wave:
         levels = samples.levels[[index for _, index in shown]]
         self.mean, self.cosine, self.sine = np.tensordot(np.linalg.pinv(design), levels, 1)
         self.rest = levels - np.tensordot(design, np.stack([self.mean, self.cosine, self.sine]), 1)
+
+    def cycles(self) -> Floats:
+        """The phase (H, W)."""
+        cycles: Floats = np.arctan2(self.sine, self.cosine) / (2 * np.pi)
+        return cycles
 
 
 def _misfit(samples: Samples, waves: Sequence[_Wave]) -> str | None:
@@ -71,7 +119,9 @@ def _misfit(samples: Samples, waves: Sequence[_Wave]) -> str | None:
 def _phases(samples: Samples, waves: dict[float, _Wave], axis: Axis) -> Coordinates | str | None:
     if not waves:
         return None
-    period = max(waves)
+    period, whole = max(waves), repeats_after([*waves])
+    if whole > period:
+        return _unwrapped(samples, waves, whole, axis)
     cosine, sine = (cv2.blur(part, _SMOOTHED) for part in (waves[period].cosine, waves[period].sine))
     certain = samples.lit & (np.hypot(cosine, sine) > _DECIDED * samples.swing)
     if np.count_nonzero(certain) < _FEWEST:
@@ -79,12 +129,32 @@ def _phases(samples: Samples, waves: dict[float, _Wave], axis: Axis) -> Coordina
     return Coordinates(np.mod(np.arctan2(sine, cosine) / (2 * np.pi), 1) * period, certain, period / _STEPS_OF_CYCLE)
 
 
-def _codes(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Coordinates | str | None:
-    """The codes of an axis, None if it has none, or what is wrong with them."""
-    shown = {(p.bit, p.inverted): index for index, p in enumerate(patterns) if isinstance(p, Gray) and p.axis == axis}
-    if not shown:
-        return None
-    bits = max(p.bits for p in patterns if isinstance(p, Gray) and p.axis == axis)
+def _unwrapped(samples: Samples, waves: dict[float, _Wave], whole: float, axis: Axis) -> Coordinates | str:
+    """Where the fringes of several periods agree, below a coordinate from which on they repeat."""
+    if not np.isfinite(whole):
+        return f"the fringes of {axis} have no common period"
+    certain = samples.lit.copy()
+    for wave in waves.values():
+        certain &= np.hypot(wave.cosine, wave.sine) > _DECIDED * samples.swing
+    if np.count_nonzero(certain) < _FEWEST:
+        return f"the fringes of {axis} are hardly seen"
+    found = agreed(np.stack([wave.cycles()[certain] for wave in waves.values()]), [*waves], whole)
+    if isinstance(found, str):
+        return f"the fringes of {axis} {found}"
+    values = np.zeros(certain.shape)
+    values[certain] = found.coordinate
+    return Coordinates(values, certain, found.step, found.misfit)
+
+
+def _code(samples: Samples, patterns: Sequence[Pattern], axis: Axis, numbering: tuple[int, int]) -> Coordinates | str:
+    """The code of an axis with some cell and offset, or what is wrong with it."""
+    of_code = {
+        index: p
+        for index, p in enumerate(patterns)
+        if isinstance(p, Gray) and p.axis == axis and (p.cell, p.offset) == numbering
+    }
+    shown = {(p.bit, p.inverted): index for index, p in of_code.items()}
+    bits = max(p.bits for p in of_code.values())
     levels, lit = samples.levels, samples.lit
     known = {type(p): levels[index] for index, p in enumerate(patterns) if isinstance(p, White | Black)}
     middle = (known[White] + known[Black]) / 2 if len(known) == 2 else (levels.min(axis=0) + levels.max(axis=0)) / 2

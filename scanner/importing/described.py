@@ -16,7 +16,9 @@ def described(patterns: Sequence[Pattern]) -> str:
         said += ["coarsest bit first" if first.bit < second.bit else "finest bit first", _inverses(bits)]
     fringes = dict.fromkeys(p.period for p in patterns if isinstance(p, Phase))
     if fringes:
-        said.append(f"fringes of {', '.join(f'{period:.4g}' for period in fringes)} px")
+        shifts = [p.shift for p in patterns if isinstance(p, Phase)]
+        shifted = f"shifted from {shifts[0] % 1:.2g} cycles {'on' if shifts[1] > shifts[0] else 'back'}"
+        said.append(f"fringes of {', '.join(f'{period:.4g}' for period in fringes)} px, {shifted}")
     return "; ".join([*said, *_ends(patterns)])
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from calib.numerics import Bools, Floats
 from scanner.importing.coarse_coordinates import Coordinates, coordinates
 from scanner.importing.samples import Samples
+from scanner.importing.unwrapping import PLACES_OF_CYCLE
 from scanner.patterns import Axis, Black, Pattern, White
 
 _FEWEST = 200
@@ -23,6 +24,8 @@ _MOST_APART = 0.1
 _LEAST_UPRIGHT = 0.65
 _LEAST_ON_LINES = 0.6
 _MOST_FITTED = 3000
+_MOST_JUMPS = 0.2
+_AS_CLOSE = 1.5
 
 
 class Stage(IntEnum):
@@ -61,8 +64,21 @@ def objection(samples: Samples, patterns: Sequence[Pattern]) -> Objection | None
             found[axis] = seen
     # Seen in a mirror, x before y looks like y before x, seen from the side.
     may_be_turned = len(found) > 1 and next(p.axis for p in patterns if not isinstance(p, White | Black)) == "x"
+    may_be_turned &= not any(seen.misfit is not None for seen in found.values())
     against = None if may_be_turned else _along_the_other(found)
     return _scattered(found) or against or (_nonsense(samples, found) if len(found) > 1 else None)
+
+
+def closest(samples: Samples, orders: Sequence[Sequence[Pattern]]) -> list[int]:
+    """The numbers of the orders to which the frames come closest, where fringes alone tell: all others come close to
+    some place by chance.
+    """
+    axes: tuple[Axis, ...] = ("x", "y")
+    misfits = []
+    for patterns in orders if len(orders) > 1 else ():
+        seen = [coordinates(samples, patterns, axis) for axis in axes]
+        misfits.append(sum(one.misfit or 0.0 for one in seen if isinstance(one, Coordinates)))
+    return [number for number, misfit in enumerate(misfits) if misfit <= _AS_CLOSE * min(misfits)] if misfits else [0]
 
 
 def _along_the_other(found: dict[Axis, Coordinates]) -> Objection | None:
@@ -73,6 +89,9 @@ def _along_the_other(found: dict[Axis, Coordinates]) -> Objection | None:
         across, down = (float(np.mean(np.minimum(step, farthest))) if len(step) else 0.0 for step in steps)
         if (across < down) == (axis == "x"):
             return Objection(Stage.GEOMETRY, f"the stripes run the other way than those of {axis}")
+        right, below = (after - before for before, after in _beside(seen.values, seen.certain))
+        if seen.misfit is not None and np.median(right if axis == "x" else below) < 0:
+            return Objection(Stage.GEOMETRY, f"the fringes of {axis} run backwards")
     return None
 
 
@@ -81,6 +100,8 @@ def _scattered(found: dict[Axis, Coordinates]) -> Objection | None:
         steps = np.concatenate([np.abs(after - before) for before, after in _beside(seen.values, seen.certain)])
         if not len(steps) or np.median(steps) > max(_MOST_APART * _spread(seen), 1.0):
             return Objection(Stage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
+        if seen.misfit is not None and np.mean(steps > 2 * PLACES_OF_CYCLE * seen.steps) > _MOST_JUMPS:
+            return Objection(Stage.NEIGHBOURS, f"the fringes of {axis} agree on no place: other --periods?")
     return None
 
 

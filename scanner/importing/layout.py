@@ -11,8 +11,8 @@ from scanner.patterns import Black, Gray, Pattern, Phase, White
 
 Size = tuple[int, int]
 _BITS = range(4, 14)
-# A longer series is no capture, and not read: both axes with all bits, inverses, white and black, and one twice.
-MOST_FRAMES = 4 * max(_BITS) + 3
+# A longer series is no capture, and not read: four fringes of both axes in eight steps, white and black, and one twice.
+MOST_FRAMES = 4 * 2 * 8 + 3
 _MOST_APART = 4  # bits of the longer axis beyond those of the shorter
 
 
@@ -41,6 +41,7 @@ class Layout:
 
     `sequences`: of each variant. `needs`: which fields of `Given` the frames cannot tell. `settings`: what a file
     beside the frames says. `names`: the patterns, where the frames' names tell them. `last`: tried if no other fits.
+    `any_size`: of a projector that stands for all, where only lengths of periods and cells depend on its size.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Layout:
     settings: Callable[[Path], Given] = lambda _: Given()
     names: Callable[[tuple[Path, ...]], tuple[Pattern, ...]] | None = None
     last: bool = False
+    any_size: Size | None = None
 
     def lacks(self, given: Given) -> bool:
         """Whether something is needed that is not given."""
@@ -81,6 +83,7 @@ def candidates(
     cell = given.cell or 1
     known = given.projector_size is not None and not layout.lacks(given)
     sizes = [given.projector_size] if given.projector_size and known else _sizes(cell)
+    sizes = [layout.any_size] if layout.any_size and not known else sizes
     seen: set[tuple[Pattern, ...]] = set()
     for sequence, size in product(layout.sequences, sizes):
 

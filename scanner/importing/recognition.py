@@ -6,11 +6,12 @@ from functools import partial
 from pathlib import Path
 
 from calib.geometry import Matches
+from calib.refusal import RefusalError
 from scanner.decoding import Decoder
 from scanner.errors import InputError
 from scanner.importing.continuity import broken_order
 from scanner.importing.frame_files import FrameFiles
-from scanner.importing.glance import objection, share_on_epipolar_lines
+from scanner.importing.glance import closest, objection, share_on_epipolar_lines
 from scanner.importing.incomplete import MISSING_ENDS, without_doubles
 from scanner.importing.layout import MOST_FRAMES, Candidate, Given, Layout, Size, candidates
 from scanner.importing.projector_size import extents_of, find_sizes
@@ -113,6 +114,8 @@ def _tried(
         possible = list(candidates(layout, files, known, missing))
         objections = [objection(look(), candidate.patterns) for candidate in possible]
         fitting = [candidate for candidate, against in zip(possible, objections, strict=True) if against is None]
+        if fitting:
+            fitting = [fitting[number] for number in closest(look(), [candidate.patterns for candidate in fitting])]
         results = [judge.judge(layout, candidate, known, look().camera_size) for candidate in fitting]
         good = [result for result in results if isinstance(result, Recognised)]
         bad = [result for result in results if isinstance(result, Rejected)]
@@ -186,7 +189,7 @@ class _Judge:
         if key not in self._found:
             try:
                 self._found[key] = self._decode(candidate)
-            except InputError as error:
+            except (InputError, RefusalError) as error:
                 self._found[key] = f"does not decode: {error}"
         return self._found[key]
 

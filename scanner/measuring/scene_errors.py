@@ -11,8 +11,7 @@ from calib.numerics import Floats
 from scanner.quantities import UNKNOWN_UNIT, plain, shown_unit
 
 ONLY_SCATTER = (
-    "The calibration says nothing of its own covariance: the sigmas are of the matches only, their scatter and their "
-    "smooth errors."
+    "The calibration states no covariance: the sigmas contain only the matches' scatter and their smooth errors."
 )
 
 

@@ -142,7 +142,7 @@ def _refuse_no_sphere(scan: FinishedScan, sphere: Sphere, radius: float) -> None
     if size_error > _LARGEST_SIZE_ERROR or scatter > _LARGEST_SCATTER or not np.isfinite(sphere.radius_sigma):
         unit = shown_unit(scan.unit)
         raise NoMeasurementError(
-            f"What is most like a sphere of {unit.length(2 * radius)} fits a diameter of "
+            f"The best candidate for a sphere of {unit.length(2 * radius)} has a diameter of "
             f"{unit.length(2 * sphere.radius)}, and its points scatter by {percent(scatter)} of the radius.",
             "Check the diameter and the scale of the result.",
         )
@@ -154,6 +154,5 @@ def _not_found(scan: FinishedScan, diameter: float) -> NoMeasurementError:
     return NoMeasurementError(
         f"No sphere with a diameter of {unit.length(diameter)} was found in the cloud, where it would be up to "
         f"{largest_px:.0f} pixels across.",
-        "It has to be seen whole by both devices. Check the diameter, which is not the radius, and the scale of the "
-        "result.",
+        "Both devices must see it whole. Check the diameter (not the radius) and the scale of the result.",
     )

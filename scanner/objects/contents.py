@@ -4,6 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from calib.geometry import Calibration
 from calib.numerics import Floats
 from calib.objects import Alternative, Turntable
@@ -23,9 +26,10 @@ class OutlierStation:
 @dataclass(frozen=True, eq=False)
 class SolvedObject:
     """In the thing's frame, z up, the unit of `calibration`. `stations` have clouds of the thing alone, and sigmas of
-    the turn and of the thing's middle against the first one; `numbers` of them among all captures.
+    the turn and of the thing's origin against the first one; `numbers` of them among all captures.
 
-    `overlap`, `residual`: by pair of stations (in their order), as of `JointEstimate`. `turntable`: None where the
+    `overlap`, `residual`: by pair of stations (in their order), as of `JointEstimate`. `apart` (H, W) of each station:
+    how far its pixels' points are before the others' surfaces, NaN where nothing tells. `turntable`: None where the
     places are not those of one; `axis` (2, 3): a point and a direction in the thing's frame. `loose`: stations that can
     turn or slide. `rests`: share of what was seen that did not move and was left out.
     """
@@ -35,6 +39,7 @@ class SolvedObject:
     numbers: tuple[int, ...]
     overlap: Mapping[tuple[int, int], float]
     residual: Mapping[tuple[int, int], float]
+    apart: tuple[NDArray[np.float32], ...]
     turntable: Turntable | None
     axis: Floats | None
     alternatives: tuple[Alternative, ...]

@@ -11,9 +11,9 @@ from scanner.objects.verdict import verdict_on
 from scanner.quantities import percent, shown_unit
 from scanner.rendering import BLUE, environment, frustum, render
 from scanner.rendering.cloud_views import Wireframe, view_along
-from scanner.reporting.sections import Picture, picture
+from scanner.reporting.sections import Picture, ScaledMap, picture
 from scanner.results import Provenance
-from scanner.rooms.page import Cell
+from scanner.rooms.page import Cell, residual_map
 
 _VIEW, _HALF = (960, 640), 480
 _FRUSTUM_OF_SIZE = 0.15
@@ -24,7 +24,7 @@ _FILES = {
     "object.yaml": "where every station stood against the thing, with sigmas; its volume and area",
     "calibration.yaml": "the rig, as it was given",
     "captures": "the stations, each a result of its own",
-    "truth.yaml": "the calibration of the simulated rig, as it really is",
+    "truth.yaml": "the simulated rig's true calibration",
     "scan.log": "what the program did, step by step",
 }
 
@@ -44,6 +44,7 @@ def write_page(path: Path, solved: SolvedObject, surface: Surface | None, cloud:
             stations=list(_station_rows(solved)),
             names=[str(number) for number in range(1, len(solved.stations) + 1)],
             overlaps=_matrix(solved),
+            residuals=list(_residuals(solved)),
             files=[(name, _FILES[name]) for name in files if name in _FILES],
             unit=solved.unit,
         )
@@ -87,6 +88,13 @@ def _station_rows(solved: SolvedObject) -> Iterator[tuple[str, ...]]:
         sigma = "held" if n == 0 else unit.error(float(np.linalg.norm(station.sigma)))
         turn = "held" if n == 0 else f"{float(np.linalg.norm(station.sigma_deg)):.2g}°"
         yield str(n + 1), station.name, angle, sigma, turn, f"{len(station.decoded.matches):,}"
+
+
+def _residuals(solved: SolvedObject) -> Iterator[tuple[str, ScaledMap]]:
+    unit = shown_unit(solved.unit)
+    for station, apart in zip(solved.stations, solved.apart, strict=True):
+        alt = f"how far the surface is before that of the others, over the camera's image of {station.name}"
+        yield station.name, residual_map(apart * np.float32(unit.factor), unit.name, alt)
 
 
 def _matrix(solved: SolvedObject) -> list[list[Cell]]:

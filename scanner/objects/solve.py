@@ -59,7 +59,7 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
         )
     with progress.step("Estimating"):
         joint = estimate_jointly([view for _, view in members], [registered.places[k] for k, _ in members])
-        turntable = find_turntable(joint.places, joint.covariance, joint.middle)
+        turntable = find_turntable(joint.places, joint.covariance, joint.information, joint.middle)
     return _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
 
 
@@ -100,17 +100,20 @@ def _finished(
         places, covariance = turntable.places, turntable.covariance
     upright = _upright(joint, turntable)
     kept = confirmed([view for _, view in members], places)
+    origin: Floats = -upright.rotation.T @ upright.translation
+    about = np.eye(6)  # from the shift of the estimate's middle to that of the thing's origin
+    about[3:, :3] = -np.cross(np.eye(3), origin - joint.middle)
     stations, loose = [], []
     size = _SIZE_GRAINS * max(view.grain for _, view in members)
     for n, (k, view) in enumerate(members):
-        block = covariance[6 * n : 6 * n + 6, 6 * n : 6 * n + 6]
+        block = about @ covariance[6 * n : 6 * n + 6, 6 * n : 6 * n + 6] @ about.T
         turning, moving = (
             np.sqrt(np.maximum(np.diag(upright.rotation @ part @ upright.rotation.T), 0.0))
             for part in (block[:3, :3], block[3:, 3:])
         )
         if np.degrees(turning).max() > _LOOSE_DEG or moving.max() > _LOOSE_OF_SIZE * size:
             loose.append(n)
-        of_thing = kept[n][..., None]
+        of_thing = kept[n].of_thing[..., None]
         nothing = np.float32(np.nan)
         points, normals = (np.where(of_thing, each, nothing) for each in (view.points, view.normals))
         own = replace(clouds[k], points=points, normals=normals)
@@ -127,6 +130,7 @@ def _finished(
         tuple(k for k, _ in members),
         joint.overlap,
         joint.residual,
+        tuple(each.apart for each in kept),
         turntable,
         axis,
         registered.alternatives,

@@ -51,8 +51,8 @@ def label(captures: Sequence[Decoded], reached: list[Stage], masks: Bools | None
             reached[number] = found
             refuse_few(
                 found.matches,
-                "See that the projector's light falls on all three faces, and capture again; or leave this capture "
-                "out.",
+                "Make sure that the projector's light falls on all three faces and capture again, or leave this "
+                "capture out.",
             )
         labelled.append(found)
     return labelled

@@ -40,7 +40,7 @@ def guide(captures: Sequence[Decoded], config: Config) -> tuple[Guidance, list[D
 
 
 def _refused(refusal: RefusalError) -> Guidance:
-    return Guidance(tuple(filter(None, (f"Not yet enough to calibrate: {refusal.reason}", refusal.advice))), False)
+    return Guidance(tuple(filter(None, (f"Not enough to calibrate yet: {refusal.reason}", refusal.advice))), False)
 
 
 def _of(calibrated: Sequence[SelfCalibrated]) -> Guidance:
@@ -48,7 +48,7 @@ def _of(calibrated: Sequence[SelfCalibrated]) -> Guidance:
     sigmas = relative_focal_sigmas(newest.calibration)
     enough = len(sigmas) == 2 and max(sigmas.values()) <= MEASUREMENT_GRADE
     known = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
-    sentences = [f"By now the focal lengths are known to {known}." if known else "How sure this is is not known."]
+    sentences = [f"So far the focal lengths are known to {known}." if known else "How certain this is cannot be said."]
     sentences += [note for note in newest.solution.notes if note.startswith(FROM_ONE_PLACE)]
     if len(calibrated) > 1:
         sentences.append(_on_overlap(calibrated))
@@ -59,9 +59,9 @@ def _on_overlap(calibrated: Sequence[SelfCalibrated]) -> str:
     clouds = [build_cloud(each.decoded.matches, each.decoded.texture, each.calibration) for each in calibrated]
     share = overlap(calibrated, clouds)
     if share is None:
-        return "Whether it shows what was seen before cannot be told: the corner looks alike from several sides."
-    little = " That is little to put the clouds together by." if share < _LITTLE_OVERLAP else ""
-    return f"Of what it shows, {percent(share)} was seen before.{little}"
+        return "Whether it shows what was seen before is unclear: the corner looks alike from several sides."
+    little = " That is little overlap for merging the clouds." if share < _LITTLE_OVERLAP else ""
+    return f"{percent(share)} of what it shows was seen before.{little}"
 
 
 def _what_next(newest: SelfCalibrated, sigma: float | None, *, enough: bool) -> Iterator[str]:
@@ -70,10 +70,7 @@ def _what_next(newest: SelfCalibrated, sigma: float | None, *, enough: bool) -> 
     if enough:
         yield "That is enough to measure." + ("" if worth else " A further capture would gain little.")
     elif not worth:
-        yield (
-            "No place was found from which a single further capture would gain much: capture from where the faces "
-            "show at other slants."
-        )
+        yield ("No single further capture would gain much: capture from where the faces show at different slants.")
     if worth and view is not None and sigma is not None:
         yield (
             f"Next: {where_to(view, newest.calibration)}. The sigma of the camera's focal length would fall from "

@@ -65,9 +65,9 @@ def brightness(texture: Image) -> NDArray[np.float32]:
 
 def _why_not(order: Order) -> str:
     if order.contradictory:
-        reason = "what stands before the faces in one capture is not there in the others"
+        reason = "what stands before the faces differs between the captures"
     else:
-        reason = "a square corner looks the same from three sides, and nothing that was seen tells them apart"
+        reason = "a square corner looks the same from three sides, and nothing in the captures distinguishes them"
     return (
         f"The clouds were not merged: {reason}. The calibration does not depend on it; every capture has its own cloud."
     )
@@ -76,8 +76,7 @@ def _why_not(order: Order) -> str:
 def _how_well(clouds: Sequence[Cloud], views: Sequence[View], cloud: MergedCloud) -> str:
     apart = consistency(clouds, views, cloud.turns)
     agreement = (
-        f" Where several see the same surface, they agree to {100 * float(np.median(apart)):.2g} % of its distance "
-        "(median)."
+        f" Where they overlap, they agree to {100 * float(np.median(apart)):.2g} % of the distance (median)."
         if len(apart)
         else ""
     )

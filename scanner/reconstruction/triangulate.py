@@ -64,7 +64,7 @@ def _refuse_uncrossed(decoding: Decoding) -> None:
     if counts[MaskReason.ALONG_EPIPOLAR_LINE] > _MOST_UNCROSSED * seen:
         raise RefusalError(
             f"Patterns vary along {axis} only, and their stripes run along the epipolar lines of this calibration at "
-            f"{counts[MaskReason.ALONG_EPIPOLAR_LINE] / seen:.0%} of the pixels, so that they tell no distance.",
+            f"{counts[MaskReason.ALONG_EPIPOLAR_LINE] / seen:.0%} of the pixels, which carries no depth.",
             f"Project patterns along {'y' if axis == 'x' else 'x'} instead, or along both.",
         )
     if counts[MaskReason.OUTSIDE] > _MOST_UNCROSSED * seen:

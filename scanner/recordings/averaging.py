@@ -16,15 +16,21 @@ from scanner.recordings.weights import PictureWeights
 from scanner.ui import Progress
 
 _MOST_BYTES_IN_MEMORY = 1_000_000_000
+_PIXELS_OF_A_PASS = 100_000
 _HIGHEST = 65_535
 
 
 @dataclass(frozen=True)
 class Averaged:
-    """Light from 0 to 1, (pictures, H, W), upright or not; luma (H, W) of the frames that were `kept`."""
+    """Light from 0 to 1, (pictures, H, W), upright or not; luma (H, W) of the frames that were `kept`.
+
+    `passes` (2, pictures, H / step, W / step): what of that comes from frames there and back, at every `step`-th pixel.
+    """
 
     pictures: Light
     kept: Mapping[int, Image]
+    passes: Light
+    step: int
 
 
 def average(
@@ -35,9 +41,12 @@ def average(
     keep: Collection[int],
     progress: Progress,
 ) -> Averaged:
-    """Read a recording of so many frames. Raises InputError."""
+    """Read a recording of so many frames again. Raises InputError."""
     lights = video.codes.light(tone)
-    sums = _zeros(len(weights), video.size.height, video.size.width)
+    height, width = video.size.height, video.size.width
+    sums = _zeros(len(weights), height, width)
+    step = max(1, round(math.sqrt(height * width / _PIXELS_OF_A_PASS)))
+    passes = np.zeros((2, len(weights), -(-height // step), -(-width // step)), np.float32)
     uses: list[list[tuple[int, int]]] = [[] for _ in range(frames)]
     for picture, each in enumerate(weights):
         for place, number in enumerate(each.numbers):
@@ -55,7 +64,8 @@ def average(
             rows = np.flatnonzero(of_rows)
             span = slice(int(rows[0]), int(rows[-1]) + 1)
             sums[picture, span] += light[span] * of_rows[span, None]
-    return Averaged(sums, kept)
+            passes[int(weights[picture].back[place]), picture] += light[::step, ::step] * of_rows[::step, None]
+    return Averaged(sums, kept, passes, step)
 
 
 def _zeros(*shape: int) -> Light:

@@ -4,6 +4,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Ints
 from scanner.recordings.clocks import Clocks
+from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
 
 # Time left out next to a change, if there are frames enough: projectors answer and scan out for so long.
@@ -25,6 +26,14 @@ def begins_of(samples: VideoSamples, clocks: Clocks, numbers: Ints, rows: Floats
     delays = clocks.row_delays(rows, samples.middle_row)
     begins: Floats = samples.times_s[numbers][:, None] + delays - clocks.exposure_s / 2
     return begins
+
+
+def shown_back(samples: VideoSamples, programme: Programme, clocks: Clocks, numbers: Ints) -> Bools:
+    """Which of the frames (n,) show pictures in reverse order."""
+    times = samples.times_s[numbers]
+    loops = [clocks.changes(loop)[[programme.turn, programme.slots_between_marks]] for loop in range(len(clocks.loops))]
+    back: Bools = np.any([(times > turn) & (times < end) for turn, end in loops], axis=0)
+    return back
 
 
 def near(samples: VideoSamples, clocks: Clocks, begins: float, ends: float) -> Ints:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scanner.capture import CAPTURE_FILE
+from scanner.capture import CAPTURE_FILE, SMOOTH_KEY
 from scanner.io import flow_yaml, write_png
 from scanner.patterns import FORMAT, frame_line, size_to_dict
 from scanner.recordings.averaging import average, image_of
@@ -14,6 +14,7 @@ from scanner.recordings.clocks import Clocks
 from scanner.recordings.noise import noise_of
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples, take_samples
+from scanner.recordings.smooth_error import smooth_px
 from scanner.recordings.start_marks import find_loops
 from scanner.recordings.steadiness import exposure_range, moved_px, notes_on, white_frames
 from scanner.recordings.video_file import open_video
@@ -25,10 +26,14 @@ _PPM = 1e6
 
 @dataclass(frozen=True)
 class Imported:
-    """What was found out about a recording; `frames_per_picture`: on average over pictures and rows."""
+    """What was found out about a recording; `frames_per_picture`: on average over pictures and rows.
+
+    `smooth_px`: as of `smooth_px`, None if nothing tells it.
+    """
 
     clocks: Clocks
     frames_per_picture: float
+    smooth_px: float | None
     notes: tuple[str, ...]
 
 
@@ -42,9 +47,10 @@ def import_recording(path: Path, programme: Programme, folder: Path, progress: P
         weights = picture_weights(samples, programme, clocks)
     whites = white_frames(samples, programme, clocks)
     averaged = average(video, weights, clocks.tone, len(samples.times_s), whites, progress)
+    smooth = smooth_px(programme, weights, averaged)
     exposure = exposure_range(samples, whites, clocks)
     notes = (*found.notes, *_on_changes(clocks), *_on_rows(weights), *notes_on(path, moved_px(averaged.kept), exposure))
-    imported = Imported(clocks, float(np.mean([_frames(each) for each in weights])), notes)
+    imported = Imported(clocks, float(np.mean([_frames(each) for each in weights])), smooth, notes)
     noise = noise_of(samples, weights, clocks)
     (folder / "frames").mkdir()
     lines = [f"{flow_yaml(key)}: {flow_yaml(value)}\n" for key, value in _header(samples, programme, imported).items()]
@@ -80,6 +86,7 @@ def _header(samples: VideoSamples, programme: Programme, imported: Imported) -> 
         "scatter_of_changes_ms": round(1e3 * clocks.scatter_s, 2),
         "tone_exponent": round(clocks.tone.exponent, 3),
         "tone_contrast": round(clocks.tone.contrast, 3),
+        **({} if imported.smooth_px is None else {SMOOTH_KEY: float(f"{imported.smooth_px:.3g}")}),
         "loops_s": [round(float(loop.start_s), 4) for loop in clocks.loops],
         "notes": list(imported.notes),
     }

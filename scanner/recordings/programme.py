@@ -29,7 +29,7 @@ LEAD_IN_S, LEAD_OUT_S = 2.0, 1.0  # black: players show their buttons at the beg
 
 @dataclass(frozen=True)
 class Programme:
-    """Patterns for a projector of `size`, each shown for `hold_s`, all of them `loops` times.
+    """Patterns for a projector of `size`, each shown for `hold_s`, all of them there and back `loops` times.
 
     Raises ValueError for a duration or a number of loops that no video has.
     """
@@ -64,13 +64,28 @@ class Programme:
 
     @cached_property
     def loop(self) -> tuple[int, ...]:
-        """What each slot shows from a start mark to the end of the next one: WHITE, BLACK, or a pattern's number."""
-        return (*self.mark, *range(len(self.patterns)), *self.mark)
+        """What each slot shows from a start mark to the end of the next one: WHITE, BLACK, or a pattern's number.
+
+        There and back: encoders, cameras that take noise off, and slow panels leave a share of each picture in the next
+        one, which shifts fringes of successive steps all to the same side, and back in reverse order. All pictures are
+        shown at the same time on average, so that slow drift shifts none of them against another.
+        """
+        there = range(len(self.patterns))
+        return (*self.mark, *there, *reversed(there), *self.mark)
+
+    @property
+    def turn(self) -> int:
+        """The slot of a loop from which on its patterns come in reverse order."""
+        return len(self.mark) + len(self.patterns)
+
+    def slots_of(self, pattern: int) -> tuple[int, int]:
+        """Where in a loop a pattern is shown: there, and back."""
+        return len(self.mark) + pattern, 2 * self.turn - len(self.mark) - 1 - pattern
 
     @property
     def slots_between_marks(self) -> int:
         """From the beginning of a mark to that of the next."""
-        return len(self.mark) + len(self.patterns)
+        return len(self.loop) - len(self.mark)
 
     @property
     def slots(self) -> tuple[int, ...]:

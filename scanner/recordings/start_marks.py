@@ -13,6 +13,7 @@ from scanner.recordings.samples import VideoSamples
 
 # Of the player, likeliest first: 25 for 24 frames a second and the like.
 _RATES = sorted(np.linspace(0.95, 1.05, 11), key=lambda rate: abs(rate - 1))
+_SLOW_MOTION = (2, 4, 8)
 _CERTAIN = 0.93
 _STEPS_PER_SLOT = 8
 _LEAST_CORRELATION = 0.85
@@ -52,7 +53,7 @@ def find_loops(samples: VideoSamples, programme: Programme) -> FoundLoops:
     if len(starts) < 2:
         raise InputError(
             f"{path}: one start mark was filmed, at {starts[0]:.1f} s, where a loop lies between two: "
-            "film until the projector stays black, or write the video with more --loops"
+            "film from before the video begins until it stays black, or write the video with more --loops"
         )
     loops, notes = list[Loop](), list[str]()
     if programme.hold_s / samples.frame_interval_s < _GOOD_FRAMES_PER_SLOT:
@@ -135,6 +136,12 @@ def _refuse(samples: VideoSamples, brightness: Floats, programme: Programme) -> 
             f"{path}: the start mark at {others[0]:.1f} s is not that of this sequence: "
             "give the sequence.yaml that was written with the video that was shown"
         )
+    for slower in _SLOW_MOTION:
+        if _found(samples.times_s, brightness, programme.mark, slower * programme.hold_s)[0]:
+            raise InputError(
+                f"{path}: is in slow motion, {slower} times slower than the video was shown: film at normal speed, "
+                "at any number of frames a second"
+            )
     raise InputError(
         f"{path}: no start mark was found in {length:.1f} s: expected a film of the video from its black beginning to "
         "its black end, by a camera that stands still with its exposure locked"

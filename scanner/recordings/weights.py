@@ -9,7 +9,7 @@ import numpy as np
 from calib.numerics import Bools, Floats, Ints
 from scanner.errors import InputError
 from scanner.recordings.clocks import Clocks
-from scanner.recordings.exposed import alone, begins_of, margin_s, near
+from scanner.recordings.exposed import alone, begins_of, margin_s, near, shown_back
 from scanner.recordings.frame_gains import frame_gains
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
@@ -25,11 +25,13 @@ _MOST_ROWS_LOST = 0.3
 class PictureWeights:
     """A picture is the sum of frames `numbers` (n,) times `weights` (n, H); rows without any weight are lost.
 
-    `noise` (H,): of the picture relative to that of one frame. `alone`: the share of rows from frames of it only.
+    `back` (n,): which of them show pictures in reverse order. `noise` (H,): of the picture relative to that of one
+    frame. `alone`: the share of rows from frames of it only.
     """
 
     numbers: Ints
     weights: Floats
+    back: Bools
     noise: Floats
     alone: float
 
@@ -50,8 +52,7 @@ def picture_weights(samples: VideoSamples, programme: Programme, clocks: Clocks)
 
 def _slots(programme: Programme, clocks: Clocks, pattern: int) -> list[tuple[int, int]]:
     """(loop, slot) in which a pattern was shown."""
-    slot = len(programme.mark) + pattern
-    return [(number, slot) for number in range(len(clocks.loops))]
+    return [(number, slot) for number in range(len(clocks.loops)) for slot in programme.slots_of(pattern)]
 
 
 def _weights(
@@ -76,7 +77,9 @@ def _weights(
     if mixed.size:
         number, weights = _unmixed(samples, programme, clocks, pattern, number, weights, mixed)
     used = weights.any(axis=1)
-    return PictureWeights(number[used], weights[used], np.linalg.norm(weights, axis=0), 1 - len(mixed) / len(rows))
+    number, weights = number[used], weights[used]
+    back = shown_back(samples, programme, clocks, number)
+    return PictureWeights(number, weights, back, np.linalg.norm(weights, axis=0), 1 - len(mixed) / len(rows))
 
 
 def _unmixed(
@@ -113,12 +116,13 @@ def _unmixed(
     good = (resolved > _LEAST_RESOLVED) & (noise < _MOST_NOISE)
     both = np.union1d(number, frame)
     total = np.zeros((len(both), weights.shape[1]))
-    total[np.searchsorted(both, number)] = weights
-    total[np.ix_(np.searchsorted(both, frame), mixed[good])] += solved[good].T
+    # A frame may be near both times that a picture is shown.
+    np.add.at(total, np.searchsorted(both, number), weights)
+    np.add.at(total, np.ix_(np.searchsorted(both, frame), mixed[good]), solved[good].T)
     return both, total
 
 
 def _around(programme: Programme, pattern: int) -> list[int]:
     """What is shown within `_NEIGHBOURS` slots of a pattern, each once."""
-    slot = len(programme.mark) + pattern
-    return list(dict.fromkeys(programme.loop[slot - _NEIGHBOURS : slot + _NEIGHBOURS + 1]))
+    around = [programme.loop[slot - _NEIGHBOURS : slot + _NEIGHBOURS + 1] for slot in programme.slots_of(pattern)]
+    return list(dict.fromkeys(shown for each in around for shown in each))

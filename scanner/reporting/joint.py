@@ -12,7 +12,7 @@ _VIEW_SIZE = (960, 640)
 _UP = np.array([0.0, 0.0, 1.0])
 _CAPTIONS = {
     "oblique": "All captures in one, from the side and above.",
-    "top": "From straight above: a wall that appears twice would show that the captures do not fit.",
+    "top": "From above: a wall that appears twice would mean that the captures do not fit.",
 }
 
 

@@ -20,8 +20,8 @@ from scanner.reporting.view3d import view3d
 _VIEWER = "viewer.js"
 _FILES = {
     "calibration.yaml": "intrinsics of both devices, and the motion between them",
-    "refused.yaml": "the same for programs: why nothing was calibrated",
-    "truth.yaml": "the same for the simulated rig, as it really is",
+    "refused.yaml": "machine-readable: why nothing was calibrated",
+    "truth.yaml": "the simulated rig's true calibration",
     "cloud.ply": "the point cloud with normals and colours, for MeshLab, CloudCompare or Open3D",
     "matches.npz": "camera and projector pixels of every match, and its face",
     "merged.ply": "the clouds of all captures in one, in the corner's frame",

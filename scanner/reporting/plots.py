@@ -17,7 +17,7 @@ _ROOM_BELOW = 0.7
 
 
 def likelihood_plot(profile: Profile, chosen_focal_px: float) -> Markup:
-    """The profile likelihood in sigmas, √(−2 log likelihood above the best), with the answer marked."""
+    """The posterior in sigmas, √(−2 log posterior above the best), with the answer marked."""
     sigmas = np.sqrt(np.maximum(profile.cost, 0.0))
     # A little more than what is shown, so that the curve leaves the picture instead of ending in it.
     shown = np.flatnonzero(sigmas <= 1.5 * _SIGMAS_SHOWN)

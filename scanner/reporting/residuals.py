@@ -109,7 +109,7 @@ def misses(report: ReportInput) -> Misses | None:
 def statement(found: SpatialCorrelation | None) -> str:
     """The test's outcome for a person."""
     if found is None:
-        return "There are too few of them next to each other to tell whether they are random."
+        return "Too few of them are neighbours to test whether they are random."
     chance = found.expected + 3 * found.sigma
     numbers = (
         f"means over squares of {found.cell_px:.0f} camera pixels correlate with their neighbours' by "

@@ -63,7 +63,7 @@ _REASONS = {
     MaskReason.ISOLATED: ("at an occlusion edge, or alone", ORANGE),
     MaskReason.INDIRECT: ("lit more by other surfaces than by the projector", BLUE),
     MaskReason.MOVED: ("something moved there", BROWN),
-    MaskReason.ALONG_EPIPOLAR_LINE: ("stripes along the epipolar line, which tell no distance", BLACK),
+    MaskReason.ALONG_EPIPOLAR_LINE: ("stripes along the epipolar line, which carry no depth", BLACK),
 }
 
 

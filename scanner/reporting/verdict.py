@@ -25,11 +25,11 @@ _THREE_CAPTURES = (
     "calibrate them together."
 )
 _ONE_MORE = (
-    "A further capture of the same corner by the unchanged rig makes it surer, from a place where the faces show at "
-    "other slants than before."
+    "A further capture of the same corner with the unchanged rig lowers the sigmas, from a place where the faces show "
+    "at different slants."
 )
 _NO_SIGMA = (
-    "How sure the numbers are is not known. For captures of real rooms the paper, whose method this is, reports errors "
+    "The uncertainty is not known. For captures of real rooms the paper, whose method this is, reports errors "
     "of 4 % on average."
 )
 _THIRD_PHOTO = "Add a photo of the same corner from another place, at the same zoom: three or four make a measurement."
@@ -37,18 +37,18 @@ _LOOK_AT_THE_MISSES = (
     "The rays miss each other in a pattern, see “Do the rays meet?”. Use 'method: refined', which knows lens "
     "distortion, or capture the corner again from another place."
 )
-_BOTH_AXES = "To see whether the calibration still fits, project patterns along the other axis as well."
+_BOTH_AXES = "Project patterns along the other axis as well to check the calibration."
 _SHORTER_FRINGES = "Project a shorter fringe along each axis as well, or the patterns of 'scan patterns'."
 # What a calibration from boards leaves of the principal point.
 _CALIBRATED_CENTRE_PX = 1.5
 _MOST_BY_CENTRE = 0.01
 _FREE_THE_CENTRE = (
-    "Make sure of the principal point to a pixel, or leave camera.principal_point.known out and capture the same "
+    "Verify the principal point to a pixel, or leave camera.principal_point.known out and capture the same "
     "corner from two or three places: then it is measured."
 )
 _DOUBTFUL_CENTRE = "Calibrated, with a principal point that no ordinary camera has"
 _CHECK_THE_CENTRE = (
-    "Were the images cropped, or is camera.principal_point.known that of another image size? Otherwise capture the "
+    "Were the images cropped, or is camera.principal_point.known for another image size? Otherwise capture the "
     "corner again from another place."
 )
 # What a motion that is too small to be seen may have cost the intrinsics, one standard deviation.
@@ -87,7 +87,7 @@ def _of_outcome(report: ReportInput) -> Verdict:
 
 def _of_given(statistics: CloudStatistics, pixels: str) -> Verdict:
     reasons = (
-        "The calibration was taken as it is; only its agreement with the matches was checked.",
+        "The calibration was taken as given; only its agreement with the matches was checked.",
         *_about_cloud(statistics, pixels),
     )
     if _misses_systematically(statistics):
@@ -105,10 +105,10 @@ def _about_matches(report: ReportInput) -> Iterator[str]:
 def _of_one_axis(report: ReportInput, statistics: CloudStatistics, axis: Axis) -> Verdict:
     other = "y" if axis == "x" else "x"
     reasons = [
-        f"Where there is a match, all that was projected along {axis} agrees.",
+        f"Wherever there is a match, all patterns along {axis} agree.",
         *_about_matches(report),
         f"Only {axis} was measured. {other} is where the calibration's epipolar line crosses the stripe that a pixel "
-        "sees, so that all rays meet: that says nothing about the calibration, which was taken as it is.",
+        "sees, so that all rays meet: that cannot check the calibration, which was taken as given.",
     ]
     if statistics.matched:
         reasons.append(_about_points(statistics))
@@ -130,7 +130,7 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
         if worst is None
         else f"The focal lengths are known to ± {100 * worst:.2g} % (one standard deviation).",
         f"On the three faces the calibration explains the matches to {calibrated.solution.residual_px:.2g} "
-        f"{facts.pixels}. That is needed, but it is no proof: wrong focal lengths can explain matches nearly as well.",
+        f"{facts.pixels}. That is necessary but no proof: wrong focal lengths can explain matches nearly as well.",
     ]
     if report.truth is not None:
         error = float(np.abs(intrinsic_errors_percent(calibration, report.truth)).mean())

@@ -51,9 +51,7 @@ def _settle(partial: Path, out: Path, *, in_the_way: bool) -> list[str]:
         return []
     if not (partial / STATE).is_file():
         if in_the_way:
-            raise InputError(
-                f"{partial}: is in the way, and no scan has left it like that: look into it, and remove it"
-            )
+            raise InputError(f"{partial}: is in the way and was not left by a scan: look into it, and remove it")
         return []
     claim = Claim(partial / STATE)
     try:
@@ -109,7 +107,7 @@ def kept_words(kept: Path, *, refuted: bool = False) -> str:
         makes = "says the same of them" if refuted else "makes a result of them"
         to_do = f"none is missing, and scan replay {recording} {makes}"
     else:
-        to_do = f"scan --resume {kept} takes the missing ones, and scan replay {recording} makes of it what can be made"
+        to_do = f"scan --resume {kept} takes the missing ones, and scan replay {recording} reconstructs what there is"
     if not _whole(kept):
         return f"The {frames} frames captured so far are in {recording}: {to_do}."
     finished = len(_whole(kept))

@@ -100,4 +100,4 @@ def refuse_to_lose(out: Path, *, overwrite: bool | None) -> None:
         raise InputError(f"{out}: exists and is no result of an earlier scan, so it is not overwritten")
     foreign = sorted(path.name for path in out.iterdir() if path.name not in _OURS)
     if foreign:
-        raise InputError(f"{out}: is not overwritten, because it holds what no scan has written: {', '.join(foreign)}")
+        raise InputError(f"{out}: is not overwritten, because it holds files of others: {', '.join(foreign)}")

@@ -175,7 +175,7 @@ def _next(seen: Sequence[Seen], group: Group, newest: int, calibration: Calibrat
     left = next((k for k in range(_BINS) if open_bins[(looked + k) % _BINS]), None)
     right = next((k for k in range(_BINS) if open_bins[(looked - k) % _BINS]), None)
     if left is None or right is None or np.count_nonzero(open_bins) * width < _LEAST_OPEN_DEG:
-        return "All round has been seen: what follows closes the loop, or adds detail."
+        return "Everything around has been seen. Further stations close the loop or add detail."
     return f"Next: {_turn(calibration, 'to the left' if left <= right else 'to the right')}"
 
 

@@ -17,7 +17,7 @@ from scanner.rooms.contents import OutlierStation, Station
 
 _SAMPLE = 20_000  # points of a station
 _OF_ITS_VIEW = 0.5  # the rest of what it saw would be in view of others, wherever it stood
-_ALL_ROUND = "the stations saw this one all round"
+_ALL_ROUND = "the stations saw the whole room"
 
 
 def outlier_stations_of(
@@ -63,7 +63,7 @@ def _left_out(name: str, left: LeftOut, all_round: bool) -> OutlierStation:
     if left.cause == "another shape":
         return OutlierStation(name, "something moved", left.reason)
     if all_round:
-        reason = f"it is of another room, for {_ALL_ROUND}, and next to nothing that it shows"
+        reason = f"it shows another room, for {_ALL_ROUND}, and hardly anything that it shows"
         return OutlierStation(name, "another room", reason)
     return OutlierStation(name, "no overlap", left.reason)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.pointcloud import MergedCloud
 from scanner.quantities import percent, plain, rig_quantities, shown_unit
@@ -29,7 +30,7 @@ _FILES = {
     "floorplan.svg": "the plan below",
     "floorplan.dxf": "the same for CAD programs",
     "captures": "the stations, each a result of its own",
-    "truth.yaml": "the calibration of the simulated rig, as it really is",
+    "truth.yaml": "the simulated rig's true calibration",
     "scan.log": "what the program did, step by step",
 }
 
@@ -59,7 +60,7 @@ def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud
             names=[str(number) for number in range(1, len(room.stations) + 1)],
             overlaps=_overlaps(room),
             pairs=list(_pairs(room)),
-            residuals=[(station.name, _residual_map(station)) for station in room.stations],
+            residuals=[(station.name, _missed(station)) for station in room.stations],
             tables=rig_quantities(room.calibration),
             files=[(name, _FILES[name]) for name in files if name in _FILES],
             unit=room.unit,
@@ -149,9 +150,15 @@ def _pairs(room: SolvedRoom) -> Iterator[tuple[str, ...]]:
         )
 
 
-def _residual_map(station: Station) -> ScaledMap:
-    misses = station.cloud.residual_px
-    known = np.abs(misses[np.isfinite(misses)])
+def residual_map(values: NDArray[np.float32], unit: str, alt: str) -> ScaledMap:
+    """Of signed values (H, W), NaN for none; the scale leaves out the farthest few."""
+    known = np.abs(values[np.isfinite(values)])
     limit = float(np.percentile(known, _SHOWN_SHARE)) if len(known) and known.any() else 1e-3
-    painted, scale = maps.signed_map(misses, limit, "px", _HALF)
-    return ScaledMap(picture(painted, f"misses of the rays over the camera's image of {station.name}"), scale)
+    painted, scale = maps.signed_map(values, limit, unit, _HALF)
+    return ScaledMap(picture(painted, alt), scale)
+
+
+def _missed(station: Station) -> ScaledMap:
+    return residual_map(
+        station.cloud.residual_px, "px", f"misses of the rays over the camera's image of {station.name}"
+    )

@@ -41,11 +41,8 @@ from scanner.ui import Progress
 
 _FEWEST_ON_A_PLANE = 200
 _MOST_ROUNDS = 3
-_NO_FLOOR = "No floor was seen: upright is how the cameras were held."
-_BY_SURFACES = (
-    "What was taken for planes puts the stations elsewhere than their surfaces lie on each other: places are by the "
-    "surfaces alone"
-)
+_NO_FLOOR = "No floor was seen, so up is the top of the cameras' images."
+_BY_SURFACES = "The planes and the dense surfaces disagree about the poses: they were estimated from the surfaces alone"
 _MOST_ON_FACE = 0.5  # of a face's matches that have to be on one plane for the face to be that plane
 
 
@@ -170,7 +167,7 @@ def _held_against_surfaces(
         worst = max(left, key=lambda each: max(each.sigmas, each.apart))
         raise RefusalError(
             f"The surfaces of {', '.join(names)} do not lie on each other: {_apart(worst)}.",
-            "Something moved between the stations, or only part of the scene did: scan a thing on a turntable with "
+            "Part of the scene moved between the stations: scan a thing on a turntable with "
             "scan object, or let everything rest.",
         )
     return by_surfaces, True
@@ -178,7 +175,7 @@ def _held_against_surfaces(
 
 def _apart(worst: Disagreement) -> str:
     if worst.sigmas > 1:
-        return f"they would need {worst.turn_deg:.2g}° more of a turn, far beyond what the matches' sigmas allow"
+        return f"they would need {worst.turn_deg:.2g}° more of rotation, far beyond what the matches' sigmas allow"
     return f"{worst.apart:.0%} of what two of them saw is elsewhere in one than in the other"
 
 

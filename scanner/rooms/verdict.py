@@ -59,7 +59,7 @@ def _reasons(room: SolvedRoom) -> Iterator[str]:
     if others:
         worst = float(np.nanmax([np.linalg.norm(station.sigma) for station in others]))
         turned = float(np.nanmax([np.linalg.norm(station.sigma_deg) for station in others]))
-        yield f"Where a station stood is known to ± {unit.error(worst)} and ± {turned:.2g}°, or better."
+        yield f"Each station's pose is known to ± {unit.error(worst)} and ± {turned:.2g}°, or better."
     if np.isfinite(room.group.ahead_nats):
         factor = np.exp(room.group.ahead_nats)
         yield f"Any other arrangement of the stations is less likely by a factor of {factor:.0e}."

@@ -77,9 +77,9 @@ class Clicking:
                 "this rig, and in this one when it is calibrated again (`scan calibrate`)."
             )
         elif self._length.value > 0:
-            self._told.content = bold("These two points are too unsure to tell a scale by.")
+            self._told.content = bold("These two points are too uncertain to set the scale.")
         else:
-            self._told.content = "Two points far apart tell it best."
+            self._told.content = "Use two points that are far apart."
 
     def _write_scale(self) -> None:
         if (scale := self._scale()) is not None and self._set_scale is not None:

@@ -15,7 +15,7 @@ from scanner.viewing.result import CaptureCloud, ViewedCloud
 _FACE_WORDS = ("orange", "sky blue", "green")
 _SHOWN_SHARE = (0.01, 0.99)
 _NOISE_ALONE = (
-    "It is that of the single point, from the decoder's noise; errors of the calibration move neighbouring points "
+    "It is that of a single point, from the decoder's noise; errors of the calibration move neighbouring points "
     "alike and are stated below."
 )
 _BOTH = (

@@ -46,7 +46,7 @@ def free_port(host: str, wanted: int | None) -> int:
             return port
     if wanted is not None:
         raise InputError(f"--port {wanted}: another program uses it; choose another port, or leave --port out")
-    raise InputError(f"the ports from {DEFAULT_PORT} on are all in use; choose one with --port")
+    raise InputError(f"all ports from {DEFAULT_PORT} on are in use; choose one with --port")
 
 
 def _is_free(host: str, port: int) -> bool:
@@ -74,7 +74,7 @@ def warning(host: str) -> str:
         return ""
     return (
         f"Warning: this page is offered to the network at {host}, unencrypted: whoever learns the address below, with "
-        "its token, can press its buttons. Leave --host out to keep it to yourself."
+        "its token, can press its buttons. Leave --host out to keep it private."
     )
 
 

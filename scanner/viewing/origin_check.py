@@ -23,7 +23,7 @@ from websockets.http11 import Request, Response
 
 _TOKEN = "token"
 _FOREIGN = "This page answers to its own address only.\n"
-_NO_REQUEST = "This is no request for a page.\n"
+_NO_REQUEST = "This is not a request for a page.\n"
 _NO_TOKEN = "Open the address that the program has printed, with its token.\n"
 
 

@@ -46,14 +46,9 @@ def test_what_must_not_be_is_found(planted: str, found: str) -> None:
         ("compared", 9, 96),  # a lens that brings points to no place at all
         ("results", 77015, 97),  # the same, of the middle of the scene
         ("capture", 77017, 2393),  # a last frame whose name is too long
+        ("calibrating", 3, 548),  # no answer beside the best one to compare it with
     ],
 )
 def test_what_was_found_once_is_refused(target: str, seed: int, number: int, tmp_path: Path) -> None:
     with pytest.raises(RejectedError):
         TARGETS[target](tmp_path)(rng_of(seed, number))
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_matches_with_one_answer_only_are_calibrated(tmp_path: Path) -> None:
-    """Once a traceback: there was no answer beside the best one to compare it with."""
-    TARGETS["calibrating"](tmp_path)(rng_of(3, 548))

@@ -97,7 +97,7 @@ def test_exposures_that_the_camera_makes_alike_are_refused_before_the_first_fram
             return super().expose_for(max(1, round(exposure_us / 16_667)) * 16_667)
 
     bench = Coarse().install(monkeypatch)
-    with pytest.raises(DeviceError, match="the same of 15000 and 18000"):
+    with pytest.raises(DeviceError, match="15000 and 18000 µs in exposures_us both"):
         capture(Rig(bench, bench), (White(), Black()), (15_000.0, 18_000.0))
     assert bench.exposures == 0
 

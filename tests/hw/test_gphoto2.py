@@ -3,7 +3,6 @@
 import importlib
 import re
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,19 +16,21 @@ from hw.backends import BACKENDS
 from hw.errors import DeviceError
 from hw.gphoto2 import GPhotoCamera, GPhotoRigSettings
 from hw.optional_parts import GPHOTO2
-from hw.projector.screens import Screen
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from hw.timing import latency, synchronisation
-from hw.timing.devices import Swap
 from scanner.capture.recording import open_capture
 from scanner.commands import devices
 from scanner.commands.main import main
 from scanner.configuration.schema import load_config
+from scanner.console.settings import Picture, Settings
+from scanner.console.worker import Activity, Worker
 from scanner.ui import Terminal
 from tests.support import fake_gphoto2
 from tests.support.fake_gphoto2 import Device, GPhoto2Error
+from tests.support.notebook import Notebook, until
+from tests.support.simulated_window import SimulatedWindow
 
 SIZE, PROJECTOR = (306, 256), (160, 96)
 CONFIG = f"""
@@ -38,29 +39,6 @@ camera: {{width: {SIZE[0]}, height: {SIZE[1]}}}
 projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
 corner: {{squareness_deg: 0}}
 """
-
-
-class Window:
-    """A simulated projector that is flipped."""
-
-    screen = Screen(0, "screen", 0, 0, *PROJECTOR, 60.0)
-    renderer = "none"
-    size = PROJECTOR
-
-    def __init__(self, projector: SimulatedProjector) -> None:
-        self._projector = projector
-        self._prepared = np.zeros(PROJECTOR[::-1], np.uint8)
-
-    def prepare(self, image: np.ndarray) -> None:
-        self._prepared = image
-
-    def flip(self) -> Swap:
-        self._projector.show(self._prepared)
-        return Swap(time.monotonic(), time.monotonic())
-
-    def show(self, image: np.ndarray) -> None:
-        self.prepare(image)
-        self.flip()
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +53,8 @@ def device(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Device:
     camera = SimulatedCamera(room, projector)
 
     @contextmanager
-    def window(*_: object) -> Iterator[Window]:
-        yield Window(projector)
+    def window(*_: object) -> Iterator[SimulatedWindow]:
+        yield SimulatedWindow(PROJECTOR, projector.show)
 
     monkeypatch.setitem(sys.modules, "gphoto2", fake_gphoto2)
     monkeypatch.setattr(open_rig, "ScreenProjector", window)
@@ -130,6 +108,23 @@ def test_a_capture_is_of_few_patterns_and_can_be_taken_up(
     assert device.settings["capturetarget"][0] == "Internal RAM"
 
 
+def test_the_console_shows_what_the_camera_sees(config: Path, device: Device) -> None:
+    page = Notebook()
+    worker = Worker(Settings(config), page)
+    worker.start()
+    try:
+        assert worker.request(Activity.LIVE)
+        until(lambda: page.frames)
+        white = page.frames[-1].image.mean()
+        worker.change(picture=Picture.BLACK)
+        until(lambda: page.frames[-1].image.mean() < white / 2)
+        worker.change(exposure_us=500_000.0)
+        until(lambda: page.frames[-1].exposure_us == 5e5)
+    finally:
+        assert worker.close().message == ""
+    assert not device.open
+
+
 def test_the_shutter_speed_is_the_nearest_to_whole_refresh_periods(device: Device) -> None:
     with opened(exposure_us=70_000, iso=200) as camera:
         assert device.settings["shutterspeed"][0] == "1/15"
@@ -176,12 +171,15 @@ def test_another_size_and_another_camera_are_named(device: Device) -> None:
     with pytest.raises(DeviceError, match=r"no single photo camera is called 'Nikon'.*Canon EOS 700D at usb:001,005"):
         opened(camera="Nikon")
     device.see = lambda: np.zeros((10, 20, 3), np.uint8)
-    with opened() as camera, pytest.raises(DeviceError, match=r"it takes 20 × 10.*camera: \{width: 20, height: 10\}"):
+    with (
+        opened() as camera,
+        pytest.raises(DeviceError, match=r"delivers 20 × 10.*camera: \{width: 20, height: 10\}"),
+    ):
         camera.grab()
 
 
 def test_it_is_listed_with_lines_to_paste(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(devices, "list_screens", lambda: [Window.screen])
+    monkeypatch.setattr(devices, "list_screens", lambda: [SimulatedWindow(PROJECTOR, list).screen])
     found = devices.find_devices(Terminal(quiet=True), [each for each in BACKENDS if each.name == "gphoto2"])
     assert found.told["Cameras"][:2] == [device.model, "  photo camera at usb:001,005"]
     pasted = tmp_path / "pasted.yaml"

@@ -1,13 +1,17 @@
 """What OpenCV's capture delivers, or does not: each is named. The capture is a fake; loopback tests have a real one."""
 
+import os
+import sys
 import time
 from collections.abc import Collection
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from hw import opencv
 from hw.errors import DeviceError
@@ -149,10 +153,41 @@ def test_automatics_are_turned_off_where_the_driver_can(monkeypatch: pytest.Monk
         with connected(monkeypatch, capture) as camera:
             assert camera.capabilities.exposure == "unknown"
             assert camera.identity["automatic exposure"] == "not in the driver's hand"
-        with pytest.raises(DeviceError, match=r"wanted an exposure of 33333 µs.*driver made it 50"):
+        with pytest.raises(DeviceError, match=r"wanted 33333.3 as exposure in µs.*made it 50.*tool or app"):
             connected(monkeypatch, Capture(picture(), obeys=False), exposure_us=33_000)
         return
     with connected(monkeypatch, capture, exposure_us=33_000) as camera:
         assert camera.exposure_us == pytest.approx(2e6 / 60)
         assert camera.capabilities.exposure == "settable"
         assert camera.identity["automatic exposure"] == "off"
+
+
+@pytest.mark.parametrize("key", ["exposure_us", "gain", "codec"])
+def test_what_no_stream_can_be_told_is_refused(key: str) -> None:
+    value = "MJPG" if key == "codec" else 10.0
+    assert OpenCVRigSettings(backend="opencv", camera=0, **{key: value}).has_gain
+    with pytest.raises(ValidationError, match=f"{key}: of a stream it cannot be set"):
+        OpenCVRigSettings(backend="opencv", camera="http://phone/video", **{key: value})
+
+
+def test_a_gain_that_a_driver_ignores_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DeviceError, match=r"wanted 3 as gain, but the camera made it 0.5"):
+        connected(monkeypatch, Capture(picture(), fixed={cv2.CAP_PROP_GAIN}), gain=3.0)
+
+
+def test_webcams_are_listed_with_lines_to_paste_or_with_what_is_in_the_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in (0, 2):
+        (tmp_path / f"video{number}").mkdir()
+        (tmp_path / f"video{number}" / "name").write_text("USB camera\n")
+    monkeypatch.setattr(opencv, "_V4L", tmp_path)
+    monkeypatch.setattr(opencv, "_DEVICES", tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, _: path.name != "video2")
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Capture())
+    first, second = opencv.list_cameras()
+    assert first.name == "webcam 0 (USB camera)"
+    assert first.rig == ("backend: opencv", "camera: 0")
+    assert second.rig == ()
+    assert f"belongs to group {tmp_path.group()}" in second.about

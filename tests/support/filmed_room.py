@@ -36,7 +36,7 @@ class FilmedRoom:
 
     @cached_property
     def programme(self) -> Programme:
-        return programme_of(PRESETS["quick"].patterns(PROJECTOR), Size(*PROJECTOR), 0.2, 1)
+        return programme_of(PRESETS["quick"].patterns(PROJECTOR), Size(*PROJECTOR), 0.1, 1)
 
     @cached_property
     def sequence(self) -> Path:

@@ -16,6 +16,7 @@ CAMERA, PROJECTOR = (459, 384), (640, 360)
 AXES: tuple[tuple[Axis, int], ...] = (("x", 640), ("y", 360))
 PAIRS = [*bits("x", 10), *bits("y", 9)]
 CENTRED = [*bits("x", 9, 2, 192), *bits("y", 9, 1, 76)]  # (1024 − 640) / 2 and (512 − 360) / 2 pixels before the first
+QUARTERS, MINUS_COSINE = (0.0, 0.25, 0.5, 0.75), (0.5, 0.3, 0.1, -0.1, -0.3)
 THIRDS, BACKWARDS = (-1 / 3, 0.0, 1 / 3), (0.0, -1 / 3, -2 / 3)
 FRINGES = [shown for axis, _ in AXES for period in (80 / 3, 40.0) for shown in steps(axis, period, THIRDS)]
 LONG_AND_SHORT = {
@@ -27,6 +28,29 @@ NINE_STEPS = [
     for shown in (*steps(axis, length / 8, [-step / 9 for step in range(9)]), *steps(axis, float(length), BACKWARDS))
 ]
 COARSE = {"x": bits("x", 10, inverses=False), "y": bits("y", 6, 8, inverses=False)}
+HETERODYNE = [p for axis, length in AXES for count in (59, 64, 70) for p in steps(axis, length / count, QUARTERS)]
+SINE_BACKWARDS = [p for count in (70, 64, 59) for p in steps("x", 640 / count, [0.75 - step / 3 for step in range(3)])]
+FOUR_PERIODS = [
+    *(p for axis, length in AXES[::-1] for count in (25, 28, 31, 32) for p in steps(axis, length / count, BACKWARDS)),
+    *ENDS,
+]
+COMPLEMENTARY = [  # a fringe of 20 periods, a code of 40 cells
+    *ENDS,
+    *(
+        p
+        for axis, length in AXES
+        for p in (*steps(axis, length / 20, MINUS_COSINE), *bits(axis, 6, length // 40, inverses=False))
+    ),
+]
+SHIFTED = [  # a code of 20 cells, and again half a cell further
+    p
+    for axis, length in AXES
+    for p in (
+        *steps(axis, length / 20, QUARTERS),
+        *bits(axis, 5, length // 20, inverses=False),
+        *bits(axis, 5, length // 20, length // 40, inverses=False),
+    )
+]
 KNOWN = ("--projector", "640x360")
 
 
@@ -73,6 +97,13 @@ FOREIGN = {
     "slstudio-2x3": Foreign("slstudio-2x3", [*LONG_AND_SHORT["x"], *LONG_AND_SHORT["y"]], named("{}.png"), KNOWN),
     "slstudio-2x3, y": Foreign("slstudio-2x3", LONG_AND_SHORT["y"], named("{}.png"), KNOWN),
     "slstudio-nstep": Foreign("slstudio-nstep", NINE_STEPS, named("{}.png"), KNOWN),
+    "heterodyne": Foreign("heterodyne", HETERODYNE, named("{}.png"), (*KNOWN, "--periods", "59,64,70")),
+    "heterodyne, x, of usual periods": Foreign("heterodyne", SINE_BACKWARDS, named("{}.png"), KNOWN),
+    "heterodyne, four periods, y first": Foreign(
+        "heterodyne", FOUR_PERIODS, named("{}.bmp"), (*KNOWN, "--periods", "25,28,31,32")
+    ),
+    "gray-fringes, complementary": Foreign("gray-fringes", COMPLEMENTARY, named("{}.png"), (*KNOWN, "--periods", "20")),
+    "gray-fringes, shifted": Foreign("gray-fringes", SHIFTED, named("{}.png"), (*KNOWN, "--periods", "20")),
 }
 
 

@@ -1,6 +1,7 @@
 """A projector and a camera that streams, on a clock that only they move."""
 
 from collections.abc import Callable
+from math import inf
 from types import SimpleNamespace
 from typing import cast
 
@@ -63,7 +64,7 @@ class StreamBench:
 
     def install(self, monkeypatch: pytest.MonkeyPatch) -> "StreamBench":
         clock = SimpleNamespace(monotonic=lambda: self.now)
-        for module in ("hw.timing.streaming", "hw.timing.stream_calibration", "hw.timing.timed_rig"):
+        for module in ("hw.timing.standing_frames", "hw.timing.stream_calibration", "hw.timing.timed_rig"):
             monkeypatch.setattr(f"{module}.time", clock)
         return self
 
@@ -96,9 +97,17 @@ class StreamBench:
         return len(self._arrivals) - 1
 
     def following(self, number: int) -> Arrival:
+        found = self.following_until(number, inf)
+        assert found is not None
+        return found
+
+    def following_until(self, number: int, until_s: float) -> Arrival | None:
         found = None
         while found is None:
             while len(self._arrivals) <= number + 1:
+                if max(self._came_s, self._next_comes_s()) > until_s:
+                    self.now = max(self.now, until_s)
+                    return None
                 self._take()
             number += 1
             found = None if self._arrivals[number].repeated else self._arrivals[number]

@@ -76,7 +76,7 @@ RECORDING = [
     ("SIGKILL", BEFORE_IMAGE),
     ("SIGKILL", BEFORE_LINE),
     ("half an image", BEFORE_IMAGE),
-    ("half a line", Moment("in a line", f"{RECORDER}:_append", TAKEN + 2, TAKEN, "is torn")),
+    ("half a line", Moment("in a line", f"{RECORDER}:_append", TAKEN + 2, TAKEN, "is incomplete")),
     ("SIGKILL", Moment("between line and disk", f"{RECORDER}:_Syncing.begin", TAKEN, TAKEN)),
     ("SIGKILL", Moment("while it decodes", "scanner.decoding.decoder:Decoder.finish", 1, len(PATTERNS))),
     ("SIGKILL", Moment("in the header", f"{RECORDER}:_append", 1, 0)),

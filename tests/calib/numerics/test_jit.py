@@ -1,6 +1,7 @@
 """Compiled functions: NumPy's results, side by side in threads; no machine code older than its source."""
 
 import ast
+from importlib import import_module
 
 import numpy as np
 from hypothesis import given
@@ -10,7 +11,9 @@ from numba import njit
 
 from calib.numerics.array_types import Floats
 from calib.numerics.chunks import in_pieces
+from calib.numerics.code_cache import _sources
 from calib.numerics.jit import compiled, when_compiling
+from calib.objects.pose_search import _descend
 from tests.support.places import ROOT
 
 SOURCES = sorted(path for package in ("calib", "hw", "scanner") for path in (ROOT / package).rglob("*.py"))
@@ -45,7 +48,7 @@ def test_threads_share_the_work() -> None:
 
 
 def borrowed(source: str) -> list[str]:
-    """The names that compiled functions of a source file use, and that another changing file defines."""
+    """The names that compiled functions of a source file use, and that another changing file defines; not of types."""
     tree = ast.parse(source)
     imported = {
         alias.asname or alias.name
@@ -59,14 +62,25 @@ def borrowed(source: str) -> list[str]:
         decorators = getattr(function, "decorator_list", [])
         if any(isinstance(decorator, ast.Name) and decorator.id == "compiled" for decorator in decorators):
             body = [node for statement in function.body for node in ast.walk(statement)]  # type: ignore[attr-defined]
+            types = {id(node.annotation) for node in body if isinstance(node, ast.AnnAssign)}
+            body = [node for node in body if id(node) not in types]
             found += [node.id for node in body if isinstance(node, ast.Name) and node.id in imported]
     return found
 
 
-def test_compiled_functions_use_their_own_file_only() -> None:
-    found = {path.relative_to(ROOT).as_posix(): borrowed(path.read_text(encoding="utf-8")) for path in SOURCES}
+def test_compiled_functions_use_their_own_file_and_compiled_functions_of_others() -> None:
+    found = {path: borrowed(path.read_text(encoding="utf-8")) for path in SOURCES}
     assert len(found) > 100
-    assert {path: names for path, names in found.items() if names} == {}
+    for path, names in found.items():
+        if names:
+            module = import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+            assert [name for name in names if not hasattr(getattr(module, name), "py_func")] == [], path
+
+
+def test_machine_code_follows_the_compiled_functions_that_it_calls() -> None:
+    files = [path.name for path in _sources(_descend.py_func)]  # type: ignore[attr-defined]
+    assert files[0] == "pose_search.py"
+    assert {"projection.py", "relative_pose.py"} <= set(files)
 
 
 def test_a_borrowed_name_is_found() -> None:

@@ -1,4 +1,6 @@
-"""The likelihood along the focal length: a Gaussian where it is one, and its true spread where it is not."""
+"""The posterior along the focal length: a Gaussian where it is one, and its true spread where it is not."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +11,8 @@ from scipy.stats import norm
 from calib.refinement.focal_sweep import at_focal
 from calib.refinement.likelihood import Fit
 from calib.refinement.parameters import CAMERA, PROJECTOR
-from calib.refinement.profile_likelihood import Valley, covariance_of, inverse_of, walk
+from calib.refinement.profile_likelihood import Valley, centred, covariance_of, inverse_of, log_volume_across, walk
+from calib.refinement.profile_minimiser import relax
 from tests.calib.refinement.conftest import Case
 
 _Z = np.linspace(-5, 5, 1001)
@@ -54,7 +57,7 @@ def test_what_is_far_off_and_improbable_does_not_widen_the_sigma(case: Case) -> 
     density = (1 - share) * np.exp(-((t / sigma) ** 2) / 2) + share * np.exp(-(((t - apart) / sigma) ** 2) / 2)
     states = tuple(at_focal(case.truth, case.truth.camera[0] * float(np.exp(step))) for step in t)
     cost = -2 * np.log(np.maximum(density, 1e-12))
-    valley = Valley(np.array([state.camera[0] for state in states]), cost - cost.min(), states)
+    valley = Valley(np.array([state.camera[0] for state in states]), cost - cost.min(), states, np.zeros(len(states)))
     none = Fit(0.0, np.zeros(case.truth.size), np.eye(case.truth.size), case.truth, ())
     found = valley.covariance(none, np.arange(case.truth.size) == CAMERA.start)
     low, high = np.interp([0.1587 / (1 - share), 0.8413 / (1 - share)], [norm.cdf(z) for z in _Z], _Z) * sigma
@@ -70,7 +73,7 @@ def test_a_curved_valley_spreads_by_its_own_moments(case: Case) -> None:
     steps = np.zeros((len(t), case.truth.size))
     steps[:, CAMERA.start], steps[:, PROJECTOR.start + 1] = t, bend * t**2
     states = tuple(case.truth.moved(step) for step in steps)
-    valley = Valley(np.array([state.camera[0] for state in states]), (t / sigma) ** 2, states)
+    valley = Valley(np.array([state.camera[0] for state in states]), (t / sigma) ** 2, states, np.zeros(len(states)))
     none = Fit(0.0, np.zeros(case.truth.size), np.eye(case.truth.size), case.truth, ())
     only_focal = np.arange(case.truth.size) == CAMERA.start
     found = valley.covariance(none, only_focal)
@@ -80,3 +83,52 @@ def test_a_curved_valley_spreads_by_its_own_moments(case: Case) -> None:
     assert abs(found[CAMERA.start, centre]) < 1e-6
     across = valley.covariance(none, only_focal | (np.arange(case.truth.size) == centre))
     assert across[centre, centre] - found[centre, centre] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_valley_that_widens_has_its_middle_where_it_is_wide(case: Case) -> None:
+    """A Gaussian times exp(slope t) is a Gaussian of the same width, shifted by slope σ²."""
+    sigma, slope = 0.03, 20.0
+    t = np.linspace(-5 * sigma, 5 * sigma, 31)
+    states = tuple(at_focal(case.truth, case.truth.camera[0] * float(np.exp(step))) for step in t)
+    valley = Valley(np.array([state.camera[0] for state in states]), (t / sigma) ** 2, states, slope * t)
+    shift = slope * sigma**2
+    expected = np.array([shift - sigma, shift, shift + sigma])
+    found = np.log(np.array([valley.interval_px[0], valley.median_px, valley.interval_px[1]]) / case.truth.camera[0])
+    np.testing.assert_allclose(found, expected, atol=0.02 * sigma)
+    assert valley.posterior_cost.min() == 0.0
+    assert abs(t[np.argmin(valley.posterior_cost)] - shift) < t[1] - t[0]
+
+
+@pytest.mark.parametrize(("column", "power"), [(0, 2), (1, 4), (2, 0), (4, 6)])
+def test_the_volume_across_the_valley_is_that_of_a_prior_that_grows_with_the_focal(
+    case: Case, column: int, power: int
+) -> None:
+    """One lens term of the projector is free, which the matches tell: against the integral over it, by a sum."""
+    column += PROJECTOR.start + 3
+    ratio, told = 1.3, 1e-3  # of the focal lengths; the matches' standard deviation of the term, in the prior's
+    only = np.isin(np.arange(case.truth.size), [CAMERA.start, column])
+    prior = replace(case.prior, sigma=np.where(only, case.prior.sigma, 0.0))
+    step = np.zeros(case.truth.size)
+    step[PROJECTOR.start], step[column] = np.log(ratio), 0.5 * prior.sigma[column]
+    state = case.truth.moved(step)
+    own = prior.misfit(state)[2]
+    information = np.diag(own + only / (told * np.where(only, prior.sigma, 1.0)) ** 2)
+    found = log_volume_across(Fit(0.0, np.zeros(state.size), information, state, ()), case.truth, prior)
+
+    z = 0.5 + told * _Z
+    width = ratio**power
+    log_density = -(_Z**2) / 2 - (z / width) ** 2 / 2 - np.log(width) + 0.5**2 / 2  # the fit has paid for its prior
+    integral = np.sum(np.exp(log_density)) * (_Z[1] - _Z[0]) * told * prior.sigma[column]
+    assert found == pytest.approx(np.log(integral / np.sqrt(2 * np.pi)), abs=0.01)
+
+
+def test_a_walk_tells_of_what_is_lower_than_where_it_began(case: Case) -> None:
+    sigma = np.sqrt(covariance_of(case.best.information, case.prior.free)[CAMERA.start, CAMERA.start])
+    anchored = case.prior.holding(CAMERA.start)
+    beside = at_focal(case.best.state, case.best.state.camera[0] * float(np.exp(1.5 * sigma)))
+    begun = relax([case.cells], beside, anchored, case.variances, tolerance=1e-6)
+    valley = walk([case.cells], begun, case.prior, case.variances)
+    assert 1.0 < valley.gain <= begun.cost - case.best.cost + 1e-6
+    assert abs(np.log(valley.lowest.camera[0] / case.best.state.camera[0])) < 0.7 * sigma
+    middle = centred([case.cells], begun, valley, case.prior, case.variances)
+    assert abs(np.log(middle.state.camera[0] / case.best.state.camera[0])) < 0.2 * sigma

@@ -110,8 +110,8 @@ def test_it_may_be_broken_off_again(begun: Recording, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wall", "words"),
     [
-        (Wall(moved_px=1), r"shown again, and it lies .* camera px elsewhere"),
-        (Wall(moved_px=13), "cannot be taken up"),
+        (Wall(moved_px=1), r"shown again, and it is shifted by .* camera px"),
+        (Wall(moved_px=13), "cannot be resumed"),
         (Wall(gain=0.6), r"frame 0 \(frames/000.png\) was shown again, and it is 0.60 times as bright"),
         (Wall(name="a new one"), r"with other settings: camera: a camera then, a new one now"),
     ],

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Rig, exposure_control
+from hw.simulated.rig import SimulatedCamera
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.stream import capture
 from scanner.checking import view
@@ -91,6 +92,17 @@ def test_an_exposure_that_cannot_be_short_enough_is_said(room: SimulatedRoom) ->
     found = exposure_row(proposal, 10.0, bracketed=False)
     assert found.state == State.POOR
     assert "close the aperture" in found.advice
+
+
+@pytest.mark.parametrize(("part", "state"), [(0.2, State.POOR), (1.0, State.OK), (3.0, State.POOR)])
+def test_of_a_camera_that_cannot_be_told_the_exposure_is_judged(
+    monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom, part: float, state: State
+) -> None:
+    monkeypatch.setattr(SimulatedCamera, "capabilities", Capabilities())
+    rig = rig_in(changed(room, exposure_us=part * room.sensor.exposure_us, refresh_hz=240.0))
+    found = exposure_row(propose_exposure(rig), 240.0, bracketed=False)
+    assert found.state == state
+    assert ("by hand" in found.advice) == (state == State.POOR)
 
 
 @pytest.mark.parametrize(("ambient", "state"), [(0.02, State.OK), (0.3, State.OK), (1.5, State.POOR)])

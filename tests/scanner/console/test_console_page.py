@@ -199,7 +199,7 @@ def test_several_captures_with_a_sound_and_the_way_to_the_next(console: Console)
     visit.set_number("Captures", "2")
     visit.page.get_by_label("Sound after a capture").check()
     visit.press("Scan")
-    visit.wait_for("By now the focal lengths are known to")
+    visit.wait_for("So far the focal lengths are known to")
     assert visit.page.locator("audio[autoplay]").count() == 1
     visit.page.get_by_role("combobox", name="Cloud", exact=True).wait_for()  # all captures, or one of them
     assert any(console.folder.glob("scans/room*/captures/1/cloud.ply"))

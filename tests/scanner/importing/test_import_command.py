@@ -1,16 +1,18 @@
 """Folders as other programs leave them become capture folders, whose sequence is the one that was shown."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from calib.geometry import Matches
 from calib.numerics import Image
 from scanner.capture.recording import open_capture
 from scanner.decoding.decoder import Decoder
 from scanner.patterns.pattern import Axis, Black, Gray, Pattern, White
-from tests.support.foreign_captures import ENDS, Photographer, bits, named
+from tests.support.foreign_captures import ENDS, Photographer, bits, named, steps
 from tests.support.foreign_folders import CAMERA, CENTRED, FOREIGN, PAIRS, PROJECTOR, imported, same
 from tests.support.places import REAL_CAPTURES
 
@@ -125,20 +127,62 @@ def test_a_camera_on_its_side(camera: Photographer, tmp_path: Path, turns: int) 
     assert open_capture(tmp_path / "capture").patterns == (*PAIRS, *ENDS)
 
 
+def decoded(capture: Path) -> Matches:
+    stream = open_capture(capture).stream()
+    decoder = Decoder(stream.patterns, stream.projector_size)
+    for _, frame in stream.frames:
+        decoder.add(frame.image)
+    return decoder.finish().matches
+
+
 def test_what_is_imported_decodes_to_the_truth(
     camera: Photographer, folder: Callable[[str], Path], tmp_path: Path
 ) -> None:
     """Counted from the middle, in cells of two pixels and of one: the offsets are right, too."""
     assert imported(folder("moreno-taubin"), "--out", tmp_path / "capture", "--quiet") == 0
-    stream = open_capture(tmp_path / "capture").stream()
-    decoder = Decoder(stream.patterns, stream.projector_size)
-    for _, frame in stream.frames:
-        decoder.add(frame.image)
-    matches = decoder.finish().matches
+    matches = decoded(tmp_path / "capture")
     column, row = np.rint(matches.camera_px).astype(int).T
     error_px = np.linalg.norm(matches.projector_px - camera.room.ground_truth().projector_px[row, column], axis=1)
     assert len(matches) > 10_000
     assert 0.01 < np.nanmedian(error_px) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("periods", "names"), [("59,64,71", "obey one epipolar geometry"), ("59", "no sequence"), ("3;4", "as in")]
+)
+def test_periods_that_are_not_those_of_the_frames_are_refused(
+    folder: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], periods: str, names: str
+) -> None:
+    source = folder("heterodyne")
+    chosen = ("--from", "heterodyne", "--projector", "640x360", "--periods", periods)
+    assert imported(source, *chosen, "--out", tmp_path / "capture") == 2
+    assert names in capsys.readouterr().err
+    assert not (tmp_path / "capture").exists()
+
+
+def test_two_close_periods_do_not_tell_where_they_begin(
+    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    patterns = [p for count in (20, 21) for p in steps("x", 640 / count, (0.25, 0.0, -0.25, -0.5))]
+    source = camera.write(tmp_path / "frames", patterns, named("{}.png"))
+    chosen = ("--from", "heterodyne", "--projector", "640x360", "--periods", "20,21")
+    assert imported(source, *chosen) == 2
+    (number,) = re.findall(r"(\d)\. heterodyne: .*shifted from 0.25 cycles back", capsys.readouterr().err)
+    assert imported(source, *chosen, "--order", number, "--out", tmp_path / "capture", "--quiet") == 0
+    assert all(map(same, open_capture(tmp_path / "capture").patterns, patterns))
+
+
+def test_fringes_of_close_periods_decode_to_the_truth(
+    camera: Photographer, folder: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """Begun a quarter of a cycle elsewhere, each coordinate would be off by 2 px."""
+    source, chosen = folder("heterodyne"), FOREIGN["heterodyne"].arguments
+    assert imported(source, *chosen, "--out", tmp_path / "capture", "--quiet") == 0
+    matches = decoded(tmp_path / "capture")
+    column, row = np.rint(matches.camera_px).astype(int).T
+    error_px = np.linalg.norm(matches.projector_px - camera.room.ground_truth().projector_px[row, column], axis=1)
+    assert len(matches) > 10_000
+    assert 0.005 < np.nanmedian(error_px) < 0.1
 
 
 def test_missing_numbers_and_sub_folders_do_not_matter(folder: Callable[[str], Path], tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from scanner.errors import InputError
 from scanner.patterns import PRESETS
 from scanner.patterns.sequence_file import write_sequence
 from scanner.recordings.libav import av as library
-from scanner.recordings.programme import programme_of
+from scanner.recordings.programme import WHITE, programme_of
 from tests.support.command_line import run
 from tests.support.filmed_room import PROJECTOR, FilmedRoom
 
@@ -57,6 +57,13 @@ def nothing_happens(path: Path, recording: Path) -> None:
     of_frames(path, lambda number: 90)
 
 
+def slow_motion(path: Path, recording: Path) -> None:
+    shown = programme_of(PRESETS["quick"].patterns(PROJECTOR), Size(*PROJECTOR), 0.1, 1)
+    frames = 4 * 30 * shown.hold_s
+    mark = [200.0 if slot == WHITE else 20.0 for slot in shown.mark]
+    of_frames(path, lambda number: mark[int(number / frames)] if number < len(mark) * frames else 20.0)
+
+
 def another_film(path: Path, recording: Path) -> None:
     levels = np.random.default_rng(0).uniform(20, 230, 300)
     of_frames(path, lambda number: float(levels[number // 8]))
@@ -70,6 +77,7 @@ def another_film(path: Path, recording: Path) -> None:
         (sound, "a file without pictures"),
         (cut_off, "copy the file again, whole"),
         (nothing_happens, "nothing in it changes"),
+        (slow_motion, "4 times slower"),
         (another_film, "no start mark"),
     ],
 )
@@ -93,7 +101,7 @@ def test_what_is_no_recording_is_refused(
 def test_the_sequence_of_another_video_is_refused(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other = programme_of(PRESETS["standard"].patterns(PROJECTOR), Size(*PROJECTOR), 0.2, 1)
+    other = programme_of(PRESETS["standard"].patterns(PROJECTOR), Size(*PROJECTOR), 0.1, 1)
     write_sequence(tmp_path, other.patterns, PROJECTOR, video=other.as_dict("video.mp4"))
     assert run("import", recording, "--sequence", tmp_path / "sequence.yaml", "--out", tmp_path / "capture") == 2
     assert "is not that of this sequence" in capsys.readouterr().err

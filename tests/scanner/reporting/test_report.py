@@ -347,7 +347,7 @@ def test_a_misfit_beyond_the_noise_is_no_good_result(calibrated: ReportInput) ->
 
 @pytest.mark.parametrize(
     ("warnings", "grade", "said"),
-    [((), "good", "all that was projected along x agrees"), ((f"{UNCHECKED} it.",), "fair", f"{UNCHECKED} it.")],
+    [((), "good", "all patterns along x agree"), ((f"{UNCHECKED} it.",), "fair", f"{UNCHECKED} it.")],
 )
 def test_what_matches_say_of_themselves_grades_one_axis(
     calibrated: ReportInput, warnings: tuple[str, ...], grade: str, said: str

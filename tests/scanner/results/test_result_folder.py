@@ -122,7 +122,7 @@ def test_only_results_are_overwritten(tmp_path: Path) -> None:
         (file, "no result of an earlier scan"),
         (folder, "no result of an earlier scan"),
         (link, "no result of an earlier scan"),
-        (result, "holds what no scan has written: thesis.tex"),
+        (result, "holds files of others: thesis.tex"),
     ):
         with pytest.raises(InputError, match=words):
             make_result(out, overwrite=True)

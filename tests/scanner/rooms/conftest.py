@@ -27,6 +27,13 @@ class SolvedExample:
     config: Config
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """In one process, which solves the example once."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.xdist_group("rooms"))
+
+
 @pytest.fixture(scope="session")
 def example(tmp_path_factory: pytest.TempPathFactory) -> SolvedExample:
     pytest.importorskip("open3d", exc_type=ImportError)

@@ -15,7 +15,7 @@ from scanner.rooms.outlier_stations import outlier_stations_of, widest_unseen_de
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
 from tests.support.whole_room import TrueStation, stations
 
-NOTHING = LeftOut(0, "nothing shared", "it shows nothing that any other station shows, too")
+NOTHING = LeftOut(0, "nothing shared", "it shows nothing that another station shows")
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ def test_surfaces_correct_what_false_planes_say() -> None:
     pytest.importorskip("open3d", exc_type=ImportError)
     stations = thing_stations([0, 1], CAMERA, seed=2, step_deg=1.4, background=False)
     found = solved(stations)
-    assert any("by the surfaces alone" in remark for remark in found.remarks)
+    assert any("from the surfaces alone" in remark for remark in found.remarks)
     one, other = found.stations
     off = between(one.place, other.place).rotation @ between(stations[0].place, stations[1].place).rotation.T
     error_deg = np.degrees(Rotation.from_matrix(off).magnitude())

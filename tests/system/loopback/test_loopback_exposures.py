@@ -78,7 +78,7 @@ def test_exposures_that_come_to_the_same_are_refused_before_the_first_frame(
     code, folder = scan(config, "--set", "sequence.exposures_us=[16000, 18000]")
     assert code == 3
     message = capsys.readouterr().err
-    assert "the same of 16000 and 18000" in message
+    assert "16000 and 18000 µs in exposures_us both" in message
     assert "further apart" in message
     assert not folder.exists()
 

@@ -43,7 +43,7 @@ def test_a_scan_is_as_good_as_on_the_simulated_rig(
         "Aravis Fake loopback",
         "light after a flip",
         "frames dropped, and taken again",
-        "pictures on their way at once",
+        "pictures in the pipeline",
     ):
         assert words in report
 

@@ -1,0 +1,167 @@
+"""Poses of one view on another from everywhere: descents from turns that are spread evenly, judged by what they meet.
+
+Descriptors of the surface's shape (FPFH) need detail that smooth things lack. A descent costs some tens of
+microseconds, so that it may start from every turn: even turns are those of Alexa, "Super-Fibonacci spirals: fast,
+low-discrepancy sampling of SO(3)", 2022. The shift is that of the points where the normals of each view come closest.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Motion, rotation_about
+from calib.numerics import Bools, Floats, compiled
+from calib.objects.view import View
+from calib.rooms.projection import pixel_under, rotated
+
+_TURNS = 1200  # about 17° from any turn to the nearest of them
+# Patches that look, and how far apart what meets may be, in grains: of all descents, and of those that came farthest.
+_WIDELY, _WIDE = 200, np.array([8.0, 8.0, 6.0, 6.0, 4.0, 4.0, 3.0, 3.0, 2.0, 2.0])
+_CLOSELY, _CLOSE = 500, np.array([2.0, 1.5, 1.5, 1.0, 1.0, 0.7, 0.5, 0.5])
+_FOLLOWED, _DISTINCT = 600, 60
+_SAME_TURN, _SAME_GRAINS = float(np.cos(np.radians(6.0))), 8.0
+_LIKE = float(np.cos(np.radians(50.0)))
+_DAMPING = 1e-3
+_TOWARDS_MIDDLE = 0.1  # of a patch's weight, that a centre is drawn to a point behind the middle of what was seen
+_BEHIND = 20.0  # grains
+# Radicals of super-Fibonacci spirals: φ² = 2, ψ⁴ = ψ + 4.
+_PHI, _PSI = 2**0.5, 1.533751168755204288118041
+
+
+def searched_poses(first: View, second: View, most: int) -> list[Motion]:
+    """X_first = R X_second + t, no two about the same; the `most` that meet most, the best first."""
+    turns = even_turns(_TURNS)
+    shifts = normal_centre(first) - turns @ normal_centre(second)
+    wide = _distinct(_descended(first, second, turns, shifts, _WIDELY, _WIDE), first.grain, _DISTINCT)
+    turns, shifts = np.stack([each.rotation for each in wide]), np.stack([each.translation for each in wide])
+    return _distinct(_descended(first, second, turns, shifts, _CLOSELY, _CLOSE), first.grain, most)
+
+
+def _descended(first: View, second: View, turns: Floats, shifts: Floats, patches: int, rounds: Floats) -> list[Motion]:
+    """The best first."""
+    worth = np.zeros(len(turns))
+    _descend(
+        turns,
+        shifts,
+        second.patch_points[:patches],
+        second.patch_normals[:patches],
+        first.lens,
+        first.points,
+        first.normals,
+        first.near,
+        normal_centre(first),
+        first.grain * rounds,
+        worth,
+    )
+    return [Motion(turns[k], shifts[k]) for k in np.argsort(-worth)[:_FOLLOWED]]
+
+
+def _distinct(poses: Sequence[Motion], grain: float, most: int) -> list[Motion]:
+    found: list[Motion] = []
+    turns, shifts = np.stack([pose.rotation for pose in poses]), np.stack([pose.translation for pose in poses])
+    left = np.ones(len(poses), np.bool_)
+    while left.any() and len(found) < most:
+        best = int(np.argmax(left))
+        found.append(poses[best])
+        left &= ~_near(turns, shifts, poses[best], grain)
+    return found
+
+
+def _near(turns: Floats, shifts: Floats, pose: Motion, grain: float) -> Bools:
+    """Which of K poses are about the same as one, (K,)."""
+    cosine = (np.einsum("kij,ij->k", turns, pose.rotation) - 1) / 2
+    near: Bools = (cosine > _SAME_TURN) & (np.linalg.norm(shifts - pose.translation, axis=1) < _SAME_GRAINS * grain)
+    return near
+
+
+def near_each_other(one: Motion, other: Motion, grain: float) -> bool:
+    """Whether two poses are about the same."""
+    return bool(_near(one.rotation[None], one.translation[None], other, grain)[0])
+
+
+def even_turns(count: int) -> Floats:
+    """Rotations (count, 3, 3)."""
+    s = np.arange(count) + 0.5
+    near, far = np.sqrt(s / count), np.sqrt(1 - s / count)
+    alpha, beta = 2 * np.pi * s / _PHI, 2 * np.pi * s / _PSI
+    x, y, z, w = near * np.sin(alpha), near * np.cos(alpha), far * np.sin(beta), far * np.cos(beta)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.ascontiguousarray(np.array(rows).transpose(2, 0, 1))
+
+
+def normal_centre(view: View) -> Floats:
+    """The point (3,) that the lines along all patches' normals come closest to: the middle, if the thing is round."""
+    across = np.eye(3) - view.patch_normals[:, :, None] * view.patch_normals[:, None]
+    middle = view.patch_points.mean(axis=0)
+    behind = middle * (1 + _BEHIND * view.grain / float(np.linalg.norm(middle)))
+    drawn = _TOWARDS_MIDDLE * len(across)
+    pull = np.einsum("nij,nj->i", across, view.patch_points) + drawn * behind
+    centre: Floats = np.linalg.solve(across.sum(axis=0) + drawn * np.eye(3), pull)
+    return centre
+
+
+@compiled
+def _descend(
+    turns: Floats,
+    shifts: Floats,
+    patches: Floats,
+    patch_normals: Floats,
+    lens: Floats,
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    near: NDArray[np.float32],
+    centre: Floats,
+    withins: Floats,
+    worth: Floats,
+) -> None:
+    """Move all poses (K, 3, 3), (K, 3) point to plane; `worth` (K,): patches that meet, less those looked through."""
+    height, width = near.shape
+    row = np.empty(6)
+    for k in range(len(turns)):
+        r, t = turns[k], shifts[k]
+        for within in withins:
+            matrix, gradient = np.zeros((6, 6)), np.zeros(6)
+            worth[k] = 0.0
+            for m in range(len(patches)):
+                x, y, z = rotated(r, patches[m])
+                x, y, z = x + t[0], y + t[1], z + t[2]
+                e, f, g = rotated(r, patch_normals[m])
+                if e * x + f * y + g * z >= 0:
+                    continue
+                i, j = pixel_under(x, y, z, lens, height, width)
+                if i < 0:
+                    continue
+                p, q, s = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
+                off = p * (x - points[i, j, 0]) + q * (y - points[i, j, 1]) + s * (z - points[i, j, 2])
+                if not (np.abs(off) < within and np.abs(z - points[i, j, 2]) < 3 * within):
+                    if z < near[i, j] - within:
+                        worth[k] -= 1.0
+                    continue
+                if p * e + q * f + s * g < _LIKE:
+                    continue
+                share = 1 - (off / within) ** 2
+                worth[k] += share
+                u, v, w = x - centre[0], y - centre[1], z - centre[2]
+                row[0], row[1], row[2] = v * s - w * q, w * p - u * s, u * q - v * p
+                row[3], row[4], row[5] = p, q, s
+                for a in range(6):
+                    for b in range(6):
+                        matrix[a, b] += share * share * row[a] * row[b]
+                    gradient[a] += share * share * off * row[a]
+            trace_turn = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
+            trace_shift = matrix[3, 3] + matrix[4, 4] + matrix[5, 5]
+            if not trace_turn * trace_shift > 0:
+                break
+            for a in range(3):
+                matrix[a, a] += _DAMPING * trace_turn
+                matrix[a + 3, a + 3] += _DAMPING * trace_shift
+            twist: Floats = -np.linalg.solve(matrix, gradient).astype(np.float64)
+            turn = rotation_about(twist[:3])
+            turns[k] = turn @ r
+            shifts[k] = turn @ (t - centre) + centre + twist[3:]
+            r, t = turns[k], shifts[k]

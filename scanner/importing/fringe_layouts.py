@@ -1,0 +1,104 @@
+"""Layouts of fringe projection: fringes of close periods, and fringes beside Gray codes that go wrong nowhere.
+
+Everybody begins the cosine elsewhere and shifts it to one side or the other; each way is a sequence of its own here,
+and the frames tell which it is.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+
+from scanner.importing.layout import Layout, SequenceOf, Size
+from scanner.importing.orders import bits_of, gray_bits, with_ends, x_and_y
+from scanner.patterns import Axis, Gray, Pattern, Phase
+
+_STEPS = range(3, 9)
+_AXES: tuple[tuple[Axis, ...], ...] = (("x", "y"), ("y", "x"), ("x",), ("y",))
+_BEGINNINGS = (0.0, 0.25, 0.5, 0.75)
+# 59, 64 and 70 periods; and n − n^(k/m) of them, after Towers, Towers and Jones, Optics Letters 28 (2003).
+_USUAL = ((59, 64, 70), (30, 35, 36), (56, 63, 64), (90, 99, 100))
+_ANY_PERIOD_PX = 32
+
+# Of an axis of a length: the periods of its fringes, and the code behind them; no periods where there is none such.
+_Parts = tuple[Sequence[float], Sequence[Gray]]
+_AlongAxis = Callable[[Axis, int], _Parts]
+
+
+def fringe_layouts(periods: Sequence[float] | None) -> tuple[Layout, ...]:
+    """Those of so many `periods` to a picture, in the order of the frames; None: of usual ones, if any are."""
+    several = [periods] if periods else [order for usual in _USUAL for order in (usual, usual[::-1])]
+    close = [partial(_close, counts) for counts in several if len(counts) > 1]
+    count = periods[0] if periods and len(periods) == 1 else 0.0
+    beside = [partial(_beside, count, code) for code in (_complementary, _shifted)] if count else []
+    side = int(_ANY_PERIOD_PX * (count or 1))
+    return (
+        _layout("heterodyne", "Fringes of close periods", close, side),
+        _layout("gray-fringes", "A fringe and a complementary or shifted Gray code", beside, side),
+    )
+
+
+def _layout(name: str, title: str, along: Sequence[_AlongAxis], side: int) -> Layout:
+    ways = map(_Way, along)
+    sequences = tuple(
+        one
+        for way in ways
+        for axes, sign, first in product(_AXES, (1, -1), _BEGINNINGS)
+        for one in replace(way, axes=axes, sign=sign, first=first).with_ends()
+    )
+    return Layout(name, title, "docs/import.md", sequences, ("projector_size",), any_size=(side, side))
+
+
+@dataclass(frozen=True)
+class _Way:
+    """What there is `along` each of the `axes`, its fringes from their `first` shift on to one side or the other."""
+
+    along: _AlongAxis
+    axes: tuple[Axis, ...] = ()
+    sign: int = 1
+    first: float = 0.0
+
+    def with_ends(self) -> tuple[SequenceOf, ...]:
+        """With white and black in all usual places, or without."""
+        return (*with_ends(partial(self._sequence, 2), first=True, last=True), partial(self._sequence, 0))
+
+    def _sequence(self, ends: int, size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
+        """In as many steps as make up so many frames, `ends` of which are white and black."""
+        del cell
+        lengths = dict(x_and_y(size))
+        parts = {axis: self.along(axis, lengths[axis]) for axis in self.axes}
+        fringes = sum(len(periods) for periods, _ in parts.values())
+        codes = sum(len(code) for _, code in parts.values())
+        steps, rest = divmod(frames - ends - codes, max(fringes, 1))
+        if rest or steps not in _STEPS or not all(periods for periods, _ in parts.values()):
+            return ()
+        shown: list[Pattern] = []
+        for axis, (periods, code) in parts.items():
+            shown += [one for period in periods for one in self._fringe(axis, period, steps)]
+            shown += code
+        return tuple(shown)
+
+    def _fringe(self, axis: Axis, period: float, steps: int) -> Iterator[Phase]:
+        return (Phase(axis, period, self.first + self.sign * step / steps) for step in range(steps))
+
+
+def _close(counts: Sequence[float], axis: Axis, length: int) -> _Parts:
+    del axis
+    return [length / count for count in counts], []
+
+
+def _beside(count: float, code: Callable[[Axis, int, int], list[Gray]], axis: Axis, length: int) -> _Parts:
+    period = length / count
+    return ([period], code(axis, length, int(period))) if period % 2 == 0 else ([], [])
+
+
+def _complementary(axis: Axis, length: int, period: int) -> list[Gray]:
+    """A code of half periods: that of whole ones and one bit more, whose edges are not where the phase wraps."""
+    return [*gray_bits(axis, length, period // 2, inverses=False)]
+
+
+def _shifted(axis: Axis, length: int, period: int) -> list[Gray]:
+    """A code of whole periods, and the same half a period further."""
+    bits = bits_of(length + period // 2, period)
+    first = [Gray(axis, bit, bits, period) for bit in range(bits)]
+    return [*first, *(replace(bit, offset=period // 2) for bit in first)]

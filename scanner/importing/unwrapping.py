@@ -1,0 +1,73 @@
+"""Fringes of several periods, or beside codes, at sampled pixels: where they agree, and how well."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Floats
+
+# Cosines of what is left of phases: chance leaves 0.9 of three fringes of a picture's 60 or 70.
+_AGREE = 0.955
+# Cycles by which a fringe may be off the others on average; begun a quarter of a cycle elsewhere it is by 0.012.
+_OFF = 0.007
+# And off a code, of which it may be that noise and lenses move its edges.
+_OFF_CODE = 0.1
+PLACES_OF_CYCLE, _WHOLE = 16, 0.02
+_MOST_CYCLES = 400
+_CHUNK = 2048
+
+
+def repeats_after(periods: Sequence[float]) -> float:
+    """After how many pixels all fringes are as at the beginning, as nearly as matters; infinity if beyond reach."""
+    longest = max(periods)
+    cycles = np.arange(1, _MOST_CYCLES)[:, None] * longest / np.array(periods)
+    whole = np.flatnonzero(np.all(np.abs(cycles - np.rint(cycles)) < _WHOLE, axis=1))
+    return float((whole[0] + 1) * longest) if len(whole) else float("inf")
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """`coordinate` (N,), good to a `step`, in pixels; `misfit`: what is left of the phases, by one minus its cosine."""
+
+    coordinate: Floats
+    step: float
+    misfit: float
+
+
+def agreed(phases: Floats, periods: Sequence[float], whole: float) -> Agreement | str:
+    """Where below `whole` fringes have the phases (K, N), in cycles.
+
+    Or what is wrong: phases that fit no place, or a fringe that is off the others everywhere, as if begun elsewhere.
+    """
+    step = min(periods) / PLACES_OF_CYCLE
+    places = np.arange(0, whole, step)
+    waves = np.array(periods)[:, None]
+    there = _unit(places / waves)
+    found, fit = np.empty(phases.shape[1]), np.empty(phases.shape[1])
+    for start in range(0, phases.shape[1], _CHUNK):
+        likeness = _unit(phases[:, start : start + _CHUNK]).T @ there / len(periods)
+        best = likeness.argmax(axis=1)
+        found[start : start + _CHUNK] = places[best]
+        fit[start : start + _CHUNK] = likeness[np.arange(len(best)), best]
+    if np.median(fit) < _AGREE:
+        return "agree on no place: are there other --periods to a picture?"
+    fitting = fit > _AGREE
+    left = np.exp(2j * np.pi * (phases - found / waves))[:, fitting]
+    # What is left of all alike is where between two places it is.
+    left *= np.exp(-1j * np.angle(left.sum(axis=0)))
+    if np.abs(np.angle(left.mean(axis=1))).max() / (2 * np.pi) > _OFF:
+        return "begin elsewhere than at the picture's edge"
+    return Agreement(found, step, float(1 - np.median(fit)))
+
+
+def off_code(phase: Floats, period: float, coordinate: Floats) -> bool:
+    """Whether a fringe's phases (N,) are off, on average, those at the middle of the cells (N,) that codes tell."""
+    mean = np.exp(2j * np.pi * (phase - coordinate / period)).mean()
+    return bool(abs(np.angle(mean)) / (2 * np.pi) > _OFF_CODE or abs(mean) < 2 / np.pi - _OFF_CODE)
+
+
+def _unit(cycles: Floats) -> NDArray[np.float32]:
+    angles = 2 * np.pi * cycles
+    return np.concatenate([np.cos(angles), np.sin(angles)], dtype=np.float32)

@@ -1,0 +1,164 @@
+"""Scans with a network camera, through OpenCV's own capture: what goes wrong is named, and nothing is lost."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from hw import open_rig, opencv
+from hw.rig import settable_exposure
+from hw.settings import SimulatedRigSettings
+from hw.simulated.simulation import SimulatedRoom
+from hw.timing import frame_reader, stream_calibration
+from scanner import pipeline
+from scanner.capture.recording import open_capture
+from scanner.commands import scan as scan_command
+from scanner.commands.main import main
+from scanner.console.settings import Picture, Settings
+from scanner.console.worker import Activity, Worker
+from scanner.patterns import draw
+from tests.support.loopback_bench import after_frames
+from tests.support.notebook import Notebook, until
+from tests.support.phone import Phone
+from tests.support.simulated_window import SimulatedWindow
+
+SIZE, PROJECTOR = (160, 120), (160, 96)
+BEFORE = 4  # frames that are captured before anything happens
+
+
+@pytest.fixture(scope="module")
+def room() -> SimulatedRoom:
+    return SimulatedRoom(SimulatedRigSettings(seed=0), SIZE, PROJECTOR)
+
+
+@pytest.fixture
+def phone(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Iterator[Phone]:
+    """A phone that sees the light of the window; what nobody would wait for in a test is waited for shortly."""
+    with Phone(room) as phone:
+
+        @contextmanager
+        def window(*_: object) -> Iterator[SimulatedWindow]:
+            yield SimulatedWindow(PROJECTOR, phone.light)
+
+        phone.light(np.zeros(PROJECTOR[::-1], np.uint8))
+        monkeypatch.setattr(open_rig, "ScreenProjector", window)
+        monkeypatch.setattr(stream_calibration, "_LONGEST_LATENCY_S", 0.3)
+        monkeypatch.setattr(stream_calibration, "_WATCHED_S", 0.5)
+        monkeypatch.setattr(frame_reader, "_NOTHING_S", 0.8)
+        monkeypatch.setattr(opencv, "_OPENING_MS", 1500)
+        monkeypatch.setattr(pipeline, "reconstruct", lambda found, *_, **__: found)
+        monkeypatch.setattr(scan_command, "show_outcome", lambda *_: None)
+        phone.shown = 0
+        yield phone
+
+
+@pytest.fixture
+def config(tmp_path: Path, phone: Phone) -> Path:
+    path = tmp_path / "room.yaml"
+    path.write_text(
+        f"""
+rig: {{backend: opencv, camera: "{phone.address}", refresh_hz: 60}}
+camera: {{width: {SIZE[0]}, height: {SIZE[1]}}}
+projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
+sequence: {{preset: quick, cell: 12, inverses: true}}
+"""
+    )
+    return path
+
+
+def scan(config: Path, *more: str) -> tuple[int, Path]:
+    out = config.with_name("result")
+    code = main(["--config", str(config), "--out", str(out), "--quiet", *more])
+    return code, (out if code == 0 else out.with_name("result-incomplete")) / "capture"
+
+
+def repeated() -> Callable[[np.ndarray], np.ndarray]:
+    kept: list[np.ndarray] = []
+
+    def frozen(image: np.ndarray) -> np.ndarray:
+        kept[:] = kept or [image]
+        return kept[0]
+
+    return frozen
+
+
+def changed(change: Callable[[np.ndarray], np.ndarray | None]) -> Callable[[Phone], None]:
+    return lambda phone: setattr(phone, "changed", change)
+
+
+@pytest.mark.parametrize(
+    ("fail", "words"),
+    [
+        (
+            changed(lambda image: cv2.rotate(image, cv2.ROTATE_90_CLOCKWISE)),
+            "it sees another picture than when the capture began",
+        ),
+        (changed(repeated()), "its picture is frozen"),
+        (changed(lambda _: None), "no frame for 1 s"),
+        (lambda phone: phone.stop(), "its stream has ended"),
+    ],
+    ids=["rotated", "frozen", "silent", "gone"],
+)
+def test_what_goes_wrong_with_a_camera_amid_a_scan_is_named(
+    config: Path,
+    phone: Phone,
+    room: SimulatedRoom,
+    capsys: pytest.CaptureFixture[str],
+    fail: Callable[[Phone], object],
+    words: str,
+) -> None:
+    after_frames(BEFORE, config, lambda: fail(phone))
+    code, capture = scan(config)
+    assert code == 3
+    assert_named(capsys, phone, words)
+    assert captured(capture, room) >= BEFORE
+
+
+def test_after_ctrl_c_what_is_missing_is_taken(config: Path, phone: Phone, room: SimulatedRoom) -> None:
+    after_frames(BEFORE, config, lambda: os.kill(os.getpid(), signal.SIGINT))
+    code, capture = scan(config)
+    assert code == 130
+    taken = captured(capture, room)
+    assert taken >= BEFORE
+    whole = config.with_name("whole")
+    assert main(["--resume", str(capture.parent), "--out", str(whole), "--quiet"]) == 0
+    recording = open_capture(whole / "capture")
+    assert recording.metadata["resumed"]["after_frames"] == taken
+    assert captured(whole / "capture", room) >= len(recording.planned)
+    assert phone.shown > len(recording.planned)
+
+
+def assert_named(capsys: pytest.CaptureFixture[str], phone: Phone, words: str) -> None:
+    message = " ".join(capsys.readouterr().err.split())
+    assert f"camera {phone.address}: {words}" in message
+    assert "Traceback" not in message
+
+
+def captured(capture: Path, room: SimulatedRoom) -> int:
+    """How many frames there are, each of its own pattern."""
+    recording = open_capture(capture)
+    for pattern, frame in recording.stream().frames:
+        own = room.electrons(draw(pattern, PROJECTOR)) * (255 / room.sensor.full_well_electrons)
+        assert np.sqrt(np.mean((frame.image[:, :, 1] - own) ** 2)) < 3, pattern
+    return len(recording.patterns)
+
+
+def test_the_console_shows_what_the_camera_sees(config: Path, phone: Phone) -> None:
+    page = Notebook()
+    worker = Worker(Settings(config), page)
+    worker.start()
+    try:
+        assert worker.request(Activity.LIVE)
+        until(lambda: page.frames)
+        assert settable_exposure(page.rigs[0].camera) is None
+        white = page.frames[-1].image.mean()
+        worker.change(picture=Picture.BLACK)
+        until(lambda: page.frames[-1].image.mean() < white / 2)
+    finally:
+        status = worker.close()
+    assert status.message == ""

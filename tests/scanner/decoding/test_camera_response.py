@@ -1,0 +1,119 @@
+"""Cameras with a tone curve: it is told by sums of blurred and of sharp stripes, and frames become light again."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+
+from calib.numerics.array_types import Floats, Image
+from scanner.decoding.decoder import Decoding
+from scanner.decoding.folded import folded
+from scanner.decoding.light.camera_response import CameraResponse
+from scanner.decoding.planning import plan_sequence
+from scanner.patterns import sequence_for
+from scanner.patterns.pattern import Pattern
+from tests.support.synthetic_capture import Scene, decode
+
+SCENE = replace(Scene(), depth_bits=16, camera_blur_px=1.0, ambient=12.0)
+GRAY = sequence_for(SCENE.projector, code="gray", cell=1, inverses=True, shifts=0)
+ALONE = sequence_for(SCENE.projector, code="gray", cell=1, inverses=False, shifts=0)
+FRINGES = sequence_for(SCENE.projector, code="gray", cell=8, inverses=True, shifts=4)
+Curve = Callable[[Floats], Floats]
+
+
+def linear(light: Floats) -> Floats:
+    return light
+
+
+def srgb(light: Floats) -> Floats:
+    """IEC 61966-2-1."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055)
+
+
+def steep(light: Floats) -> Floats:
+    level = srgb(light)
+    return level**2 * (3 - 2 * level)
+
+
+@lru_cache
+def frames_of(patterns: tuple[Pattern, ...], scene: Scene) -> tuple[Image, ...]:
+    return (*scene.frames(patterns),)
+
+
+def photographs(patterns: Sequence[Pattern], curve: Curve, scene: Scene = SCENE) -> list[Image]:
+    """Frames through a curve, saved as JPEG."""
+    digits = np.rint(255 * curve(np.linspace(0, 1, 2**16))).astype(np.uint8)
+    saved = [
+        cv2.imencode(".jpg", digits[frame], [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
+        for frame in frames_of((*patterns,), scene)
+    ]
+    return [np.asarray(cv2.imdecode(file, cv2.IMREAD_GRAYSCALE), np.uint8) for file in saved]
+
+
+def response_of(patterns: Sequence[Pattern], frames: Sequence[Image]) -> CameraResponse | None:
+    return folded(plan_sequence(patterns, SCENE.projector, calibrated=False), frames).response()
+
+
+def share_kept(decoding: Decoding) -> float:
+    return float(np.mean(decoding.reasons[SCENE.well_lit()] == 0))
+
+
+@pytest.mark.parametrize("curve", [srgb, steep])
+@pytest.mark.parametrize(("patterns", "most_off"), [(GRAY, 0.012), (FRINGES, 0.035), (ALONE, 0.06)])
+def test_the_curve_is_found(patterns: Sequence[Pattern], curve: Curve, most_off: float) -> None:
+    found = response_of(patterns, photographs(patterns, curve))
+    assert found is not None
+    light = np.linspace(0, 1, 1001)
+    true = np.interp(np.linspace(0, 1, len(found.light)), curve(light), light)
+    used = slice(3, -3)  # of levels that are in the frames; light is known but for its unit and its zero
+    fit = np.polyfit(true[used], found.light[used], 1)
+    off = np.abs(np.polyval(fit, true[used]) - found.light[used]).max() / fit[0]
+    assert 0.0002 < off < most_off
+
+
+@pytest.mark.parametrize("patterns", [GRAY, FRINGES, ALONE])
+def test_a_linear_camera_has_no_curve(patterns: Sequence[Pattern]) -> None:
+    assert response_of(patterns, photographs(patterns, linear)) is None
+
+
+def test_what_else_makes_sums_differ_is_no_curve() -> None:
+    frames = photographs(GRAY, linear)
+    lamp = [np.minimum(frame + (0.2 * frames[0] if k > 11 else 0), 255) for k, frame in enumerate(frames)]
+    flicker = 1 + 0.1 * np.random.default_rng(3).standard_normal(len(frames))
+    ghost = [frames[0], *(0.75 * frame + 0.25 * before for before, frame in pairwise(frames))]
+    for odd in (lamp, [f * by for f, by in zip(frames, flicker, strict=True)], ghost):
+        assert response_of(GRAY, [np.rint(np.clip(frame, 0, 255)).astype(np.uint8) for frame in odd]) is None
+
+
+@pytest.mark.parametrize("curve", [srgb, steep])
+@pytest.mark.parametrize("patterns", [GRAY, ALONE])
+def test_blur_under_a_tone_curve_is_neither_motion_nor_light(patterns: Sequence[Pattern], curve: Curve) -> None:
+    decoding = decode(patterns, photographs(patterns, curve), SCENE.projector)
+    assert share_kept(decoding) > 0.97
+    assert 0.005 < np.median(np.abs(SCENE.errors(decoding))) < 0.05
+    assert not any("moved in" in said or "switched" in said or "varies" in said for said in decoding.warnings)
+    assert 0.3 < decoding.noise.sigma(np.array([100.0]))[0] < 4, "grey levels of the frames as they were taken"
+
+
+@pytest.mark.parametrize("curve", [srgb, steep])
+def test_light_that_is_switched_is_still_found(curve: Curve) -> None:
+    light = replace(SCENE, ambient=SCENE.ambient + 25)
+    before, after = (photographs(GRAY, curve, scene) for scene in (SCENE, light))
+    decoding = decode(GRAY, [*before[:14], *after[14:]], SCENE.projector)
+    assert any("switched on before frame 14" in said for said in decoding.warnings)
+    assert share_kept(decoding) > 0.97
+
+
+@pytest.mark.parametrize("curve", [srgb, steep])
+def test_what_moves_is_still_found(curve: Curve) -> None:
+    """Something dark stands before a part of the picture in some frames."""
+    frames = photographs(GRAY, curve)
+    for frame in frames[12:16]:
+        frame[40:110, 60:110] = 70
+    decoding = decode(GRAY, frames, SCENE.projector)
+    assert any("moved in" in said for said in decoding.warnings)
+    assert np.mean(decoding.reasons[50:100, 70:100] == 0) < 0.2
