@@ -10,6 +10,19 @@ def moves_by_itself(settings: RigSettings) -> bool:
     return settings.backend == "simulated"
 
 
+def turns_by_itself(settings: RigSettings) -> bool:
+    """Whether a thing stands before the rig that is turned where the rig is asked to go to another place."""
+    return isinstance(settings, SimulatedRigSettings) and settings.thing.kind != "none"
+
+
+def turned_by_itself(settings: RigSettings, times: int) -> RigSettings:
+    """The same rig before its thing, turned so often, or as often as it can be; one that a person turns is as it is."""
+    match settings:
+        case SimulatedRigSettings() if turns_by_itself(settings):
+            return at_place(settings, min(times, settings.places - 1 - settings.pose))
+    return settings
+
+
 def at_place(settings: RigSettings, step: int) -> RigSettings:
     """The same rig at its place number `step` after the configured one; a rig that a person moves is always there.
 

@@ -27,4 +27,11 @@ from calib.geometry.matches import FACES, NO_FACE, Matches
 from calib.geometry.radial_distortion import project, unproject
 from calib.geometry.relative_pose import Motion, cross, rotation_about, tangent_basis
 from calib.geometry.reprojection_error import before_the_matches
-from calib.geometry.triangulation import Intersections, intersect, intersect_rays, midpoints, nearest_depths
+from calib.geometry.triangulation import (
+    Intersections,
+    depths_on_stripes,
+    intersect,
+    intersect_rays,
+    midpoints,
+    nearest_depths,
+)

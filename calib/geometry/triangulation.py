@@ -12,6 +12,8 @@ from calib.numerics import Bools, Floats, by_columns, compiled, in_pieces
 
 # Square of the sine of an angle that is nothing but rounding.
 _PARALLEL = (8 * 2.0**-52) ** 2
+# Of Newton's method, from the plane that an ideal lens would show: distortion is small.
+_LENS_STEPS = 3
 _NUMBERS = 8  # that there are to a match, for pieces that fit into the cache
 
 
@@ -71,6 +73,30 @@ def intersect_rays(camera_px: Floats, projector_px: Floats, calibration: Calibra
     return Intersections(points.T, foot_px.T, residual_px, np.isfinite(residual_px))
 
 
+def depths_on_stripes(
+    camera_ideal: Floats, known_px: Floats, axis: int, calibration: Calibration
+) -> tuple[Floats, Floats]:
+    """How far away (N,) camera rays meet the planes of light of projector pixels whose coordinate `axis` is `known_px`,
+    and how that changes with the coordinate, per pixel (N,). NaN where they do not meet in front of both devices.
+
+    `camera_ideal` (2, N): where the rays meet z = 1. Of an ideal lens z = (t_a − ξ t_z) / (ξ u_z − u_a), with u the ray
+    in the projector's frame, a the axis, and ξ the plane at z = 1; Newton's method does the rest for one that bends.
+    """
+    projector, pose, count = calibration.projector, _pose(calibration), len(known_px)
+    focal, centre = projector.focal_px[axis], projector.principal_point_px[axis]
+    depth, ideal, step = np.empty(count), np.empty((2, count)), np.empty((2, count))
+    _meet_planes(camera_ideal, (known_px - centre) / focal, pose, axis, depth)
+    ahead = calibration.rotation[2, :2] @ camera_ideal + calibration.rotation[2, 2]
+    for remaining in range(_LENS_STEPS if any(projector.distortion) else 0, -1, -1):
+        _seen(camera_ideal, depth, pose, ideal, step)
+        seen, moved = distort_steps(ideal, step, projector.distortion)
+        per_depth = focal * moved[axis] / (depth * ahead + calibration.translation[2])
+        if remaining:
+            depth += (known_px - focal * seen[axis] - centre) / per_depth
+    per_px: Floats = 1 / per_depth
+    return depth, per_px
+
+
 def _ideal(device: Intrinsics, pixels: Floats) -> Floats:
     """Where the rays of pixels (N, 2) meet z = 1, (2, N)."""
     distorted = np.subtract(pixels, device.principal_point_px, out=np.empty(pixels.shape, order="F"))
@@ -114,6 +140,18 @@ def _meet(
         point_z[i] = along_u + r02 * hx + r12 * hy + r22 * hz
         meet = (along_u > 0.0) & (along_v > 0.0) & (cc > _PARALLEL * uu * vv)
         depth[i] = along_u if meet else np.nan
+
+
+@compiled
+def _meet_planes(camera_ideal: Floats, plane: Floats, pose: tuple[float, ...], axis: int, depth: Floats) -> None:
+    """Fill in where the camera's rays meet the planes x = `plane` z, or y for the other axis, of the projector."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22, tx, ty, tz = pose
+    a0, a1, a2, ta = (r00, r01, r02, tx) if axis == 0 else (r10, r11, r12, ty)
+    camera_x, camera_y = camera_ideal[0], camera_ideal[1]
+    for i in range(len(depth)):
+        x, y = camera_x[i], camera_y[i]
+        along = (ta - plane[i] * tz) / (plane[i] * (r20 * x + r21 * y + r22) - (a0 * x + a1 * y + a2))
+        depth[i] = along if along > 0.0 else np.nan
 
 
 @compiled

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from calib.geometry import Size
@@ -26,7 +27,7 @@ from scanner.io import (
     require_space,
     validate,
 )
-from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, White
+from scanner.patterns import FORMAT, SEQUENCE_FILE, Pattern, PatternEntry, White, level_groups
 from scanner.shown_text import shown
 
 _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US = 1e-3, 1e9
@@ -94,10 +95,16 @@ class Recording:
         return Stream(self.patterns, self.projector_size, self.camera_size, self._frames(), self.metadata)
 
     def white(self) -> Image | None:
-        """The frame of the scene fully lit; None if there is none. Raises InputError if it cannot be read."""
+        """The frame of the scene fully lit or, without one, the mean of the first frames that light every place alike;
+        None if there are none of either. Raises InputError if they cannot be read.
+        """
         shown = zip(self.patterns, self.files, strict=True)
         file = next((file for pattern, file in shown if isinstance(pattern, White)), None)
-        return None if file is None else read_image(self.folder / file)
+        if file is not None:
+            return read_image(self.folder / file)
+        group = next(iter(level_groups(self.patterns)), ())
+        images = [read_image(self.folder / self.files[number], self.camera_size) for number in group]
+        return np.rint(np.mean(images, axis=0)).astype(images[0].dtype) if images else None
 
     def _frames(self) -> Iterator[tuple[Pattern, Frame]]:
         first: Image | None = None

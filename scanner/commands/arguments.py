@@ -315,6 +315,19 @@ def of_object(parser: ArgumentParser) -> None:
     add_quiet(parser)
 
 
+def of_live(parser: ArgumentParser) -> None:
+    add_config(parser, required=True)
+    parser.add_argument("--calibration", type=Path, required=True, metavar="FILE", help="known calibration of the rig")
+    parser.add_argument("--clouds", type=int, metavar="N", help="keep N clouds, then end")
+    parser.add_argument("--every", metavar="TIME", help="keep a cloud so often, as in 2s")
+    parser.add_argument(
+        "--depths", metavar="NEAR,FAR", help="everything is between, as in 0.3m,0.6m: finer (default: anywhere)"
+    )
+    add_out(parser, default="scans/<name of the configuration>-live")
+    add_overwrite(parser)
+    add_quiet(parser)
+
+
 def _add_fill(parser: ArgumentParser) -> None:
     parser.add_argument("--fill", action="store_true", help="close the thing's surface where no station saw it")
 

@@ -129,6 +129,15 @@ seen again. What rests, table and wall, is told from what moved, and left out. T
 Exit codes: 4 if no two stations belong together, or if one could as well be turned otherwise, as of a ball.
 """,
     ),
+    "live": Command(
+        "Clouds while one looks, from a calibrated rig; those that are kept become stations of a thing.",
+        arguments.of_live,
+        "live",
+        """
+Six frames make a cloud: two fringes of three steps along one axis. What moves too fast is left out, and told. Enter
+keeps a cloud; scan object OUT puts them together. Ctrl-C ends it, and keeps what was kept.
+""",
+    ),
     "compare": Command(
         "Compare two calibrations of one rig: where they differ, and whether their sigmas allow it.",
         arguments.of_compare,

@@ -45,7 +45,7 @@ def scan_object(
     made = new_result(out, config, overwrite=overwrite, keep_capture=not stations, tell=terminal.note)
     with made as folder, saying_why(folder, config):
         if stations:
-            captures = read_stations(stations, config, terminal)
+            captures = read_stations(stations, config, terminal, start.given)
         else:
             captures = take_turned(config, number, folder, terminal, by_itself=moves_by_itself(config.required_rig))
         solved = solve_object(captures, start, config, terminal)

@@ -63,6 +63,12 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
     return _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
 
 
+def register_stations(captures: Sequence[Decoded], calibration: Calibration) -> Registered:
+    """Which stations of a thing lie on each other, and where, as far as is known without an estimate of all."""
+    clouds = [build_cloud(each.matches, each.texture, calibration) for each in captures]
+    return register_views(_views(clouds, captures, calibration.camera)[0])
+
+
 def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrinsics) -> tuple[list[View | None], float]:
     """Of the thing alone; and what share of all that was seen rests."""
     depths = [cloud.points[..., 2] for cloud in clouds]

@@ -20,17 +20,20 @@ from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, D
 _MARGIN_OF_SIZE = 0.1
 
 
-def read_captures(paths: Sequence[Path], camera_size: Size, projector_size: Size) -> list[Decoded]:
+def read_captures(
+    paths: Sequence[Path], camera_size: Size, projector_size: Size, *, one_axis: bool = False
+) -> list[Decoded]:
     """The captures in matches files and result folders; a result of several captures stands for all of them.
 
-    A calibration among them, as of boards, is no capture, and is only checked: `read_known`. Raises InputError, naming
+    A calibration among them, as of boards, is no capture, and is only checked: `read_known`. `one_axis`: matches of
+    which one coordinate follows from a calibration will do. Raises InputError, naming
     the file, if one is damaged, belongs to images of another size, or is given twice.
     """
     read_known(paths, camera_size, projector_size)
     captures: list[Decoded] = []
     for path in (path for path in paths if not is_calibration(path)):
         for place in _places(path):
-            found = _read(place, camera_size, projector_size)
+            found = _read(place, camera_size, projector_size, one_axis=one_axis)
             for other in captures:
                 _refuse_same(found, other)
             captures.append(found)
@@ -52,9 +55,10 @@ def _places(path: Path) -> Iterator[Path]:
     yield path
 
 
-def _read(place: Path, camera_size: Size, projector_size: Size) -> Decoded:
+def _read(place: Path, camera_size: Size, projector_size: Size, *, one_axis: bool) -> Decoded:
     matches = read_matches(place)
-    refuse_one_axis(place)
+    if not one_axis:
+        refuse_one_axis(place)
     origin = GivenMatches()
     if place.is_dir():
         origin = _check_result(place, camera_size, projector_size)

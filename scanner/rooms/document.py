@@ -17,8 +17,11 @@ from scanner.rooms.contents import RigStart
 from scanner.ui import Progress
 
 
-def read_stations(paths: Sequence[Path], config: Config, progress: Progress) -> list[Decoded]:
-    """Captures are decoded; results and matches are read. In the order given.
+def read_stations(
+    paths: Sequence[Path], config: Config, progress: Progress, calibration: Calibration | None = None
+) -> list[Decoded]:
+    """Captures are decoded; results and matches are read. In the order given. With a `calibration` that nothing is
+    going to be estimated of, patterns along one axis are enough.
 
     Raises InputError if a file is damaged, belongs to images of another size, or is given twice.
     """
@@ -28,18 +31,19 @@ def read_stations(paths: Sequence[Path], config: Config, progress: Progress) -> 
     stations: list[Decoded] = []
     for path in paths:
         if (path / CAPTURE_FILE).is_file():
-            stations.append(_decoded(path, config, progress))
+            stations.append(_decoded(path, config, progress, calibration))
         else:
-            stations += read_captures([path], config.camera_size, config.projector_size)
+            one_axis = calibration is not None
+            stations += read_captures([path], config.camera_size, config.projector_size, one_axis=one_axis)
     if len(stations) < 2:
         raise InputError(f"a room needs two stations or more, found {len(stations)}")
     return stations
 
 
-def _decoded(path: Path, config: Config, progress: Progress) -> Decoded:
+def _decoded(path: Path, config: Config, progress: Progress, calibration: Calibration | None) -> Decoded:
     recording = open_capture(path)
     config.refuse_other_sizes(path, recording.camera_size, recording.projector_size)
-    return decode_recording(recording, progress)
+    return decode_recording(recording, progress, calibration)
 
 
 def given_rig(path: Path, config: Config) -> RigStart:

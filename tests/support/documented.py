@@ -39,6 +39,7 @@ NOT_RUN = {
     "scan board --config configs/room.yaml": NEED_DEVICES,
     "scan room": "needs a room's stations; its own tests have them",
     "scan --config configs/room-whole-sim.yaml": "runs for minutes",
+    "scan live": "needs a calibration of its rig; its own tests have one",
     "scan object": "needs a thing's stations; its own tests have them",
     "scan --config configs/thing-sim.yaml": "runs for minutes",
     "scan export thing": "needs a thing's result; its own tests have one",

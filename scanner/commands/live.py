@@ -1,0 +1,98 @@
+"""Show clouds while one looks, and keep those that are wanted."""
+
+import sys
+import time
+from argparse import Namespace
+from pathlib import Path
+from threading import Thread
+
+from scanner.configuration import load_config
+from scanner.errors import InputError
+from scanner.io import read_calibration
+from scanner.live.cloud import LiveCloud
+from scanner.live.jobs import Looked, Watcher, Wishes, scan_live
+from scanner.live.texts import account_text, advice, cloud_text
+from scanner.live.watching import Account
+from scanner.quantities import parse_length
+from scanner.results import default_out
+from scanner.shown_text import shown
+from scanner.ui import Terminal
+
+_EVERY_S = 2.0
+
+
+def run(args: Namespace) -> None:
+    """Do the work. Raises InputError, DeviceError, RefusalError, KeyboardInterrupt."""
+    config = load_config(args.config, args.set)
+    terminal = Terminal(quiet=args.quiet)
+    out = args.out or default_out(f"{args.config.stem}-live", overwrite=args.overwrite)
+    unit = read_calibration(args.calibration).unit
+    wishes = Wishes(args.clouds, _seconds(args.every))
+    if terminal.can_ask and not args.quiet:
+        terminal.note("Enter keeps a cloud; Ctrl-C ends.")
+        Thread(target=_keep_on_enter, args=(wishes,), daemon=True).start()
+    found = scan_live(
+        config,
+        out,
+        calibration=args.calibration,
+        wishes=wishes,
+        depths=_depths(args.depths, unit),
+        overwrite=args.overwrite,
+        terminal=terminal,
+        watcher=_Told(terminal, unit),
+    )
+    _show(found, out, args, terminal)
+    if found.ended_by is not None:
+        raise found.ended_by
+
+
+class _Told(Watcher):
+    """What goes by, a line every other second."""
+
+    def __init__(self, terminal: Terminal, unit: str) -> None:
+        self._terminal, self._unit = terminal, unit
+        self._told_s = 0.0
+
+    def on_cloud(self, cloud: LiveCloud, account: Account) -> None:
+        if time.monotonic() - self._told_s >= _EVERY_S:
+            self._told_s = time.monotonic()
+            self._terminal.show(cloud_text(cloud, account, self._unit), *advice(cloud))
+
+    def tell(self, sentence: str) -> None:
+        self._terminal.show(sentence)
+
+
+def _keep_on_enter(wishes: Wishes) -> None:
+    for _ in sys.stdin:
+        wishes.now.set()
+
+
+def _show(found: Looked, out: Path, args: Namespace, terminal: Terminal) -> None:
+    terminal.show(account_text(found.account))
+    terminal.show(f"Result: {out} ({len(found.kept)} stations in captures)")
+    if len(found.kept) > 1:
+        terminal.show(
+            f"→ scan object {out} --config {args.config} --calibration {args.calibration} --out {out}-object "
+            "puts them together."
+        )
+
+
+def _seconds(text: str | None) -> float | None:
+    if text is None:
+        return None
+    try:
+        seconds = float(text.removesuffix("s"))
+    except ValueError:
+        seconds = -1.0
+    if not 0 <= seconds < float("inf"):
+        raise InputError(f"--every: expected a time, as in 2s, found {shown(text)}")
+    return seconds
+
+
+def _depths(text: str | None, unit: str) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    lengths = [parse_length(part, unit) for part in text.split(",")]
+    if len(lengths) != 2 or not 0 < lengths[0] < lengths[1]:
+        raise InputError(f"--depths: expected the nearest and the farthest, as in 0.3m,0.6m, found {shown(text)}")
+    return lengths[0], lengths[1]

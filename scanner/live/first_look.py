@@ -1,0 +1,75 @@
+"""What has to be known of a rig before its live image: the response to be undone, noise, and how bright fringes are."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from calib.numerics import Bools, Floats, Image, grey
+from calib.refusal import RefusalError
+from hw.rig import Rig
+from scanner.checking.light import Light, photograph_light
+from scanner.checking.response import measure_ramp
+from scanner.configuration import Config
+from scanner.patterns import ProjectorResponse
+
+_WHITES, _BLACKS = 4, 3
+_ROUNDING = 1 / 12
+# Squares of larger differences are left out: 3.5 standard deviations, which takes 0.2 % off a normal distribution.
+_MOST_SIGMAS = 3.5
+_LEAST_LIT = 500
+
+
+@dataclass(frozen=True)
+class FirstLook:
+    """`lit` (H, W): where the projector's light falls. `amplitude` (N,): of a fringe there, in grey levels. Variance of
+    a pixel at level I: `noise[0]` + `noise[1]` I. `saturated`: from this level on. `response`: from what is drawn to
+    what the camera shows; None where it is not known.
+    """
+
+    lit: Bools
+    amplitude: Floats
+    noise: tuple[float, float]
+    saturated: float
+    response: ProjectorResponse | None
+
+
+def look(rig: Rig, config: Config) -> FirstLook:
+    """Photograph white, black and, where the configuration has no response, a ramp of grey pictures.
+
+    Three steps of a fringe take a bent response for a shift of up to a twentieth of a cycle. So it is measured through
+    the camera, whatever part of it is the camera's. Raises DeviceError; RefusalError where nothing is lit.
+    """
+    light = photograph_light(rig, _WHITES, _BLACKS)
+    lit = light.well_lit
+    if np.count_nonzero(lit) < _LEAST_LIT:
+        raise RefusalError(
+            "The camera sees next to nothing of the projector's light.",
+            "Point both at the same thing, and let scan check tell about exposure and focus.",
+        )
+    response = config.projector.known_response
+    if response is None and (ramp := measure_ramp(rig, light)) is not None:
+        response = ramp.response
+    amplitude = (light.mean_white - light.mean_black)[lit] / 2
+    return FirstLook(lit, amplitude, noise_of(light), 0.99 * light.highest, response)
+
+
+def noise_of(light: Light) -> tuple[float, float]:
+    """Variance of a pixel at level 0, and what each level adds, from what frames of one picture differ by."""
+    white, black = (_variance(images[1:], light.well_lit) for images in (light.white, light.black))
+    gain = max(0.0, (white[1] - black[1]) / max(1.0, white[0] - black[0]))
+    return max(_ROUNDING, black[1] - gain * black[0]), gain
+
+
+def _variance(images: tuple[Image, ...], where: Bools) -> tuple[float, float]:
+    """Mean level and variance of a pixel; what moved between two frames does not count."""
+    shown = [grey(image)[where] for image in images]
+    levels, variances = [], []
+    for first, second in pairwise(shown):
+        squares = (second - first - np.mean(second - first)) ** 2
+        usual = float(np.mean(squares))
+        for _ in range(5):
+            usual = float(np.mean(squares[squares <= _MOST_SIGMAS**2 * max(usual, _ROUNDING)]))
+        levels.append(float(np.mean(first)))
+        variances.append(usual / 2)
+    return float(np.mean(levels)), float(np.mean(variances))

@@ -1,0 +1,59 @@
+"""The rig's frames, round after round of one sequence, with pictures in flight where the rig can."""
+
+import logging
+import time
+from collections.abc import Generator
+from typing import cast
+
+import cv2
+import numpy as np
+
+from calib.numerics import Image
+from hw.errors import FrameLostError
+from hw.rig import Frame, Rig
+from scanner.capture import refuse_another_size
+from scanner.live.cloud import Round
+from scanner.live.sequence import FRAMES, LiveSequence
+from scanner.patterns import Pattern, ProjectorResponse, draw, level_groups
+
+log = logging.getLogger(__name__)
+
+# So many in a row are one capture for the rig: it keeps what proves their frames, and waits for the first light once.
+_IN_A_ROW = 20
+
+
+def rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | None) -> Generator[Round | None]:
+    """Without end; None is a round of which a frame was lost. Raises DeviceError."""
+    pictures = [_picture(pattern, rig.projector.size, response) for pattern in sequence.patterns]
+    level = level_groups(sequence.patterns)
+    number = 0
+    while True:
+        row = (pictures[n % FRAMES] for n in range(_IN_A_ROW * FRAMES))
+        groups = [tuple(n + first for n in group) for first in range(0, _IN_A_ROW * FRAMES, FRAMES) for group in level]
+        frames = rig.photograph(row, (), groups)
+        taken: list[Frame] = []
+        try:
+            for frame in frames:
+                refuse_another_size(frame, rig.camera.size)
+                taken.append(frame)
+                if len(taken) == FRAMES:
+                    yield Round(number, tuple(taken), _grey(taken), time.monotonic())
+                    number, taken = number + 1, []
+        except FrameLostError as lost:
+            log.info("round %d was lost (%s)", number, lost)
+            number += 1
+            yield None
+        finally:
+            if isinstance(frames, Generator):
+                frames.close()
+
+
+def _picture(pattern: Pattern, size: tuple[int, int], response: ProjectorResponse | None) -> Image:
+    return draw(pattern, size) if response is None else response.compensation[draw(pattern, size)]
+
+
+def _grey(frames: list[Frame]) -> Image:
+    """(N, H, W) of grey (H, W) or BGR (H, W, 3) images."""
+    images = [frame.image for frame in frames]
+    grey = [np.asarray(cv2.cvtColor(each, cv2.COLOR_BGR2GRAY)) if each.ndim == 3 else each for each in images]
+    return cast(Image, np.stack(grey))

@@ -1,0 +1,129 @@
+"""The shortest sequence that tells where a point is: two fringes of three steps along one axis.
+
+The longer fringe is longer than the part of an epipolar line on which a pixel's point can be, so that it is
+unambiguous there; the shorter one is as short as the noise of the longer one allows.
+"""
+
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import numpy as np
+
+from calib.geometry import Calibration
+from calib.numerics import Floats
+from calib.refusal import RefusalError
+from scanner.live.first_look import FirstLook
+from scanner.patterns import Axis, Phase
+
+STEPS = 3
+FRAMES = 2 * STEPS
+NOISE_GAIN = sqrt(2 / STEPS)  # of a component of a fringe, per grey level of noise
+# Half a period of the shorter fringe is so many standard deviations of the longer one, at the faintest tenth of pixels.
+ORDER_SIGMAS = 5.0
+_FAINTEST = 0.1
+_MARGIN = 1.05
+_LEAST_PERIOD_PX, _CAMERA_PIXELS = 6.0, 4.0
+_LARGEST = 0.25  # of the longer period
+_GRID = 24
+_FARTHEST = 1e4  # in baselines
+_LEAST_SHIFT = 0.05  # of what the whole way along an epipolar line is
+
+
+@dataclass(frozen=True)
+class LiveSequence:
+    """Periods in projector pixels, `long_px` > `short_px`. `patterns`: FRAMES of them, the fringes taking turns, so
+    that both are taken at the same time on average. `middle` (H, W): the coordinate about which the longer fringe is
+    unambiguous at each camera pixel.
+    """
+
+    axis: Axis
+    long_px: float
+    short_px: float
+    middle: np.ndarray
+
+    @property
+    def patterns(self) -> tuple[Phase, ...]:
+        """In the order in which they are shown."""
+        return tuple(
+            Phase(self.axis, period, step / STEPS) for step in range(STEPS) for period in (self.long_px, self.short_px)
+        )
+
+    @property
+    def number(self) -> int:
+        """Of the axis."""
+        return 0 if self.axis == "x" else 1
+
+
+def sequence_for(calibration: Calibration, look: FirstLook, depths: tuple[float, float] | None = None) -> LiveSequence:
+    """For points between two `depths`, in the calibration's unit; left out, anywhere before both devices.
+
+    Raises RefusalError where depth moves nothing along either axis, as where the projector is in the camera's place.
+    """
+    camera = calibration.camera
+    columns, rows = (np.linspace(0, size - 1, _GRID) for size in camera.size)
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    spans = [np.ptp(_ends(grid, axis, calibration, depths), axis=0) for axis in (0, 1)]
+    longest = [float(np.nanmax(span, initial=0.0)) for span in spans]
+    # Along a line that runs down the picture, x is known to be where it is, and tells nothing.
+    told = [np.nanmedian(_slope(grid, axis, calibration, depths)) for axis in (0, 1)]
+    axis = int(np.argmax(told))
+    if not told[axis] > _LEAST_SHIFT:
+        raise RefusalError(
+            "With this calibration, depth moves next to nothing in the projector's picture.",
+            "Camera and projector have to stand apart.",
+        )
+    long_px = max(_MARGIN * longest[axis] + 2, 4 * _LEAST_PERIOD_PX)
+    x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
+    middle = np.mean(_ends(pixels, axis, calibration, depths), axis=0).reshape(x.shape).astype(np.float32)
+    footprint = _projector_px_per_camera_px(calibration)
+    short_px = _shortest(long_px, look, footprint)
+    return LiveSequence("x" if axis == 0 else "y", long_px, short_px, middle)
+
+
+def _shortest(long_px: float, look: FirstLook, footprint: float) -> float:
+    faint = float(np.quantile(look.amplitude, _FAINTEST))
+    noise = sqrt(look.noise[0] + look.noise[1] * faint)
+    by_noise = 2 * ORDER_SIGMAS * long_px / (2 * pi) * NOISE_GAIN * noise / max(faint, 1e-3)
+    found = min(max(by_noise, _LEAST_PERIOD_PX, _CAMERA_PIXELS * footprint), _LARGEST * long_px)
+    # Steps of whole pixels would round to 256 levels at the same places of every cycle.
+    return float(round(found * STEPS) / STEPS + 0.11)
+
+
+def _projector_px_per_camera_px(calibration: Calibration) -> float:
+    """As far as focal lengths tell: the devices are about as far from what they see."""
+    return calibration.projector.focal_px[0] / calibration.camera.focal_px[0]
+
+
+def _inverse_depths(calibration: Calibration, depths: tuple[float, float] | None) -> tuple[float, float]:
+    """Of the far end and of the near one; the nearest that both devices could see is at half the baseline or so."""
+    if depths is None:
+        return 1 / (_FARTHEST * calibration.baseline), 2 / calibration.baseline
+    return 1 / depths[1], 1 / depths[0]
+
+
+def _ends(pixels: Floats, axis: int, calibration: Calibration, depths: tuple[float, float] | None) -> Floats:
+    """The coordinate (2, N) of camera pixels (N, 2) at the far end and at the near one, within the picture."""
+    length = calibration.projector.size[axis]
+    far, near = _inverse_depths(calibration, depths)
+    begin, towards, end = (_seen_at(pixels, each, calibration)[:, axis] for each in (far, 1.01 * far, near))
+    # What comes near leaves the picture there, or goes behind the projector.
+    edge = np.where(towards > begin, length - 0.5, -0.5)
+    ends = np.stack([begin, edge if depths is None else np.where(np.isnan(end), edge, end)])
+    found: Floats = np.clip(ends, -0.5, length - 0.5)
+    return found
+
+
+def _seen_at(pixels: Floats, inverse_depth: float, calibration: Calibration) -> Floats:
+    """Projector pixels (N, 2) of the points at a depth."""
+    points = calibration.camera.unproject(pixels) @ calibration.rotation.T / inverse_depth + calibration.translation
+    return calibration.projector.project(points)
+
+
+def _slope(pixels: Floats, axis: int, calibration: Calibration, depths: tuple[float, float] | None) -> Floats:
+    """By how much a coordinate moves, of all that the point moves in the picture, (N,)."""
+    far, near = _inverse_depths(calibration, depths)
+    middle = sqrt(far * near)
+    moved = _seen_at(pixels, 1.001 * middle, calibration) - _seen_at(pixels, middle, calibration)
+    share: Floats = np.abs(moved[:, axis]) / np.maximum(np.hypot(moved[:, 0], moved[:, 1]), 1e-12)
+    return share

@@ -1,0 +1,45 @@
+"""What is said of clouds while one looks."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from scanner.decoding import MaskReason
+from scanner.live.cloud import LiveCloud
+from scanner.live.watching import Account
+from scanner.quantities import percent, shown_unit
+
+_MANY_SATURATED, _FEW_LIT, _ALL_MOVES = 0.02, 0.1, 0.5
+
+
+def cloud_text(cloud: LiveCloud, account: Account, unit: str) -> str:
+    """Rate, delay, and what the cloud is worth."""
+    sigma = shown_unit(unit).error(float(np.median(cloud.sigma))) if len(cloud.points) else "-"
+    return (
+        f"{account.rate_hz:.1f} clouds a second, {1000 * account.delay_s:.0f} ms after their last frame; "
+        f"{len(cloud.points):,} points, sigma {sigma}; {percent(cloud.moving_share)} moves"
+    )
+
+
+def advice(cloud: LiveCloud) -> Iterator[str]:
+    """Sentences on what should be otherwise."""
+    saturated = cloud.share(MaskReason.SATURATED)
+    if saturated > _MANY_SATURATED:
+        yield f"{percent(saturated)} of what is lit is overexposed: shorten the exposure, or close the aperture."
+    if cloud.lit < _FEW_LIT * cloud.reason.size:
+        yield f"Only {percent(cloud.lit / cloud.reason.size)} of the pixels see the fringes: more light, or closer."
+    if cloud.moving_share > _ALL_MOVES:
+        yield "Nearly everything moves: hold still for a moment."
+
+
+def account_text(account: Account) -> str:
+    """What became of the rounds."""
+    parts = [f"{account.clouds} clouds"]
+    for count, what in (
+        (account.lost, "lost a frame"),
+        (account.contradicting, "had frames that contradict each other"),
+        (account.skipped, "came while others were decoded"),
+    ):
+        if count:
+            parts.append(f"{count} rounds {what}")
+    return f"{', '.join(parts)}."

@@ -1,0 +1,147 @@
+"""The loop: rounds are taken here, and decoded in a thread beside; whoever is too slow gets the newest, and not all."""
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Generator
+from contextlib import closing
+from dataclasses import dataclass, field
+from threading import Condition, Thread
+from typing import Generic, TypeVar
+
+from scanner.live.cloud import Decoder, LiveCloud, Round
+
+T = TypeVar("T")
+
+log = logging.getLogger(__name__)
+
+_RECENT = 20  # clouds that rate and delay are of
+
+
+class Newest(Generic[T]):
+    """Holds one thing; a newer one takes its place. `dropped`: how many were never taken."""
+
+    def __init__(self) -> None:
+        self._there = Condition()
+        self._held: T | None = None
+        self._closed = False
+        self.dropped = 0
+
+    def put(self, item: T) -> None:
+        """Returns at once."""
+        with self._there:
+            self.dropped += self._held is not None
+            self._held = item
+            self._there.notify()
+
+    def take(self) -> T | None:
+        """Wait for the next one; None if there will be none."""
+        with self._there:
+            self._there.wait_for(lambda: self._held is not None or self._closed)
+            found, self._held = self._held, None
+            return found
+
+    def finish(self) -> None:
+        """What is held is the last."""
+        with self._there:
+            self._closed = True
+            self._there.notify_all()
+
+
+@dataclass
+class Account:
+    """What became of the rounds. `lost`: a frame was; `contradicting`: frames were not of one scene; `skipped`: there
+    was no time to decode them. `came_s` of the last clouds, and `delays_s` from then on until they were there.
+    """
+
+    clouds: int = 0
+    lost: int = 0
+    contradicting: int = 0
+    skipped: int = 0
+    came_s: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    delays_s: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT))
+
+    def begin(self) -> None:
+        """Rate and delay are of what comes from now on."""
+        self.came_s.clear()
+        self.delays_s.clear()
+
+    def add(self, cloud: LiveCloud) -> None:
+        """One more."""
+        self.clouds += 1
+        self.came_s.append(cloud.taken.came_s)
+        self.delays_s.append(time.monotonic() - cloud.taken.came_s)
+
+    @property
+    def rate_hz(self) -> float:
+        """Clouds a second, of the last ones; 0 before there are two."""
+        spans = len(self.came_s) - 1
+        return spans / (self.came_s[-1] - self.came_s[0]) if spans > 0 and self.came_s[-1] > self.came_s[0] else 0.0
+
+    @property
+    def delay_s(self) -> float:
+        """From the last frame of a round to its cloud, on average."""
+        return sum(self.delays_s) / max(1, len(self.delays_s))
+
+
+def proven(decoder: Decoder, taken: Round, earlier: list[LiveCloud]) -> LiveCloud | None:
+    """The cloud of a round that agrees with an `earlier` one, the last good one or one that was dropped after it, which
+    this brings up to date; None where it agrees with none, as the first.
+
+    A frame that is late makes a round that is like no other. It is dropped, and the one after it is not.
+    """
+    for before in earlier:
+        found = decoder.cloud(taken, before)
+        if not found.contradicts_itself:
+            earlier[:] = [found]
+            return found
+    alone = decoder.cloud(taken)
+    if not alone.contradicts_itself:
+        earlier[1:] = [alone]
+    return None
+
+
+def watch(
+    taken: Generator[Round | None],
+    decoder: Decoder,
+    on_cloud: Callable[[LiveCloud, Account], None],
+    has_ended: Callable[[], bool],
+    account: Account,
+) -> None:
+    """Until it has ended, which is asked between rounds. `on_cloud` is called in the decoder's thread; what it raises
+    is raised here. `account` is kept up to date.
+    """
+    slot, failures = Newest[Round](), list[BaseException]()
+    account.begin()
+
+    def decode() -> None:
+        earlier: list[LiveCloud] = []
+        try:
+            while (following := slot.take()) is not None:
+                first = not earlier
+                cloud = proven(decoder, following, earlier)
+                if cloud is None:
+                    account.contradicting += not first
+                    continue
+                account.add(cloud)
+                on_cloud(cloud, account)
+        except BaseException as error:
+            failures.append(error)
+
+    thread = Thread(target=decode, name="live decoder", daemon=True)
+    thread.start()
+    try:
+        with closing(taken) as following:
+            for each in following:
+                if each is None:
+                    account.lost += 1
+                else:
+                    slot.put(each)
+                if failures or has_ended():
+                    break
+    finally:
+        slot.finish()
+        thread.join()
+        account.skipped += slot.dropped
+    if failures:
+        raise failures[0]

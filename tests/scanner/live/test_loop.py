@@ -1,0 +1,201 @@
+"""The loop around the decoder: what is kept, what ends it, and that nothing grows or waits."""
+
+import threading
+import time
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from itertools import cycle, islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hw.errors import DeviceError
+from hw.rig import Rig
+from scanner.configuration import Config, load_config
+from scanner.errors import InputError
+from scanner.io import read_matches, write_calibration
+from scanner.live import jobs
+from scanner.live.cloud import Decoder, LiveCloud, Round
+from scanner.live.first_look import FirstLook
+from scanner.live.jobs import Looked, Watcher, Wishes, scan_live
+from scanner.live.rounds import rounds
+from scanner.live.sequence import sequence_for
+from scanner.live.watching import Account, Newest, watch
+from scanner.rooms.document import given_rig, read_stations
+from scanner.ui import Terminal
+from tests.scanner.live.test_clouds import DEPTHS, begun
+from tests.support.live_bench import CAMERA, PROJECTOR, LiveBench, calibration
+
+CONFIG = f"""
+rig: {{backend: simulated}}
+camera: {{width: {CAMERA[0]}, height: {CAMERA[1]}}}
+projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
+"""
+
+
+class Acting(Watcher):
+    """Does something when a cloud comes, and notes what is told."""
+
+    def __init__(self, act: object = None) -> None:
+        self._act = act
+        self.told: list[str] = []
+
+    def on_cloud(self, cloud: LiveCloud, account: Account) -> None:
+        if callable(self._act):
+            self._act(cloud, account)
+
+    def tell(self, sentence: str) -> None:
+        self.told.append(sentence)
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> LiveBench:
+    """The rig that every configuration names."""
+    made = LiveBench()
+
+    @contextmanager
+    def opened(_: Config) -> Iterator[Rig]:
+        yield made.rig
+
+    monkeypatch.setattr(jobs, "opened", opened)
+    return made
+
+
+def live(folder: Path, bench: LiveBench, wishes: Wishes, watcher: Watcher) -> Looked:
+    (folder / "rig.yaml").write_text(CONFIG)
+    write_calibration(folder / "calibration.yaml", bench.calibration)
+    return scan_live(
+        load_config(folder / "rig.yaml"),
+        folder / "out",
+        calibration=folder / "calibration.yaml",
+        wishes=wishes,
+        terminal=Terminal(quiet=True),
+        watcher=watcher,
+    )
+
+
+def test_so_many_clouds_are_kept_as_stations_of_a_thing(tmp_path: Path, bench: LiveBench) -> None:
+    found = live(tmp_path, bench, Wishes(number=2), Acting())
+    assert len(found.kept) == 2
+    config = load_config(tmp_path / "rig.yaml")
+    given = given_rig(tmp_path / "calibration.yaml", config).given
+    places = [tmp_path / "out" / "captures" / str(number) for number in (1, 2)]
+    stations = read_stations(places, config, Terminal(quiet=True), given)
+    for station, kept, place in zip(stations, found.kept, places, strict=True):
+        np.testing.assert_array_equal(station.matches.projector_px, kept.matches.projector_px)
+        assert station.texture is not None
+        assert kept.texture is not None
+        assert 0.8 < np.corrcoef(station.texture.ravel(), kept.texture.ravel())[0, 1] <= 1
+        assert len(read_matches(place)) > 5000
+    with pytest.raises(InputError, match="only one of the projector's coordinates"):
+        read_stations(places, config, Terminal(quiet=True))
+
+
+def test_a_cloud_is_kept_when_somebody_wants_it(tmp_path: Path, bench: LiveBench) -> None:
+    wishes = Wishes()
+
+    def act(_: LiveCloud, account: Account) -> None:
+        if account.clouds == 2:
+            wishes.now.set()
+        if account.clouds == 5:
+            wishes.end.set()
+
+    watcher = Acting(act)
+    assert len(live(tmp_path, bench, wishes, watcher).kept) == 1
+    assert watcher.told == ["Station 1 is kept."]
+
+
+def test_clouds_are_kept_every_so_often(tmp_path: Path, bench: LiveBench) -> None:
+    began_s = time.monotonic()
+    live(tmp_path, bench, Wishes(number=3, every_s=0.2), Acting())
+    assert time.monotonic() - began_s > 0.4
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), DeviceError("the camera is gone")])
+def test_what_was_kept_is_there_whatever_ends_it(
+    tmp_path: Path, bench: LiveBench, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    take = LiveBench.take
+
+    def fail(self: LiveBench) -> object:
+        if (tmp_path / ".out.partial" / "captures" / "1" / "cloud.ply").exists():
+            raise error
+        return take(self)
+
+    monkeypatch.setattr(LiveBench, "take", fail)
+    found = live(tmp_path, bench, Wishes(every_s=0.0), Acting())
+    assert found.ended_by is error
+    assert "that were kept are in" in error.__notes__[0]
+    assert len(list((tmp_path / "out" / "captures").iterdir())) == len(found.kept) >= 1
+
+
+def test_nothing_is_left_where_nothing_was_kept(
+    tmp_path: Path, bench: LiveBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(_: LiveBench) -> object:
+        raise DeviceError("the camera is gone")
+
+    monkeypatch.setattr(LiveBench, "take", gone)
+    with pytest.raises(DeviceError):
+        live(tmp_path, bench, Wishes(), Acting())
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_fails_beside_ends_the_loop(tmp_path: Path, bench: LiveBench) -> None:
+    def act(_: LiveCloud, __: Account) -> None:
+        raise DeviceError("the page is gone")
+
+    with pytest.raises(DeviceError, match="the page is gone"):
+        live(tmp_path, bench, Wishes(), Acting(act))
+
+
+def test_the_newest_is_taken_and_older_ones_are_dropped() -> None:
+    slot = Newest[int]()
+    for number in range(5):
+        slot.put(number)
+    assert (slot.take(), slot.dropped) == (4, 4)
+    slot.finish()
+    assert slot.take() is None
+
+
+def test_who_is_slow_does_not_hold_up_the_camera() -> None:
+    still, decoder = _still(LiveBench())
+    account, began_s = Account(), time.monotonic()
+
+    def slow(_: LiveCloud, __: Account) -> None:
+        time.sleep(0.2)
+
+    taken = (Round(number, each.frames, each.grey, 0.0) for number, each in enumerate(islice(cycle(still), 300)))
+    watch(taken, decoder, slow, lambda: False, account)
+    assert time.monotonic() - began_s < 5  # 300 × 0.2 s are a minute
+    assert account.clouds + account.skipped >= 298
+
+
+def test_ten_thousand_clouds_leave_the_memory_as_it_is() -> None:
+    bench = LiveBench(calibration=calibration(smaller=8))
+    everywhere = np.ones(bench.calibration.camera.size[::-1], np.bool_)
+    seen = FirstLook(everywhere, np.full(everywhere.size, 60.0), (1.0, 0.02), 255.0, None)
+    sequence = sequence_for(bench.calibration, seen, DEPTHS)
+    still = [each for each in islice(rounds(bench.rig, sequence, None), 3) if each is not None]
+    account, pages, ready = Account(), list[int](), threading.Event()
+
+    def taken() -> Generator[Round | None]:
+        for number, each in enumerate(islice(cycle(still), 10_000)):
+            yield Round(number, each.frames, each.grey.copy(), time.monotonic())
+            ready.wait(0.01)  # the first round makes no cloud
+            ready.clear()
+            if number in (1000, 9_999):
+                pages.append(int(Path("/proc/self/statm").read_text().split()[1]))
+
+    decoder = Decoder(sequence, seen, bench.calibration)
+    watch(taken(), decoder, lambda _, __: ready.set(), lambda: False, account)
+    assert account.clouds > 9_900
+    assert (pages[1] - pages[0]) * 4096 < 2_000_000
+
+
+def _still(bench: LiveBench) -> tuple[list[Round], Decoder]:
+    """Some rounds of a scene, and what decodes them."""
+    seen, sequence, decoder = begun(bench)
+    taken = islice(rounds(bench.rig, sequence, seen.response), 3)
+    return [each for each in taken if each is not None], decoder
