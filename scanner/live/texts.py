@@ -1,6 +1,7 @@
 """What is said of clouds while one looks."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -15,8 +16,9 @@ _MANY_SATURATED, _FEW_LIT, _ALL_MOVES = 0.02, 0.1, 0.5
 def cloud_text(cloud: LiveCloud, account: Account, unit: str) -> str:
     """Rate, delay, and what the cloud is worth."""
     sigma = shown_unit(unit).error(float(np.median(cloud.sigma))) if len(cloud.points) else "-"
+    rate = f"{account.rate_hz:.1f} clouds a second" if account.rate_hz else "The first cloud"
     return (
-        f"{account.rate_hz:.1f} clouds a second, {1000 * account.delay_s:.0f} ms after their last frame; "
+        f"{rate}, {1000 * account.delay_s:.0f} ms after its last frame; "
         f"{len(cloud.points):,} points, sigma {sigma}; {percent(cloud.moving_share)} moves"
     )
 
@@ -30,6 +32,15 @@ def advice(cloud: LiveCloud) -> Iterator[str]:
         yield f"Only {percent(cloud.lit / cloud.reason.size)} of the pixels see the fringes: more light, or closer."
     if cloud.moving_share > _ALL_MOVES:
         yield "Nearly everything moves: hold still for a moment."
+
+
+def result_texts(kept: int, out: Path, config: Path, calibration: Path) -> Iterator[str]:
+    """Where kept clouds are, and the one next step."""
+    yield f"Result: {out} ({kept} {'station' if kept == 1 else 'stations'} in captures)"
+    if kept > 1:
+        yield (
+            f"→ scan object {out} --config {config} --calibration {calibration} --out {out}-object puts them together."
+        )
 
 
 def account_text(account: Account) -> str:

@@ -126,7 +126,7 @@ def test_what_was_kept_is_there_whatever_ends_it(
     monkeypatch.setattr(LiveBench, "take", fail)
     found = live(tmp_path, bench, Wishes(every_s=0.0), Acting())
     assert found.ended_by is error
-    assert "that were kept are in" in error.__notes__[0]
+    assert "What was kept is in" in error.__notes__[0]
     assert len(list((tmp_path / "out" / "captures").iterdir())) == len(found.kept) >= 1
 
 
