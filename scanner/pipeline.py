@@ -262,7 +262,7 @@ def reconstruct(
     with MatchesAhead(folder) as matches:
         with refusal_saved(captures, folder, config, matches) as reached:
             with progress.step("Calibrating"):
-                labelled = label(captures, reached, masks)
+                labelled = label(captures, reached, config, masks)
                 matches.begin(labelled)
                 reached[:] = calibrated = calibrate(labelled, config)
             reconstructed = triangulate(calibrated, reached, progress)

@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.closed_form import decompose, share_in_front
 from calib.geometry import CornerImage, corner_planes, homogeneous, inverse_depths
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats
 from calib.plane_segmentation.plane_parallax import TwoView
 from calib.plane_segmentation.segmentation import Segments
 
@@ -69,14 +69,16 @@ class Triples:
     oblong_nats: float
 
 
-def corner_triples(segments: Segments, camera_px: Floats) -> Triples:
-    """The triples of the planes that can be a corner; `camera_px` (M, 2): the surfels.
+def corner_triples(segments: Segments, camera_px: Floats, point: tuple[float, float] = (0.0, 0.0)) -> Triples:
+    """The triples of the planes that can be a corner; `camera_px` (M, 2): the surfels. `point`: the camera's principal
+    point, in ideal coordinates.
 
     Preferred are planes with many surfels, and a triple whose calibration makes other planes parallel or perpendicular
     to each other, too: furniture mostly is.
     """
+    x = _sample(segments, camera_px, point)
+    segments = segments.about(point)
     view, planes, label = segments.view, segments.planes, segments.label
-    x = _sample(view, planes, label, camera_px)
     share = np.bincount(label[label >= 0], minlength=len(planes)) / len(label)
     found, off_square, oblong_score = [], 0.0, -np.inf
     for chosen in combinations(range(min(len(planes), _CANDIDATES)), 3):
@@ -122,12 +124,12 @@ def outermost(triples: list[Triple], segments: Segments) -> Triple:
     return min(standing_for, key=lambda triple: float(np.prod(inverse_distance[list(triple.planes)])))
 
 
-def _sample(view: TwoView, planes: Floats, label: Ints, camera_px: Floats) -> list[Floats]:
-    """Ideal homogeneous camera points of up to some fifty surfels of each plane."""
+def _sample(segments: Segments, camera_px: Floats, point: tuple[float, float]) -> list[Floats]:
+    """Ideal homogeneous camera points of up to some fifty surfels of each plane, from a point on."""
     sample = []
-    for plane in range(len(planes)):
-        members = camera_px[label == plane]
-        sample.append(homogeneous(view.camera.ideal(members[:: max(1, len(members) // 50)])))
+    for plane in range(len(segments.planes)):
+        members = camera_px[segments.label == plane]
+        sample.append(homogeneous(segments.view.camera.ideal(members[:: max(1, len(members) // 50)]) - point))
     return sample
 
 

@@ -49,8 +49,14 @@ class Faces:
 
 
 @singular_refused(RIG)
-def find_faces(matches: Matches, camera_size: tuple[int, int], projector_size: tuple[int, int]) -> Faces:
+def find_faces(
+    matches: Matches,
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+    principal_point_px: tuple[float, float] | None = None,
+) -> Faces:
     """Segment matches (N) into planes and choose the three that form a cuboid corner; sizes are (width, height).
+    `principal_point_px`: the camera's, if that is known; else the image's centre stands for it.
 
     Raises RefusalError if there are fewer than three planes or no three of them can be a corner.
     """
@@ -66,16 +72,19 @@ def find_faces(matches: Matches, camera_size: tuple[int, int], projector_size: t
             "The matches are not smooth: neighbouring camera pixels are matched to scattered projector pixels.",
             "Check focus, exposure, and that the frames belong to the patterns they are listed with.",
         )
-    segments, certain = _with_corner(segmentations(surfels, camera_size, projector_size, rng), surfels.camera_px)
+    point = (0.0, 0.0) if principal_point_px is None else _ideal_point(principal_point_px, camera_size)
+    segments, certain = _with_corner(segmentations(surfels, camera_size, projector_size, rng), surfels.camera_px, point)
     plane, counts = label_matches(matches, surfels, segments, rng)
     return _faces(matches, segments, plane, counts, outermost(certain, segments).planes)
 
 
-def _with_corner(tried: Iterable[Segments], camera_px: Floats) -> tuple[Segments, list[Triple]]:
+def _with_corner(
+    tried: Iterable[Segments], camera_px: Floats, point: tuple[float, float]
+) -> tuple[Segments, list[Triple]]:
     """The first planes of which three can be a corner, as far as they tell, and all such triples, best first."""
     refusal: RefusalError | None = None
     for segments in tried:
-        triples = corner_triples(segments, camera_px)
+        triples = corner_triples(segments, camera_px, point)
         certain = [triple for triple in triples.square if triple.direction_sigma_deg < _MOST_DIRECTION_SIGMA_DEG]
         if certain and triples.oblong_nats > _CLEARLY_OBLONG and triples.off_square > _NOTABLY_OBLONG:
             raise _oblong(segments, triples)
@@ -155,6 +164,12 @@ def _faces(matches: Matches, segments: Segments, plane: Ints, counts: Ints, corn
 
     in_pieces(len(plane), fill)
     return Faces(matches.with_faces(label), tuple(listed), number)
+
+
+def _ideal_point(point_px: tuple[float, float], size_px: tuple[int, int]) -> tuple[float, float]:
+    """In the coordinates of calib.plane_segmentation.plane_parallax, where the lens leaves it."""
+    x, y, _ = _pixel_scale(size_px) @ (*point_px, 1.0)
+    return float(x), float(y)
 
 
 def _pixel_scale(size_px: tuple[int, int]) -> Floats:

@@ -1,7 +1,7 @@
 """Surfels → planes of one scene, with the epipolar geometry and the lenses that they share."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,16 @@ class Segments:
     model_px: float
     spill: float
     uneven: float
+
+    def about(self, point: tuple[float, float]) -> "Segments":
+        """The same planes of ideal camera coordinates that have their origin at this point."""
+        from_point = np.array([[1.0, 0.0, point[0]], [0.0, 1.0, point[1]], [0.0, 0.0, 1.0]])
+        return replace(
+            self,
+            view=replace(self.view, base=self.view.base @ from_point),
+            planes=self.planes @ from_point,
+            covariance=from_point.T @ self.covariance @ from_point,
+        )
 
 
 def segmentations(

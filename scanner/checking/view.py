@@ -187,7 +187,7 @@ def _turned(device: str, middle: tuple[float, float], otherwise: str) -> str:
 def predict(decoded: Decoded, config: Config, earlier: Sequence[Decoded]) -> SelfCalibration:
     """What a capture calibrates, together with earlier ones if there are any. Raises RefusalError."""
     captures = [*earlier, decoded]
-    return solve(label(captures, [*captures]), config.model_copy(update={"method": "refined"}))[-1]
+    return solve(label(captures, [*captures], config), config.model_copy(update={"method": "refined"}))[-1]
 
 
 def view_row(

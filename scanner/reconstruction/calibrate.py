@@ -38,7 +38,9 @@ def refuse_impossible(config: Config, count: int) -> None:
         raise InputError(f"{known}: the calibration gives the scale: leave out 'scale', as with --set scale=null")
 
 
-def label(captures: Sequence[Decoded], reached: list[Stage], masks: Bools | None = None) -> list[Decoded]:
+def label(
+    captures: Sequence[Decoded], reached: list[Stage], config: Config, masks: Bools | None = None
+) -> list[Decoded]:
     """Matches → matches with faces, which are found, drawn by hand, or labelled already.
 
     `masks` (3, H, W) are of the newest capture. Raises RefusalError; `reached` is told how far each capture got.
@@ -47,7 +49,7 @@ def label(captures: Sequence[Decoded], reached: list[Stage], masks: Bools | None
     for number, capture in enumerate(captures):
         with naming(capture, among=len(captures)):
             refuse_moved(capture)
-            found = on_panel(_label(capture, masks if capture is captures[-1] else None), labelled)
+            found = on_panel(_label(capture, config, masks if capture is captures[-1] else None), labelled)
             reached[number] = found
             refuse_few(
                 found.matches,
@@ -58,12 +60,14 @@ def label(captures: Sequence[Decoded], reached: list[Stage], masks: Bools | None
     return labelled
 
 
-def _label(capture: Decoded, masks: Bools | None) -> Decoded:
+def _label(capture: Decoded, config: Config, masks: Bools | None) -> Decoded:
     if masks is not None:
         return capture.with_matches(label_by_masks(capture.matches, masks), capture.plane)
     if capture.matches.face is not None:
         return capture
-    faces = find_faces(capture.matches, capture.facts.camera_size, capture.facts.projector_size)
+    point = config.principal_point(capture.facts.camera_size)
+    known_px = None if point.sigma_px else point.px
+    faces = find_faces(capture.matches, capture.facts.camera_size, capture.facts.projector_size, known_px)
     found = faces.matches
     if capture.decoding is not None:
         found = without_margins(found, capture.facts.camera_size, capture.decoding.footprint_px2)

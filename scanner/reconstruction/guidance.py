@@ -30,7 +30,7 @@ class Guidance:
 def guide(captures: Sequence[Decoded], config: Config) -> tuple[Guidance, list[Decoded]]:
     """What the captures so far are worth, and the same with the faces that were found in them."""
     try:
-        labelled = label(captures, [*captures])
+        labelled = label(captures, [*captures], config)
     except RefusalError as refusal:
         return _refused(refusal), [*captures]
     try:

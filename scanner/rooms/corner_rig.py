@@ -41,7 +41,7 @@ class SeenCorner:
 
 def corner_in(capture: Decoded, config: Config) -> SeenCorner:
     """Raises RefusalError if the capture shows no corner that calibrates the rig."""
-    (labelled,) = label([capture], [capture])
+    (labelled,) = label([capture], [capture], config)
     (solution,) = solve([labelled], config)
     if solution.uncertainty is None:
         raise InputError("'method: paper' calibrates from one capture: use 'method: refined' for a room")
