@@ -123,8 +123,8 @@ def minimise(
 
     `evaluate` returns residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), preferably in Fortran
     order; it may reuse the same arrays. ρ is |r|² of each match's D residuals or, if `robust`, 2 log(1 + |r|²),
-    Cauchy's loss. `prior_sigma` is infinite for a parameter without a prior. Stops at a decrement below `converged` of the cost,
-    or a gain below `least_gain` of it.
+    Cauchy's loss. `prior_sigma` is infinite for a parameter without a prior. Stops at a decrement below `converged` of
+    the cost, or a gain below `least_gain` of it.
     """
     precision = prior_sigma**-2.0
 
